@@ -1,0 +1,46 @@
+"""viewshed: what can this LiDAR see, how sure are we, and is someone lying about it?
+
+>>> import numpy as np, viewshed
+>>> sweep = viewshed.Sweep(points=np.zeros((0, 3), np.float32))
+>>> viewshed.BevGrid().shape
+(256, 256)
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from viewshed.bev import GRIDS, BevGrid
+    from viewshed.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.estimators import ESTIMATORS
+    from viewshed.geometry import Rigid
+    from viewshed.io import read_sweep, write_sweep
+    from viewshed.sensors import LidarModel, lidar_model
+    from viewshed.sweep import Sweep
+    from viewshed.visible import CAR, PEDESTRIAN, Target
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Rigid": "geometry", "LidarModel": "sensors", "lidar_model": "sensors",
+    "read_sweep": "io", "write_sweep": "io", "Sweep": "sweep",
+    "BevGrid": "bev", "GRIDS": "bev",
+    "Target": "visible", "CAR": "visible", "PEDESTRIAN": "visible",
+    "FovEstimate": "estimate", "CellState": "estimate", "FovEstimator": "estimate",
+    "ESTIMATORS": "estimators",
+}  # fmt: skip
+__all__ = [
+    "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "BevGrid", "CellState", "FovEstimate", "FovEstimator",
+    "LidarModel", "Rigid", "Sweep", "Target", "lidar_model", "read_sweep", "write_sweep",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that ``import viewshed`` stays light."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'viewshed' has no attribute {name!r}")
+    return getattr(import_module(f"viewshed.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -1,0 +1,156 @@
+"""LidarModel: what is known about a sensor's beams, and the beam tables that travel with the package."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+MAX_RINGS = 4096
+_TOML_KEYS = {
+    "name", "elevations_deg", "azimuth_offsets_deg", "origins_m", "azimuth_columns",
+    "min_range_m", "max_range_m", "source",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarModel:
+    """The beams of a spinning LiDAR; ring 0 is the lowest beam.
+
+    Attributes:
+        name: the sensor's usual name, for example ``HDL-32E``.
+        elevation: (rings,) float64 radians above the horizon, strictly ascending.
+        azimuth_offset: (rings,) float64 radians that a beam leads the firing azimuth (0 where unknown).
+        origin_m: (rings,) float64 height of the beam's origin above the sensor's origin, in metres.
+        azimuth_columns: firings in one revolution.
+        min_range_m: returns nearer than this are the sensor itself or a null return.
+        max_range_m: farthest return.
+        source: where the table comes from.
+
+    Raises:
+        ValueError: an attribute is not as above.
+    """
+
+    name: str
+    elevation: NDArray[np.float64]
+    azimuth_columns: int
+    azimuth_offset: NDArray[np.float64] | None = None
+    origin_m: NDArray[np.float64] | None = None
+    min_range_m: float = 0.5
+    max_range_m: float = 100.0
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        elevation = np.array(self.elevation, dtype=np.float64)
+        if elevation.ndim != 1 or not 1 <= elevation.size <= MAX_RINGS or not np.isfinite(elevation).all():
+            raise ValueError(f"{self.name}: elevations must be 1 to {MAX_RINGS} finite numbers")
+        if (np.diff(elevation) <= 0).any() or np.abs(elevation).max() > np.pi / 2:
+            raise ValueError(f"{self.name}: elevations must ascend strictly within ±90°; ring 0 is the lowest beam")
+        if not 4 <= self.azimuth_columns <= 36_000:
+            raise ValueError(f"{self.name}: azimuth_columns must lie in [4, 36000], got {self.azimuth_columns}")
+        if not 0 <= self.min_range_m < self.max_range_m < 10_000:
+            raise ValueError(f"{self.name}: ranges must satisfy 0 ≤ min_range_m < max_range_m < 10000")
+        object.__setattr__(self, "elevation", _frozen(elevation))
+        for key in ("azimuth_offset", "origin_m"):
+            object.__setattr__(self, key, self._per_ring(key))
+
+    def _per_ring(self, key: str) -> NDArray[np.float64]:
+        value = getattr(self, key)
+        array = np.zeros(self.rings) if value is None else np.array(value, dtype=np.float64)
+        if array.shape != (self.rings,) or not np.isfinite(array).all():
+            raise ValueError(f"{self.name}: {key} must be {self.rings} finite numbers, one a ring, got {array.shape}")
+        return _frozen(array)
+
+    @property
+    def rings(self) -> int:
+        """Number of beams in a column."""
+        return int(self.elevation.size)
+
+    @property
+    def azimuth_step(self) -> float:
+        """Angle between two firings in radians."""
+        return 2.0 * np.pi / self.azimuth_columns
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> LidarModel:
+        """Return the model in a TOML file: keys as in the tables of this package (angles in degrees).
+
+        Raises:
+            ValueError: the file is not TOML, or a key is missing, unknown or out of range.
+            OSError: the file cannot be read.
+        """
+        return _parse(Path(path).read_bytes(), str(path))
+
+
+def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    array.setflags(write=False)
+    return array
+
+
+def _parse(raw: bytes, where: str) -> LidarModel:
+    table = _table(raw, where)
+    missing = {"name", "elevations_deg", "azimuth_columns"} - table.keys()
+    unknown = table.keys() - _TOML_KEYS
+    if missing or unknown:
+        raise ValueError(f"{where}: missing keys {sorted(missing)}, unknown keys {sorted(unknown)}")
+    try:
+        return LidarModel(
+            name=str(table["name"]),
+            elevation=np.deg2rad(_numbers(table["elevations_deg"])),
+            azimuth_columns=int(table["azimuth_columns"]),
+            azimuth_offset=np.deg2rad(_numbers(table["azimuth_offsets_deg"])) if "azimuth_offsets_deg" in table else None,
+            origin_m=_numbers(table["origins_m"]) if "origins_m" in table else None,
+            min_range_m=float(table.get("min_range_m", 0.5)),
+            max_range_m=float(table.get("max_range_m", 100.0)),
+            source=str(table.get("source", "")),
+        )
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+def _table(raw: bytes, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(raw.decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{where} must be a TOML beam table: {error}") from error
+
+
+def _numbers(value: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(value, dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def sensor_names() -> tuple[str, ...]:
+    """Return the names that :func:`lidar_model` knows, in alphabetical order."""
+    tables = resources.files("viewshed") / "beam_tables"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in tables.iterdir() if entry.name.endswith(".toml")))
+
+
+@lru_cache(maxsize=32)
+def lidar_model(name: str) -> LidarModel:
+    """Return the beam table called ``name`` (case and punctuation do not matter), or the one in the TOML file ``name``.
+
+    Raises:
+        ValueError: no table has this name; the message lists those that exist.
+
+    >>> lidar_model("vlp-16").rings
+    16
+    """
+    if name.endswith(".toml"):
+        return LidarModel.from_toml(name)
+    wanted = _plain(name)
+    for known in sensor_names():
+        if _plain(known) == wanted:
+            raw = (resources.files("viewshed") / "beam_tables" / f"{known}.toml").read_bytes()
+            return _parse(raw, f"{known}.toml")
+    raise ValueError(f"sensor must be one of {', '.join(sensor_names())} or a TOML file, got {name!r}")
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())

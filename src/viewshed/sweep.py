@@ -1,0 +1,149 @@
+"""① Sweep: what one sensor measured in one revolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from viewshed.geometry import Rigid, attitude_of, rotation_from_quaternion
+from viewshed.sensors import LidarModel
+
+MAX_POINTS = 20_000_000
+"""The largest sweep that is accepted; a revolution of the densest sensors has about 300,000 returns."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """One revolution of one LiDAR, in the sensor's own frame (x forward, y left, z up, sensor at the origin).
+
+    Attributes:
+        points: (N, 3) float32, metres. Rows that are not finite are dropped, with their other columns.
+        intensity: (N,) float32 in the sensor's own scale, or None.
+        ring: (N,) int16 beam index, 0 the lowest beam, or None where the format has none.
+        azimuth: (N,) float32 firing azimuth in radians as the sensor reported it, or None.
+        time_s: (N,) float32 seconds since the start of the sweep, or None.
+        t_ns: time of the sweep in nanoseconds, or None.
+        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, or None where it must be estimated.
+        sensor_height_m: mounting height above the ground below the sensor, or None where it must be estimated.
+        world_from_sensor: pose in the map, or None.
+        model: what is known about the sensor's beams, or None.
+        agent: who measured it.
+        dropped_points: how many rows were not finite and were left out.
+
+    Raises:
+        ValueError: a shape, a value or a type is not as above; the message says what to mend.
+
+    >>> sweep = Sweep(np.array([[5.0, 0.0, -1.0], [np.nan, 0.0, 0.0]]))
+    >>> len(sweep), sweep.points.dtype.name, sweep.dropped_points
+    (1, 'float32', 1)
+    """
+
+    points: NDArray[np.float32]
+    intensity: NDArray[np.float32] | None = None
+    ring: NDArray[np.int16] | None = None
+    azimuth: NDArray[np.float32] | None = None
+    time_s: NDArray[np.float32] | None = None
+    t_ns: int | None = None
+    attitude: NDArray[np.float64] | None = None
+    sensor_height_m: float | None = None
+    world_from_sensor: Rigid | None = None
+    model: LidarModel | None = None
+    agent: str = "ego"
+    dropped_points: int = field(default=0)
+
+    def __post_init__(self) -> None:
+        points = _points(self.points)
+        finite = np.isfinite(points).all(axis=1)
+        keep = None if finite.all() else finite
+        _set(self, "dropped_points", self.dropped_points + int((~finite).sum()))
+        _set(self, "points", _frozen(points if keep is None else points[keep]))
+        for name, dtype in (
+            ("intensity", np.float32), ("ring", np.int16), ("azimuth", np.float32), ("time_s", np.float32),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None:
+                column = _column(name, value, len(points), dtype)
+                _set(self, name, _frozen(column if keep is None else column[keep]))
+        self._check_ring()
+        self._check_attitude()
+        height = self.sensor_height_m
+        if height is not None and not (np.isfinite(height) and 0.0 < height < 1000.0):
+            raise ValueError(f"sensor_height_m must lie in (0, 1000), got {height}")
+
+    def _check_ring(self) -> None:
+        if self.ring is None or self.ring.size == 0:
+            return
+        low, high = int(self.ring.min()), int(self.ring.max())
+        limit = 4096 if self.model is None else self.model.rings
+        if low < 0 or high >= limit:
+            of = "" if self.model is None else f" of {self.model.name}"
+            raise ValueError(f"ring must lie in [0, {limit}){of}, got {low}…{high}; name the right sensor")
+
+    def _check_attitude(self) -> None:
+        if self.attitude is None:
+            return
+        attitude = np.array(self.attitude, dtype=np.float64)
+        rotation_from_quaternion(attitude)
+        _set(self, "attitude", _frozen(attitude))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def known_attitude(self) -> NDArray[np.float64] | None:
+        """Quaternion (w, x, y, z) of ``level_from_sensor``: the given one, else the pose's, else None."""
+        if self.attitude is not None or self.world_from_sensor is None:
+            return self.attitude
+        return attitude_of(self.world_from_sensor.rotation)
+
+    def select(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Sweep:
+        """Return the sweep with the rows that ``keep`` ((N,) mask or indices) names, in that order."""
+        columns = {
+            name: None if value is None else value[keep]
+            for name in ("points", "intensity", "ring", "azimuth", "time_s")
+            for value in (getattr(self, name),)
+        }
+        return self.replace(**columns)
+
+    def replace(self, **changes: Any) -> Sweep:
+        """Return a copy with the named attributes changed; a name that does not exist is a TypeError."""
+        return Sweep(**({f.name: getattr(self, f.name) for f in fields(self)} | changes))
+
+
+def _set(sweep: Sweep, name: str, value: object) -> None:
+    object.__setattr__(sweep, name, value)
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a contiguous read-only array; a view is enough, the caller's own array stays writable."""
+    view = np.ascontiguousarray(array)[...]
+    view = view.view()
+    view.setflags(write=False)
+    return view
+
+
+def _points(value: ArrayLike) -> NDArray[np.float32]:
+    array = np.asarray(value)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"points must have shape (N, 3), got {array.shape}")
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"points must be real numbers, got dtype {array.dtype}")
+    if len(array) > MAX_POINTS:
+        raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {len(array)}; split it into revolutions")
+    with np.errstate(over="ignore"):
+        return array.astype(np.float32, copy=False)
+
+
+def _column(name: str, value: ArrayLike, count: int, dtype: type[np.generic]) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},) like points, got {array.shape}")
+    if dtype is np.int16 and array.size:
+        if not np.isfinite(array.astype(np.float64)).all() or (array != np.floor(array)).any():
+            raise ValueError(f"{name} must be whole numbers")
+        if array.min() < -32768 or array.max() > 32767:
+            raise ValueError(f"{name} must lie in [0, 4096), got {array.min()}…{array.max()}")
+    return array.astype(dtype, copy=False)
