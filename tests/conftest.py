@@ -1,0 +1,18 @@
+"""Fixtures that every test may use."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real sweeps; tests that need it are skipped, with a reason, where it is missing."""
+    folder = os.environ.get("VIEWSHED_REAL_DATA")
+    if not folder:
+        pytest.skip("VIEWSHED_REAL_DATA is not set: real sweeps are not tested")
+    path = Path(folder)
+    if not path.is_dir():
+        pytest.fail(f"VIEWSHED_REAL_DATA={folder} is not a folder")
+    return path
