@@ -1,0 +1,188 @@
+"""The project around the code: promises that README, docs and pyproject make."""
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+import viewshed
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = sorted((ROOT / "src" / "viewshed").rglob("*.py"))
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+HEAVY = ("numba", "matplotlib", "shapely", "pyarrow", "scipy", "rasterio", "typer")
+MAX_FILE_LINES = 300
+MAX_FUNCTION_LINES = 40
+MAX_MEDIAN_FUNCTION_LINES = 10
+
+
+def _text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def _words_for_users() -> str:
+    return "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *PAGES])
+
+
+def _functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def _body_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines from ``def`` to the end, less the docstring."""
+    lines = (function.end_lineno or function.lineno) - function.lineno + 1
+    first = function.body[0]
+    if ast.get_docstring(function) is not None:
+        lines -= (first.end_lineno or first.lineno) - first.lineno + 1
+    return lines
+
+
+def test_import_loads_nothing_heavy() -> None:
+    code = "import sys, json, viewshed; print(json.dumps(sorted(sys.modules)))"
+    loaded = json.loads(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout)
+    assert "viewshed" in loaded
+    assert not [name for name in HEAVY if name in loaded]
+
+
+def test_estimating_needs_no_drawing_and_no_packet_reader() -> None:
+    code = "import sys, json, viewshed; viewshed.ESTIMATORS; print(json.dumps(sorted(sys.modules)))"
+    loaded = json.loads(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout)
+    assert not [name for name in ("matplotlib", "ouster", "velodyne_decoder", "typer") if name in loaded]
+
+
+def test_every_public_name_exists_and_has_a_docstring() -> None:
+    assert set(viewshed.__all__) <= set(dir(viewshed))
+    for name in viewshed.__all__:
+        assert getattr(viewshed, name).__doc__, f"viewshed.{name} has no docstring"
+    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
+        _ = viewshed.no_such_name
+
+
+def test_every_public_name_is_in_the_docs() -> None:
+    words = _words_for_users()
+    assert [name for name in viewshed.__all__ if not re.search(rf"\b{name}\b", words)] == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT / "src")))
+def test_public_definitions_have_docstrings(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    public = [node for node in tree.body if isinstance(node, kinds) and not node.name.startswith("_")]
+    assert [node.name for node in public if ast.get_docstring(node) is None] == []
+
+
+def test_version_is_in_changelog_and_citation() -> None:
+    newest = re.search(r"^## (\S+)", _text("CHANGELOG.md"), re.MULTILINE)
+    assert newest is not None
+    assert newest[1] == viewshed.__version__
+    assert yaml.safe_load(_text("CITATION.cff"))["version"] == viewshed.__version__
+
+
+def test_every_command_and_estimator_is_documented() -> None:
+    from typer.main import get_command
+
+    from viewshed.cli import app
+
+    words = _words_for_users()
+    assert [name for name in _commands(get_command(app)) if f"viewshed {name}" not in words] == []
+    assert [name for name in viewshed.ESTIMATORS if f"`{name}`" not in words] == []
+
+
+def _commands(group: object, prefix: str = "") -> Iterator[str]:
+    for name, command in getattr(group, "commands").items():  # noqa: B009 - click's type is not exported by typer
+        if getattr(command, "commands", None):
+            yield from _commands(command, f"{prefix}{name} ")
+        elif not command.hidden:
+            yield f"{prefix}{name}"
+
+
+def test_files_and_functions_stay_short() -> None:
+    long_files = [path.name for path in SOURCES if len(path.read_text("utf-8").splitlines()) > MAX_FILE_LINES]
+    sizes = [(_body_lines(node), f"{path.name}:{node.name}") for path in SOURCES for node in _functions(path)]
+    assert long_files == []
+    assert [name for lines, name in sizes if lines > MAX_FUNCTION_LINES] == []
+    assert sorted(lines for lines, _ in sizes)[len(sizes) // 2] <= MAX_MEDIAN_FUNCTION_LINES
+
+
+def test_no_grab_bags_and_no_open_ends() -> None:
+    assert [path.name for path in SOURCES if path.stem in {"utils", "helpers", "common", "misc"}] == []
+    marks = re.compile("|".join(["TO" + "DO", "FIX" + "ME", "X" * 3]))
+    assert [str(path) for path in _tracked() if _is_text(path) and marks.search(path.read_text("utf-8"))] == []
+
+
+def test_tracked_files_name_no_machine() -> None:
+    machine = re.compile(r"/wo" + r"rk/|py" + r"pi\.org|pythonho" + r"sted|/opt/wheels|registry\.npm")
+    found = [str(path) for path in _tracked() if _is_text(path) and machine.search(path.read_text("utf-8"))]
+    assert found == []
+
+
+def _tracked() -> list[Path]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=False, capture_output=True, text=True)
+    if listed.returncode != 0:
+        pytest.skip("not a git checkout: tracked files are not known")
+    return [ROOT / name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def _is_text(path: Path) -> bool:
+    return path.suffix in {".py", ".md", ".toml", ".yml", ".cff", ".json", ".geojson", ".txt", ""} and (
+        b"\0" not in path.read_bytes()
+    )
+
+
+def test_license_is_apache() -> None:
+    assert "Apache License" in _text("LICENSE")
+    assert 'license = "Apache-2.0"' in _text("pyproject.toml")
+
+
+def test_every_page_is_in_the_navigation_and_every_link_leads_somewhere() -> None:
+    listed = sorted(_leaves(yaml.safe_load(_text("mkdocs.yml"))["nav"]))
+    assert listed == sorted(str(path.relative_to(ROOT / "docs")) for path in PAGES)
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]:
+        for target in re.findall(r"\]\((?!https?://|#|mailto:)([^)#\s]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def _leaves(node: object) -> Iterator[str]:
+    if isinstance(node, str):
+        yield node
+    for child in node if isinstance(node, list) else node.values() if isinstance(node, dict) else ():
+        yield from _leaves(child)
+
+
+def test_readme_commands_are_make_targets() -> None:
+    blocks = re.findall(r"^```sh\n(.*?)^```", _text("README.md"), re.MULTILINE | re.DOTALL)
+    commands = [line.split("#")[0].strip() for block in blocks for line in block.splitlines()]
+    assert commands[0] == "make demo"
+    assert "make test" in commands
+    targets = set(re.findall(r"^([a-z]+):", _text("Makefile"), re.MULTILINE))
+    assert {line.split()[1] for line in commands if line.startswith("make ")} <= targets
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/conventions.md"])
+def test_python_in_the_pages_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs every python block of a page, in order, and compares what the comments after # → say."""
+    blocks = re.findall(r"^```python\n(.*?)^```", _text(page), re.MULTILINE | re.DOTALL)
+    assert blocks, f"{page} shows no Python"
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, object] = {}
+    for line in "".join(blocks).splitlines():
+        code, _, said = line.partition("# →")
+        if said:
+            assert str(eval(code, scope)) == said.strip(), line
+        else:
+            exec(code, scope)
+
+
+def test_shell_scripts_parse() -> None:
+    checked = subprocess.run(["bash", "-n", str(ROOT / ".ci" / "run")], check=False, capture_output=True)
+    assert checked.returncode == 0
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
