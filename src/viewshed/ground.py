@@ -1,24 +1,270 @@
-"""Local ground: heights above it decide what is an obstacle and which beams meet a target."""
+"""Local ground: heights above it decide what is an obstacle and which beams would meet a target.
+
+Three steps on a coarse lattice: the second-lowest return of each node, a robust plane through the near nodes,
+and a walk outwards from the sensor that carries height and slope and accepts a node only where the step is
+plausible, so that it follows hills and does not climb walls.
+"""
+
 from __future__ import annotations
+
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+
 from viewshed.geometry import FloatArray
+
+NODES = 64
+"""Lattice nodes per side."""
+ASSUMED_HEIGHT_M = 1.8
+"""Sensor height where neither the sweep nor its returns tell one."""
+MAX_SLOPE = 0.21
+"""Steepest ground plane that is looked for in the level frame (12°)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
     """Ground height z (metres, ``level`` frame) on a square lattice about the sensor, bilinear in between.
 
     Attributes:
-        heights_m: (n, n) float32 z of the ground at the lattice's nodes.
-        half_extent_m: the lattice spans [-half_extent_m, half_extent_m] in x and y; beyond it the edge holds.
-        share_seen: share of lattice cells inside the sensor's range that rest on returns, in [0, 1].
+        heights_m: (n, n) float32 z of the ground at the middle of each node's cell, indexed like a BevGrid.
+        half_extent_m: the lattice spans ±half_extent_m in x and y; beyond it the edge holds.
+        seen: (n, n) bool, True where the height rests on returns and not on its neighbours.
+        plane: (a, b, c) of the plane z = a x + b y + c through the near ground.
+        support: share of the near nodes that lie on that plane, in [0, 1].
     """
 
     heights_m: NDArray[np.float32]
     half_extent_m: float
-    share_seen: float = 1.0
+    seen: NDArray[np.bool_]
+    plane: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    support: float = 0.0
+
+    @classmethod
+    def flat(cls, half_extent_m: float, z_m: float = 0.0) -> Ground:
+        """Return level ground at ``z_m``, not seen anywhere."""
+        heights = np.full((NODES, NODES), z_m, np.float32)
+        return cls(heights, half_extent_m, np.zeros((NODES, NODES), bool), (0.0, 0.0, z_m))
 
     def at(self, xy: FloatArray) -> NDArray[np.float32]:
-        """Return ground z (…,) in metres below points (…, 2+) of ``level``."""
-        raise NotImplementedError
+        """Return ground z (…,) in metres below points (…, 2+) of ``level``.
+
+        >>> Ground.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
+        [-1.5]
+        """
+        xy = np.ascontiguousarray(xy, dtype=np.float32)
+        heights = np.empty(xy.shape[:-1], np.float32)
+        _interpolate(self.heights_m, np.float32(self.half_extent_m), xy.reshape(-1, xy.shape[-1]), heights.reshape(-1))
+        return heights
+
+    def raised(self, by_m: float) -> Ground:
+        """Return the same ground with ``by_m`` metres added to every height."""
+        a, b, c = self.plane
+        heights = self.heights_m + np.float32(by_m)
+        return Ground(heights, self.half_extent_m, self.seen, (a, b, c + by_m), self.support)
+
+
+def estimate_ground(lows_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None) -> Ground:
+    """Return the ground below the sensor at z = 0 from the lowest returns of each node.
+
+    Args:
+        lows_m: (n, n, 2) float32 the two lowest z of each node, ascending; +inf where there is none.
+        half_extent_m: half the side of the lattice in metres.
+        sensor_height_m: known mounting height, or None.
+    """
+    lows = robust_lows(lows_m)
+    node_m = 2.0 * half_extent_m / lows.shape[0]
+    known = np.nan if sensor_height_m is None else float(sensor_height_m)
+    plane, support = _near_plane(lows, np.float32(node_m), known)
+    if support == 0.0:
+        return Ground.flat(half_extent_m, -(sensor_height_m or ASSUMED_HEIGHT_M))
+    heights, seen = _walk(lows, np.float32(node_m), plane, _order(lows.shape[0]))
+    a, b, c = (float(value) for value in plane)
+    return Ground(heights, half_extent_m, seen, (a, b, c), float(support))
+
+
+def robust_lows(lows_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (n, n) the second-lowest z of each node, the lowest where it is alone, +inf where there is none."""
+    lowest, second = lows_m[..., 0], lows_m[..., 1]
+    return np.ascontiguousarray(np.where(np.isfinite(second), second, lowest))
+
+
+@lru_cache(maxsize=4)
+def _order(nodes: int) -> NDArray[np.int32]:
+    """Return the nodes' (i, j), nearest to the middle first."""
+    i, j = np.mgrid[:nodes, :nodes]
+    middle = (nodes - 1) / 2
+    order = np.argsort(np.hypot(i - middle, j - middle).ravel(), kind="stable")
+    return np.ascontiguousarray(np.stack([i.ravel()[order], j.ravel()[order]], axis=1), dtype=np.int32)
+
+
+@njit(cache=True, nogil=True)
+def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma: no cover - compiled
+    n = heights.shape[0]
+    per_m = n / (2.0 * half)
+    for k in range(xy.shape[0]):
+        u = min(max((xy[k, 0] + half) * per_m - 0.5, 0.0), n - 1.001)
+        v = min(max((xy[k, 1] + half) * per_m - 0.5, 0.0), n - 1.001)
+        i, j = int(u), int(v)
+        fu, fv = u - i, v - j
+        low = heights[i, j] * (1 - fv) + heights[i, j + 1] * fv
+        high = heights[i + 1, j] * (1 - fv) + heights[i + 1, j + 1] * fv
+        out[k] = low * (1 - fu) + high * fu
+
+
+@njit(cache=True, nogil=True)
+def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cover - compiled
+    """RANSAC with a fixed sequence: most nodes on the plane, few below it; then least squares on those."""
+    n = lows.shape[0]
+    near = 0.45 * n
+    points = np.empty((n * n, 3), np.float32)
+    count = 0
+    for i in range(n):
+        for j in range(n):
+            di, dj = i + 0.5 - n / 2, j + 0.5 - n / 2
+            if di * di + dj * dj <= near * near and np.isfinite(lows[i, j]):
+                points[count, 0], points[count, 1], points[count, 2] = di * node_m, dj * node_m, lows[i, j]
+                count += 1
+    plane = np.zeros(3, np.float32)
+    if count < 6:
+        return plane, 0.0
+    best = -1e9
+    state = np.uint32(12345)
+    pick = np.empty(3, np.int64)
+    for _ in range(256):
+        for c in range(3):
+            state = np.uint32(state * np.uint32(1664525) + np.uint32(1013904223))
+            pick[c] = np.int64(state >> np.uint32(8)) % count
+        candidate, fits = _plane_through(points[pick[0]], points[pick[1]], points[pick[2]])
+        if fits and not (np.isfinite(height) and abs(candidate[2] + height) > 0.4):
+            score = _plane_score(points[:count], candidate)
+            if score > best:
+                best, plane = score, candidate
+    if best <= 0.0:
+        return plane, 0.0
+    for _ in range(3):
+        plane = _refit(points[:count], plane)
+    on = 0
+    for k in range(count):
+        r = abs(points[k, 2] - plane[0] * points[k, 0] - plane[1] * points[k, 1] - plane[2])
+        on += r < _tolerance(points[k, 0], points[k, 1])
+    return plane, on / count
+
+
+@njit(cache=True, nogil=True)
+def _tolerance(x: float, y: float) -> float:  # pragma: no cover - compiled
+    return 0.10 + 0.006 * (abs(x) + abs(y))
+
+
+@njit(cache=True, nogil=True)
+def _plane_through(p: Any, q: Any, r: Any) -> Any:  # pragma: no cover - compiled
+    plane = np.zeros(3, np.float32)
+    x1, y1, x2, y2 = q[0] - p[0], q[1] - p[1], r[0] - p[0], r[1] - p[1]
+    area = x1 * y2 - x2 * y1
+    if abs(area) < 1e-3 * (x1 * x1 + y1 * y1 + x2 * x2 + y2 * y2) + 1e-6:
+        return plane, False
+    z1, z2 = q[2] - p[2], r[2] - p[2]
+    plane[0] = (z1 * y2 - z2 * y1) / area
+    plane[1] = (x1 * z2 - x2 * z1) / area
+    plane[2] = p[2] - plane[0] * p[0] - plane[1] * p[1]
+    return plane, plane[0] * plane[0] + plane[1] * plane[1] <= MAX_SLOPE * MAX_SLOPE and plane[2] < 0.0
+
+
+@njit(cache=True, nogil=True)
+def _plane_score(points: Any, plane: Any) -> float:  # pragma: no cover - compiled
+    score = 0.0
+    for k in range(points.shape[0]):
+        x, y = points[k, 0], points[k, 1]
+        r = points[k, 2] - plane[0] * x - plane[1] * y - plane[2]
+        tolerance = _tolerance(x, y)
+        if abs(r) < tolerance:
+            score += 1.0
+        elif r < -2.0 * tolerance:
+            score -= 1.0
+    return score
+
+
+@njit(cache=True, nogil=True)
+def _refit(points: Any, plane: Any) -> Any:  # pragma: no cover - compiled
+    m = np.zeros((3, 3), np.float64)
+    b = np.zeros(3, np.float64)
+    row = np.empty(3, np.float64)
+    for k in range(points.shape[0]):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        if abs(z - plane[0] * x - plane[1] * y - plane[2]) < _tolerance(x, y):
+            row[0], row[1], row[2] = x, y, 1.0
+            for r in range(3):
+                b[r] += row[r] * z
+                for c in range(3):
+                    m[r, c] += row[r] * row[c]
+    for r in range(3):
+        m[r, r] += 1e-6
+        b[r] += 1e-6 * plane[r]
+    return np.linalg.solve(m, b).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no cover - compiled
+    """Carry height and slope outwards; accept a low only within a step that ground can take."""
+    n = lows.shape[0]
+    height = np.zeros((n, n), np.float32)
+    slope = np.zeros((n, n, 2), np.float32)
+    weight = np.zeros((n, n), np.float32)
+    seen = np.zeros((n, n), np.bool_)
+    for k in range(order.shape[0]):
+        i, j = order[k, 0], order[k, 1]
+        total, z, sx, sy, mx, my = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for p in range(max(i - 2, 0), min(i + 3, n)):
+            for q in range(max(j - 2, 0), min(j + 3, n)):
+                w = weight[p, q]
+                if w > 0.0:
+                    dx, dy = (i - p) * node_m, (j - q) * node_m
+                    w /= (i - p) * (i - p) + (j - q) * (j - q)
+                    z += w * (height[p, q] + slope[p, q, 0] * dx + slope[p, q, 1] * dy)
+                    sx += w * slope[p, q, 0]
+                    sy += w * slope[p, q, 1]
+                    mx += w * dx
+                    my += w * dy
+                    total += w
+        x, y = (i + 0.5 - n / 2) * node_m, (j + 0.5 - n / 2) * node_m
+        if total == 0.0:
+            z, sx, sy, mx, my = plane[0] * x + plane[1] * y + plane[2], plane[0], plane[1], node_m, 0.0
+        else:
+            z, sx, sy, mx, my = z / total, sx / total, sy / total, mx / total, my / total
+        step = lows[i, j] - z
+        support = min(total / 3.0, 1.0)
+        if abs(step) < 0.10 + 0.05 * min(node_m, 2.5) + 0.10 * (1.0 - support):
+            length2 = mx * mx + my * my + 0.25 * node_m * node_m
+            height[i, j] = z + 0.7 * step
+            slope[i, j, 0] = sx + 0.25 * step * mx / length2
+            slope[i, j, 1] = sy + 0.25 * step * my / length2
+            weight[i, j] = 1.0
+            seen[i, j] = True
+        else:
+            height[i, j] = z
+            slope[i, j, 0] = 0.9 * sx + 0.1 * plane[0]
+            slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
+            weight[i, j] = max(0.8 * support, 0.05)
+    return _smooth(height, seen), seen
+
+
+@njit(cache=True, nogil=True)
+def _smooth(height: Any, seen: Any) -> Any:  # pragma: no cover - compiled
+    """Average each node with its eight neighbours; nodes that rest on returns weigh four times as much."""
+    n = height.shape[0]
+    out = np.empty_like(height)
+    for i in range(n):
+        for j in range(n):
+            total, z = 0.0, 0.0
+            for p in range(max(i - 1, 0), min(i + 2, n)):
+                for q in range(max(j - 1, 0), min(j + 2, n)):
+                    w = 4.0 if seen[p, q] else 1.0
+                    if p == i and q == j:
+                        w *= 4.0
+                    total += w
+                    z += w * height[p, q]
+            out[i, j] = z / total
+    return out

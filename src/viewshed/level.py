@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
-from viewshed.geometry import Rigid
-from viewshed.ground import Ground
+from viewshed.geometry import Rigid, rotation_from_quaternion
+from viewshed.ground import NODES, Ground, estimate_ground
 from viewshed.sweep import Sweep
+
+NULL_RANGE_M = 0.5
+"""Returns nearer than this are null returns or the sensor's own housing, whatever the sensor."""
+MAX_RANGE_M = 250.0
+"""Returns farther than this are not used where the sensor is not known."""
+EGO_BOX_M = (2.7, 1.1)
+"""Half length and half width of the vehicle below the sensor."""
+EGO_HEIGHTS_M = (1.2, 3.0)
+"""Sensor heights at which such a vehicle is assumed; lower ones are robots, higher ones stand at the roadside."""
+LEVEL_TILT = np.deg2rad(6.0)
+"""A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,5 +63,192 @@ class LevelSweep:
 
 
 def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
-    """Return ``sweep`` levelled, its ground estimated over the extent of ``grid`` where it is not given."""
-    raise NotImplementedError
+    """Return ``sweep`` levelled, its ground estimated over the extent of ``grid``.
+
+    The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
+    ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
+    the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
+    a vehicle below the sensor (heights of 1.2 to 3 m) are left out.
+    """
+    rotation, ground = _attitude_and_ground(sweep, grid)
+    height = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), 0.05)
+    ground = ground.raised(height)
+    transform = Rigid(rotation, np.array([0.0, 0.0, height]))
+    ego = EGO_BOX_M if EGO_HEIGHTS_M[0] <= height <= EGO_HEIGHTS_M[1] else (0.0, 0.0)
+    columns = _level(
+        sweep.points,
+        transform.as_matrix()[:3].astype(np.float32),
+        np.array([*_range_limits(sweep), *ego], np.float32),
+        ground.heights_m,
+        np.float32(ground.half_extent_m),
+    )
+    for column in columns:
+        column.setflags(write=False)
+    points, range_m, azimuth, height_m, rows = columns
+    return LevelSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground)
+
+
+def _range_limits(sweep: Sweep) -> tuple[float, float]:
+    if sweep.model is None:
+        return NULL_RANGE_M, MAX_RANGE_M
+    return max(NULL_RANGE_M, sweep.model.min_range_m), max(MAX_RANGE_M, sweep.model.max_range_m)
+
+
+def _attitude_and_ground(sweep: Sweep, grid: BevGrid) -> tuple[NDArray[np.float64], Ground]:
+    attitude = sweep.known_attitude
+    rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
+    ground = _ground(sweep, grid, rotation)
+    if attitude is not None:
+        return rotation, ground
+    normal = _tilted_normal(sweep, ground)
+    if normal is None:
+        return rotation, ground
+    rotation = _upright(normal)
+    return rotation, _ground(sweep, grid, rotation)
+
+
+def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64]) -> Ground:
+    half = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
+    lows = np.full((NODES, NODES, 2), np.inf, np.float32)
+    limits = np.array(_range_limits(sweep), np.float32)
+    _lows(sweep.points, rotation.astype(np.float32), limits, np.float32(half), lows)
+    return estimate_ground(lows, half, sweep.sensor_height_m)
+
+
+def _tilted_normal(sweep: Sweep, ground: Ground) -> NDArray[np.float64] | None:
+    """Return the ground's normal (3,) in the sensor frame where the sensor is clearly tilted, else None."""
+    normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
+    if ground.support < 0.35:
+        stride = max(len(sweep) // 2500, 1)
+        found, support = _free_plane(np.ascontiguousarray(sweep.points[::stride]))
+        if support > 0.3:
+            normal = found.astype(np.float64)
+    normal /= np.linalg.norm(normal)
+    return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
+
+
+def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) that takes ``normal`` to z and keeps the heading of x."""
+    forward = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    forward /= np.linalg.norm(forward)
+    return np.stack([forward, np.cross(normal, forward), normal])
+
+
+@njit(cache=True, nogil=True)
+def _lows(points: Any, rotation: Any, limits: Any, half: Any, lows: Any) -> None:  # pragma: no cover - compiled
+    n = lows.shape[0]
+    per_m = n / (2.0 * half)
+    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
+    for k in range(points.shape[0]):
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+        d2 = px * px + py * py + pz * pz
+        if d2 < near2 or d2 > far2:
+            continue
+        u = (rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + half) * per_m
+        v = (rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + half) * per_m
+        if u < 0.0 or v < 0.0 or u >= n or v >= n:
+            continue
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
+        i, j = int(u), int(v)
+        if z < lows[i, j, 1]:
+            if z < lows[i, j, 0]:
+                lows[i, j, 1] = lows[i, j, 0]
+                lows[i, j, 0] = z
+            else:
+                lows[i, j, 1] = z
+
+
+@njit(cache=True, nogil=True)
+def _level(points: Any, transform: Any, limits: Any, ground: Any, half: Any) -> Any:  # pragma: no cover - compiled
+    """Transform, drop ego and null returns, and measure: points, range, azimuth, height above ground, rows."""
+    count = points.shape[0]
+    out = np.empty((count, 3), np.float32)
+    range_m, azimuth, height = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    rows = np.empty(count, np.int64)
+    near2, far2, ego_x, ego_y = limits[0] * limits[0], limits[1] * limits[1], limits[2], limits[3]
+    n = ground.shape[0]
+    per_m, last = np.float32(n / (2.0 * half)), np.float32(n - 1.001)
+    m = 0
+    for k in range(count):
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+        d2 = px * px + py * py + pz * pz
+        if d2 < near2 or d2 > far2:
+            continue
+        x = transform[0, 0] * px + transform[0, 1] * py + transform[0, 2] * pz
+        y = transform[1, 0] * px + transform[1, 1] * py + transform[1, 2] * pz
+        z = transform[2, 0] * px + transform[2, 1] * py + transform[2, 2] * pz + transform[2, 3]
+        if abs(x) < ego_x and abs(y) < ego_y:
+            continue
+        out[m, 0], out[m, 1], out[m, 2] = x, y, z
+        rows[m] = k
+        m += 1
+    for k in range(m):
+        x, y = out[k, 0], out[k, 1]
+        range_m[k] = np.sqrt(x * x + y * y)
+        azimuth[k] = _atan2(y, x)
+        u = min(max((x + half) * per_m - np.float32(0.5), np.float32(0.0)), last)
+        v = min(max((y + half) * per_m - np.float32(0.5), np.float32(0.0)), last)
+        i, j = int(u), int(v)
+        fu, fv = u - i, v - j
+        low = ground[i, j] + (ground[i, j + 1] - ground[i, j]) * fv
+        high = ground[i + 1, j] + (ground[i + 1, j + 1] - ground[i + 1, j]) * fv
+        height[k] = out[k, 2] - low - (high - low) * fu
+    return out[:m], range_m[:m], azimuth[:m], height[:m], rows[:m]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
+    """Azimuth in [-π, π) within 2e-6 rad: a minimax polynomial of the arctangent on [0, 1]."""
+    ax, ay = abs(x), abs(y)
+    ratio = min(ax, ay) / max(max(ax, ay), np.float32(1e-12))
+    s = ratio * ratio
+    p = np.float32(-0.01172120) * s + np.float32(0.05265332)
+    p = p * s - np.float32(0.11643287)
+    p = p * s + np.float32(0.19354346)
+    p = p * s - np.float32(0.33262347)
+    a = (p * s + np.float32(0.99997726)) * ratio
+    a = np.float32(1.57079637) - a if ay > ax else a
+    a = np.float32(3.14159274) - a if x < 0 else a
+    a = -a if y < 0 else a
+    return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
+
+
+@njit(cache=True, nogil=True)
+def _free_plane(points: Any) -> Any:  # pragma: no cover - compiled
+    """RANSAC for a tilted ground (up to 60°): many returns on it by area, few below it, the sensor above it."""
+    count = points.shape[0]
+    best, best_on = 0.0, 0.0
+    normal = np.array([0.0, 0.0, 1.0], np.float32)
+    state = np.uint32(777)
+    pick = np.empty(3, np.int64)
+    if count < 50:
+        return normal, best
+    total = 0.0
+    for k in range(count):
+        total += points[k, 0] ** 2 + points[k, 1] ** 2 + points[k, 2] ** 2
+    for _ in range(200):
+        for c in range(3):
+            state = np.uint32(state * np.uint32(1664525) + np.uint32(1013904223))
+            pick[c] = np.int64(state >> np.uint32(8)) % count
+        p, q, r = points[pick[0]], points[pick[1]], points[pick[2]]
+        found = np.cross(q - p, r - p)
+        length = np.sqrt(found[0] ** 2 + found[1] ** 2 + found[2] ** 2)
+        if length < 1e-3:
+            continue
+        found = found / length if found[2] > 0 else -found / length
+        offset = found[0] * p[0] + found[1] * p[1] + found[2] * p[2]
+        if found[2] < 0.5 or offset > -0.1:
+            continue
+        on, below = 0.0, 0.0
+        for k in range(count):
+            d2 = points[k, 0] ** 2 + points[k, 1] ** 2 + points[k, 2] ** 2
+            away = found[0] * points[k, 0] + found[1] * points[k, 1] + found[2] * points[k, 2] - offset
+            tolerance = 0.1 + 0.005 * np.sqrt(d2)
+            if abs(away) < tolerance:
+                on += d2
+            elif away < -2 * tolerance:
+                below += d2
+        if on - 2.0 * below > best:
+            best, best_on = on - 2.0 * below, on
+            normal = found.astype(np.float32)
+    return normal, best_on / total
