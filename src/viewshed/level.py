@@ -13,7 +13,10 @@ from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.ground import NODES, Ground, estimate_ground
 from viewshed.sweep import Sweep
+from viewshed.visible import Beams
 
+OBSTACLE_HEIGHTS_M = (0.3, 3.0)
+"""Returns between these heights above local ground are obstacles."""
 NULL_RANGE_M = 0.5
 """Returns nearer than this are null returns or the sensor's own housing, whatever the sensor."""
 MAX_RANGE_M = 250.0
@@ -60,6 +63,18 @@ class LevelSweep:
         """Pose of the ``level`` frame in the map, or None where the sweep has none."""
         pose = self.sweep.world_from_sensor
         return None if pose is None else pose @ self.level_from_sensor.inverse()
+
+    def beams(self) -> Beams:
+        """Return the beams that returned: straight lines from the sensor to each point."""
+        range_m = np.maximum(self.range_m, np.float32(1e-3))
+        slope = (self.points[:, 2] - np.float32(self.sensor_height_m)) / range_m
+        return Beams(self.azimuth, slope, self.range_m)
+
+    def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
+        """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
+        low, high = OBSTACLE_HEIGHTS_M
+        obstacle = (self.height_m > low) & (self.height_m < high)
+        return grid.count(self.points[obstacle]) > 0
 
 
 def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:

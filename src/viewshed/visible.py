@@ -4,8 +4,23 @@ at least ``min_returns`` returns."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from math import factorial
+from typing import Any
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid, polar_of_cells
+from viewshed.ground import Ground
+
+AZIMUTH_COLUMNS = 2048
+"""Columns in which beams are counted; windows are interpolated within a column."""
+_GROUND_SECTORS = 128
+_SLOPE_BINS = 512
+_SLOPE_LIMIT = 1.0
+_BELOW_GROUND_M = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,3 +54,165 @@ CAR = Target("car", 4.2, 1.8, 1.5, 5)
 PEDESTRIAN = Target("pedestrian", 0.6, 0.6, 1.7, 3)
 TARGETS: dict[str, Target] = {target.name: target for target in (CAR, PEDESTRIAN)}
 """The targets by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """Straight beams from the sensor, in the ``level`` frame: what the definition of visible counts.
+
+    Attributes:
+        azimuth: (B,) float32 radians in [-π, π).
+        slope: (B,) float32 rise over horizontal range.
+        depth_m: (B,) float32 horizontal range at which the beam ended; +inf where nothing stopped it.
+    """
+
+    azimuth: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if not (self.azimuth.shape == self.slope.shape == self.depth_m.shape) or self.azimuth.ndim != 1:
+            raise ValueError("azimuth, slope and depth_m must have one shape (B,)")
+
+
+def expected_returns(
+    beams: Beams, sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return (cells, cells) expected returns of a target in each cell, and the beams that aim at it.
+
+    A beam counts for a cell at range r if its azimuth falls inside the target's width at r, its height at r lies
+    between the local ground and the target's top, and its depth reaches r less one cell. ``aimed`` leaves the
+    depth out: beams that would meet the target if nothing stood nearer. Counts are interpolated within an azimuth
+    column, so they need not be whole; heights may lie 0.3 m below ground, the tolerance of a measured ground.
+    """
+    range_of_cells, azimuth_of_cells = polar_of_cells(grid)
+    bins = int(np.ceil(float(range_of_cells.max()) / grid.cell_m)) + 1
+    bottom, top = _slope_limits(sensor_height_m, ground, grid.cell_m, bins, target)
+    ranges = (np.arange(bins, dtype=np.float32) + np.float32(0.5)) * np.float32(grid.cell_m)
+    half_columns = (np.arctan2(target.width_m / 2, ranges) * AZIMUTH_COLUMNS / (2 * np.pi)).astype(np.float32)
+    reached = _reached(beams.azimuth, beams.slope, beams.depth_m, bottom, top, np.float32(grid.cell_m))
+    aimed = _aimed(beams.azimuth, beams.slope, bottom, top)
+    return _windows(reached, aimed, range_of_cells, azimuth_of_cells, half_columns, np.float32(1.0 / grid.cell_m))
+
+
+def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
+    """Return P(N ≥ min_returns), N Poisson with mean ``counts``, float32 of the same shape.
+
+    Beam counts of a measured sweep are uncertain by the jitter of azimuths and ground. The median of a Poisson
+    variable of whole mean m is m, so that a threshold of 0.5 is the definition itself.
+
+    >>> probability_of_visible(np.array([0.0, 4.0, 5.0, 50.0], np.float32), 5).round(2).tolist()
+    [0.0, 0.3700000047683716, 0.5600000023841858, 1.0]
+    """
+    table = _poisson_table(min_returns)
+    index = np.minimum(counts * np.float32(_TABLE_STEPS), np.float32(len(table) - 1)).astype(np.int32)
+    return table[index]
+
+
+_TABLE_STEPS = 32
+
+
+@lru_cache(maxsize=8)
+def _poisson_table(min_returns: int) -> NDArray[np.float32]:
+    top = min_returns + 10 * int(np.sqrt(min_returns)) + 10
+    mean = np.arange(top * _TABLE_STEPS + 1) / _TABLE_STEPS
+    if min_returns > 100:
+        return (mean >= min_returns).astype(np.float32)
+    below = sum(mean**k / factorial(k) for k in range(min_returns)) * np.exp(-mean)
+    return np.clip(1.0 - below, 0.0, 1.0).astype(np.float32)
+
+
+def _slope_limits(
+    sensor_height_m: float, ground: Ground, cell_m: float, bins: int, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the slopes (sectors, bins) of beams that pass a target's foot and its top."""
+    azimuth = (np.arange(_GROUND_SECTORS) + 0.5) * (2 * np.pi / _GROUND_SECTORS) - np.pi
+    range_m = (np.arange(bins) + 0.5) * cell_m
+    xy = np.stack([np.cos(azimuth)[:, None] * range_m, np.sin(azimuth)[:, None] * range_m], axis=-1)
+    foot = ground.at(xy) - np.float32(sensor_height_m)
+    per_range = (1.0 / range_m).astype(np.float32)
+    return (foot - np.float32(_BELOW_GROUND_M)) * per_range, (foot + np.float32(target.height_m)) * per_range
+
+
+@njit(cache=True, nogil=True)
+def _reached(azimuth: Any, slope: Any, depth: Any, bottom: Any, top: Any, cell_m: Any) -> Any:  # pragma: no cover
+    """Beams that reach (column, range bin), summed over the columns before: (columns + 1, bins)."""
+    sectors, bins = top.shape
+    counts = np.zeros((AZIMUTH_COLUMNS + 1, bins), np.float32)
+    per_rad = np.float32(AZIMUTH_COLUMNS / (2 * np.pi))
+    for n in range(azimuth.shape[0]):
+        column = min(max(int((azimuth[n] + np.float32(np.pi)) * per_rad), 0), AZIMUTH_COLUMNS - 1)
+        sector = column * sectors // AZIMUTH_COLUMNS
+        last = int(min(depth[n] / cell_m + np.float32(0.5), np.float32(bins - 1)))
+        row, low, high, s = counts[column + 1], bottom[sector], top[sector], slope[n]
+        for k in range(last + 1):
+            row[k] += np.float32(1.0) if (s >= low[k]) & (s <= high[k]) else np.float32(0.0)
+    for column in range(AZIMUTH_COLUMNS):
+        for k in range(bins):
+            counts[column + 1, k] += counts[column, k]
+    return counts
+
+
+@njit(cache=True, nogil=True)
+def _aimed(azimuth: Any, slope: Any, bottom: Any, top: Any) -> Any:  # pragma: no cover - compiled
+    """Beams that aim at (sector, range bin) whatever their depth, summed over the sectors before."""
+    sectors, bins = top.shape
+    histogram = np.zeros((sectors, _SLOPE_BINS + 1), np.float32)
+    per_rad = np.float32(sectors / (2 * np.pi))
+    per_slope = np.float32(_SLOPE_BINS / (2 * _SLOPE_LIMIT))
+    for n in range(azimuth.shape[0]):
+        sector = min(max(int((azimuth[n] + np.float32(np.pi)) * per_rad), 0), sectors - 1)
+        q = (slope[n] + np.float32(_SLOPE_LIMIT)) * per_slope
+        if q >= 0 and q < _SLOPE_BINS:
+            histogram[sector, int(q) + 1] += 1
+    for sector in range(sectors):
+        for q in range(_SLOPE_BINS):
+            histogram[sector, q + 1] += histogram[sector, q]
+    counts = np.zeros((sectors + 1, bins), np.float32)
+    for sector in range(sectors):
+        for k in range(bins):
+            high = _cumulative(histogram[sector], (top[sector, k] + np.float32(_SLOPE_LIMIT)) * per_slope)
+            low = _cumulative(histogram[sector], (bottom[sector, k] + np.float32(_SLOPE_LIMIT)) * per_slope)
+            counts[sector + 1, k] = counts[sector, k] + high - low
+    return counts
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cumulative(sums: Any, at: Any) -> Any:  # pragma: no cover - compiled
+    at = min(max(at, np.float32(0.0)), np.float32(sums.shape[0] - 1.001))
+    i = int(at)
+    return sums[i] + (at - i) * (sums[i + 1] - sums[i])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _turned(sums: Any, at: Any, k: Any) -> Any:  # pragma: no cover - compiled
+    """Sum over the columns before ``at`` (may lie up to one turn outside) of range bin ``k``."""
+    columns = sums.shape[0] - 1
+    turns = np.float32(0.0)
+    if at < 0:
+        at += columns
+        turns = -sums[columns, k]
+    elif at >= columns:
+        at -= columns
+        turns = sums[columns, k]
+    i = min(int(at), columns - 1)
+    return turns + sums[i, k] + (at - i) * (sums[i + 1, k] - sums[i, k])
+
+
+@njit(cache=True, nogil=True)
+def _windows(
+    reached: Any, aimed: Any, range_m: Any, azimuth: Any, half_columns: Any, per_m: Any
+) -> Any:  # pragma: no cover - compiled
+    rows, columns = range_m.shape
+    returns = np.empty((rows, columns), np.float32)
+    aims = np.empty((rows, columns), np.float32)
+    per_rad = np.float32(AZIMUTH_COLUMNS / (2 * np.pi))
+    ratio = np.float32((aimed.shape[0] - 1) / AZIMUTH_COLUMNS)
+    for i in range(rows):
+        for j in range(columns):
+            k = int(range_m[i, j] * per_m)
+            at = (azimuth[i, j] + np.float32(np.pi)) * per_rad
+            half = half_columns[k]
+            returns[i, j] = max(_turned(reached, at + half, k) - _turned(reached, at - half, k), np.float32(0.0))
+            aims[i, j] = _turned(aimed, (at + half) * ratio, k) - _turned(aimed, (at - half) * ratio, k)
+    return returns, aims

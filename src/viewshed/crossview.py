@@ -1,0 +1,237 @@
+"""Cross-view truth: what one posed sweep sees of a static scene tells what another one should have seen.
+
+No estimator makes this truth: a column that sweep B sees, and that sweep A must either show or miss, is a known
+answer about A's field of view. Rates: ``over`` = P(claimed visible | A does not see the column), ``under`` =
+P(not claimed visible | A sees it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from viewshed.bev import BevGrid
+from viewshed.estimate import FovEstimator
+from viewshed.level import LevelSweep, level_sweep
+from viewshed.sweep import Sweep
+
+
+@dataclass(frozen=True, slots=True)
+class CrossViewRules:
+    """How columns are chosen; every length in metres above each sweep's own local ground.
+
+    Attributes:
+        body_m: a column needs ``body_returns`` returns of B between these heights.
+        body_returns: how many.
+        top_m: and one return between these, so that it is about as tall as a car.
+        range_a_m: distance of the column from A.
+        range_b_m: and from B.
+        static_s: another sweep, this many seconds from B or more, must see it too.
+        near_m: returns within this distance of the column's middle belong to it.
+        seen_m: A sees the column with ``seen_returns`` returns between these heights.
+        seen_returns: how many.
+        clear_m: A does not see it if it has no return between those heights within this distance.
+        coverage: returned beams of A that must aim at the column.
+        through_share: a column that this share (and at least two) of those beams pass by ``through_m`` has moved or
+            can be seen through, and is dropped.
+        through_m: see there.
+    """
+
+    body_m: tuple[float, float] = (0.5, 1.5)
+    body_returns: int = 3
+    top_m: tuple[float, float] = (1.1, 2.2)
+    range_a_m: tuple[float, float] = (4.0, 45.0)
+    range_b_m: tuple[float, float] = (3.0, 50.0)
+    static_s: float = 0.7
+    near_m: float = 0.5
+    seen_m: tuple[float, float] = (0.2, 1.7)
+    seen_returns: int = 2
+    clear_m: float = 1.5
+    coverage: int = 3
+    through_share: float = 0.3
+    through_m: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each.
+
+    Attributes:
+        xy: (M, 2) metres.
+        seen: (M,) bool: A sees the column; the others it does not.
+        through: (M,) bool: not seen, but A's beams pass it: moved or see-through; left out of ``over``.
+    """
+
+    xy: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    through: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A rate with its 95 % interval from a bootstrap over sweeps, and how many columns it rests on."""
+
+    value: float
+    low: float
+    high: float
+    columns: int
+
+
+@dataclass(frozen=True, slots=True)
+class CrossViewRow:
+    """One estimator's rates: over-claim, under-claim, over-claim with no column dropped, and the share dropped."""
+
+    method: str
+    over: Rate
+    under: Rate
+    over_unfiltered: Rate
+    dropped_share: float
+
+
+def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules) -> Columns:
+    """Return the columns that ``others`` know about the view of ``a``; all need poses and times."""
+    found = [xy for b in others for xy in [_columns_of_pair(a, b, others, rules)] if len(xy)]
+    if not found:
+        return Columns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
+    xy = np.unique(np.round(np.concatenate(found) / 0.25).astype(np.int64), axis=0) * 0.25
+    band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
+    tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
+    near = _counts(tree, xy, rules.near_m)
+    clear = _counts(tree, xy, rules.clear_m) == 0
+    seen = near >= rules.seen_returns
+    aimed, through = _aimed_and_through(a, xy, rules)
+    known = (seen | clear) & (aimed >= rules.coverage)
+    passes = (through >= 2) & (through >= rules.through_share * aimed) & ~seen
+    return Columns(xy[known], seen[known], passes[known])
+
+
+def _columns_of_pair(
+    a: LevelSweep, b: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules
+) -> NDArray[np.float64]:
+    xy_b = _tall_columns(b, rules)
+    witnesses = [c for c in others if _seconds_apart(b, c) >= rules.static_s]
+    if not len(xy_b) or not witnesses:
+        return np.empty((0, 2))
+    a_from_b = _between(a, b)
+    static = np.zeros(len(xy_b), bool)
+    for c in witnesses:
+        body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
+        in_b = _between(b, c) @ c.points[body]
+        static |= _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy_b, rules.near_m) > 0
+    xyz = np.column_stack([xy_b, b.ground.at(xy_b)])
+    xy: NDArray[np.float64] = (a_from_b @ xyz[static])[:, :2]
+    range_a = np.hypot(xy[:, 0], xy[:, 1])
+    return xy[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+
+
+def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> NDArray[np.float64]:
+    grid = BevGrid(round(4 * rules.range_b_m[1]), rules.range_b_m[1])
+    body = (b.height_m > rules.body_m[0]) & (b.height_m < rules.body_m[1])
+    top = (b.height_m > rules.top_m[0]) & (b.height_m < rules.top_m[1])
+    enough = (grid.count(b.points[body]) >= rules.body_returns) & (grid.count(b.points[top]) >= 1)
+    xy = grid.centers[enough]
+    range_b = np.hypot(xy[:, 0], xy[:, 1])
+    return xy[(range_b > rules.range_b_m[0]) & (range_b < rules.range_b_m[1])]
+
+
+def _between(to: LevelSweep, of: LevelSweep) -> Any:
+    to_pose, of_pose = to.world_from_level, of.world_from_level
+    if to_pose is None or of_pose is None:
+        raise ValueError("cross-view truth needs the pose of every sweep (world_from_sensor)")
+    return to_pose.inverse() @ of_pose
+
+
+def _seconds_apart(b: LevelSweep, c: LevelSweep) -> float:
+    if b.sweep.t_ns is None or c.sweep.t_ns is None:
+        raise ValueError("cross-view truth needs the time of every sweep (t_ns)")
+    return abs(b.sweep.t_ns - c.sweep.t_ns) * 1e-9
+
+
+def _counts(tree: Any, xy: NDArray[np.float64], radius_m: float) -> NDArray[np.intp]:
+    if tree.n == 0:
+        return np.zeros(len(xy), np.intp)
+    counts: NDArray[np.intp] = tree.query_ball_point(xy, radius_m, return_length=True)
+    return counts
+
+
+def _aimed_and_through(
+    a: LevelSweep, xy: NDArray[np.float64], rules: CrossViewRules
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return how many returned beams of ``a`` aim at each column, and how many of them end well behind it."""
+    beams = a.beams()
+    order = np.argsort(beams.azimuth, kind="stable")
+    azimuth, slope, depth = beams.azimuth[order], beams.slope[order], beams.depth_m[order]
+    ground = a.ground.at(xy) - a.sensor_height_m
+    aimed, through = np.zeros(len(xy), np.intp), np.zeros(len(xy), np.intp)
+    for n, (x, y) in enumerate(xy):
+        r = float(np.hypot(x, y))
+        middle, half = np.arctan2(y, x), np.arctan2(rules.near_m / 2, r)
+        for turn in (-2 * np.pi, 0.0, 2 * np.pi):
+            i, j = np.searchsorted(azimuth, [middle - half + turn, middle + half + turn])
+            height = slope[i:j] * r - ground[n]
+            hits = (height > rules.seen_m[0]) & (height < rules.seen_m[1])
+            aimed[n] += hits.sum()
+            through[n] += (hits & (depth[i:j] > r + rules.through_m)).sum()
+    return aimed, through
+
+
+def evaluate_crossview(
+    sequences: Sequence[Sequence[Sweep]],
+    estimators: Mapping[str, FovEstimator],
+    *,
+    rng: np.random.Generator,
+    rules: CrossViewRules | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[CrossViewRow]:
+    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
+
+    Raises:
+        ValueError: a sweep has no pose or no time.
+    """
+    rules = rules or CrossViewRules()
+    grid = BevGrid(256, 64.0)
+    truth: list[tuple[Sweep, Columns]] = []
+    for sweeps in sequences:
+        levels = [level_sweep(sweep, grid) for sweep in sweeps]
+        for k, a in enumerate(levels):
+            progress(f"truth of sweep {len(truth) + 1}")
+            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules)))
+    rows = []
+    for method, estimator in estimators.items():
+        progress(method)
+        rows.append(_row(method, estimator, truth, rng))
+    return rows
+
+
+def _row(
+    method: str, estimator: FovEstimator, truth: Sequence[tuple[Sweep, Columns]], rng: np.random.Generator
+) -> CrossViewRow:
+    tallies = np.zeros((len(truth), 3, 2))
+    dropped = unseen = 0
+    for n, (sweep, columns) in enumerate(truth):
+        estimate = estimator.estimate(sweep)
+        claimed = np.nan_to_num(estimate.at(columns.xy)) >= 0.5
+        sure = ~columns.seen & ~columns.through
+        for k, (wrong, base) in enumerate(
+            ((claimed & sure, sure), (~claimed & columns.seen, columns.seen), (claimed & ~columns.seen, ~columns.seen))
+        ):
+            tallies[n, k] = wrong.sum(), base.sum()
+        dropped += int(columns.through.sum())
+        unseen += int((~columns.seen).sum())
+    picks = rng.integers(0, len(truth), (2000, len(truth)))
+    rates = [_rate(tallies[:, k], picks) for k in range(3)]
+    return CrossViewRow(method, rates[0], rates[1], rates[2], dropped / max(unseen, 1))
+
+
+def _rate(tally: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
+    total = tally.sum(axis=0)
+    if total[1] == 0:
+        return Rate(float("nan"), float("nan"), float("nan"), 0)
+    sums = tally[picks].sum(axis=1)
+    low, high = np.quantile(sums[sums[:, 1] > 0, 0] / sums[sums[:, 1] > 0, 1], [0.025, 0.975])
+    return Rate(float(total[0] / total[1]), float(low), float(high), int(total[1]))

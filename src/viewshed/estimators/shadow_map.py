@@ -1,0 +1,87 @@
+"""Shadow map: the definition of visible, evaluated on the beams that a sweep measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid
+from viewshed.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.level import LevelSweep, level_sweep
+from viewshed.missing import missing_beams
+from viewshed.sweep import Sweep
+from viewshed.visible import CAR, Beams, Target, expected_returns, probability_of_visible
+
+NoReturn = Literal["unknown", "max_range", "fill"]
+NO_RETURN_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
+
+
+@dataclass(frozen=True, slots=True)
+class ShadowMap:
+    """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as the lamp).
+
+    Counts the beams that would have met a target in the cell and whose measured depth reaches it. The probability
+    is that of at least ``min_returns`` returns when their number is Poisson with that mean.
+
+    ``no_return`` says what a beam without a return means: ``unknown`` (it does not count; sound), ``max_range``
+    (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it went as far
+    as the nearer of its neighbors in the ring).
+
+    Limits: trusts each measured depth, so that removed or far-spoofed returns open false corridors; needs the local
+    ground within about 0.3 m; sparse far rings make it say UNKNOWN.
+    """
+
+    grid: BevGrid
+    target: Target = CAR
+    no_return: NoReturn = "unknown"
+
+    def __post_init__(self) -> None:
+        if self.no_return not in NO_RETURN_RULES:
+            raise ValueError(f"no_return must be one of {', '.join(NO_RETURN_RULES)}, got {self.no_return!r}")
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate for one sweep; see the class for what it means."""
+        return self.estimate_level(level_sweep(sweep, self.grid))
+
+    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled."""
+        beams = _with_missing(level, self.no_return)
+        returns, aimed = expected_returns(beams, level.sensor_height_m, level.ground, self.grid, self.target)
+        prob = probability_of_visible(returns, self.target.min_returns)
+        state = _state(prob, probability_of_visible(aimed, self.target.min_returns), level.obstacle_cells(self.grid))
+        return FovEstimate(
+            grid=self.grid,
+            visible_prob=prob,
+            state=state,
+            method="shadow_map",
+            target=self.target,
+            world_from_level=level.world_from_level,
+            t_ns=level.sweep.t_ns,
+            agent=level.sweep.agent,
+        )
+
+
+def _with_missing(level: LevelSweep, rule: NoReturn) -> Beams:
+    beams = level.beams()
+    if rule == "unknown" or len(level.sweep) == 0:
+        return beams
+    missing = missing_beams(level, fill=rule == "fill")
+    return Beams(
+        np.concatenate([beams.azimuth, missing.azimuth]),
+        np.concatenate([beams.slope, missing.slope]),
+        np.concatenate([beams.depth_m, missing.depth_m]),
+    )
+
+
+def _state(
+    prob: NDArray[np.float32], aimed_prob: NDArray[np.float32], obstacle: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """HIDDEN where enough returned beams aim at the cell and end before it, UNKNOWN where they do not suffice."""
+    visible = prob >= THRESHOLD
+    state = np.where(aimed_prob >= THRESHOLD, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
+    state[visible] = CellState.FREE
+    state[visible & obstacle] = CellState.SURFACE
+    return state
