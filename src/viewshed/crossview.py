@@ -40,6 +40,8 @@ class CrossViewRules:
         through_share: a column that this share (and at least two) of those beams pass by ``through_m`` has moved or
             can be seen through, and is dropped.
         through_m: see there.
+        across_m: a column counts as not seen only if the scene is as tall this far to its left and right as A looks
+            at it, so that it hides a target and not a post in front of a gap; 0 asks for nothing.
     """
 
     body_m: tuple[float, float] = (0.5, 1.5)
@@ -55,6 +57,7 @@ class CrossViewRules:
     coverage: int = 3
     through_share: float = 0.3
     through_m: float = 1.0
+    across_m: float = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +105,7 @@ def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRule
     band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
     tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
     near = _counts(tree, xy, rules.near_m)
-    clear = _counts(tree, xy, rules.clear_m) == 0
+    clear = (_counts(tree, xy, rules.clear_m) == 0) & _as_wide_as_target(xy, rules)
     seen = near >= rules.seen_returns
     aimed, through = _aimed_and_through(a, xy, rules)
     known = (seen | clear) & (aimed >= rules.coverage)
@@ -127,6 +130,14 @@ def _columns_of_pair(
     xy: NDArray[np.float64] = (a_from_b @ xyz[static])[:, :2]
     range_a = np.hypot(xy[:, 0], xy[:, 1])
     return xy[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+
+
+def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArray[np.bool_]:
+    if rules.across_m == 0:
+        return np.ones(len(xy), bool)
+    tree = cKDTree(xy)
+    left = np.column_stack([-xy[:, 1], xy[:, 0]]) / np.hypot(xy[:, 0], xy[:, 1])[:, None] * rules.across_m
+    return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
 
 
 def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> NDArray[np.float64]:
