@@ -1,0 +1,86 @@
+"""Measure everything, print the table and write the page: ``python -m benchmarks [--page FILE] [--only WORD]``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import clouds, machine, processes
+from benchmarks.cases import Case, all_cases
+from benchmarks.report import Row, write
+from benchmarks.timing import Timing, bandwidth_bytes_per_s, interleaved
+
+PAGE = machine.ROOT / "docs" / "results" / "speed.md"
+SEED = 20_250_307
+
+
+def main() -> None:
+    """Run what the command line names."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes; the JSON goes beside it")
+    parser.add_argument("--only", default="", help="measure only the steps that contain this word")
+    chosen = parser.parse_args()
+    facts = machine.describe() | {"command": f"python -m benchmarks {' '.join(sys.argv[1:])}".strip()}
+    bandwidth = bandwidth_bytes_per_s()
+    facts["bandwidth of one thread"] = f"{bandwidth / 1e9:.1f} GB/s, read and written in a copy of 256 MB"
+    with tempfile.TemporaryDirectory() as name:
+        rows = list(_measured(Path(name), chosen.only, bandwidth, facts))
+    if not chosen.only:
+        write(rows, facts, chosen.page)
+        print(f"written to {chosen.page}")
+
+
+def _measured(folder: Path, only: str, bandwidth: float, facts: dict[str, str]) -> Iterator[Row]:
+    rng = np.random.default_rng(SEED)
+    for case in all_cases(folder, rng):
+        if only in case.step:
+            timings = interleaved({"": case.job} | case.others, rng)
+            yield _told(_row_of_case(case, timings, bandwidth))
+    if only in "import viewshed":
+        yield _told(_row_of_process("import viewshed", "–", processes.imports(rng), 500.0))
+    if only in "viewshed estimate":
+        sweep = clouds.write_nuscenes(clouds.synthetic("35k", rng), folder / "cold.pcd.bin")
+        processes.estimate(sweep, folder / "out", rng)
+        yield _told(_row_of_process("viewshed estimate", "35k", processes.estimate(sweep, folder / "out", rng), 2500.0))
+    if only in "viewshed demo":
+        first, second = processes.first_and_second_demo(folder)
+        facts["viewshed demo"] = f"{first:.1f} s the first time ever (compiles), {second:.1f} s the second"
+        print(facts["viewshed demo"])
+
+
+def _row_of_case(case: Case, timings: Mapping[str, Timing], bandwidth: float) -> Row:
+    ours = timings[""]
+    others = {name: timing.median_ms for name, timing in timings.items() if name}
+    target, met = "", None
+    if case.target_ms is not None:
+        target, met = f"≤ {case.target_ms:g} ms", ours.median_ms <= case.target_ms
+    elif case.target_ratio is not None:
+        name, multiple = case.target_ratio
+        target, met = f"≤ {multiple:g} × {name}", ours.median_ms <= multiple * others[name]
+    floor_ms = 1e3 * case.floor_bytes / bandwidth
+    return Row(
+        case.step, case.size, ours.median_ms, ours.low_ms, ours.high_ms, ours.repeats, floor_ms, target, met, others
+    )
+
+
+def _row_of_process(name: str, size: str, timings: Mapping[str, Timing], target_ms: float) -> Row:
+    ours = timings[name]
+    others = {other: timing.median_ms for other, timing in timings.items() if other != name}
+    met = ours.median_ms <= target_ms
+    target = f"≤ {target_ms / 1e3:g} s"
+    step = f"`{name}`, whole process"
+    return Row(step, size, ours.median_ms, ours.low_ms, ours.high_ms, ours.repeats, None, target, met, others)
+
+
+def _told(row: Row) -> Row:
+    print(" | ".join(row.cells()), flush=True)
+    return row
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""The rows as a table for a terminal, a page and a JSON file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measured step.
+
+    Attributes:
+        step: what was done.
+        size: to what.
+        median_ms: our median.
+        low_ms: 10th percentile.
+        high_ms: 90th percentile.
+        repeats: how often it ran.
+        floor_ms: bytes that must be moved over the bandwidth measured in the same run, or None.
+        target: in words, empty where there is none.
+        met: whether the target is met, None where there is none.
+        others_ms: medians of the alternatives by name.
+    """
+
+    step: str
+    size: str
+    median_ms: float
+    low_ms: float
+    high_ms: float
+    repeats: int
+    floor_ms: float | None
+    target: str
+    met: bool | None
+    others_ms: dict[str, float]
+
+    def cells(self) -> list[str]:
+        """Return the row as text, cell by cell."""
+        verdict = {True: "met", False: "**missed**", None: "–"}[self.met]
+        ratios = "; ".join(f"{name} {value / self.median_ms:.1f} ×" for name, value in self.others_ms.items())
+        return [
+            self.step,
+            self.size,
+            f"{_ms(self.median_ms)} ({_ms(self.low_ms)}–{_ms(self.high_ms)})",
+            "–" if self.floor_ms is None else _ms(self.floor_ms),
+            self.target or "–",
+            verdict,
+            ratios or "–",
+        ]
+
+
+HEAD = [
+    "step",
+    "points",
+    "median, ms (10–90 %)",
+    "floor, ms",
+    "target",
+    "",
+    "time of the alternatives, as a multiple of ours",
+]
+INTRODUCTION = """# Speed
+
+Written by `make bench`. Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile.
+The alternatives are measured in the same run, interleaved with ours round by round in an order drawn anew, so the ratios
+hold better than the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is the time that moving the
+input and the output once through memory takes at the bandwidth measured in the same run; what fits into a cache can pass below it.
+
+The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but without
+attitude, height or beam azimuth, so levelling and the ground are in every time. The estimators start from points in
+memory and end with probability and state of every cell. Processes are timed on the wall clock, everything compiled before.
+"""
+
+
+def write(rows: Sequence[Row], facts: dict[str, str], page: Path) -> None:
+    """Write the page (Markdown) and beside it the same as JSON."""
+    lines = [INTRODUCTION, *_table(rows), "", "## The run", "", *(f"- {key}: {value}" for key, value in facts.items())]
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    content = {"facts": facts, "rows": [asdict(row) for row in rows]}
+    page.with_suffix(".json").write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _table(rows: Sequence[Row]) -> list[str]:
+    body = [HEAD, ["---"] * len(HEAD), *(row.cells() for row in rows)]
+    return [f"| {' | '.join(cells)} |" for cells in body]
+
+
+def _ms(value: float) -> str:
+    return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 100 else f"{value:.0f}"

@@ -1,0 +1,57 @@
+"""Medians over interleaved repeats: every round runs each candidate once, in an order drawn anew."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+Job = Callable[[], object]
+FEWEST, MOST = 7, 301
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Milliseconds of one candidate: median, 10th and 90th percentile, and how often it ran."""
+
+    median_ms: float
+    low_ms: float
+    high_ms: float
+    repeats: int
+
+
+def interleaved(jobs: Mapping[str, Job], rng: np.random.Generator, budget_s: float = 2.0) -> dict[str, Timing]:
+    """Return the timing of each job by name; all share the rounds, so that what disturbs one disturbs all."""
+    for job in jobs.values():  # compiles, and fills caches
+        job()
+    once_s = sum(_elapsed_ms(job) for job in jobs.values()) / 1e3
+    repeats = int(np.clip(budget_s / max(once_s, 1e-6), FEWEST, MOST))
+    names = list(jobs)
+    taken: dict[str, list[float]] = {name: [] for name in names}
+    for _ in range(repeats):
+        for pick in rng.permutation(len(names)):
+            taken[names[pick]].append(_elapsed_ms(jobs[names[pick]]))
+    return {name: summary(times) for name, times in taken.items()}
+
+
+def summary(times_ms: list[float]) -> Timing:
+    """Return the median and the 10th and 90th percentile of times in milliseconds."""
+    low, median, high = np.percentile(times_ms, [10, 50, 90])
+    return Timing(float(median), float(low), float(high), len(times_ms))
+
+
+def bandwidth_bytes_per_s(megabytes: int = 256, repeats: int = 7) -> float:
+    """Return the bytes per second that one thread reads and writes in a large copy (best of ``repeats``)."""
+    source = np.ones(megabytes * 1_000_000 // 8)
+    target = np.empty_like(source)
+    np.copyto(target, source)
+    best_ms = min(_elapsed_ms(lambda: np.copyto(target, source)) for _ in range(repeats))
+    return 2 * source.nbytes / (best_ms / 1e3)
+
+
+def _elapsed_ms(job: Job) -> float:
+    start = time.perf_counter_ns()
+    job()
+    return (time.perf_counter_ns() - start) / 1e6
