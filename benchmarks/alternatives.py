@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,5 @@ def polygon_by_contourpy(mask: NDArray[np.bool_], grid: BevGrid) -> MultiPolygon
     steps = grid.origin_m[0] + (np.arange(-1, grid.cells + 1) + 0.5) * grid.cell_m
     padded = np.pad(mask.astype(np.float64), 1)
     points, offsets = contour_generator(steps, steps, padded.T, fill_type=FillType.OuterOffset).filled(0.5, np.inf)
-    rings = (
-        [part[a:b] for a, b in zip(ends, ends[1:], strict=False)] for part, ends in zip(points, offsets, strict=True)
-    )
+    rings = ([part[a:b] for a, b in pairwise(ends)] for part, ends in zip(points, offsets, strict=True))
     return MultiPolygon([shapely.Polygon(outer, holes) for outer, *holes in rings])

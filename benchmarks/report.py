@@ -63,13 +63,15 @@ HEAD = [
 INTRODUCTION = """# Speed
 
 Written by `make bench`. Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile.
-The alternatives are measured in the same run, interleaved with ours round by round in an order drawn anew, so the ratios
-hold better than the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is the time that moving the
-input and the output once through memory takes at the bandwidth measured in the same run; what fits into a cache can pass below it.
+The alternatives are measured in the same run, interleaved with ours round by round in an order drawn anew, so the
+ratios hold better than the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is the time that
+moving the input and the output once through memory takes at the bandwidth measured in the same run; what fits into a
+cache can pass below it.
 
-The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but without
-attitude, height or beam azimuth, so levelling and the ground are in every time. The estimators start from points in
-memory and end with probability and state of every cell. Processes are timed on the wall clock, everything compiled before.
+The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but
+without attitude, height or beam azimuth, so levelling and the ground are in every time. The estimators start from
+points in memory and end with probability and state of every cell. Processes are timed on the wall clock, with
+everything compiled before.
 """
 
 
