@@ -101,7 +101,7 @@ def _order(nodes: int) -> NDArray[np.int32]:
     return np.ascontiguousarray(np.stack([i.ravel()[order], j.ravel()[order]], axis=1), dtype=np.int32)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma: no cover - compiled
     n = heights.shape[0]
     per_m = n / (2.0 * half)
@@ -115,7 +115,7 @@ def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma:
         out[k] = low * (1 - fu) + high * fu
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cover - compiled
     """RANSAC with a fixed sequence: most nodes on the plane, few below it; then least squares on those."""
     n = lows.shape[0]
@@ -131,7 +131,9 @@ def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cov
     plane = np.zeros(3, np.float32)
     if count < 6:
         return plane, 0.0
-    best = -1e9
+    some = points[: count : max(count // 400, 1)].T.copy()
+    tolerance = np.float32(0.10) + np.float32(0.006) * (np.abs(some[0]) + np.abs(some[1]))
+    best = 0
     state = np.uint32(12345)
     pick = np.empty(3, np.int64)
     for _ in range(256):
@@ -140,10 +142,10 @@ def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cov
             pick[c] = np.int64(state >> np.uint32(8)) % count
         candidate, fits = _plane_through(points[pick[0]], points[pick[1]], points[pick[2]])
         if fits and not (np.isfinite(height) and abs(candidate[2] + height) > 0.4):
-            score = _plane_score(points[:count], candidate)
+            score = _plane_score(some[0], some[1], some[2], tolerance, candidate)
             if score > best:
                 best, plane = score, candidate
-    if best <= 0.0:
+    if best <= 0:
         return plane, 0.0
     for _ in range(3):
         plane = _refit(points[:count], plane)
@@ -154,12 +156,12 @@ def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cov
     return plane, on / count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _tolerance(x: float, y: float) -> float:  # pragma: no cover - compiled
     return 0.10 + 0.006 * (abs(x) + abs(y))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _plane_through(p: Any, q: Any, r: Any) -> Any:  # pragma: no cover - compiled
     plane = np.zeros(3, np.float32)
     x1, y1, x2, y2 = q[0] - p[0], q[1] - p[1], r[0] - p[0], r[1] - p[1]
@@ -173,21 +175,18 @@ def _plane_through(p: Any, q: Any, r: Any) -> Any:  # pragma: no cover - compile
     return plane, plane[0] * plane[0] + plane[1] * plane[1] <= MAX_SLOPE * MAX_SLOPE and plane[2] < 0.0
 
 
-@njit(cache=True, nogil=True)
-def _plane_score(points: Any, plane: Any) -> float:  # pragma: no cover - compiled
-    score = 0.0
-    for k in range(points.shape[0]):
-        x, y = points[k, 0], points[k, 1]
-        r = points[k, 2] - plane[0] * x - plane[1] * y - plane[2]
-        tolerance = _tolerance(x, y)
-        if abs(r) < tolerance:
-            score += 1.0
-        elif r < -2.0 * tolerance:
-            score -= 1.0
+@njit(cache=True, nogil=True, error_model="numpy")
+def _plane_score(x: Any, y: Any, z: Any, tolerance: Any, plane: Any) -> int:  # pragma: no cover - compiled
+    """Nodes on the plane less nodes clearly below it."""
+    a, b, c = plane[0], plane[1], plane[2]
+    score = 0
+    for k in range(x.shape[0]):
+        r = z[k] - a * x[k] - b * y[k] - c
+        score += np.int32(abs(r) < tolerance[k]) - np.int32(r < np.float32(-2.0) * tolerance[k])
     return score
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _refit(points: Any, plane: Any) -> Any:  # pragma: no cover - compiled
     m = np.zeros((3, 3), np.float64)
     b = np.zeros(3, np.float64)
@@ -206,7 +205,7 @@ def _refit(points: Any, plane: Any) -> Any:  # pragma: no cover - compiled
     return np.linalg.solve(m, b).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no cover - compiled
     """Carry height and slope outwards; accept a low only within a step that ground can take."""
     n = lows.shape[0]
@@ -251,7 +250,7 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
     return _smooth(height, seen), seen
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _smooth(height: Any, seen: Any) -> Any:  # pragma: no cover - compiled
     """Average each node with its eight neighbours; nodes that rest on returns weigh four times as much."""
     n = height.shape[0]

@@ -72,9 +72,10 @@ class LevelSweep:
 
     def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
-        low, high = OBSTACLE_HEIGHTS_M
-        obstacle = (self.height_m > low) & (self.height_m < high)
-        return grid.count(self.points[obstacle]) > 0
+        mask = np.zeros(grid.shape, np.bool_)
+        lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, *OBSTACLE_HEIGHTS_M], np.float32)
+        _obstacles(self.points, self.height_m, lattice, mask)
+        return mask
 
 
 def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
@@ -149,7 +150,7 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([forward, np.cross(normal, forward), normal])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _lows(points: Any, rotation: Any, limits: Any, half: Any, lows: Any) -> None:  # pragma: no cover - compiled
     n = lows.shape[0]
     per_m = n / (2.0 * half)
@@ -173,7 +174,7 @@ def _lows(points: Any, rotation: Any, limits: Any, half: Any, lows: Any) -> None
                 lows[i, j, 1] = z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _level(points: Any, transform: Any, limits: Any, ground: Any, half: Any) -> Any:  # pragma: no cover - compiled
     """Transform, drop ego and null returns, and measure: points, range, azimuth, height above ground, rows."""
     count = points.shape[0]
@@ -201,21 +202,29 @@ def _level(points: Any, transform: Any, limits: Any, ground: Any, half: Any) -> 
         x, y = out[k, 0], out[k, 1]
         range_m[k] = np.sqrt(x * x + y * y)
         azimuth[k] = _atan2(y, x)
-        u = min(max((x + half) * per_m - np.float32(0.5), np.float32(0.0)), last)
-        v = min(max((y + half) * per_m - np.float32(0.5), np.float32(0.0)), last)
-        i, j = int(u), int(v)
-        fu, fv = u - i, v - j
+    for k in range(m):
+        u = _clamped((out[k, 0] + half) * per_m - np.float32(0.5), last)
+        v = _clamped((out[k, 1] + half) * per_m - np.float32(0.5), last)
+        i, j = np.int32(u), np.int32(v)
+        fu, fv = u - np.float32(i), v - np.float32(j)
         low = ground[i, j] + (ground[i, j + 1] - ground[i, j]) * fv
         high = ground[i + 1, j] + (ground[i + 1, j + 1] - ground[i + 1, j]) * fv
         height[k] = out[k, 2] - low - (high - low) * fu
     return out[:m], range_m[:m], azimuth[:m], height[:m], rows[:m]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _clamped(value: Any, last: Any) -> Any:  # pragma: no cover - compiled
+    value = np.float32(0.0) if value < np.float32(0.0) else value
+    return last if value > last else value
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
     """Azimuth in [-π, π) within 2e-6 rad: a minimax polynomial of the arctangent on [0, 1]."""
     ax, ay = abs(x), abs(y)
-    ratio = min(ax, ay) / max(max(ax, ay), np.float32(1e-12))
+    small, large = (ax, ay) if ax < ay else (ay, ax)
+    ratio = small / (large + np.float32(1e-30))
     s = ratio * ratio
     p = np.float32(-0.01172120) * s + np.float32(0.05265332)
     p = p * s - np.float32(0.11643287)
@@ -228,7 +237,7 @@ def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
     return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _free_plane(points: Any) -> Any:  # pragma: no cover - compiled
     """RANSAC for a tilted ground (up to 60°): many returns on it by area, few below it, the sensor above it."""
     count = points.shape[0]
@@ -267,3 +276,14 @@ def _free_plane(points: Any) -> Any:  # pragma: no cover - compiled
             best, best_on = on - 2.0 * below, on
             normal = found.astype(np.float32)
     return normal, best_on / total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _obstacles(points: Any, height: Any, lattice: Any, mask: Any) -> None:  # pragma: no cover - compiled
+    x0, y0, per_m, low, high = lattice
+    cells = mask.shape[0]
+    for k in range(points.shape[0]):
+        if height[k] > low and height[k] < high:
+            u, v = (points[k, 0] - x0) * per_m, (points[k, 1] - y0) * per_m
+            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
+                mask[int(u), int(v)] = True

@@ -126,15 +126,21 @@ def _slope_limits(
     sensor_height_m: float, ground: Ground, cell_m: float, bins: int, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the slopes (sectors, bins) of beams that pass a target's foot and its top."""
-    azimuth = (np.arange(_GROUND_SECTORS) + 0.5) * (2 * np.pi / _GROUND_SECTORS) - np.pi
-    range_m = (np.arange(bins) + 0.5) * cell_m
-    xy = np.stack([np.cos(azimuth)[:, None] * range_m, np.sin(azimuth)[:, None] * range_m], axis=-1)
+    xy, per_range = _polar_lattice(bins, cell_m)
     foot = ground.at(xy) - np.float32(sensor_height_m)
-    per_range = (1.0 / range_m).astype(np.float32)
     return (foot - np.float32(_BELOW_GROUND_M)) * per_range, (foot + np.float32(target.height_m)) * per_range
 
 
-@njit(cache=True, nogil=True)
+@lru_cache(maxsize=8)
+def _polar_lattice(bins: int, cell_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return x and y (sectors, bins, 2) of the middle of each polar bin, and 1 / range (bins,)."""
+    azimuth = (np.arange(_GROUND_SECTORS) + 0.5) * (2 * np.pi / _GROUND_SECTORS) - np.pi
+    range_m = (np.arange(bins) + 0.5) * cell_m
+    xy = np.stack([np.cos(azimuth)[:, None] * range_m, np.sin(azimuth)[:, None] * range_m], axis=-1)
+    return xy.astype(np.float32), (1.0 / range_m).astype(np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _reached(azimuth: Any, slope: Any, depth: Any, bottom: Any, top: Any, cell_m: Any) -> Any:  # pragma: no cover
     """Beams that reach (column, range bin), summed over the columns before: (columns + 1, bins)."""
     sectors, bins = top.shape
@@ -153,7 +159,7 @@ def _reached(azimuth: Any, slope: Any, depth: Any, bottom: Any, top: Any, cell_m
     return counts
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _aimed(azimuth: Any, slope: Any, bottom: Any, top: Any) -> Any:  # pragma: no cover - compiled
     """Beams that aim at (sector, range bin) whatever their depth, summed over the sectors before."""
     sectors, bins = top.shape
@@ -177,14 +183,14 @@ def _aimed(azimuth: Any, slope: Any, bottom: Any, top: Any) -> Any:  # pragma: n
     return counts
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _cumulative(sums: Any, at: Any) -> Any:  # pragma: no cover - compiled
     at = min(max(at, np.float32(0.0)), np.float32(sums.shape[0] - 1.001))
     i = int(at)
     return sums[i] + (at - i) * (sums[i + 1] - sums[i])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _turned(sums: Any, at: Any, k: Any) -> Any:  # pragma: no cover - compiled
     """Sum over the columns before ``at`` (may lie up to one turn outside) of range bin ``k``."""
     columns = sums.shape[0] - 1
@@ -199,7 +205,7 @@ def _turned(sums: Any, at: Any, k: Any) -> Any:  # pragma: no cover - compiled
     return turns + sums[i, k] + (at - i) * (sums[i + 1, k] - sums[i, k])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _windows(
     reached: Any, aimed: Any, range_m: Any, azimuth: Any, half_columns: Any, per_m: Any
 ) -> Any:  # pragma: no cover - compiled
