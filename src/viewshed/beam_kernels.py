@@ -1,0 +1,184 @@
+"""Compiled loops of :mod:`viewshed.beams`: polar coordinates, rings by file order or nearest beam, medians, pixels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_COARSE = 1024
+_FINE = 512
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
+    """Azimuth in [-π, π) within 2e-6 rad: a minimax polynomial of the arctangent on [0, 1]."""
+    ax, ay = abs(x), abs(y)
+    ratio = min(ax, ay) / max(max(ax, ay), np.float32(1e-12))
+    s = ratio * ratio
+    p = np.float32(-0.01172120) * s + np.float32(0.05265332)
+    p = p * s - np.float32(0.11643287)
+    p = p * s + np.float32(0.19354346)
+    p = p * s - np.float32(0.33262347)
+    a = (p * s + np.float32(0.99997726)) * ratio
+    a = np.float32(1.57079637) - a if ay > ax else a
+    a = np.float32(3.14159274) - a if x < 0 else a
+    a = -a if y < 0 else a
+    return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
+
+
+@njit(cache=True, nogil=True)
+def polar(points: Any) -> Any:  # pragma: no cover - compiled
+    """Return azimuth (N,) in [-π, π), slope z / range (N,) and horizontal range (N,) in metres; slope 0 at range 0."""
+    count = points.shape[0]
+    azimuth = np.empty(count, np.float32)
+    slope = np.empty(count, np.float32)
+    range_m = np.empty(count, np.float32)
+    for n in range(count):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        r = np.sqrt(x * x + y * y)
+        azimuth[n] = _atan2(y, x)
+        range_m[n] = r
+        slope[n] = z / r if r > 0 else np.float32(0.0)
+    return azimuth, slope, range_m
+
+
+@njit(cache=True, nogil=True)
+def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # pragma: no cover - compiled
+    """Return rings (N,) counted from the wraps of the azimuth past ``start`` in the sense ``turn``.
+
+    Also their number, the steps against that sense, and the share of wraps at which the slope rises. First and last
+    rings of less than a hundredth of the others' size are joined to their neighbor. Stops early on a shuffled cloud.
+    """
+    count = azimuth.shape[0]
+    ring = np.zeros(count, np.int16)
+    backward, wraps, upward, first_end, last_start = 0, 0, 0, 0, 0
+    before = 0.0
+    for n in range(count):
+        angle = (turn * (azimuth[n] - start)) % (2 * np.pi)
+        step = angle - before
+        if n > 0 and step < -np.pi:
+            wraps += 1
+            upward += slope[n] > slope[n - 1]
+            first_end = n if wraps == 1 else first_end
+            last_start = n
+        elif n > 0 and step < -0.003:
+            backward += 1
+        if backward > 100 + 0.1 * n or wraps > 4096:
+            return ring, 0, count, 0.5
+        ring[n] = wraps
+        before = angle
+    share = upward / wraps if wraps else 0.5
+    typical = count / (wraps + 1)
+    if wraps and count - last_start < 0.01 * typical:
+        ring[last_start:] = wraps - 1
+        wraps -= 1
+    if wraps and first_end < 0.01 * typical:
+        for n in range(first_end, count):
+            ring[n] -= 1
+        wraps -= 1
+    return ring, wraps + 1, backward, share
+
+
+@njit(cache=True, nogil=True)
+def nearest_beams(slope: Any, range_m: Any, beams: Any) -> Any:  # pragma: no cover - compiled
+    """Return the nearest beam of each point (N,), -1 beyond 0.15° and 5 cm, and what shows how well they fit.
+
+    ``beams`` (rings, 4): tangent of the elevation, height of the origin, radians that count as close, share of the
+    elevations around the beam that are close. Then follow: close points per beam (rings,), points beyond 1 m, and
+    the sum of those shares over them.
+    """
+    rings = beams.shape[0]
+    ring = np.full(slope.shape[0], -1, np.int16)
+    hits = np.zeros(rings, np.int64)
+    tried, chance = 0, 0.0
+    for n in range(slope.shape[0]):
+        r = range_m[n]
+        if r <= 0:
+            continue
+        per_m, t = 1.0 / r, slope[n]
+        low, high = 0, rings - 1
+        while low < high:
+            middle = (low + high) // 2
+            if beams[middle, 0] + beams[middle, 1] * per_m < t:
+                low = middle + 1
+            else:
+                high = middle
+        error = abs(beams[low, 0] + beams[low, 1] * per_m - t)
+        if low > 0:
+            other = abs(beams[low - 1, 0] + beams[low - 1, 1] * per_m - t)
+            if other < error:
+                low, error = low - 1, other
+        error /= 1.0 + t * t
+        if error < 0.0026 + 0.05 * per_m:
+            ring[n] = low
+        if r > 1.0:
+            tried += 1
+            chance += beams[low, 3]
+            hits[low] += error <= beams[low, 2]
+    return ring, hits, tried, chance
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _squeeze(slope: Any) -> Any:  # pragma: no cover - compiled
+    """Map a slope to (0, 1), ascending."""
+    return 0.5 + 0.5 * slope / (1.0 + abs(slope))
+
+
+@njit(cache=True, nogil=True)
+def ring_medians(ring: Any, slope: Any, rings: int) -> Any:  # pragma: no cover - compiled
+    """Return (rings,) float64 lower medians of the slopes within 1e-5 (NaN for none; NaN slopes are left out).
+
+    Two rounds of counting (a radix select): the order of the points does not matter.
+    """
+    coarse = np.zeros((rings, _COARSE), np.int32)
+    for n in range(ring.shape[0]):
+        if ring[n] >= 0 and slope[n] == slope[n]:
+            coarse[ring[n], int(_squeeze(slope[n]) * _COARSE)] += 1
+    bins = np.full(rings, -1, np.int64)
+    ranks = np.zeros(rings, np.int64)
+    for r in range(rings):
+        rank = (coarse[r].sum() + 1) // 2
+        seen = 0
+        for b in range(_COARSE):
+            if rank > 0 and seen + coarse[r, b] >= rank:
+                bins[r], ranks[r] = b, rank - seen
+                break
+            seen += coarse[r, b]
+    fine = np.zeros((rings, _FINE), np.int32)
+    for n in range(ring.shape[0]):
+        if ring[n] >= 0 and slope[n] == slope[n]:
+            u = _squeeze(slope[n]) * _COARSE
+            if int(u) == bins[ring[n]]:
+                fine[ring[n], int((u - int(u)) * _FINE)] += 1
+    medians = np.full(rings, np.nan)
+    for r in range(rings):
+        seen = 0
+        for b in range(_FINE):
+            seen += fine[r, b]
+            if bins[r] >= 0 and seen >= ranks[r]:
+                v = 2.0 * (bins[r] + (b + 0.5) / _FINE) / _COARSE - 1.0
+                medians[r] = v / (1.0 - abs(v))
+                break
+    return medians
+
+
+@njit(cache=True, nogil=True)
+def count_alone(azimuth: Any, ring: Any, columns: int, rings: int) -> Any:  # pragma: no cover - compiled
+    """Return the column of each point (N,), the points with a ring, and those of them alone in their pixel."""
+    column = np.empty(azimuth.shape[0], np.int32)
+    counts = np.zeros((rings, columns), np.uint8)
+    per_radian = columns / (2 * np.pi)
+    for n in range(azimuth.shape[0]):
+        c = int((azimuth[n] + np.pi) * per_radian)
+        c = min(max(c, 0), columns - 1)
+        column[n] = c
+        if ring[n] >= 0:
+            counts[ring[n], c] = min(counts[ring[n], c] + 1, 2)
+    placed, alone = 0, 0
+    for n in range(azimuth.shape[0]):
+        if ring[n] >= 0:
+            placed += 1
+            alone += counts[ring[n], column[n]] == 1
+    return column, placed, alone

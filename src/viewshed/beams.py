@@ -1,0 +1,244 @@
+"""Which beam and which column each return belongs to: the range image of a sweep, recovered from its points.
+
+Column 0 starts at azimuth -π (behind the sensor) and columns count counter-clockwise: the middle of column c is at
+``(c + 0.5) * azimuth_step - π``. The column is that of the return itself, not of the firing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.beam_kernels import count_alone, nearest_beams, order_rings, polar, ring_medians
+from viewshed.geometry import FloatArray
+from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sweep import Sweep
+
+Angles = NDArray[np.float32]
+Source = Literal["file", "file order", "beam table", "elevation bins"]
+
+DEFAULT_COLUMNS = 1024
+"""Columns of a revolution where neither the points nor a model tell."""
+PSEUDO_RINGS = 64
+"""Elevation bins of a cloud without beams and without a model."""
+_EXPLAINED = 0.5
+_NEAR_M = 1.0
+_SAMPLED_RINGS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """The beam and the column of each return.
+
+    Attributes:
+        ring: (N,) int16 beam of each return, 0 the lowest; -1 where no beam explains the return.
+        column: (N,) int32 azimuth column of each return, in [0, columns).
+        columns: azimuth columns in a revolution.
+        elevation: (rings,) float64 radians: median direction of the beam's returns seen from the sensor's origin; the
+            model's, or interpolated, for beams without a return.
+        placed_share: share of the returns that have a beam.
+        alone_share: share of the placed returns that are alone in their pixel (ring, column).
+        source: how the rings were found.
+    """
+
+    ring: NDArray[np.int16]
+    column: NDArray[np.int32]
+    columns: int
+    elevation: NDArray[np.float64]
+    placed_share: float
+    alone_share: float
+    source: Source
+
+    @property
+    def rings(self) -> int:
+        """Number of beams in a column."""
+        return len(self.elevation)
+
+    @property
+    def azimuth_step(self) -> float:
+        """Width of a column in radians."""
+        return 2.0 * np.pi / self.columns
+
+
+def recover_beams(sweep: Sweep, model: LidarModel | None = None) -> Beams:
+    """Return the beam and column of every return of ``sweep``.
+
+    Rings come from the sweep's own ring column; else from the order of the points (ring after ring, as in KITTI
+    files); else from the nearest beam of ``model`` (or of the sweep's model), if the elevations gather at its beams;
+    else from bins of elevation. All but the second do not depend on the order of the points.
+
+    >>> points = np.array([[10.0, 1.0, -1.0], [0.0, 10.0, 1.0]])
+    >>> recover_beams(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
+    [0, 1]
+    """
+    model = sweep.model if model is None else model
+    azimuth, slope, range_m = polar(sweep.points)
+    ring, rings, source = _rings(sweep, model, azimuth, slope, range_m)
+    columns = _columns(azimuth, ring, model, source)
+    column, placed, alone = count_alone(azimuth, ring, columns, rings)
+    return Beams(
+        ring=_frozen(ring),
+        column=_frozen(column),
+        columns=columns,
+        elevation=_frozen(_elevations(ring, slope, range_m, rings, model)),
+        placed_share=placed / len(sweep) if len(sweep) else 0.0,
+        alone_share=alone / placed if placed else 0.0,
+        source=source,
+    )
+
+
+def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
+    """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
+
+    The score is the share of returns near a beam, less what chance would give, times the share of the table's beams
+    that were hit. Where the rings are known (given, or told by the order of the points) it is the larger of that and
+    the share of returns whose ring lies, in the median, where the table has it.
+
+    >>> infer_sensor(np.zeros((0, 3)))
+    (None, 0.0)
+    """
+    azimuth, slope, range_m = polar(np.ascontiguousarray(points, dtype=np.float32))
+    if ring is None:
+        ring = _file_order(azimuth, slope)
+    best: LidarModel | None = None
+    best_score = 0.0
+    for name in sensor_names():
+        model = lidar_model(name)
+        score = _cluster_score(slope, range_m, model)
+        if ring is not None:
+            score = max(score, _ring_score(np.asarray(ring, np.int16), slope, range_m, model))
+        if score > best_score:
+            best, best_score = model, score
+    return (best if best_score >= _EXPLAINED else None), best_score
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    array = array.view()
+    array.setflags(write=False)
+    return array
+
+
+def _rings(
+    sweep: Sweep, model: LidarModel | None, azimuth: Angles, slope: Angles, range_m: Angles
+) -> tuple[NDArray[np.int16], int, Source]:
+    """Return the ring of each point, the number of rings and where they come from."""
+    if sweep.ring is not None:
+        known = int(sweep.ring.max(initial=0)) + 1
+        return sweep.ring, known if model is None else max(known, model.rings), "file"
+    ordered = _file_order(azimuth, slope)
+    if ordered is not None and (model is None or ordered.max() < model.rings):
+        return ordered, int(ordered.max()) + 1, "file order"
+    if model is not None:
+        match = _match(slope, range_m, model)
+        if match.excess >= _EXPLAINED:
+            return match.ring, model.rings, "beam table"
+    rings = PSEUDO_RINGS if model is None else model.rings
+    return _elevation_bins(slope, range_m, rings), rings, "elevation bins"
+
+
+def _file_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
+    """Return the rings told by the order of the points, or None where they are not stored ring after ring."""
+    for start in (0.0, np.pi):
+        for turn in (1.0, -1.0):
+            ring, rings, backward, upward = order_rings(azimuth, slope, start, turn)
+            if rings < 4 or backward > 0.03 * len(azimuth) or max(upward, 1 - upward) < 0.7:
+                continue
+            medians = ring_medians(ring, slope, rings)
+            rising = float((np.diff(medians[np.isfinite(medians)]) > 0).mean())
+            if max(rising, 1 - rising) >= 0.9:
+                return ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
+    return None
+
+
+class _Match(NamedTuple):
+    """How a beam table fits: nearest beam of each point, points close to each beam, their share less chance."""
+
+    ring: NDArray[np.int16]
+    hits: NDArray[np.int64]
+    excess: float
+
+
+def _match(slope: Angles, range_m: Angles, model: LidarModel) -> _Match:
+    """Return the nearest beam of each point and how much better than chance the returns gather at the beams.
+
+    Close is within a quarter of the gap to the next beam and 0.1°; chance is the share of the gap that this covers.
+    """
+    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
+    gap = np.minimum(gap[:-1], gap[1:])
+    close = np.minimum(gap / 4, np.deg2rad(0.1))
+    beams = np.stack([np.tan(model.elevation), model.origin_m, close, 2 * close / gap], axis=1)
+    ring, hits, tried, chance = nearest_beams(slope, range_m, beams)
+    if tried == 0 or chance >= tried:
+        return _Match(ring, hits, 0.0)
+    return _Match(ring, hits, max(0.0, (int(hits.sum()) - chance) / (tried - chance)))
+
+
+def _cluster_score(slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return ``excess`` times the share of beams that were hit, among those inside the elevations of the returns."""
+    match = _match(slope, range_m, model)
+    hit = match.hits > max(2.0, 0.02 * match.hits.sum() / model.rings)
+    if not hit.any():
+        return 0.0
+    first, last = np.flatnonzero(hit)[[0, -1]]
+    return match.excess * float(hit[first : last + 1].mean())
+
+
+def _ring_score(ring: NDArray[np.int16], slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return the share of returns whose ring's median lies within half a gap, and 0.5°, of the table's beam."""
+    rings = int(ring.max(initial=0)) + 1
+    if len(ring) == 0 or rings != model.rings:
+        return 0.0
+    corrected = slope - (model.origin_m[ring] / np.maximum(range_m, _NEAR_M)).astype(np.float32)
+    medians = np.arctan(ring_medians(ring, np.where(range_m > _NEAR_M, corrected, np.nan), rings))
+    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
+    limit = np.minimum(np.minimum(gap[:-1], gap[1:]) / 2, np.deg2rad(0.5))
+    return float((np.abs(medians - model.elevation) < limit)[ring].mean())
+
+
+def _elevation_bins(slope: Angles, range_m: Angles, rings: int) -> NDArray[np.int16]:
+    """Return pseudo-rings: equal bins of elevation between the lowest and highest 0.1 % of the returns."""
+    elevation = np.arctan(slope)
+    used = elevation[range_m > 0]
+    if len(used) == 0:
+        return np.full(len(slope), -1, np.int16)
+    low, high = np.quantile(used, [0.001, 0.999])
+    scaled = (elevation - low) * (rings / max(high - low, 1e-6))
+    return np.where(range_m > 0, np.clip(scaled, 0, rings - 1), -1).astype(np.int16)
+
+
+def _columns(azimuth: Angles, ring: NDArray[np.int16], model: LidarModel | None, source: Source) -> int:
+    """Return the columns of a revolution: measured, else the model's, else ``DEFAULT_COLUMNS``."""
+    fallback = DEFAULT_COLUMNS if model is None else model.azimuth_columns
+    if source == "elevation bins" or len(ring) == 0:
+        return fallback
+    sizes = np.bincount(ring[ring >= 0], minlength=1)
+    fullest = np.argsort(-sizes, kind="stable")[:_SAMPLED_RINGS]
+    steps = np.concatenate([np.diff(np.sort(azimuth[ring == r])) for r in fullest])
+    step = _common_step(steps)
+    return fallback if step is None else int(np.clip(round(2 * np.pi / step), 4, 36_000))
+
+
+def _common_step(steps: Angles) -> float | None:
+    """Return the mean of the steps within a quarter of the most frequent one, or None of fewer than 16."""
+    width = np.deg2rad(0.01)
+    bins = np.bincount((steps[(steps > 3 * width) & (steps < 300 * width)] / width).astype(np.intp), minlength=3)
+    mode = (np.convolve(bins, [1, 1, 1], "same").argmax() + 0.5) * width
+    common = steps[np.abs(steps - mode) < mode / 4]
+    return float(common.mean(dtype=np.float64)) if len(common) >= 16 else None
+
+
+def _elevations(
+    ring: NDArray[np.int16], slope: Angles, range_m: Angles, rings: int, model: LidarModel | None
+) -> NDArray[np.float64]:
+    """Return (rings,) median elevations; the model's, or interpolated, where a ring has no return beyond 1 m."""
+    medians = np.arctan(ring_medians(ring, np.where(range_m > _NEAR_M, slope, np.float32(np.nan)), rings))
+    seen = np.isfinite(medians)
+    if model is not None and model.rings == rings:
+        return np.where(seen, medians, model.elevation)
+    if not seen.any():
+        return np.zeros(rings)
+    index = np.arange(rings)
+    return np.interp(index, index[seen], medians[seen])
