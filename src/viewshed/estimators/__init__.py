@@ -12,7 +12,9 @@ from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.polar import Crop
 from viewshed.estimators.polygon_fit import PolygonFit
+from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.trimmed import TrimmedRayTrace
+from viewshed.estimators.vote import VoteOfFive
 
 EstimatorFactory = Callable[[BevGrid], FovEstimator]
 
@@ -24,6 +26,8 @@ ESTIMATORS: dict[str, EstimatorFactory] = {
     "first_blocker": FirstBlocker,
     "first_blocker_median": partial(FirstBlocker, median_bins=5, name="first_blocker_median"),
     "trimmed": TrimmedRayTrace,
+    "shadow_map": ShadowMap,
+    "vote": VoteOfFive,
 }
 """Ours: rays start at the sensor, bins follow the measured azimuth step, no return means UNKNOWN."""
 

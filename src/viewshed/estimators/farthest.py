@@ -32,7 +32,7 @@ from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Target
 
-_SLICES = 16
+_SLICES = 8
 """Fine bins in a window's half width; only cells in doubt look at single returns."""
 
 
@@ -59,8 +59,8 @@ class QuantizedRayTrace:
         name: goes into the estimate's ``method``.
 
     >>> import numpy as np
-    >>> sweep = Sweep(np.array([[9.0, 0.1, -1.7]]), sensor_height_m=1.7)
-    >>> QuantizedRayTrace(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[8.5, 0.1], [-8.5, 0.1]])).tolist()
+    >>> sweep = Sweep(np.array([[9.0, 0.5, -1.7]]), sensor_height_m=1.7)
+    >>> QuantizedRayTrace(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[9.0, 0.6], [-9.0, 0.6]])).tolist()
     [1.0, 0.0]
     """
 
@@ -128,7 +128,7 @@ class ContinuousRayTrace:
 
     A cell is visible if its centre's range is at most the farthest return whose azimuth differs from the centre's by
     at most ``window`` (plus ``margin_m``). Without a return in the window it is UNKNOWN; beyond the farthest return
-    HIDDEN if that return is an obstacle, else UNKNOWN (both to within a sixteenth of the window).
+    HIDDEN if that return is an obstacle, else UNKNOWN (both to within an eighth of the window).
 
     Limits: as the quantized ray trace, and smeared by the window: each far return opens 2 · ``window`` of azimuth.
 

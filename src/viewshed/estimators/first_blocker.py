@@ -53,8 +53,8 @@ class FirstBlocker:
         name: goes into the estimate's ``method``.
 
     >>> import numpy as np
-    >>> sweep = Sweep(np.array([[5.0, 0.1, -0.7], [9.0, 0.1, -1.7]]), sensor_height_m=1.7)
-    >>> FirstBlocker(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[4.5, 0.1], [7.5, 0.1]])).tolist()
+    >>> sweep = Sweep(np.array([[5.0, 0.5, -0.7], [9.0, 0.9, -1.7]]), sensor_height_m=1.7)
+    >>> FirstBlocker(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[5.4, 0.6], [8.5, 0.6]])).tolist()
     [1.0, 0.0]
     """
 

@@ -61,7 +61,8 @@ class Crop:
         if self == ALL_RETURNS:
             return level
         z_m = level.points[:, 2] - np.float32(level.sensor_height_m)
-        keep = (level.range_m <= self.max_range_m) & (z_m >= self.height_m[0]) & (z_m <= self.height_m[1])
+        used = (level.range_m <= self.max_range_m) & (z_m >= self.height_m[0]) & (z_m <= self.height_m[1])
+        keep = np.flatnonzero(used)
         columns = {name: getattr(level, name)[keep] for name in ("points", "range_m", "azimuth", "height_m", "rows")}
         return replace(level, **columns)
 
