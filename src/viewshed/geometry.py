@@ -82,9 +82,7 @@ class Rigid:
         rotation = np.array(self.rotation, dtype=np.float64)
         translation = np.array(self.translation, dtype=np.float64)
         if rotation.shape != (3, 3) or translation.shape != (3,):
-            raise ValueError(
-                f"a rigid transform must be (3, 3) and (3,), got {rotation.shape} and {translation.shape}"
-            )
+            raise ValueError(f"a rigid transform must be (3, 3) and (3,), got {rotation.shape} and {translation.shape}")
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise ValueError("a rigid transform must be finite")
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:

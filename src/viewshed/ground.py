@@ -68,28 +68,22 @@ class Ground:
 
 
 def estimate_ground(lows_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None) -> Ground:
-    """Return the ground below the sensor at z = 0 from the lowest returns of each node.
+    """Return the ground, z from the sensor, from a low point of each node.
 
     Args:
-        lows_m: (n, n, 2) float32 the two lowest z of each node, ascending; +inf where there is none.
+        lows_m: (n, n, 3) float32 the second-lowest point of each node (the lowest where it is alone, so that one
+            return below the ground does not count); +inf where there is none.
         half_extent_m: half the side of the lattice in metres.
         sensor_height_m: known mounting height, or None.
     """
-    lows = robust_lows(lows_m)
-    node_m = 2.0 * half_extent_m / lows.shape[0]
+    node_m = 2.0 * half_extent_m / lows_m.shape[0]
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
-    plane, support = _near_plane(lows, np.float32(node_m), known)
+    plane, support = _near_plane(lows_m, known)
     if support == 0.0:
         return Ground.flat(half_extent_m, -(sensor_height_m or ASSUMED_HEIGHT_M))
-    heights, seen = _walk(lows, np.float32(node_m), plane, _order(lows.shape[0]))
+    heights, seen = _walk(lows_m, np.float32(node_m), plane, _order(lows_m.shape[0]))
     a, b, c = (float(value) for value in plane)
     return Ground(heights, half_extent_m, seen, (a, b, c), float(support))
-
-
-def robust_lows(lows_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (n, n) the second-lowest z of each node, the lowest where it is alone, +inf where there is none."""
-    lowest, second = lows_m[..., 0], lows_m[..., 1]
-    return np.ascontiguousarray(np.where(np.isfinite(second), second, lowest))
 
 
 @lru_cache(maxsize=4)
@@ -116,7 +110,7 @@ def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cover - compiled
+def _near_plane(lows: Any, height: float) -> Any:  # pragma: no cover - compiled
     """RANSAC with a fixed sequence: most nodes on the plane, few below it; then least squares on those."""
     n = lows.shape[0]
     near = 0.45 * n
@@ -125,8 +119,8 @@ def _near_plane(lows: Any, node_m: Any, height: float) -> Any:  # pragma: no cov
     for i in range(n):
         for j in range(n):
             di, dj = i + 0.5 - n / 2, j + 0.5 - n / 2
-            if di * di + dj * dj <= near * near and np.isfinite(lows[i, j]):
-                points[count, 0], points[count, 1], points[count, 2] = di * node_m, dj * node_m, lows[i, j]
+            if di * di + dj * dj <= near * near and np.isfinite(lows[i, j, 2]):
+                points[count] = lows[i, j]
                 count += 1
     plane = np.zeros(3, np.float32)
     if count < 6:
@@ -233,7 +227,7 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
             z, sx, sy, mx, my = plane[0] * x + plane[1] * y + plane[2], plane[0], plane[1], node_m, 0.0
         else:
             z, sx, sy, mx, my = z / total, sx / total, sy / total, mx / total, my / total
-        step = lows[i, j] - z
+        step = lows[i, j, 2] - z - sx * (lows[i, j, 0] - x) - sy * (lows[i, j, 1] - y)
         support = min(total / 3.0, 1.0)
         if abs(step) < 0.10 + 0.05 * min(node_m, 2.5) + 0.10 * (1.0 - support):
             length2 = mx * mx + my * my + 0.25 * node_m * node_m

@@ -126,9 +126,14 @@ def _attitude_and_ground(sweep: Sweep, grid: BevGrid) -> tuple[NDArray[np.float6
 def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64]) -> Ground:
     half = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
     lows = np.full((NODES, NODES, 2), np.inf, np.float32)
+    rows = np.zeros((NODES, NODES, 2), np.int32)
     limits = np.array(_range_limits(sweep), np.float32)
-    _lows(sweep.points, rotation.astype(np.float32), limits, np.float32(half), lows)
-    return estimate_ground(lows, half, sweep.sensor_height_m)
+    _lows(sweep.points, rotation.astype(np.float32), limits, np.float32(half), lows, rows)
+    rank = np.isfinite(lows[..., 1]).astype(np.intp)[..., None]
+    some = np.isfinite(lows[..., 0])
+    points = np.full((NODES, NODES, 3), np.inf, np.float32)
+    points[some] = sweep.points[np.take_along_axis(rows, rank, axis=-1)[some, 0]] @ rotation.T
+    return estimate_ground(points, half, sweep.sensor_height_m)
 
 
 def _tilted_normal(sweep: Sweep, ground: Ground) -> NDArray[np.float64] | None:
@@ -151,7 +156,10 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lows(points: Any, rotation: Any, limits: Any, half: Any, lows: Any) -> None:  # pragma: no cover - compiled
+def _lows(
+    points: Any, rotation: Any, limits: Any, half: Any, lows: Any, rows: Any
+) -> None:  # pragma: no cover - compiled
+    """Keep the two lowest z of each node, ascending, and the rows that they come from."""
     n = lows.shape[0]
     per_m = n / (2.0 * half)
     near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
@@ -167,11 +175,11 @@ def _lows(points: Any, rotation: Any, limits: Any, half: Any, lows: Any) -> None
         z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
         i, j = int(u), int(v)
         if z < lows[i, j, 1]:
+            rank = 1
             if z < lows[i, j, 0]:
-                lows[i, j, 1] = lows[i, j, 0]
-                lows[i, j, 0] = z
-            else:
-                lows[i, j, 1] = z
+                lows[i, j, 1], rows[i, j, 1] = lows[i, j, 0], rows[i, j, 0]
+                rank = 0
+            lows[i, j, rank], rows[i, j, rank] = z, k
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

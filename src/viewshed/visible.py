@@ -119,7 +119,7 @@ def _poisson_table(min_returns: int) -> NDArray[np.float32]:
     if min_returns > 100:
         return (mean >= min_returns).astype(np.float32)
     below = sum(mean**k / factorial(k) for k in range(min_returns)) * np.exp(-mean)
-    return np.clip(1.0 - below, 0.0, 1.0).astype(np.float32)
+    return np.maximum.accumulate(np.clip(1.0 - below, 0.0, 1.0)).astype(np.float32)
 
 
 def _slope_limits(

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from viewshed import BevGrid, CellState, FovEstimate
+
+GRID = BevGrid(4, 2.0)
+
+
+def _estimate(**changes: object) -> FovEstimate:
+    prob = np.zeros((4, 4), np.float32)
+    prob[3, 0] = 0.5
+    prob[2, 1] = 0.4
+    state = np.full((4, 4), CellState.UNKNOWN, np.uint8)
+    state[3, 0] = CellState.FREE
+    values = {"grid": GRID, "visible_prob": prob, "state": state} | changes
+    return FovEstimate(**values)  # type: ignore[arg-type]
+
+
+def test_visible_is_the_probability_from_the_threshold_on() -> None:
+    estimate = _estimate()
+    assert np.argwhere(estimate.visible()).tolist() == [[3, 0]]
+    assert np.argwhere(estimate.visible(0.4)).tolist() == [[2, 1], [3, 0]]
+    assert estimate.area_m2() == 1.0
+    assert estimate.share(CellState.FREE) == 1 / 16
+
+
+def test_at_looks_up_and_is_nan_outside() -> None:
+    found = _estimate().at(np.array([[1.5, -1.5], [-1.5, 1.5], [2.0, 0.0]]))
+    assert found.dtype == np.float32
+    assert found[:2].tolist() == [0.5, 0.0]
+    assert np.isnan(found[2])
+
+
+def test_polygons_of_the_mask() -> None:
+    polygon = _estimate().polygon()
+    assert polygon.is_valid
+    assert polygon.bounds == (1.0, -2.0, 2.0, -1.0)
+    assert polygon.covers(_estimate().inner_polygon(8))
+
+
+def test_std_is_nan_where_there_is_none() -> None:
+    std = _estimate().std
+    assert std is not None
+    assert np.isnan(std).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"visible_prob": np.full((4, 4), 1.5)}, r"visible_prob must lie in \[0, 1\]"),
+        ({"visible_prob": np.full((4, 4), np.nan)}, r"visible_prob must lie in \[0, 1\]"),
+        ({"visible_prob": np.zeros((3, 4))}, r"grid's shape \(4, 4\), got \(3, 4\)"),
+        ({"std": np.full((4, 4), -0.1)}, "std must not be negative"),
+        ({"state": np.full((4, 4), 9)}, r"state must lie in \[0, 3\], got 9"),
+    ],
+)
+def test_bad_values_are_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        _estimate(**changes)
+
+
+def test_a_threshold_of_zero_is_refused() -> None:
+    with pytest.raises(ValueError, match="threshold must lie in"):
+        _estimate().visible(0.0)

@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from viewshed import Rigid, Sweep, lidar_model
+
+
+def test_rows_that_are_not_finite_go_with_their_columns() -> None:
+    points = np.array([[1, 2, 3], [np.nan, 0, 0], [4, 5, 6], [0, np.inf, 0]], np.float32)
+    sweep = Sweep(points, intensity=np.arange(4), ring=np.array([3, 2, 1, 0]))
+    assert sweep.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert sweep.dropped_points == 2
+    assert sweep.intensity is not None
+    assert sweep.intensity.tolist() == [0, 2]
+    assert sweep.ring is not None
+    assert sweep.ring.tolist() == [3, 1]
+
+
+def test_a_sweep_is_read_only_and_its_source_stays_writable() -> None:
+    points = np.ones((2, 3), np.float32)
+    sweep = Sweep(points)
+    with pytest.raises(ValueError, match="read-only"):
+        sweep.points[0, 0] = 5.0
+    points[0, 0] = 7.0
+    assert points[0, 0] == 7.0
+
+
+def test_select_takes_the_rows_of_every_column_in_order() -> None:
+    sweep = Sweep(np.arange(9).reshape(3, 3), ring=np.array([0, 1, 2]), time_s=np.array([0.0, 0.1, 0.2]))
+    picked = sweep.select(np.array([2, 0]))
+    assert picked.points[:, 0].tolist() == [6, 0]
+    assert picked.ring is not None
+    assert picked.ring.tolist() == [2, 0]
+    assert picked.time_s is not None
+    assert np.allclose(picked.time_s, [0.2, 0.0])
+
+
+def test_the_pose_gives_the_attitude_where_none_is_given() -> None:
+    pose = Rigid.from_yaw(0.7, (10.0, 0.0, 2.0))
+    known = Sweep(np.zeros((1, 3)), world_from_sensor=pose).known_attitude
+    assert known is not None
+    assert np.allclose(known, [1, 0, 0, 0])
+    assert Sweep(np.zeros((1, 3))).known_attitude is None
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"points": np.zeros((3, 4))}, r"points must have shape \(N, 3\), got \(3, 4\)"),
+        ({"points": np.zeros(3)}, r"points must have shape \(N, 3\)"),
+        ({"points": np.zeros((2, 3), complex)}, "real numbers"),
+        ({"points": np.zeros((2, 3)), "ring": np.array([0])}, r"ring must have shape \(2,\)"),
+        ({"points": np.zeros((2, 3)), "ring": np.array([0, -1])}, r"ring must lie in \[0, 4096\), got -1…0"),
+        ({"points": np.zeros((2, 3)), "ring": np.array([0, 70000])}, "ring must lie in"),
+        ({"points": np.zeros((2, 3)), "ring": np.array([0.5, 1.0])}, "ring must be whole numbers"),
+        ({"points": np.zeros((2, 3)), "ring": np.array([np.nan, 1.0])}, "ring must be whole numbers"),
+        ({"points": np.zeros((2, 3)), "attitude": np.zeros(4)}, "norm 1"),
+        ({"points": np.zeros((2, 3)), "sensor_height_m": -1.0}, "sensor_height_m must lie in"),
+        ({"points": np.zeros((2, 3)), "sensor_height_m": float("nan")}, "sensor_height_m must lie in"),
+    ],
+)
+def test_bad_columns_are_refused_in_one_line(columns: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        Sweep(**columns)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_a_ring_beyond_the_sensors_is_refused() -> None:
+    with pytest.raises(ValueError, match="of VLP-16, got 0…16; name the right sensor"):
+        Sweep(np.zeros((2, 3)), ring=np.array([0, 16]), model=lidar_model("vlp16"))
