@@ -1,0 +1,256 @@
+"""Masks to polygons and back: exact to the cells' edges, or simpler and never outside the mask.
+
+Polygons are in metres of the ``level`` frame; cell (i, j) spans x (forward) by i and y (left) by j.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+from shapely import GeometryType, MultiPolygon
+from shapely.geometry.base import BaseGeometry
+
+from viewshed.bev import BevGrid
+from viewshed.geometry import FloatArray
+from viewshed.rings import flip, touch, trace
+from viewshed.star import best_sectors, free_ranges, star_vertices
+
+BoolMask = NDArray[np.bool_]
+BINS = 720
+"""Directions that inner shapes are chosen from: half a degree each, a whole number of the 0.1° of ETSI messages."""
+_MAX_PIECES = 8
+_PRICE_STEPS = 10
+
+
+def checked_mask(mask: BoolMask, grid: BevGrid) -> BoolMask:
+    """Return ``mask`` as a contiguous bool array, or raise ValueError where its shape or type is wrong."""
+    array = np.asarray(mask)
+    if array.shape != grid.shape or array.dtype != np.bool_:
+        raise ValueError(f"mask must be bool of the grid's shape {grid.shape}, got {array.dtype} {array.shape}")
+    return np.ascontiguousarray(array)
+
+
+def polygon_of_mask(mask: BoolMask, grid: BevGrid) -> MultiPolygon:
+    """Return the true cells of ``mask`` (cells, cells) as a valid polygon with holes, in metres.
+
+    Exact to the cells' edges; vertices stand at corners only. Cells that meet at a corner alone are separate.
+
+    >>> polygon_of_mask(np.eye(2, dtype=bool), BevGrid(2, 1.0)).area
+    2.0
+    """
+    array = checked_mask(mask, grid)
+    if not array.any():
+        return MultiPolygon()
+    labels, _ = ndimage.label(array)
+    vertices, starts, ring_labels = trace(np.pad(array, 1).view(np.uint8), labels)
+    vertices, rings, owners = _grouped(vertices, starts, ring_labels)
+    coords = np.asarray(grid.origin_m) + vertices * grid.cell_m
+    return MultiPolygon(
+        shapely.from_ragged_array(GeometryType.MULTIPOLYGON, coords, (rings, owners, np.array([0, len(owners) - 1])))[0]
+    )
+
+
+def _grouped(
+    vertices: NDArray[np.int16], starts: NDArray[np.int64], labels: NDArray[np.int32]
+) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
+    """Return closed rings ordered by component, the shell first: vertices, ring offsets, polygon offsets."""
+    counts = np.diff(starts)
+    order = np.lexsort((labels < 0, np.abs(labels)))
+    rings = np.concatenate([[0], np.cumsum(counts[order] + 1)])
+    within = np.arange(rings[-1]) - np.repeat(rings[:-1], counts[order] + 1)
+    rows = np.repeat(starts[:-1][order], counts[order] + 1) + within % np.repeat(counts[order], counts[order] + 1)
+    owners = np.concatenate([np.flatnonzero(labels[order] > 0), [len(order)]])
+    return vertices[rows], rings, owners
+
+
+def mask_of_polygon(polygon: BaseGeometry, grid: BevGrid) -> BoolMask:
+    """Return the mask (cells, cells) of cells whose centre lies inside ``polygon`` (metres, holes respected).
+
+    A centre exactly on the outline counts where the outline is the shape's lower x or lower y side.
+
+    >>> int(mask_of_polygon(shapely.box(-1, -1, 1, 0), BevGrid(4, 2.0)).sum())
+    2
+    """
+    if polygon.geom_type not in ("Polygon", "MultiPolygon"):
+        raise ValueError(f"polygon must be a Polygon or MultiPolygon, got {polygon.geom_type}")
+    flips = np.zeros(grid.shape, np.bool_)
+    for ring in _rings_in_cells(polygon, grid):
+        flip(ring - 0.5, flips)
+    mask: BoolMask = np.logical_xor.accumulate(flips, axis=1)
+    return mask
+
+
+def _rings_in_cells(polygon: BaseGeometry, grid: BevGrid) -> list[NDArray[np.float64]]:
+    rings = shapely.get_rings(shapely.get_parts(polygon))
+    coords, owner = shapely.get_coordinates(rings, return_index=True)
+    scaled = (coords - grid.origin_m) / grid.cell_m
+    return np.split(scaled, np.flatnonzero(np.diff(owner)) + 1) if len(rings) else []
+
+
+def vertices_of(polygon: BaseGeometry) -> int:
+    """Return the number of vertices of all rings; the one that closes a ring is not counted twice.
+
+    >>> vertices_of(shapely.box(0, 0, 1, 1))
+    4
+    """
+    rings = shapely.get_rings(shapely.get_parts(polygon))
+    return int(shapely.get_num_coordinates(rings).sum()) - len(rings)
+
+
+def inner_polygon_of_mask(mask: BoolMask, grid: BevGrid, max_vertices: int) -> MultiPolygon:
+    """Return a polygon of at most ``max_vertices`` vertices that lies within the true cells of ``mask``.
+
+    The exact outline where that has few enough vertices. Otherwise star polygons, each with the greatest area for its
+    vertices: one about the sensor, with a hole where the sensor's own surroundings are not seen, then others in what
+    is left. A price per vertex, found by bisection, shares them out. A heuristic, not the optimum.
+
+    Raises:
+        ValueError: fewer than three vertices, or a mask that is not the grid's.
+    """
+    if max_vertices < 3:
+        raise ValueError(f"max_vertices must be at least 3, got {max_vertices}")
+    array = checked_mask(mask, grid)
+    exact = polygon_of_mask(array, grid)
+    if vertices_of(exact) <= max_vertices:
+        return exact
+    best, low, high = MultiPolygon(), grid.cell_area_m2 * 1e-3, exact.area
+    for _ in range(_PRICE_STEPS):
+        price = float(np.sqrt(low * high))
+        found = _inner_pieces(array, grid, price)
+        if vertices_of(found) > max_vertices:
+            low = price
+            continue
+        high = price
+        best = max(best, found, key=lambda shape: shape.area)
+    return best
+
+
+def _inner_pieces(mask: BoolMask, grid: BevGrid, price_m2: float) -> MultiPolygon:
+    """Return star polygons inside ``mask``, apart from each other, as long as one is worth its vertices' price."""
+    left, pieces = mask.copy(), list[BaseGeometry]()
+    for _ in range(_MAX_PIECES):
+        piece, spent = _best_star(left, grid, price_m2, about_sensor=not pieces)
+        if piece.area - price_m2 * vertices_of(piece) <= 0.0:
+            break
+        pieces.extend(shapely.get_parts(piece))
+        left &= ~spent
+    return MultiPolygon(pieces)
+
+
+def _best_star(mask: BoolMask, grid: BevGrid, price_m2: float, about_sensor: bool) -> tuple[BaseGeometry, BoolMask]:
+    """Return the star polygon that pays most, about the sensor or the deepest cell, and the cells it uses up."""
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    deepest = grid.centers[np.unravel_index(int(np.argmax(depth)), mask.shape)]
+    candidates = [_star_about(mask, grid, (float(deepest[0]), float(deepest[1])), price_m2, None)]
+    hole = blind_spot(mask, grid) if about_sensor else None
+    if hole is not None:
+        candidates.append(_star_about(mask | hole, grid, (0.0, 0.0), price_m2, hole))
+    star = max(candidates, key=lambda shape: shape.area - price_m2 * vertices_of(shape))
+    spent = mask_of_polygon(star, grid) if not star.is_empty else np.zeros_like(mask)
+    for ring in _rings_in_cells(star, grid):
+        touch(ring, spent)
+    return star, spent
+
+
+def _star_about(
+    mask: BoolMask, grid: BevGrid, apex_m: tuple[float, float], price_m2: float, hole: BoolMask | None
+) -> BaseGeometry:
+    bins = min(BINS, 48 + 3 * grid.cells // 16 * 16)
+    bins = bins if hole is not None else bins // 4
+    vertices = star_vertices(free_ranges(mask, grid, apex_m, bins), price_m2)
+    if len(vertices) < 3:
+        return MultiPolygon()
+    angle, radius = vertices.T
+    star = shapely.Polygon(np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None] + apex_m)
+    return star if hole is None or not hole.any() else shapely.difference(star, _box_of(hole, grid))
+
+
+def _box_of(hole: BoolMask, grid: BevGrid) -> BaseGeometry:
+    low, high = np.argwhere(hole).min(axis=0), np.argwhere(hole).max(axis=0) + 1
+    corners = np.asarray(grid.origin_m) + np.stack([low, high]) * grid.cell_m
+    return shapely.box(*corners[0], *corners[1])
+
+
+def blind_spot(mask: BoolMask, grid: BevGrid) -> BoolMask | None:
+    """Return the cells (cells, cells) of the hole in ``mask`` that the sensor stands in, all False where there is none.
+
+    None where the sensor is not surrounded by true cells, or not on the grid.
+    """
+    nudges = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * grid.cell_m * 1e-6
+    cells, inside = grid.index(nudges)
+    if not inside.all():
+        return None
+    labels, _ = ndimage.label(np.pad(~mask, 1, constant_values=True), structure=np.ones((3, 3)))
+    around = labels[1:-1, 1:-1]
+    own = np.unique(around[cells[:, 0], cells[:, 1]])
+    if labels[0, 0] in own:
+        return None
+    hole: BoolMask = np.isin(around, own[own > 0])
+    return hole
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sectors:
+    """Sectors of rings about one point, none overlapping another: K angles and ranges.
+
+    Attributes:
+        apex_m: (x, y) of the point in ``level``, in metres.
+        start: (K,) radians in [0, 2π), counter-clockwise from x, ascending.
+        end: (K,) radians, larger than ``start``.
+        range_m: (K,) outer range in metres.
+        inner_m: inner range of all sectors in metres; 0 where they reach the point.
+    """
+
+    apex_m: tuple[float, float]
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    range_m: NDArray[np.float64]
+    inner_m: float = 0.0
+
+    @property
+    def area_m2(self) -> float:
+        """Area of all sectors in square metres."""
+        return float(0.5 * ((self.range_m**2 - self.inner_m**2) * (self.end - self.start)).sum())
+
+    def covers(self, xy: FloatArray) -> BoolMask:
+        """Return whether each of the points (…, 2) lies in a sector (…,)."""
+        x, y = np.asarray(xy)[..., 0] - self.apex_m[0], np.asarray(xy)[..., 1] - self.apex_m[1]
+        radius, angle = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
+        within = (angle - self.start) % (2 * np.pi) < self.end - self.start
+        covered: BoolMask = (within & (radius >= self.inner_m) & (radius < self.range_m)).any(axis=-1)
+        return covered
+
+
+def sectors_of_mask(
+    mask: BoolMask,
+    grid: BevGrid,
+    sectors: int,
+    *,
+    apex_m: tuple[float, float] = (0.0, 0.0),
+    whole_cells: bool = True,
+    range_step_m: float = 0.0,
+) -> Sectors:
+    """Return at most ``sectors`` sectors about ``apex_m``, of free widths and of greatest area, that stay in ``mask``.
+
+    With ``whole_cells`` they cover no part of another cell; without, no other cell's centre. Ranges are rounded down
+    to ``range_step_m``. About a sensor that stands in a blind spot they begin beyond it (``inner_m``).
+
+    Raises:
+        ValueError: no sector is allowed, or the mask is not the grid's.
+    """
+    if not 1 <= sectors <= BINS:
+        raise ValueError(f"sectors must lie in [1, {BINS}], got {sectors}")
+    array, inner = checked_mask(mask, grid), 0.0
+    hole = blind_spot(array, grid) if apex_m == (0.0, 0.0) else None
+    if hole is not None and hole.any():
+        array, inner = array | hole, float(np.hypot(*np.abs(grid.centers[hole]).T).max() + grid.cell_m * 0.7072)
+    ranges = free_ranges(array, grid, apex_m, BINS, whole_cells=whole_cells)
+    if range_step_m > 0.0:
+        ranges = np.floor(ranges / range_step_m + 1e-9) * range_step_m * (1 - 1e-12)
+    first, end, reach = best_sectors(ranges, sectors, inner)
+    step = np.float64(2 * np.pi / BINS)
+    return Sectors(apex_m, np.asarray(first * step), np.asarray(end * step), reach, inner)
