@@ -39,7 +39,7 @@ def _measured(folder: Path, only: str, bandwidth: float, facts: dict[str, str]) 
     rng = np.random.default_rng(SEED)
     for case in all_cases(folder, rng):
         if only in case.step:
-            timings = interleaved({"": case.job} | case.others, rng)
+            timings = interleaved({"": case.job, **case.others}, rng)
             yield _told(_row_of_case(case, timings, bandwidth))
     if only in "import viewshed":
         yield _told(_row_of_process("import viewshed", "–", processes.imports(rng), 500.0))

@@ -16,7 +16,9 @@ from rasterio.transform import Affine
 from shapely import MultiPolygon
 
 from viewshed.bev import BevGrid
+from viewshed.estimators.concave_hull import ConcaveHull
 from viewshed.geometry import Rigid
+from viewshed.sweep import Sweep
 
 Span = tuple[float, float]
 
@@ -50,15 +52,19 @@ def count_by_bincount(
     return np.bincount(flat, minlength=grid.cells**2).reshape(grid.shape)
 
 
-def hulls(sweep: Any, grid: BevGrid) -> dict[str, Callable[[], object]]:
-    """Return concave hulls of the raw points, filled into a mask, by library."""
+def hulls(sweep: Sweep, grid: BevGrid) -> dict[str, Callable[[], object]]:
+    """Return concave hulls of the raw points, filled into a mask, by library; concave_hull with our parameters."""
     xy = np.ascontiguousarray(sweep.points[:, :2], np.float64)
-    return {
-        "concave_hull, raw points": lambda: _fill(shapely.Polygon(xy[concave_hull_indexes(xy)]), grid),
-        "shapely.concave_hull, raw points": lambda: _fill(
-            shapely.concave_hull(shapely.MultiPoint(xy), ratio=0.05), grid
-        ),
-    }
+    ours = ConcaveHull(grid)
+
+    def by_concave_hull() -> NDArray[np.uint8]:
+        found = concave_hull_indexes(xy, concavity=ours.concavity, length_threshold=ours.length_threshold_m)
+        return _fill(shapely.Polygon(xy[found]), grid)
+
+    def by_shapely() -> NDArray[np.uint8]:
+        return _fill(shapely.concave_hull(shapely.MultiPoint(xy), ratio=0.05), grid)
+
+    return {"concave_hull, raw points": by_concave_hull, "shapely.concave_hull, raw points": by_shapely}
 
 
 def _fill(polygon: Any, grid: BevGrid) -> NDArray[np.uint8]:
@@ -74,13 +80,14 @@ def _affine(grid: BevGrid) -> Affine:
 def polygon_by_rasterio(mask: NDArray[np.bool_], grid: BevGrid) -> MultiPolygon:
     """Return the mask's cells as polygons with holes by ``rasterio.features.shapes``."""
     found = shapes(mask.astype(np.uint8), mask=mask, connectivity=4, transform=_affine(grid))
-    return MultiPolygon([shapely.geometry.shape(outline) for outline, _ in found])
+    rings = (outline["coordinates"] for outline, _ in found)
+    return MultiPolygon([shapely.Polygon(outer, holes) for outer, *holes in rings])
 
 
 def polygon_by_contourpy(mask: NDArray[np.bool_], grid: BevGrid) -> MultiPolygon:
     """Return the 0.5 contour of the mask as polygons with holes; corners of cells are cut."""
     steps = grid.origin_m[0] + (np.arange(-1, grid.cells + 1) + 0.5) * grid.cell_m
     padded = np.pad(mask.astype(np.float64), 1)
-    points, offsets = contour_generator(steps, steps, padded.T, fill_type=FillType.OuterOffset).filled(0.5, np.inf)
-    rings = ([part[a:b] for a, b in pairwise(ends)] for part, ends in zip(points, offsets, strict=True))
+    filled: Any = contour_generator(steps, steps, padded.T, fill_type=FillType.OuterOffset).filled(0.5, np.inf)
+    rings = ([part[a:b] for a, b in pairwise(ends)] for part, ends in zip(*filled, strict=True))
     return MultiPolygon([shapely.Polygon(outer, holes) for outer, *holes in rings])

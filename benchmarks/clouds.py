@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 
+from viewshed.io import read_sweep
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import cast, junction
 from viewshed.sweep import Sweep
@@ -22,6 +24,15 @@ def synthetic(size: str, rng: np.random.Generator) -> Sweep:
     columns = round(model.azimuth_columns * points / len(trial))
     sweep = cast(_with_columns(model, columns), junction(), SENSOR_HEIGHT_M, rng=rng)
     return sweep.replace(azimuth=None, attitude=None, sensor_height_m=None)
+
+
+def real() -> dict[str, Sweep]:
+    """Return a nuScenes and a KITTI sweep by size, from the folder in VIEWSHED_REAL_DATA; none where it is not set."""
+    folder = os.environ.get("VIEWSHED_REAL_DATA")
+    if not folder:
+        return {}
+    files = {"35k": "nuscenes/*.pcd.bin", "120k": "kitti/odometry00/*.bin"}
+    return {size: read_sweep(min(Path(folder).glob(pattern))) for size, pattern in files.items()}
 
 
 def _with_columns(model: LidarModel, columns: int) -> LidarModel:

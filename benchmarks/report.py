@@ -39,7 +39,7 @@ class Row:
     def cells(self) -> list[str]:
         """Return the row as text, cell by cell."""
         verdict = {True: "met", False: "**missed**", None: "–"}[self.met]
-        ratios = "; ".join(f"{name} {value / self.median_ms:.1f} ×" for name, value in self.others_ms.items())
+        ratios = "; ".join(f"{name} {_ratio(value / self.median_ms)} ×" for name, value in self.others_ms.items())
         return [
             self.step,
             self.size,
@@ -69,8 +69,9 @@ moving the input and the output once through memory takes at the bandwidth measu
 cache can pass below it.
 
 The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but
-without attitude, height or beam azimuth, so levelling and the ground are in every time. The estimators start from
-points in memory and end with probability and state of every cell. Processes are timed on the wall clock, with
+without attitude, height or beam azimuth, so that levelling and the ground, which have a row of their own, are part of
+every estimator's time; rows marked *real* are a nuScenes and a KITTI sweep. The estimators start from points in memory
+and end with probability and state of every cell. Processes are timed on the wall clock, with
 everything compiled before.
 """
 
@@ -90,3 +91,7 @@ def _table(rows: Sequence[Row]) -> list[str]:
 
 def _ms(value: float) -> str:
     return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.1f}" if value >= 1 else f"{value:.2f}"
