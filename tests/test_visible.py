@@ -50,8 +50,8 @@ def test_a_wall_ahead_hides_only_what_is_behind_it() -> None:
     grid = BevGrid(64, 16.0)
     returns, _ = expected_returns(Beams(azimuth, slope, depth), 1.8, Ground.flat(16.0), grid, CAR)
     seen = np.where(returns >= 4.67, 1.0, 0.0)
-    look = {name: seen[tuple(grid.index(np.array(xy))[0])] for name, xy in
-            {"before": (6.0, 0.2), "behind": (11.0, 0.2), "left": (4.0, 9.0), "right": (4.0, -9.0)}.items()}  # fmt: skip
+    places = {"before": (6.0, 0.2), "behind": (11.0, 0.2), "left": (4.0, 9.0), "right": (4.0, -9.0)}
+    look = {name: seen[tuple(grid.index(np.array(xy))[0])] for name, xy in places.items()}
     assert look == {"before": 1.0, "behind": 0.0, "left": 1.0, "right": 1.0}
 
 

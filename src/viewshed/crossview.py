@@ -101,7 +101,9 @@ def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRule
     found = [xy for b in others for xy in [_columns_of_pair(a, b, others, rules)] if len(xy)]
     if not found:
         return Columns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
-    xy = np.unique(np.round(np.concatenate(found) / 0.25).astype(np.int64), axis=0) * 0.25
+    xy: NDArray[np.float64] = np.unique(np.round(np.concatenate(found) / 0.25).astype(np.int64), axis=0) * np.float64(
+        0.25
+    )
     band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
     tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
     near = _counts(tree, xy, rules.near_m)

@@ -67,13 +67,12 @@ class FovEstimate:
 
     def __post_init__(self) -> None:
         self._store("visible_prob", self.visible_prob, np.float32)
-        std = np.full(self.grid.shape, np.nan, np.float32) if self.std is None else self.std
+        std: Any = np.full(self.grid.shape, np.nan, np.float32) if self.std is None else self.std
         self._store("std", std, np.float32)
         self._store("state", self.state, np.uint8)
-        prob, std = self.visible_prob, self.std
-        if not ((prob >= 0) & (prob <= 1)).all():
+        if not ((self.visible_prob >= 0) & (self.visible_prob <= 1)).all():
             raise ValueError("visible_prob must lie in [0, 1] and not be NaN")
-        if std is not None and (std < 0).any():
+        if (np.asarray(std) < 0).any():
             raise ValueError("std must not be negative; NaN means that the estimator has none")
         if self.state.size and self.state.max() > max(CellState):
             raise ValueError(f"state must lie in [0, {max(CellState):d}], got {self.state.max()}")

@@ -63,7 +63,7 @@ def quaternion_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     _, vectors = np.linalg.eigh(k, UPLO="U")
     quaternion: NDArray[np.float64] = vectors[:, -1]
     pivot = quaternion[np.argmax(np.abs(quaternion) > 1e-9)]
-    return quaternion * np.sign(pivot) + 0.0
+    return np.asarray(quaternion * np.sign(pivot) + 0.0, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,13 +16,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import FloatArray
+from viewshed.planes import near_plane
 
 NODES = 64
 """Lattice nodes per side."""
 ASSUMED_HEIGHT_M = 1.8
 """Sensor height where neither the sweep nor its returns tell one."""
-MAX_SLOPE = 0.21
-"""Steepest ground plane that is looked for in the level frame (12°)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +77,7 @@ def estimate_ground(lows_m: NDArray[np.float32], half_extent_m: float, sensor_he
     """
     node_m = 2.0 * half_extent_m / lows_m.shape[0]
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
-    plane, support = _near_plane(lows_m, known)
+    plane, support = near_plane(lows_m, known)
     if support == 0.0:
         return Ground.flat(half_extent_m, -(sensor_height_m or ASSUMED_HEIGHT_M))
     heights, seen = _walk(lows_m, np.float32(node_m), plane, _order(lows_m.shape[0]))
@@ -110,96 +109,6 @@ def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_plane(lows: Any, height: float) -> Any:  # pragma: no cover - compiled
-    """RANSAC with a fixed sequence: most nodes on the plane, few below it; then least squares on those."""
-    n = lows.shape[0]
-    near = 0.45 * n
-    points = np.empty((n * n, 3), np.float32)
-    count = 0
-    for i in range(n):
-        for j in range(n):
-            di, dj = i + 0.5 - n / 2, j + 0.5 - n / 2
-            if di * di + dj * dj <= near * near and np.isfinite(lows[i, j, 2]):
-                points[count] = lows[i, j]
-                count += 1
-    plane = np.zeros(3, np.float32)
-    if count < 6:
-        return plane, 0.0
-    some = points[: count : max(count // 400, 1)].T.copy()
-    tolerance = np.float32(0.10) + np.float32(0.006) * (np.abs(some[0]) + np.abs(some[1]))
-    best = 0
-    state = np.uint32(12345)
-    pick = np.empty(3, np.int64)
-    for _ in range(256):
-        for c in range(3):
-            state = np.uint32(state * np.uint32(1664525) + np.uint32(1013904223))
-            pick[c] = np.int64(state >> np.uint32(8)) % count
-        candidate, fits = _plane_through(points[pick[0]], points[pick[1]], points[pick[2]])
-        if fits and not (np.isfinite(height) and abs(candidate[2] + height) > 0.4):
-            score = _plane_score(some[0], some[1], some[2], tolerance, candidate)
-            if score > best:
-                best, plane = score, candidate
-    if best <= 0:
-        return plane, 0.0
-    for _ in range(3):
-        plane = _refit(points[:count], plane)
-    on = 0
-    for k in range(count):
-        r = abs(points[k, 2] - plane[0] * points[k, 0] - plane[1] * points[k, 1] - plane[2])
-        on += r < _tolerance(points[k, 0], points[k, 1])
-    return plane, on / count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _tolerance(x: float, y: float) -> float:  # pragma: no cover - compiled
-    return 0.10 + 0.006 * (abs(x) + abs(y))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _plane_through(p: Any, q: Any, r: Any) -> Any:  # pragma: no cover - compiled
-    plane = np.zeros(3, np.float32)
-    x1, y1, x2, y2 = q[0] - p[0], q[1] - p[1], r[0] - p[0], r[1] - p[1]
-    area = x1 * y2 - x2 * y1
-    if abs(area) < 1e-3 * (x1 * x1 + y1 * y1 + x2 * x2 + y2 * y2) + 1e-6:
-        return plane, False
-    z1, z2 = q[2] - p[2], r[2] - p[2]
-    plane[0] = (z1 * y2 - z2 * y1) / area
-    plane[1] = (x1 * z2 - x2 * z1) / area
-    plane[2] = p[2] - plane[0] * p[0] - plane[1] * p[1]
-    return plane, plane[0] * plane[0] + plane[1] * plane[1] <= MAX_SLOPE * MAX_SLOPE and plane[2] < 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _plane_score(x: Any, y: Any, z: Any, tolerance: Any, plane: Any) -> int:  # pragma: no cover - compiled
-    """Nodes on the plane less nodes clearly below it."""
-    a, b, c = plane[0], plane[1], plane[2]
-    score = 0
-    for k in range(x.shape[0]):
-        r = z[k] - a * x[k] - b * y[k] - c
-        score += np.int32(abs(r) < tolerance[k]) - np.int32(r < np.float32(-2.0) * tolerance[k])
-    return score
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _refit(points: Any, plane: Any) -> Any:  # pragma: no cover - compiled
-    m = np.zeros((3, 3), np.float64)
-    b = np.zeros(3, np.float64)
-    row = np.empty(3, np.float64)
-    for k in range(points.shape[0]):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        if abs(z - plane[0] * x - plane[1] * y - plane[2]) < _tolerance(x, y):
-            row[0], row[1], row[2] = x, y, 1.0
-            for r in range(3):
-                b[r] += row[r] * z
-                for c in range(3):
-                    m[r, c] += row[r] * row[c]
-    for r in range(3):
-        m[r, r] += 1e-6
-        b[r] += 1e-6 * plane[r]
-    return np.linalg.solve(m, b).astype(np.float32)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no cover - compiled
     """Carry height and slope outwards; accept a low only within a step that ground can take."""
     n = lows.shape[0]
@@ -209,24 +118,10 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
     seen = np.zeros((n, n), np.bool_)
     for k in range(order.shape[0]):
         i, j = order[k, 0], order[k, 1]
-        total, z, sx, sy, mx, my = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for p in range(max(i - 2, 0), min(i + 3, n)):
-            for q in range(max(j - 2, 0), min(j + 3, n)):
-                w = weight[p, q]
-                if w > 0.0:
-                    dx, dy = (i - p) * node_m, (j - q) * node_m
-                    w /= (i - p) * (i - p) + (j - q) * (j - q)
-                    z += w * (height[p, q] + slope[p, q, 0] * dx + slope[p, q, 1] * dy)
-                    sx += w * slope[p, q, 0]
-                    sy += w * slope[p, q, 1]
-                    mx += w * dx
-                    my += w * dy
-                    total += w
         x, y = (i + 0.5 - n / 2) * node_m, (j + 0.5 - n / 2) * node_m
+        total, z, sx, sy, mx, my = _carried(height, slope, weight, i, j, node_m)
         if total == 0.0:
             z, sx, sy, mx, my = plane[0] * x + plane[1] * y + plane[2], plane[0], plane[1], node_m, 0.0
-        else:
-            z, sx, sy, mx, my = z / total, sx / total, sy / total, mx / total, my / total
         step = lows[i, j, 2] - z - sx * (lows[i, j, 0] - x) - sy * (lows[i, j, 1] - y)
         support = min(total / 3.0, 1.0)
         if abs(step) < 0.10 + 0.05 * min(node_m, 2.5) + 0.10 * (1.0 - support):
@@ -242,6 +137,27 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
             slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
             weight[i, j] = max(0.8 * support, 0.05)
     return _smooth(height, seen), seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _carried(height: Any, slope: Any, weight: Any, i: int, j: int, node_m: Any) -> Any:  # pragma: no cover - compiled
+    """Weight, height, slope (x, y) and mean step (x, y) that the nodes nearer to the sensor carry to (i, j)."""
+    n = height.shape[0]
+    total, z, sx, sy, mx, my = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for p in range(max(i - 2, 0), min(i + 3, n)):
+        for q in range(max(j - 2, 0), min(j + 3, n)):
+            w = weight[p, q]
+            if w > 0.0:
+                dx, dy = (i - p) * node_m, (j - q) * node_m
+                w /= (i - p) * (i - p) + (j - q) * (j - q)
+                z += w * (height[p, q] + slope[p, q, 0] * dx + slope[p, q, 1] * dy)
+                sx += w * slope[p, q, 0]
+                sy += w * slope[p, q, 1]
+                mx += w * dx
+                my += w * dy
+                total += w
+    per = 1.0 / total if total > 0.0 else 0.0
+    return total, z * per, sx * per, sy * per, mx * per, my * per
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.ground import NODES, Ground, estimate_ground
+from viewshed.planes import free_plane
 from viewshed.sweep import Sweep
 from viewshed.visible import Beams
 
@@ -68,7 +69,7 @@ class LevelSweep:
         """Return the beams that returned: straight lines from the sensor to each point."""
         range_m = np.maximum(self.range_m, np.float32(1e-3))
         slope = (self.points[:, 2] - np.float32(self.sensor_height_m)) / range_m
-        return Beams(self.azimuth, slope, self.range_m)
+        return Beams(self.azimuth, slope.astype(np.float32, copy=False), self.range_m)
 
     def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
@@ -141,7 +142,7 @@ def _tilted_normal(sweep: Sweep, ground: Ground) -> NDArray[np.float64] | None:
     normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
     if ground.support < 0.35:
         stride = max(len(sweep) // 2500, 1)
-        found, support = _free_plane(np.ascontiguousarray(sweep.points[::stride]))
+        found, support = free_plane(np.ascontiguousarray(sweep.points[::stride]))
         if support > 0.3:
             normal = found.astype(np.float64)
     normal /= np.linalg.norm(normal)
@@ -243,47 +244,6 @@ def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
     a = np.float32(3.14159274) - a if x < 0 else a
     a = -a if y < 0 else a
     return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _free_plane(points: Any) -> Any:  # pragma: no cover - compiled
-    """RANSAC for a tilted ground (up to 60°): many returns on it by area, few below it, the sensor above it."""
-    count = points.shape[0]
-    best, best_on = 0.0, 0.0
-    normal = np.array([0.0, 0.0, 1.0], np.float32)
-    state = np.uint32(777)
-    pick = np.empty(3, np.int64)
-    if count < 50:
-        return normal, best
-    total = 0.0
-    for k in range(count):
-        total += points[k, 0] ** 2 + points[k, 1] ** 2 + points[k, 2] ** 2
-    for _ in range(200):
-        for c in range(3):
-            state = np.uint32(state * np.uint32(1664525) + np.uint32(1013904223))
-            pick[c] = np.int64(state >> np.uint32(8)) % count
-        p, q, r = points[pick[0]], points[pick[1]], points[pick[2]]
-        found = np.cross(q - p, r - p)
-        length = np.sqrt(found[0] ** 2 + found[1] ** 2 + found[2] ** 2)
-        if length < 1e-3:
-            continue
-        found = found / length if found[2] > 0 else -found / length
-        offset = found[0] * p[0] + found[1] * p[1] + found[2] * p[2]
-        if found[2] < 0.5 or offset > -0.1:
-            continue
-        on, below = 0.0, 0.0
-        for k in range(count):
-            d2 = points[k, 0] ** 2 + points[k, 1] ** 2 + points[k, 2] ** 2
-            away = found[0] * points[k, 0] + found[1] * points[k, 1] + found[2] * points[k, 2] - offset
-            tolerance = 0.1 + 0.005 * np.sqrt(d2)
-            if abs(away) < tolerance:
-                on += d2
-            elif away < -2 * tolerance:
-                below += d2
-        if on - 2.0 * below > best:
-            best, best_on = on - 2.0 * below, on
-            normal = found.astype(np.float32)
-    return normal, best_on / total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -65,14 +65,18 @@ def _missing(counts: Any, depth: Any, reach: int) -> Any:  # pragma: no cover - 
             if counts[r, after] > 1:
                 counts[r, after] -= 1
                 continue
-            nearest = np.float32(np.inf)
-            for side in (-1, 1):
-                for step in range(1, reach + 1):
-                    d = depth[r, (c + side * step) % columns]
-                    if d < np.inf:
-                        nearest = min(nearest, d)
-                        break
+            nearest = min(_nearest(depth[r], c, -1, reach), _nearest(depth[r], c, 1, reach))
             if reach == 0 or nearest < np.inf:
                 rows[found], cols[found], ranges[found] = r, c, nearest
                 found += 1
     return rows[:found], cols[:found], ranges[:found]
+
+
+@njit(cache=True, nogil=True)
+def _nearest(depth: Any, c: int, side: int, reach: int) -> Any:  # pragma: no cover - compiled
+    """Depth of the first return from column ``c`` to one side, within ``reach`` columns; inf where there is none."""
+    for step in range(1, reach + 1):
+        d = depth[(c + side * step) % depth.shape[0]]
+        if d < np.inf:
+            return d
+    return np.float32(np.inf)

@@ -1,5 +1,7 @@
-"""The one definition of *visible*: a cell is visible to a sweep if a target standing there would have given
-at least ``min_returns`` returns."""
+"""The one definition of *visible*.
+
+A cell is visible to a sweep if a target standing there would have given at least ``min_returns`` returns.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,10 @@ def expected_returns(
     half_columns = (np.arctan2(target.width_m / 2, ranges) * AZIMUTH_COLUMNS / (2 * np.pi)).astype(np.float32)
     reached = _reached(beams.azimuth, beams.slope, beams.depth_m, bottom, top, np.float32(grid.cell_m))
     aimed = _aimed(beams.azimuth, beams.slope, bottom, top)
-    return _windows(reached, aimed, range_of_cells, azimuth_of_cells, half_columns, np.float32(1.0 / grid.cell_m))
+    returns, aims = _windows(
+        reached, aimed, range_of_cells, azimuth_of_cells, half_columns, np.float32(1.0 / grid.cell_m)
+    )
+    return returns, aims
 
 
 def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
@@ -106,7 +111,8 @@ def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDA
     """
     table = _poisson_table(min_returns)
     index = np.minimum(counts * np.float32(_TABLE_STEPS), np.float32(len(table) - 1)).astype(np.int32)
-    return table[index]
+    prob: NDArray[np.float32] = table[index]
+    return prob
 
 
 _TABLE_STEPS = 32
