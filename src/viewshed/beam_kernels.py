@@ -15,7 +15,7 @@ _FINE = 512
 def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
     """Azimuth in [-π, π) within 2e-6 rad: a minimax polynomial of the arctangent on [0, 1]."""
     ax, ay = abs(x), abs(y)
-    ratio = min(ax, ay) / max(max(ax, ay), np.float32(1e-12))
+    ratio = min(ax, ay) / max(ax, ay, np.float32(1e-12))
     s = ratio * ratio
     p = np.float32(-0.01172120) * s + np.float32(0.05265332)
     p = p * s - np.float32(0.11643287)
@@ -93,37 +93,70 @@ def nearest_beams(slope: Any, range_m: Any, beams: Any) -> Any:  # pragma: no co
     ring = np.full(slope.shape[0], -1, np.int16)
     hits = np.zeros(rings, np.int64)
     tried, chance = 0, 0.0
+    origin = beams[:, 1].mean()
+    first = _first_guess(beams[:, 0])
+    per_slope = len(first) / max(beams[-1, 0] - beams[0, 0], 1e-6)
     for n in range(slope.shape[0]):
-        r = range_m[n]
+        r, t = np.float64(range_m[n]), np.float64(slope[n])
         if r <= 0:
             continue
-        per_m, t = 1.0 / r, slope[n]
-        low, high = 0, rings - 1
-        while low < high:
-            middle = (low + high) // 2
-            if beams[middle, 0] + beams[middle, 1] * per_m < t:
-                low = middle + 1
-            else:
-                high = middle
-        error = abs(beams[low, 0] + beams[low, 1] * per_m - t)
-        if low > 0:
-            other = abs(beams[low - 1, 0] + beams[low - 1, 1] * per_m - t)
-            if other < error:
-                low, error = low - 1, other
+        per_m = 1.0 / r
+        cell = (t - origin * per_m - beams[0, 0]) * per_slope
+        best = first[int(min(max(cell, 0.0), len(first) - 1.0))]
+        error = abs(beams[best, 0] + beams[best, 1] * per_m - t)
+        for step in (-1, 1):
+            while 0 <= best + step < rings:
+                other = abs(beams[best + step, 0] + beams[best + step, 1] * per_m - t)
+                if other >= error:
+                    break
+                best, error = best + step, other
         error /= 1.0 + t * t
-        if error < 0.0026 + 0.05 * per_m:
-            ring[n] = low
+        ring[n] = best if error < 0.0026 + 0.05 * per_m else -1
         if r > 1.0:
             tried += 1
-            chance += beams[low, 3]
-            hits[low] += error <= beams[low, 2]
+            chance += beams[best, 3]
+            hits[best] += error <= beams[best, 2]
     return ring, hits, tried, chance
+
+
+@njit(cache=True, nogil=True)
+def _first_guess(tangent: Any) -> Any:  # pragma: no cover - compiled
+    """Return the beam nearest to each of 4096 equal cells of slope."""
+    cells = np.empty(4096, np.int16)
+    beam = 0
+    for c in range(4096):
+        t = tangent[0] + (tangent[-1] - tangent[0]) * (c + 0.5) / 4096
+        while beam + 1 < len(tangent) and abs(tangent[beam + 1] - t) < abs(tangent[beam] - t):
+            beam += 1
+        cells[c] = beam
+    return cells
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _squeeze(slope: Any) -> Any:  # pragma: no cover - compiled
-    """Map a slope to (0, 1), ascending."""
-    return 0.5 + 0.5 * slope / (1.0 + abs(slope))
+    """Map a slope to [0, 1024), ascending."""
+    return min((0.5 + 0.5 * slope / (1.0 + abs(slope))) * _COARSE, _COARSE - 1e-6)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bin_of_rank(counts: Any, rank: int) -> Any:  # pragma: no cover - compiled
+    """Return the bin that holds the ``rank``-th item (from 1), and its rank within that bin; (-1, 0) for none."""
+    seen = 0
+    for b in range(len(counts)):
+        if seen + counts[b] >= rank > 0:
+            return b, rank - seen
+        seen += counts[b]
+    return -1, 0
+
+
+@njit(cache=True, nogil=True)
+def _count_slopes(ring: Any, slope: Any, rings: int) -> Any:  # pragma: no cover - compiled
+    """Return (rings, 1024) int32 counts of squeezed slopes."""
+    counts = np.zeros((rings, _COARSE), np.int32)
+    for n in range(ring.shape[0]):
+        if ring[n] >= 0 and slope[n] == slope[n]:
+            counts[ring[n], int(_squeeze(slope[n]))] += 1
+    return counts
 
 
 @njit(cache=True, nogil=True)
@@ -132,35 +165,22 @@ def ring_medians(ring: Any, slope: Any, rings: int) -> Any:  # pragma: no cover 
 
     Two rounds of counting (a radix select): the order of the points does not matter.
     """
-    coarse = np.zeros((rings, _COARSE), np.int32)
-    for n in range(ring.shape[0]):
-        if ring[n] >= 0 and slope[n] == slope[n]:
-            coarse[ring[n], int(_squeeze(slope[n]) * _COARSE)] += 1
-    bins = np.full(rings, -1, np.int64)
-    ranks = np.zeros(rings, np.int64)
+    coarse = _count_slopes(ring, slope, rings)
+    bins = np.empty(rings, np.int64)
+    ranks = np.empty(rings, np.int64)
     for r in range(rings):
-        rank = (coarse[r].sum() + 1) // 2
-        seen = 0
-        for b in range(_COARSE):
-            if rank > 0 and seen + coarse[r, b] >= rank:
-                bins[r], ranks[r] = b, rank - seen
-                break
-            seen += coarse[r, b]
+        bins[r], ranks[r] = _bin_of_rank(coarse[r], (coarse[r].sum() + 1) // 2)
     fine = np.zeros((rings, _FINE), np.int32)
     for n in range(ring.shape[0]):
         if ring[n] >= 0 and slope[n] == slope[n]:
-            u = _squeeze(slope[n]) * _COARSE
+            u = _squeeze(slope[n])
             if int(u) == bins[ring[n]]:
                 fine[ring[n], int((u - int(u)) * _FINE)] += 1
     medians = np.full(rings, np.nan)
     for r in range(rings):
-        seen = 0
-        for b in range(_FINE):
-            seen += fine[r, b]
-            if bins[r] >= 0 and seen >= ranks[r]:
-                v = 2.0 * (bins[r] + (b + 0.5) / _FINE) / _COARSE - 1.0
-                medians[r] = v / (1.0 - abs(v))
-                break
+        if bins[r] >= 0:
+            v = 2.0 * (bins[r] + (_bin_of_rank(fine[r], ranks[r])[0] + 0.5) / _FINE) / _COARSE - 1.0
+            medians[r] = v / (1.0 - abs(v))
     return medians
 
 

@@ -77,7 +77,7 @@ def recover_beams(sweep: Sweep, model: LidarModel | None = None) -> Beams:
     model = sweep.model if model is None else model
     azimuth, slope, range_m = polar(sweep.points)
     ring, rings, source = _rings(sweep, model, azimuth, slope, range_m)
-    columns = _columns(azimuth, ring, model, source)
+    columns = _columns(azimuth, ring, range_m, model, source)
     column, placed, alone = count_alone(azimuth, ring, columns, rings)
     return Beams(
         ring=_frozen(ring),
@@ -135,8 +135,7 @@ def _rings(
         match = _match(slope, range_m, model)
         if match.excess >= _EXPLAINED:
             return match.ring, model.rings, "beam table"
-    rings = PSEUDO_RINGS if model is None else model.rings
-    return _elevation_bins(slope, range_m, rings), rings, "elevation bins"
+    return *_elevation_bins(slope, range_m, model), "elevation bins"
 
 
 def _file_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
@@ -149,7 +148,8 @@ def _file_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
             medians = ring_medians(ring, slope, rings)
             rising = float((np.diff(medians[np.isfinite(medians)]) > 0).mean())
             if max(rising, 1 - rising) >= 0.9:
-                return ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
+                ascending: NDArray[np.int16] = ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
+                return ascending
     return None
 
 
@@ -198,36 +198,51 @@ def _ring_score(ring: NDArray[np.int16], slope: Angles, range_m: Angles, model: 
     return float((np.abs(medians - model.elevation) < limit)[ring].mean())
 
 
-def _elevation_bins(slope: Angles, range_m: Angles, rings: int) -> NDArray[np.int16]:
-    """Return pseudo-rings: equal bins of elevation between the lowest and highest 0.1 % of the returns."""
-    elevation = np.arctan(slope)
-    used = elevation[range_m > 0]
-    if len(used) == 0:
-        return np.full(len(slope), -1, np.int16)
-    low, high = np.quantile(used, [0.001, 0.999])
-    scaled = (elevation - low) * (rings / max(high - low, 1e-6))
-    return np.where(range_m > 0, np.clip(scaled, 0, rings - 1), -1).astype(np.int16)
+def _elevation_bins(slope: Angles, range_m: Angles, model: LidarModel | None) -> tuple[NDArray[np.int16], int]:
+    """Return pseudo-rings and their number: the model's nearest beams, else bins with equally many returns each."""
+    edges = np.zeros(0)
+    if model is not None:
+        edges = np.tan((model.elevation[1:] + model.elevation[:-1]) / 2)
+    elif (range_m > 0).any():
+        ascending = np.sort(slope[range_m > 0])
+        edges = np.unique(ascending[np.arange(1, PSEUDO_RINGS) * len(ascending) // PSEUDO_RINGS])
+    ring = np.where(range_m > 0, np.searchsorted(edges, slope, side="right"), -1).astype(np.int16)
+    return ring, len(edges) + 1
 
 
-def _columns(azimuth: Angles, ring: NDArray[np.int16], model: LidarModel | None, source: Source) -> int:
+def _columns(
+    azimuth: Angles, ring: NDArray[np.int16], range_m: Angles, model: LidarModel | None, source: Source
+) -> int:
     """Return the columns of a revolution: measured, else the model's, else ``DEFAULT_COLUMNS``."""
     fallback = DEFAULT_COLUMNS if model is None else model.azimuth_columns
-    if source == "elevation bins" or len(ring) == 0:
+    used = (ring >= 0) & (range_m > _NEAR_M)
+    if source == "elevation bins" or not used.any():
         return fallback
-    sizes = np.bincount(ring[ring >= 0], minlength=1)
+    sizes = np.bincount(ring[used])
     fullest = np.argsort(-sizes, kind="stable")[:_SAMPLED_RINGS]
-    steps = np.concatenate([np.diff(np.sort(azimuth[ring == r])) for r in fullest])
-    step = _common_step(steps)
+    steps = np.concatenate([np.diff(np.sort(azimuth[used & (ring == r)])) for r in fullest])
+    step = _common_step(steps.astype(np.float64))
     return fallback if step is None else int(np.clip(round(2 * np.pi / step), 4, 36_000))
 
 
-def _common_step(steps: Angles) -> float | None:
-    """Return the mean of the steps within a quarter of the most frequent one, or None of fewer than 16."""
+def _common_step(steps: NDArray[np.float64]) -> float | None:
+    """Return the azimuth step behind gaps between neighbors in a ring, or None for fewer than 16 of them.
+
+    Regular firing: most gaps (75 %), and most of the angle (60 %), lie near the most frequent gap; the step is their
+    mean. Otherwise (CARLA's overlaid revolutions) the gap that 90 % of the angle does not exceed, so that columns are
+    not empty between firings.
+    """
     width = np.deg2rad(0.01)
-    bins = np.bincount((steps[(steps > 3 * width) & (steps < 300 * width)] / width).astype(np.intp), minlength=3)
-    mode = (np.convolve(bins, [1, 1, 1], "same").argmax() + 0.5) * width
-    common = steps[np.abs(steps - mode) < mode / 4]
-    return float(common.mean(dtype=np.float64)) if len(common) >= 16 else None
+    gaps = np.sort(steps[(steps > 3 * width) & (steps < 300 * width)])
+    if len(gaps) < 16:
+        return None
+    mode = (np.convolve(np.bincount((gaps / width).astype(np.intp)), [1, 1, 1], "same").argmax() + 0.5) * width
+    common = np.abs(gaps - mode) < mode / 4
+    if not common.any():
+        return None
+    if common.mean() > 0.75 and gaps[common].sum() > 0.6 * gaps.sum():
+        return float(gaps[common].mean())
+    return float(gaps[np.searchsorted(np.cumsum(gaps), 0.9 * gaps.sum())])
 
 
 def _elevations(
@@ -237,8 +252,8 @@ def _elevations(
     medians = np.arctan(ring_medians(ring, np.where(range_m > _NEAR_M, slope, np.float32(np.nan)), rings))
     seen = np.isfinite(medians)
     if model is not None and model.rings == rings:
-        return np.where(seen, medians, model.elevation)
+        return np.where(seen, medians, model.elevation).astype(np.float64)
     if not seen.any():
         return np.zeros(rings)
     index = np.arange(rings)
-    return np.interp(index, index[seen], medians[seen])
+    return np.asarray(np.interp(index, index[seen], medians[seen]), np.float64)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 MAX_RINGS = 4096
 _TOML_KEYS = {
@@ -26,8 +26,10 @@ class LidarModel:
     Attributes:
         name: the sensor's usual name, for example ``HDL-32E``.
         elevation: (rings,) float64 radians above the horizon, strictly ascending.
-        azimuth_offset: (rings,) float64 radians that a beam leads the firing azimuth (0 where unknown).
-        origin_m: (rings,) float64 height of the beam's origin above the sensor's origin, in metres.
+        azimuth_offset: (rings,) float64 radians to add to the firing azimuth, counter-clockwise from above; zeros if
+            left out.
+        origin_m: (rings,) float64 metres: height of the beam above the sensor's origin at horizontal range 0, so that
+            its height at range r is ``origin_m + r * tan(elevation)``; zeros if left out.
         azimuth_columns: firings in one revolution.
         min_range_m: returns nearer than this are the sensor itself or a null return.
         max_range_m: farthest return.
@@ -40,8 +42,8 @@ class LidarModel:
     name: str
     elevation: NDArray[np.float64]
     azimuth_columns: int
-    azimuth_offset: NDArray[np.float64] | None = None
-    origin_m: NDArray[np.float64] | None = None
+    azimuth_offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    origin_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     min_range_m: float = 0.5
     max_range_m: float = 100.0
     source: str = ""
@@ -61,8 +63,9 @@ class LidarModel:
             object.__setattr__(self, key, self._per_ring(key))
 
     def _per_ring(self, key: str) -> NDArray[np.float64]:
-        value = getattr(self, key)
-        array = np.zeros(self.rings) if value is None else np.array(value, dtype=np.float64)
+        array = np.array(getattr(self, key), dtype=np.float64)
+        if array.size == 0:
+            array = np.zeros(self.rings)
         if array.shape != (self.rings,) or not np.isfinite(array).all():
             raise ValueError(f"{self.name}: {key} must be {self.rings} finite numbers, one a ring, got {array.shape}")
         return _frozen(array)
@@ -101,16 +104,16 @@ def _parse(raw: bytes, where: str) -> LidarModel:
         raise ValueError(f"{where}: missing keys {sorted(missing)}, unknown keys {sorted(unknown)}")
     try:
         return LidarModel(
-            name=str(table["name"]),
-            elevation=np.deg2rad(_numbers(table["elevations_deg"])),
-            azimuth_columns=int(table["azimuth_columns"]),
-            azimuth_offset=np.deg2rad(_numbers(table["azimuth_offsets_deg"])) if "azimuth_offsets_deg" in table else None,
-            origin_m=_numbers(table["origins_m"]) if "origins_m" in table else None,
-            min_range_m=float(table.get("min_range_m", 0.5)),
-            max_range_m=float(table.get("max_range_m", 100.0)),
-            source=str(table.get("source", "")),
+            name=_text(table, "name"),
+            elevation=np.deg2rad(_numbers(table, "elevations_deg")),
+            azimuth_columns=_whole(table, "azimuth_columns"),
+            azimuth_offset=np.deg2rad(_numbers(table, "azimuth_offsets_deg")),
+            origin_m=_numbers(table, "origins_m"),
+            min_range_m=_number("min_range_m", table.get("min_range_m", 0.5)),
+            max_range_m=_number("max_range_m", table.get("max_range_m", 100.0)),
+            source=_text(table, "source"),
         )
-    except (TypeError, ValueError) as error:
+    except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
 
 
@@ -121,8 +124,32 @@ def _table(raw: bytes, where: str) -> dict[str, Any]:
         raise ValueError(f"{where} must be a TOML beam table: {error}") from error
 
 
-def _numbers(value: ArrayLike) -> NDArray[np.float64]:
-    return np.asarray(value, dtype=np.float64)
+def _text(table: dict[str, Any], key: str) -> str:
+    value = table.get(key, "")
+    if not isinstance(value, str) or (key == "name" and not value):
+        raise ValueError(f"{key} must be text in quotes, got {value!r}")
+    return value
+
+
+def _whole(table: dict[str, Any], key: str) -> int:
+    value = table[key]
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise ValueError(f"{key} must be a whole number, got {value!r}")
+    return value
+
+
+def _number(key: str, value: Any) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise ValueError(f"{key} must be a number, got {value!r}")
+    return float(value)
+
+
+def _numbers(table: dict[str, Any], key: str) -> NDArray[np.float64]:
+    """Return the list of numbers under ``key``, empty if it is left out."""
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        raise ValueError(f"{key} must be a list of numbers, got {value!r}")
+    return np.array([_number(key, item) for item in value], dtype=np.float64)
 
 
 @lru_cache(maxsize=1)
@@ -132,7 +159,6 @@ def sensor_names() -> tuple[str, ...]:
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in tables.iterdir() if entry.name.endswith(".toml")))
 
 
-@lru_cache(maxsize=32)
 def lidar_model(name: str) -> LidarModel:
     """Return the beam table called ``name`` (case and punctuation do not matter), or the one in the TOML file ``name``.
 
@@ -144,6 +170,11 @@ def lidar_model(name: str) -> LidarModel:
     """
     if name.endswith(".toml"):
         return LidarModel.from_toml(name)
+    return _shipped(name)
+
+
+@lru_cache(maxsize=64)
+def _shipped(name: str) -> LidarModel:
     wanted = _plain(name)
     for known in sensor_names():
         if _plain(known) == wanted:
