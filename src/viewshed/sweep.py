@@ -56,9 +56,9 @@ class Sweep:
 
     def __post_init__(self) -> None:
         points = _points(self.points)
-        finite = np.isfinite(points).all(axis=1)
-        keep = None if finite.all() else finite
-        _set(self, "dropped_points", self.dropped_points + int((~finite).sum()))
+        keep = None if _all_finite(points) else np.isfinite(points).all(axis=1)
+        if keep is not None:
+            _set(self, "dropped_points", self.dropped_points + int((~keep).sum()))
         _set(self, "points", _frozen(points if keep is None else points[keep]))
         for name, dtype in (
             ("intensity", np.float32), ("ring", np.int16), ("azimuth", np.float32), ("time_s", np.float32),
@@ -119,10 +119,16 @@ def _set(sweep: Sweep, name: str, value: object) -> None:
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     """Return a contiguous read-only array; a view is enough, the caller's own array stays writable."""
-    view = np.ascontiguousarray(array)[...]
-    view = view.view()
+    view = np.ascontiguousarray(array).view()
     view.setflags(write=False)
     return view
+
+
+def _all_finite(points: NDArray[np.float32]) -> bool:
+    """Return whether every number is finite; the sum of squares tells in one pass unless it overflows."""
+    flat = points.reshape(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.dot(flat, flat)) or np.isfinite(flat).all())
 
 
 def _points(value: ArrayLike) -> NDArray[np.float32]:
@@ -141,8 +147,8 @@ def _column(name: str, value: ArrayLike, count: int, dtype: type[np.generic]) ->
     array = np.asarray(value)
     if array.shape != (count,):
         raise ValueError(f"{name} must have shape ({count},) like points, got {array.shape}")
-    if dtype is np.int16 and array.size:
-        if not np.isfinite(array.astype(np.float64)).all() or (array != np.floor(array)).any():
+    if dtype is np.int16 and array.size and array.dtype != np.int16:
+        if array.dtype.kind not in "iub" and not (np.isfinite(array) & (array == np.floor(array))).all():
             raise ValueError(f"{name} must be whole numbers")
         if array.min() < -32768 or array.max() > 32767:
             raise ValueError(f"{name} must lie in [0, 4096), got {array.min()}…{array.max()}")

@@ -1,0 +1,135 @@
+"""The table of formats, and which of them a file is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from viewshed.geometry import Rigid
+from viewshed.io.arrays import read_npy, read_npz, write_npy, write_npz
+from viewshed.io.binary import columns_of_bin, read_kitti, read_nuscenes, write_kitti, write_nuscenes
+from viewshed.io.columns import Columns
+from viewshed.io.feather import read_argoverse2
+from viewshed.io.ouster import metadata_path, read_ouster
+from viewshed.io.packets import is_velodyne, looks_like_payloads, read_velodyne
+from viewshed.io.pcap import is_pcap, udp_payloads
+from viewshed.io.pcd import read_pcd, write_pcd
+from viewshed.io.ply import read_ply, write_ply
+from viewshed.io.source import Source
+from viewshed.sweep import Sweep
+
+Reader = Callable[[Source, Rigid | None], Iterator[Columns]]
+Writer = Callable[[Sweep], bytes]
+
+_PACKETS_TRIED = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One file format.
+
+    Attributes:
+        read: yields the columns of each revolution in a source; None as frame is the format's own.
+        suffixes: lower-case endings of file names, without ``.gz``; the first is the usual one.
+        begins: first bytes that tell the format, empty where it has none.
+        write: turns a sweep into the bytes of a file, or None where the format is only read.
+        keeps: what a reader gets beyond the points, for the documents.
+    """
+
+    read: Reader
+    suffixes: tuple[str, ...]
+    begins: tuple[bytes, ...] = ()
+    write: Writer | None = None
+    keeps: str = ""
+
+
+FORMATS: dict[str, Format] = {
+    "nuscenes": Format(read_nuscenes, (".pcd.bin",), (), write_nuscenes, "intensity, ring, time of the sweep"),
+    "kitti": Format(read_kitti, (".bin",), (), write_kitti, "intensity"),
+    "pcd": Format(
+        read_pcd, (".pcd",), (b"# .PCD", b"VERSION ", b"FIELDS "), write_pcd, "intensity, ring, azimuth, time"
+    ),
+    "ply": Format(read_ply, (".ply",), (b"ply\n", b"ply\r"), write_ply, "intensity, ring, azimuth, time"),
+    "npy": Format(read_npy, (".npy",), (b"\x93NUMPY",), write_npy, "intensity (fourth column)"),
+    "npz": Format(read_npz, (".npz",), (b"PK\x03\x04", b"PK\x05\x06"), write_npz, "all of a Sweep"),
+    "argoverse2": Format(read_argoverse2, (".feather",), (b"ARROW1",), None, "intensity, ring, time"),
+    "velodyne": Format(read_velodyne, (".pcap", ".bin"), (), None, "intensity, ring, azimuth, time, beams"),
+    "ouster": Format(read_ouster, (".pcap",), (), None, "intensity, ring, azimuth, time, beams"),
+}
+"""Name → format. To add one: write a module with a reader, add a line."""
+
+_NOT_READ = {
+    b"SQLite format 3": "is a ROS 2 bag (SQLite); bags are not read yet: convert the sweep to PCD",
+    b"#ROSBAG V": "is a ROS 1 bag; bags are not read yet: convert the sweep to PCD",
+    b"\x89MCAP0\r\n": "is an MCAP bag; bags are not read yet: convert the sweep to PCD",
+    b"FEA1": "is feather version 1; write it again as version 2",
+    b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
+    b"\x1f\x8b": "is gzipped twice; unpack it once",
+}
+
+
+def format_of(source: Source) -> str:
+    """Return the name in :data:`FORMATS` of an opened file, by its first bytes, then its name, then its rows.
+
+    Raises:
+        ValueError: no format fits, or two do.
+    """
+    head = source.head
+    if source.name.endswith(".pcd.bin") and not head.startswith(b"# .PCD"):
+        return "nuscenes"
+    for begins, problem in _NOT_READ.items():
+        if head.startswith(begins):
+            raise source.error(problem)
+    for name, known in FORMATS.items():
+        if known.begins and head.startswith(known.begins):
+            return name
+    if is_pcap(head):
+        return _maker_of_capture(source)
+    return _format_by_name(source)
+
+
+def _format_by_name(source: Source) -> str:
+    if source.name.endswith(".bin"):
+        if looks_like_payloads(source.size, source.head):
+            return "velodyne"
+        return "kitti" if columns_of_bin(source) == 4 else "nuscenes"
+    for name, known in FORMATS.items():
+        if source.name.endswith(known.suffixes):
+            raise source.error(f"is named like {name} but does not begin like it; it is damaged or of another format")
+    raise source.error(f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format")
+
+
+def _maker_of_capture(source: Source) -> str:
+    """Return "velodyne" where one of the first payloads is one, else "ouster"."""
+    content = source.content()
+    try:
+        for index, (_, payload) in enumerate(udp_payloads(content)):
+            if is_velodyne(payload):
+                return "velodyne"
+            if index >= _PACKETS_TRIED:
+                break
+    except ValueError as error:
+        raise source.error(error) from error
+    if metadata_path(source.path).is_file():
+        return "ouster"
+    raise source.error(
+        f"holds no Velodyne packets; if it is an Ouster capture, put its metadata beside it as "
+        f"{metadata_path(source.path).name}"
+    )
+
+
+def format_named(name: str, path: str) -> str:
+    """Return the format to write to ``path``: ``name``, or for "auto" the one its suffix tells.
+
+    Raises:
+        ValueError: there is no such format, the suffix is not known, or the format is only read.
+    """
+    writable = [known for known, how in FORMATS.items() if how.write is not None]
+    if name == "auto":
+        plain = path.lower().removesuffix(".gz")
+        name = next((known for known in writable if plain.endswith(FORMATS[known].suffixes)), "")
+        if not name:
+            raise ValueError(f"{path}: format is not told by the name; name one of {', '.join(writable)}")
+    if name not in writable:
+        raise ValueError(f"{path}: format must be one of {', '.join(writable)} to write, got {name!r}")
+    return name

@@ -1,0 +1,95 @@
+"""An index of sweeps: one JSON list that names files in its own folder, their frames and poses."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from viewshed.geometry import Rigid
+from viewshed.io.source import one_line
+
+_INDEX_BYTES = 64_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndexEntry:
+    """One file of an index.
+
+    Attributes:
+        file: where it lies, inside the index's folder, links followed.
+        sensor: the sensor as the index describes it.
+        sensor_from_file: file coordinates → sensor frame.
+        sensor_height_m: mounting height, or None.
+        world_from_sensor: pose of the sensor frame, or None.
+        seq: name of the drive that the sweep belongs to, or None.
+        t: seconds, of the drive's own clock, or None.
+        points: rows that the index says the sweep has; None for a file that is not a sweep.
+    """
+
+    file: Path
+    sensor: str
+    sensor_from_file: Rigid
+    sensor_height_m: float | None = None
+    world_from_sensor: Rigid | None = None
+    seq: str | None = None
+    t: float | None = None
+    points: int | None = None
+
+
+def read_index(path: str | os.PathLike[str]) -> list[IndexEntry]:
+    """Return the entries of an index file, in its order.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no such index, or names a file outside its folder.
+    """
+    where = Path(path)
+    with where.open("rb") as file:
+        raw = file.read(_INDEX_BYTES + 1)
+    try:
+        if len(raw) > _INDEX_BYTES:
+            raise ValueError(f"must be at most {_INDEX_BYTES} bytes")
+        entries = json.loads(raw)
+        if not isinstance(entries, list):
+            raise ValueError("must be a JSON list of entries")
+        folder = where.parent.resolve()
+        return [_entry(folder, position, entry) for position, entry in enumerate(entries)]
+    except (ValueError, RecursionError) as error:
+        raise ValueError(one_line(f"{where}: {error}")) from error
+
+
+def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
+    try:
+        frame = entry.get("sensor_from_file")
+        pose, stats = entry.get("world_from_sensor"), entry.get("stats")
+        return IndexEntry(
+            file=inside(folder, entry["file"]), sensor=str(entry["sensor"]),
+            sensor_from_file=Rigid.identity() if frame is None else Rigid.from_matrix(frame),
+            sensor_height_m=_optional(float, entry.get("sensor_height_m")),
+            world_from_sensor=None if pose is None else Rigid.from_matrix(pose),
+            seq=_optional(str, entry.get("seq")), t=_optional(float, entry.get("t")),
+            points=None if stats is None else int(stats["points"]),
+        )  # fmt: skip
+    except KeyError as error:
+        raise ValueError(f"entry {position} has no {error}") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f"entry {position}: {error}") from error
+
+
+def _optional(kind: type[Any], value: Any) -> Any:
+    return None if value is None else kind(value)
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the file called ``name`` in a folder, with links followed.
+
+    Raises:
+        ValueError: the name or a link leads out of the folder.
+    """
+    file = (folder / name).resolve()
+    if not file.is_relative_to(folder.resolve()):
+        raise ValueError(f"{name!r} leads out of the folder of the index; refused")
+    return file

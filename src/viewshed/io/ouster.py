@@ -1,0 +1,158 @@
+"""Ouster captures: pcap and the sensor's metadata in the ``.json`` beside it, decoded by ouster-sdk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io.columns import Columns
+from viewshed.io.frames import IDENTITY
+from viewshed.io.pcap import udp_payloads
+from viewshed.io.source import Source
+from viewshed.sensors import LidarModel
+
+_METADATA_BYTES = 1_000_000
+_ROWS_MAX, _COLUMNS_MAX = 512, 8192
+_INSTALL = "needs ouster-sdk; install it with: pip install 'viewshed[packets]'"
+
+
+def metadata_path(path: str) -> Path:
+    """Return where the metadata of a capture lies: the same name with ``.json``.
+
+    >>> metadata_path("drive/a.pcap.gz").as_posix()
+    'drive/a.json'
+    """
+    file = Path(path)
+    return (file.with_suffix("") if file.suffix.lower() == ".gz" else file).with_suffix(".json")
+
+
+def read_ouster(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+    """Yield the revolutions of an Ouster capture, in the sensor's frame; incomplete ones only where there is no other.
+
+    Ring 0 is the lowest beam; azimuth is the encoder's angle of the column, without the beams' own offsets.
+    """
+    content = source.content()
+    try:
+        from ouster.sdk import core
+    except ImportError as error:
+        raise ImportError(f"{source.path}: {_INSTALL}") from error
+    try:
+        info = _sensor_info(core, metadata_path(source.path))
+        yield from _revolutions(core, info, content, IDENTITY if frame is None else frame)
+    except ValueError as error:
+        raise source.error(error) from error
+
+
+def _sensor_info(core: Any, path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_METADATA_BYTES + 1)
+    except OSError as error:
+        raise ValueError(f"an Ouster capture needs its metadata in {path.name}: {error.strerror}") from error
+    if len(raw) > _METADATA_BYTES:
+        raise ValueError(f"{path.name} must be at most {_METADATA_BYTES} bytes of Ouster metadata")
+    try:
+        text = raw.decode("utf-8")
+        _check_shape(json.loads(text))
+        return core.SensorInfo(text)
+    except (RecursionError, Exception) as error:  # the SDK raises its own types on metadata it cannot use
+        raise ValueError(f"{path.name} must be Ouster metadata: {error}") from error
+
+
+def _check_shape(metadata: Any) -> None:
+    """Refuse image sizes out of range wherever the metadata says them, before the SDK allocates."""
+    limits = {"pixels_per_column": _ROWS_MAX, "columns_per_frame": _COLUMNS_MAX, "columns_per_packet": _COLUMNS_MAX}
+    stack = [metadata]
+    while stack:
+        node = stack.pop()
+        children = node.items() if isinstance(node, dict) else enumerate(node)
+        for key, value in children:
+            if key in limits and not (isinstance(value, int) and 1 <= value <= limits[key]):
+                raise ValueError(f"{key} must be a whole number in [1, {limits[key]}], got {value}")
+            if isinstance(value, (dict, list)):
+                stack.append(value)
+
+
+def _revolutions(core: Any, info: Any, content: bytes, frame: Rigid) -> Iterator[Columns]:
+    model = _model(info)
+    lut = core.XYZLut(info, False)
+    complete = 0
+    rest = None
+    for image in _images(core, info, content):
+        if image.complete(info.format.column_window):
+            complete += 1
+            yield _columns(core, info, image, lut(image), model, frame)
+        else:
+            rest = rest or image
+    if not complete and rest is not None:
+        yield _columns(core, info, rest, lut(rest), model, frame)
+    elif not complete:
+        raise ValueError("holds no lidar packets that agree with the metadata beside it")
+
+
+def _images(core: Any, info: Any, content: bytes) -> Iterator[Any]:
+    """Yield the range images of a capture; each is overwritten when the next is asked for."""
+    packet = core.LidarPacket(core.PacketFormat(info))
+    size = len(packet.buf)
+    batcher, image = core.FrameBatcher(info), core.LidarFrame(info)
+    pending = 0
+    for _, payload in udp_payloads(content):
+        if len(payload) != size:
+            continue
+        packet.buf[:] = np.frombuffer(payload, np.uint8)
+        try:
+            usable = packet.validate(info) == core.PacketValidationFailure.NONE
+            pending += usable
+            done = usable and batcher.batch(packet, image)
+        except Exception as error:  # compiled code with exceptions of its own
+            raise ValueError(f"ouster-sdk refuses the packets: {error}") from error
+        if done:
+            yield image
+            pending = 1
+    if pending:
+        yield image
+
+
+def _model(info: Any) -> LidarModel | None:
+    """Return the beams as the metadata describe them, or None where two beams share one elevation."""
+    altitude = np.deg2rad(np.asarray(info.beam_altitude_angles, dtype=np.float64))
+    order = np.argsort(altitude)
+    if (np.diff(altitude[order]) <= 0).any():
+        return None
+    shift_m = float(info.lidar_to_sensor_transform[2, 3]) * 1e-3
+    return LidarModel(
+        name=str(info.prod_line), elevation=altitude[order], azimuth_columns=int(info.format.columns_per_frame),
+        azimuth_offset=-np.deg2rad(np.asarray(info.beam_azimuth_angles, dtype=np.float64))[order],
+        origin_m=np.full(altitude.size, shift_m), min_range_m=0.3, max_range_m=300.0,
+        source="metadata beside the capture",
+    )  # fmt: skip
+
+
+def _columns(core: Any, info: Any, image: Any, xyz: NDArray[np.float64], model: Any, frame: Rigid) -> Columns:
+    """Return the columns of one range image; beams without a return are left out, order is column by column."""
+    hit = (image.field(core.ChanField.RANGE) > 0) & ((image.status & 1) > 0)[None, :]
+    column, row = np.nonzero(hit.T)
+    rank = np.argsort(np.argsort(np.asarray(info.beam_altitude_angles)))
+    azimuth = _column_azimuth(hit.shape[1])
+    valid = image.timestamp[(image.status & 1) > 0]
+    start = int(valid.min()) if valid.size else 0
+    since = (image.timestamp[column].astype(np.int64) - start).astype(np.float64) * 1e-9
+    reflectivity = next((name for name in ("SIGNAL", "REFLECTIVITY") if name in list(image.fields)), None)
+    return Columns(
+        xyz[row, column].astype(np.float32),
+        None if reflectivity is None else image.field(reflectivity)[row, column].astype(np.float32),
+        ring=rank[row].astype(np.int16), azimuth=azimuth[column], time_s=since.astype(np.float32),
+        t_ns=start, model=model, frame=frame,
+    )  # fmt: skip
+
+
+def _column_azimuth(columns: int) -> NDArray[np.float32]:
+    """Return the encoder's angle of each column in the sensor's frame: 2 π (1 - column / columns) + π, clockwise."""
+    angle = np.pi - 2 * np.pi * np.arange(columns) / columns
+    return np.where(angle <= -np.pi, angle + 2 * np.pi, angle).astype(np.float32)
