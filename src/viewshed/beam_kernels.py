@@ -85,9 +85,9 @@ def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # 
 def nearest_beams(slope: Any, range_m: Any, beams: Any) -> Any:  # pragma: no cover - compiled
     """Return the nearest beam of each point (N,), -1 beyond 0.15° and 5 cm, and what shows how well they fit.
 
-    ``beams`` (rings, 4): tangent of the elevation, height of the origin, radians that count as close, share of the
-    elevations around the beam that are close. Then follow: close points per beam (rings,), points beyond 1 m, and
-    the sum of those shares over them.
+    ``beams`` (rings, 3): tangent of the elevation, height of the origin, a quarter of the gap to the next beam. Then
+    follow, for points beyond 1 m: those close to each beam (rings,), their number, and how many would be close by
+    chance. Close is within a quarter of the gap, and within 0.1° and 1.5 cm.
     """
     rings = beams.shape[0]
     ring = np.full(slope.shape[0], -1, np.int16)
@@ -114,8 +114,9 @@ def nearest_beams(slope: Any, range_m: Any, beams: Any) -> Any:  # pragma: no co
         ring[n] = best if error < 0.0026 + 0.05 * per_m else -1
         if r > 1.0:
             tried += 1
-            chance += beams[best, 3]
-            hits[best] += error <= beams[best, 2]
+            close = min(beams[best, 2], 0.00175 + 0.015 * per_m)
+            chance += 0.5 * close / beams[best, 2]
+            hits[best] += error <= close
     return ring, hits, tried, chance
 
 

@@ -164,12 +164,12 @@ class _Match(NamedTuple):
 def _match(slope: Angles, range_m: Angles, model: LidarModel) -> _Match:
     """Return the nearest beam of each point and how much better than chance the returns gather at the beams.
 
-    Close is within a quarter of the gap to the next beam and 0.1°; chance is the share of the gap that this covers.
+    Close is within a quarter of the gap to the next beam, and within 0.1° and 1.5 cm; chance is the share of the gap
+    that this covers.
     """
     gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
     gap = np.minimum(gap[:-1], gap[1:])
-    close = np.minimum(gap / 4, np.deg2rad(0.1))
-    beams = np.stack([np.tan(model.elevation), model.origin_m, close, 2 * close / gap], axis=1)
+    beams = np.stack([np.tan(model.elevation), model.origin_m, gap / 4], axis=1)
     ring, hits, tried, chance = nearest_beams(slope, range_m, beams)
     if tried == 0 or chance >= tried:
         return _Match(ring, hits, 0.0)

@@ -1,0 +1,140 @@
+"""Report how well rings and sensors are recovered from real sweeps, as a table on the screen and in the docs.
+
+Usage: python tools/beam_report.py DATA_DIR [OUT.md]
+"""
+
+from __future__ import annotations
+
+import datetime
+import platform
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from viewshed.beams import Beams, infer_sensor, recover_beams
+from viewshed.io import IndexEntry, read_index, read_indexed
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
+
+_HEAD = (
+    "sweep", "sensor, as the index says", "inferred", "score", "shuffled, no rings", "rings from", "rings", "placed",
+    "alone", "columns", "table off (median / max)", "ms",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What one sweep showed."""
+
+    entry: IndexEntry
+    inferred: str
+    score: float
+    blind: str
+    beams: Beams
+    off: str
+    time_ms: float
+
+    def cells(self) -> list[str]:
+        """Return the row's cells as text."""
+        beams = self.beams
+        return [
+            "/".join(self.entry.file.parts[-2:])[-44:], self.entry.sensor, self.inferred, f"{self.score:.2f}",
+            self.blind, beams.source, str(beams.rings), f"{beams.placed_share:.1%}", f"{beams.alone_share:.0%}",
+            str(beams.columns), self.off, f"{self.time_ms:.1f}",
+        ]  # fmt: skip
+
+
+def rows(folder: Path) -> Iterator[Row]:
+    """Yield a row for each sweep of the index in ``folder``."""
+    for entry in read_index(folder / "index.json"):
+        try:
+            if entry.points is not None or entry.file.suffix == ".bin":
+                yield _row(entry)
+        except (OSError, ValueError) as error:
+            print(f"not read: {error}", file=sys.stderr)
+
+
+def _row(entry: IndexEntry) -> Row:
+    sweep = read_indexed(entry)
+    model, score = infer_sensor(sweep.points, sweep.ring)
+    order = np.random.default_rng(0).permutation(len(sweep))
+    blind, _ = infer_sensor(sweep.points[order])
+    bare = sweep.replace(model=None)
+    beams = recover_beams(bare, model)
+    started = time.perf_counter()
+    recover_beams(bare, model)
+    elapsed_ms = 1e3 * (time.perf_counter() - started)
+    return Row(entry, _name(model), score, _name(blind), beams, _table_off(bare, beams, model), elapsed_ms)
+
+
+def _name(model: LidarModel | None) -> str:
+    return "–" if model is None else model.name
+
+
+def _table_off(sweep: Sweep, beams: Beams, model: LidarModel | None) -> str:
+    """Return how far the rings' median elevations lie from the table, in degrees, seen from the beams' origins."""
+    if model is None or beams.rings != model.rings:
+        return "–"
+    range_m = np.hypot(sweep.points[:, 0], sweep.points[:, 1])
+    keep = (beams.ring >= 0) & (range_m > 2.0)
+    ring = beams.ring[keep]
+    angle = np.rad2deg(np.arctan2(sweep.points[keep, 2] - model.origin_m[ring], range_m[keep]) - model.elevation[ring])
+    medians = np.abs([np.median(angle[ring == r]) for r in np.flatnonzero(np.bincount(ring) >= 20)])
+    return f"{np.median(medians):.3f}° / {medians.max():.3f}°" if len(medians) else "–"
+
+
+def _machine() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return f"{names[0]}, {len(names)} cores" if names else platform.machine()
+
+
+def page(found: list[Row], command: str) -> str:
+    """Return the Markdown page of the rows."""
+    sources = Counter(row.beams.source for row in found)
+    named = sum(row.inferred != "–" for row in found)
+    confusion = Counter((row.entry.sensor, row.inferred, row.blind) for row in found)
+    head = [
+        "# Rings, beams and sensors recovered from real sweeps", "",
+        f"{len(found)} sweeps; {datetime.datetime.now(datetime.UTC):%Y-%m-%d}; {_machine()}; `{command}`", "",
+        f"A sensor was named for {named} of {len(found)}. Rings came from: "
+        + ", ".join(f"{source} {count}" for source, count in sources.most_common()) + ".", "",
+        "*Placed*: share of the returns that got a ring. *Alone*: share of those that are alone in their pixel; low "
+        "where returns of the car itself or several revolutions overlap. *Table off*: median elevation of each ring "
+        "against the inferred table, returns beyond 2 m. *Shuffled*: the sensor inferred from the bare points, in "
+        "random order. *ms*: one call of `recover_beams`, compiled before.", "",
+        "## Named as", "",
+    ]  # fmt: skip
+    tally = [[*names, str(count)] for names, count in confusion.items()]
+    return "\n".join(
+        head + _table(("sensor, as the index says", "inferred", "shuffled, no rings", "sweeps"), tally)
+        + ["", "## Each sweep", ""] + _table(_HEAD, [row.cells() for row in found]) + [""]
+    )  # fmt: skip
+
+
+def _table(head: tuple[str, ...], body: list[list[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in [list(head), ["---"] * len(head), *body]]
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page and return the exit code."""
+    if len(arguments) not in (1, 2):
+        print(__doc__, file=sys.stderr)
+        return 2
+    found = []
+    for row in rows(Path(arguments[0])):
+        found.append(row)
+        print(" | ".join(row.cells()), flush=True)
+    out = Path(arguments[1] if len(arguments) == 2 else "docs/results/beams.md")
+    out.write_text(page(found, "python tools/beam_report.py DATA_DIR"), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
