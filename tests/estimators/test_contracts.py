@@ -1,0 +1,226 @@
+"""What every estimator of both tables promises; a new one is covered by its line in the table."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid
+from viewshed.estimate import CellState, FovEstimate
+from viewshed.estimators import (
+    ESTIMATORS,
+    PAPER_ESTIMATORS,
+    PAPER_INDOOR_ESTIMATORS,
+    EstimatorFactory,
+    paper_estimators,
+)
+from viewshed.geometry import Rigid
+from viewshed.sweep import Sweep
+
+EVERY = {**ESTIMATORS, **PAPER_ESTIMATORS}
+GRID = BevGrid(64, 16.0)
+NAMES = {
+    "continuous", "quantized", "concave_hull", "polygon_fit", "first_blocker", "first_blocker_median", "trimmed",
+    "shadow_map", "vote",
+}  # fmt: skip
+
+
+@pytest.fixture(params=EVERY.items(), ids=lambda item: item[0])
+def named(request: pytest.FixtureRequest) -> tuple[str, EstimatorFactory]:
+    item: tuple[str, EstimatorFactory] = request.param
+    return item
+
+
+@pytest.fixture
+def make(named: tuple[str, EstimatorFactory]) -> EstimatorFactory:
+    return named[1]
+
+
+def _same(a: FovEstimate, b: FovEstimate) -> bool:
+    return all(
+        np.array_equal(getattr(a, k), getattr(b, k), equal_nan=k == "std") for k in ("visible_prob", "std", "state")
+    )
+
+
+def _sees_nothing(estimate: FovEstimate) -> bool:
+    return not estimate.visible().any() and bool((estimate.state == CellState.UNKNOWN).all())
+
+
+def test_the_tables_hold_what_the_documents_name() -> None:
+    assert set(ESTIMATORS) >= NAMES
+    assert set(PAPER_ESTIMATORS) == set(PAPER_INDOOR_ESTIMATORS) >= {"paper_label", "paper_quantized"}
+
+
+def test_the_name_in_the_table_is_the_method(named: tuple[str, EstimatorFactory]) -> None:
+    name, make = named
+    assert make(GRID).estimate(Sweep(np.zeros((0, 3), np.float32))).method == name
+
+
+@pytest.mark.parametrize("grid", [GRID, BevGrid(33, 12.0, (5.0, -3.0)), BevGrid(1, 4.0, (6.0, 0.0))], ids=str)
+def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: BevGrid) -> None:
+    estimate = make(grid).estimate(street)
+    assert make(grid).grid == estimate.grid == grid
+    assert estimate.visible_prob.shape == estimate.state.shape == grid.shape
+    assert estimate.visible_prob.dtype == np.float32
+    assert estimate.visible_prob.min() >= 0
+    assert estimate.visible_prob.max() <= 1
+    assert estimate.std is not None
+    assert (np.isnan(estimate.std) | (estimate.std >= 0)).all()
+
+
+def test_visible_cells_are_free_or_surface(make: EstimatorFactory, street: Sweep) -> None:
+    estimate = make(GRID).estimate(street)
+    claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
+    assert estimate.visible().any()
+    assert np.array_equal(estimate.visible(), claimed)
+
+
+def test_time_agent_and_pose_are_passed_on(make: EstimatorFactory, street: Sweep) -> None:
+    pose = Rigid.from_yaw(0.5, (10.0, 20.0, 1.8))
+    estimate = make(GRID).estimate(street.replace(world_from_sensor=pose))
+    assert (estimate.t_ns, estimate.agent) == (5, "a")
+    assert estimate.world_from_level is not None
+    at_sensor = estimate.world_from_level @ np.array([[0.0, 0.0, 1.8]])
+    np.testing.assert_allclose(at_sensor, [[10.0, 20.0, 1.8]], atol=1e-6)
+    assert estimate.world_from_level.yaw == pytest.approx(0.5)
+
+
+def test_the_same_sweep_gives_the_same_estimate(make: EstimatorFactory, street: Sweep) -> None:
+    assert _same(make(GRID).estimate(street), make(GRID).estimate(street))
+
+
+def test_the_sweep_is_left_as_it_was(make: EstimatorFactory, street: Sweep) -> None:
+    points, ring = street.points.copy(), np.array(street.ring)
+    assert not street.points.flags.writeable
+    make(GRID).estimate(street)
+    np.testing.assert_array_equal(points, street.points)
+    np.testing.assert_array_equal(ring, np.array(street.ring))
+
+
+def _shuffled(sweep: Sweep) -> Sweep:
+    return sweep.select(np.random.default_rng(3).permutation(len(sweep)))
+
+
+@pytest.mark.parametrize("height_m", [None, 1.8])
+def test_order_of_points_is_irrelevant(make: EstimatorFactory, street: Sweep, height_m: float | None) -> None:
+    sweep = street.replace(sensor_height_m=height_m)
+    assert _same(make(GRID).estimate(sweep), make(GRID).estimate(_shuffled(sweep)))
+
+
+def test_order_of_points_without_rings_leaves_the_mask(make: EstimatorFactory, street: Sweep) -> None:
+    # Where a format has no rings their order may tell the missing beams, so single votes may differ.
+    a, b = (make(GRID).estimate(sweep) for sweep in (street.replace(ring=None), _shuffled(street.replace(ring=None))))
+    assert np.array_equal(a.visible(), b.visible())
+
+
+def test_an_empty_sweep_sees_nothing_and_says_so(make: EstimatorFactory) -> None:
+    estimate = make(GRID).estimate(Sweep(np.zeros((0, 3), np.float32)))
+    assert _sees_nothing(estimate)
+    assert not estimate.visible_prob.any()
+
+
+def test_null_and_ego_returns_are_no_returns(make: EstimatorFactory) -> None:
+    rng = np.random.default_rng(0)
+    null = rng.uniform(-0.2, 0.2, (200, 3))
+    ego = rng.uniform((-2.0, -0.9, -1.0), (2.0, 0.9, -0.3), (200, 3))
+    assert _sees_nothing(
+        make(GRID).estimate(Sweep(np.concatenate([null, ego]).astype(np.float32), sensor_height_m=1.8))
+    )
+
+
+def test_returns_beyond_every_range_are_no_returns(make: EstimatorFactory) -> None:
+    far = np.random.default_rng(0).uniform(2_000, 3_000, (300, 3)).astype(np.float32)
+    assert _sees_nothing(make(GRID).estimate(Sweep(far, sensor_height_m=1.8)))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[8.0, 1.0, -1.8]],
+        [[8.0, 1.0, -1.8], [3.0, 9.0, -1.8]],
+        [[8.0, 1.0, -1.8]] * 500,
+        np.stack([np.linspace(3, 15, 400), np.linspace(1, 5, 400), np.full(400, -1.8)], axis=1),
+        np.stack([np.linspace(3, 15, 400), np.full(400, 0.25), np.full(400, -1.8)], axis=1),
+        np.repeat([[8.0, 1.0, -1.8], [3.0, 9.0, -1.8], [7.0, 9.0, -1.8]], 50, axis=0),
+        [[1e-30, 0.0, 0.0], [8.0, 1e-30, -1.8], [8.0, -1e-30, -1.8]],
+    ],
+    ids=["one", "two", "same", "line", "forward-line", "three-places", "tiny"],
+)
+@pytest.mark.parametrize("height_m", [None, 1.8])
+def test_degenerate_points_claim_little(make: EstimatorFactory, points: NDArray[np.float64], height_m: float) -> None:
+    estimate = make(GRID).estimate(Sweep(np.asarray(points, np.float32), sensor_height_m=height_m))
+    assert estimate.visible().mean() < 0.1
+
+
+def test_the_side_without_returns_is_not_claimed(make: EstimatorFactory, street: Sweep) -> None:
+    estimate = make(GRID).estimate(street.select(street.points[:, 1] > 1.0))
+    x, y = GRID.centers[..., 0], GRID.centers[..., 1]
+    away = (y < -4) & (np.abs(x) < 8)
+    ahead = (y > 3) & (np.abs(x) < 4) & (y < 6)
+    assert not estimate.visible()[away].any()
+    assert (estimate.state[away] == CellState.UNKNOWN).all()
+    assert estimate.visible()[ahead].any()
+
+
+def test_rows_that_are_not_finite_change_nothing(make: EstimatorFactory, street: Sweep) -> None:
+    holes = np.concatenate([[[np.nan, 1, 1], [np.inf, 0, 0]], street.points, [[0, -np.inf, 0]]])
+    bare = street.replace(ring=None)
+    assert _same(make(GRID).estimate(bare), make(GRID).estimate(bare.replace(points=holes)))
+
+
+def test_a_million_points_are_no_trouble(make: EstimatorFactory) -> None:
+    rng = np.random.default_rng(1)
+    azimuth, range_m = rng.uniform(-np.pi, np.pi, 1_000_000), 20 * np.sqrt(rng.random(1_000_000))
+    points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.full(1_000_000, -1.8)], axis=1)
+    estimate = make(GRID).estimate(Sweep(points.astype(np.float32), sensor_height_m=1.8))
+    assert estimate.visible()[24:40, 24:40].mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("quantized", {"azimuth_bins": 3}, r"azimuth_bins must lie in \[4, 32000\], got 3"),
+        ("quantized", {"max_range_m": -1.0}, r"max_range_m must be positive, got -1.0"),
+        ("quantized", {"range_bins": 10}, r"range_bins need a finite max_range_m; give the range"),
+        ("quantized", {"range_bins": 0, "max_range_m": 9.0}, r"range_bins must lie in \[1, 1e\+06\], got 0"),
+        ("quantized", {"about_centroid": True}, r"azimuth_bins must be given with about_centroid"),
+        ("continuous", {"window": 0.0}, r"window must lie in \[0.004, 1.5\], got 0.0"),
+        ("continuous", {"margin_m": -1.0}, r"margin_m must lie in \[0, 100\], got -1.0"),
+        ("concave_hull", {"concavity": 0.0}, r"concavity must lie in \[0.1, 1e\+06\], got 0.0"),
+        ("concave_hull", {"length_threshold_m": np.nan}, r"length_threshold_m must lie in \[0, 1e\+06\], got nan"),
+        ("polygon_fit", {"max_edge_m": 0.0}, r"max_edge_m must lie in \[0.01, 1e\+06\], got 0.0"),
+        ("trimmed", {"trim": -1}, r"trim must lie in \[0, 1000\], got -1"),
+        ("first_blocker", {"rank": 0}, r"rank must lie in \[1, 1000\], got 0"),
+        ("first_blocker", {"median_bins": 4}, r"median_bins must be odd or 0, got 4"),
+        (
+            "first_blocker",
+            {"obstacle_height_m": (3.0, 0.3)},
+            r"must be \(low, high\) with low < high, got \(3.0, 0.3\)",
+        ),
+    ],
+)
+def test_parameters_outside_their_range_are_refused(name: str, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ESTIMATORS[name](GRID, **changes)
+
+
+@pytest.mark.parametrize(
+    ("range_m", "height_m", "message"),
+    [
+        (0.0, (-3.0, 3.0), r"max_range_m must be positive, got 0.0"),
+        (9.0, (3.0, -3.0), r"height_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),
+    ],
+)
+def test_a_crop_must_leave_something(range_m: float, height_m: tuple[float, float], message: str) -> None:
+    from viewshed.estimators.polar import Crop
+
+    with pytest.raises(ValueError, match=message):
+        Crop(range_m, height_m)
+
+
+def test_the_paper_crop_drops_what_is_far_or_high(street: Sweep) -> None:
+    high = np.stack([np.linspace(-9, 9, 50), np.full(50, 14.0), np.full(50, 3.2)], axis=1)
+    far = np.stack([np.linspace(-9, 9, 50), np.full(50, 15.5), np.full(50, -1.8)], axis=1)
+    near = street.select(np.hypot(street.points[:, 0], street.points[:, 1]) < 11).replace(ring=None)
+    for name, make in paper_estimators(13.0).items():
+        more = near.replace(points=np.concatenate([near.points, high, far]))
+        assert np.array_equal(make(GRID).estimate(near).visible_prob, make(GRID).estimate(more).visible_prob), name
