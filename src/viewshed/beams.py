@@ -220,29 +220,31 @@ def _columns(
         return fallback
     sizes = np.bincount(ring[used])
     fullest = np.argsort(-sizes, kind="stable")[:_SAMPLED_RINGS]
-    steps = np.concatenate([np.diff(np.sort(azimuth[used & (ring == r)])) for r in fullest])
-    step = _common_step(steps.astype(np.float64))
+    sampled = [np.sort(azimuth[used & (ring == r)]).astype(np.float64) for r in fullest]
+    pooled = np.diff(np.sort(np.concatenate(sampled)))
+    step = _firing_step(np.concatenate([np.diff(a) for a in sampled]), pooled, model)
     return fallback if step is None else int(np.clip(round(2 * np.pi / step), 4, 36_000))
 
 
-def _common_step(steps: NDArray[np.float64]) -> float | None:
-    """Return the azimuth step behind gaps between neighbors in a ring, or None for fewer than 16 of them.
+def _firing_step(own: NDArray[np.float64], pooled: NDArray[np.float64], model: LidarModel | None) -> float | None:
+    """Return the azimuth step behind the gaps within rings (``own``) and in several rings taken together (``pooled``).
 
-    Regular firing: most gaps (75 %), and most of the angle (60 %), lie near the most frequent gap; the step is their
-    mean. Otherwise (CARLA's overlaid revolutions) the gap that 90 % of the angle does not exceed, so that columns are
-    not empty between firings.
+    The mean of the gaps within a quarter of the most frequent one. Where firing is irregular (CARLA's overlaid
+    revolutions leave gaps in all rings at once) it is the gap that 90 % of the angle does not exceed, so that columns
+    are not empty between firings, unless the model knows the step within 5 %. None for fewer than 16 gaps.
     """
     width = np.deg2rad(0.01)
-    gaps = np.sort(steps[(steps > 3 * width) & (steps < 300 * width)])
-    if len(gaps) < 16:
+    own, pooled = (gaps[(gaps > 3 * width) & (gaps < 300 * width)] for gaps in (own, pooled))
+    if len(own) < 16:
         return None
-    mode = (np.convolve(np.bincount((gaps / width).astype(np.intp)), [1, 1, 1], "same").argmax() + 0.5) * width
-    common = np.abs(gaps - mode) < mode / 4
-    if not common.any():
-        return None
-    if common.mean() > 0.75 and gaps[common].sum() > 0.6 * gaps.sum():
-        return float(gaps[common].mean())
-    return float(gaps[np.searchsorted(np.cumsum(gaps), 0.9 * gaps.sum())])
+    peak = np.convolve(np.bincount((own / width).astype(np.intp)), [1, 1, 1], "same").argmax()
+    mode = float(np.median(own[np.abs(own - (peak + 0.5) * width) <= 1.5 * width]))
+    step = float(own[np.abs(own - mode) < mode / 4].mean())
+    if model is not None and abs(step / model.azimuth_step - 1) < 0.05:
+        return step
+    pooled = np.sort(pooled)
+    widest = float(pooled[np.searchsorted(np.cumsum(pooled), 0.9 * pooled.sum())]) if len(pooled) else step
+    return widest if widest > 1.3 * step else step
 
 
 def _elevations(

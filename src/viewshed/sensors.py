@@ -170,17 +170,15 @@ def lidar_model(name: str) -> LidarModel:
     """
     if name.endswith(".toml"):
         return LidarModel.from_toml(name)
-    return _shipped(name)
+    for known in sensor_names():
+        if _plain(known) == _plain(name):
+            return _shipped(known)
+    raise ValueError(f"sensor must be one of {', '.join(sensor_names())} or a TOML file, got {name!r}")
 
 
 @lru_cache(maxsize=64)
-def _shipped(name: str) -> LidarModel:
-    wanted = _plain(name)
-    for known in sensor_names():
-        if _plain(known) == wanted:
-            raw = (resources.files("viewshed") / "beam_tables" / f"{known}.toml").read_bytes()
-            return _parse(raw, f"{known}.toml")
-    raise ValueError(f"sensor must be one of {', '.join(sensor_names())} or a TOML file, got {name!r}")
+def _shipped(known: str) -> LidarModel:
+    return _parse((resources.files("viewshed") / "beam_tables" / f"{known}.toml").read_bytes(), f"{known}.toml")
 
 
 def _plain(name: str) -> str:
