@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.stats import binomtest
 
 from viewshed.bev import BevGrid
 from viewshed.estimate import FovEstimator
@@ -29,6 +30,8 @@ class CrossViewRules:
         body_m: a column needs ``body_returns`` returns of B between these heights.
         body_returns: how many.
         top_m: and one return between these, so that it is about as tall as a car.
+        foot_m: a column counts as not seen only if B has a return of it between these heights, so that A's beams
+            cannot pass below it as they do below a bus; None asks for nothing.
         range_a_m: distance of the column from A.
         range_b_m: and from B.
         static_s: another sweep, this many seconds from B or more, must see it too.
@@ -47,6 +50,7 @@ class CrossViewRules:
     body_m: tuple[float, float] = (0.5, 1.5)
     body_returns: int = 3
     top_m: tuple[float, float] = (1.1, 2.2)
+    foot_m: tuple[float, float] | None = (0.1, 0.3)
     range_a_m: tuple[float, float] = (4.0, 45.0)
     range_b_m: tuple[float, float] = (3.0, 50.0)
     static_s: float = 0.7
@@ -58,6 +62,10 @@ class CrossViewRules:
     through_share: float = 0.3
     through_m: float = 1.0
     across_m: float = 0.9
+
+
+FIRST_RULES = CrossViewRules(foot_m=None, across_m=0.0)
+"""The metric as first defined: it takes any column for a target, so that even an exact mask over-claims."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +85,11 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A rate with its 95 % interval from a bootstrap over sweeps, and how many columns it rests on."""
+    """A rate, its 95 % interval, and how many columns it rests on.
+
+    The interval is the wider of a bootstrap over sweeps and the exact binomial one (Clopper and Pearson 1934): with
+    no error among a few columns the bootstrap alone would claim certainty.
+    """
 
     value: float
     low: float
@@ -98,16 +110,14 @@ class CrossViewRow:
 
 def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules) -> Columns:
     """Return the columns that ``others`` know about the view of ``a``; all need poses and times."""
-    found = [xy for b in others for xy in [_columns_of_pair(a, b, others, rules)] if len(xy)]
+    found = [columns for b in others for columns in [_columns_of_pair(a, b, others, rules)] if len(columns)]
     if not found:
         return Columns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
-    xy: NDArray[np.float64] = np.unique(np.round(np.concatenate(found) / 0.25).astype(np.int64), axis=0) * np.float64(
-        0.25
-    )
+    xy, standing = _merged(np.concatenate(found))
     band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
     tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
     near = _counts(tree, xy, rules.near_m)
-    clear = (_counts(tree, xy, rules.clear_m) == 0) & _as_wide_as_target(xy, rules)
+    clear = (_counts(tree, xy, rules.clear_m) == 0) & standing & _as_wide_as_target(xy, rules)
     seen = near >= rules.seen_returns
     aimed, through = _aimed_and_through(a, xy, rules)
     known = (seen | clear) & (aimed >= rules.coverage)
@@ -115,13 +125,22 @@ def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRule
     return Columns(xy[known], seen[known], passes[known])
 
 
+def _merged(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return places (M, 2) on a lattice of 0.25 m, each once, and whether any of its columns stands on the ground."""
+    places, inverse = np.unique(np.round(columns[:, :2] / 0.25), axis=0, return_inverse=True)
+    standing = np.zeros(len(places), bool)
+    np.logical_or.at(standing, inverse.ravel(), columns[:, 2] > 0)
+    return places * 0.25, standing
+
+
 def _columns_of_pair(
     a: LevelSweep, b: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules
 ) -> NDArray[np.float64]:
-    xy_b = _tall_columns(b, rules)
+    """Return (M, 3): x and y in A's level frame, and 1 where the column stands on the ground, else 0."""
+    xy_b, standing = _tall_columns(b, rules)
     witnesses = [c for c in others if _seconds_apart(b, c) >= rules.static_s]
     if not len(xy_b) or not witnesses:
-        return np.empty((0, 2))
+        return np.empty((0, 3))
     a_from_b = _between(a, b)
     static = np.zeros(len(xy_b), bool)
     for c in witnesses:
@@ -129,9 +148,9 @@ def _columns_of_pair(
         in_b = _between(b, c) @ c.points[body]
         static |= _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy_b, rules.near_m) > 0
     xyz = np.column_stack([xy_b, b.ground.at(xy_b)])
-    xy: NDArray[np.float64] = (a_from_b @ xyz[static])[:, :2]
-    range_a = np.hypot(xy[:, 0], xy[:, 1])
-    return xy[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+    columns: NDArray[np.float64] = np.column_stack([(a_from_b @ xyz[static])[:, :2], standing[static]])
+    range_a = np.hypot(columns[:, 0], columns[:, 1])
+    return columns[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
 
 
 def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArray[np.bool_]:
@@ -142,14 +161,20 @@ def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArra
     return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
 
 
-def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> NDArray[np.float64]:
+def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the columns (M, 2) of ``b`` that are as tall as the target, and whether each stands on the ground."""
     grid = BevGrid(round(4 * rules.range_b_m[1]), rules.range_b_m[1])
-    body = (b.height_m > rules.body_m[0]) & (b.height_m < rules.body_m[1])
-    top = (b.height_m > rules.top_m[0]) & (b.height_m < rules.top_m[1])
-    enough = (grid.count(b.points[body]) >= rules.body_returns) & (grid.count(b.points[top]) >= 1)
-    xy = grid.centers[enough]
-    range_b = np.hypot(xy[:, 0], xy[:, 1])
-    return xy[(range_b > rules.range_b_m[0]) & (range_b < rules.range_b_m[1])]
+    range_b = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
+    enough = (range_b > rules.range_b_m[0]) & (range_b < rules.range_b_m[1])
+    enough &= _between_heights(b, grid, rules.body_m) >= rules.body_returns
+    enough &= _between_heights(b, grid, rules.top_m) >= 1
+    if rules.foot_m is None:
+        return grid.centers[enough], np.ones(int(enough.sum()), bool)
+    return grid.centers[enough], (_between_heights(b, grid, rules.foot_m) >= 1)[enough]
+
+
+def _between_heights(b: LevelSweep, grid: BevGrid, height_m: tuple[float, float]) -> NDArray[np.int32]:
+    return grid.count(b.points[(b.height_m > height_m[0]) & (b.height_m < height_m[1])])
 
 
 def _between(to: LevelSweep, of: LevelSweep) -> Any:
@@ -247,4 +272,6 @@ def _rate(tally: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
         return Rate(float("nan"), float("nan"), float("nan"), 0)
     sums = tally[picks].sum(axis=1)
     low, high = np.quantile(sums[sums[:, 1] > 0, 0] / sums[sums[:, 1] > 0, 1], [0.025, 0.975])
-    return Rate(float(total[0] / total[1]), float(low), float(high), int(total[1]))
+    wrong, columns = (int(count) for count in total)
+    exact = binomtest(wrong, columns).proportion_ci(0.95)
+    return Rate(wrong / columns, min(float(low), exact.low), max(float(high), exact.high), columns)
