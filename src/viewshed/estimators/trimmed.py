@@ -9,6 +9,7 @@ import numpy as np
 from viewshed.bev import BevGrid
 from viewshed.estimate import FovEstimate
 from viewshed.estimators.polar import (
+    FALLBACK_BINS,
     ends_on_obstacle,
     farthest_in_bins,
     fov_of_state,
@@ -39,7 +40,8 @@ class TrimmedRayTrace:
         grid: where the cells are.
         target: passed on; this estimator does not depend on it.
         trim: farthest returns to drop in each bin.
-        azimuth_bins: number of bins; None takes them from the measured azimuth step.
+        azimuth_bins: number of bins; None takes them from the measured azimuth step, but at most 360, so that
+            a bin holds enough returns to drop some.
         name: goes into the estimate's ``method``.
 
     >>> TrimmedRayTrace(BevGrid(8, 4.0), trim=4).name
@@ -62,7 +64,7 @@ class TrimmedRayTrace:
 
     def estimate_level(self, level: LevelSweep) -> FovEstimate:
         """Estimate from a sweep already levelled."""
-        bins = self.azimuth_bins or measured_azimuth_bins(level.azimuth)
+        bins = self.azimuth_bins or min(measured_azimuth_bins(level.azimuth), FALLBACK_BINS)
         limit_m = farthest_in_bins(level, bins, drop=self.trim)
         hidden_m = np.where(ends_on_obstacle(level, limit_m), reach_of(level), -1.0).astype(np.float32)
         state = state_of_limits(level, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
