@@ -26,20 +26,20 @@ def facts(**more: str) -> dict[str, str]:
 
 
 def page(title: str, told: Mapping[str, str], *parts: str) -> str:
-    """Return a Markdown page: title, the facts as a list, then the parts.
+    r"""Return a Markdown page: title, the facts as a list, then the parts.
 
     >>> page("Areas", {"seed": "0"}, "text")
-    '# Areas\\n\\n- seed: 0\\n\\ntext\\n'
+    '# Areas\n\n- seed: 0\n\ntext\n'
     """
     listed = "\n".join(f"- {name}: {value}" for name, value in told.items())
     return "\n\n".join([f"# {title}", listed, *parts]) + "\n"
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table.
+    r"""Return a Markdown table.
 
     >>> table(["a", "b"], [["1", "2"]])
-    '| a | b |\\n|---|---|\\n| 1 | 2 |'
+    '| a | b |\n|---|---|\n| 1 | 2 |'
     """
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(

@@ -42,7 +42,7 @@ def crossview(
     index: Annotated[Path, typer.Argument(help="Index (JSON) of posed sweeps; each folder of it is one scene.")],
     methods: Annotated[str, typer.Option(help="Estimators, with commas; 'all' for every one.")] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Write the tables to this Markdown file as well.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")] = None,
     floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
 ) -> None:
     """Over- and under-claim against what other sweeps of the same scene saw.
@@ -64,9 +64,11 @@ def crossview(
     if floor:
         parts += ["## The floor of the metric", _FLOOR, _floor(estimators, seed)]
     text = page("Cross-view truth", facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car"), *parts)
-    typer.echo(text)
-    if out is not None:
+    if out is None:
+        typer.echo(text)
+    else:
         out.write_text(text, encoding="utf-8")
+        typer.echo(f"wrote {out}")
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:
