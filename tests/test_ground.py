@@ -104,3 +104,12 @@ def test_a_few_points_give_flat_ground(count: int) -> None:
     assert level.sensor_height_m == 1.5
     assert not level.ground.seen.any()
     assert np.allclose(level.ground.heights_m, 0.0)
+
+
+def test_a_desk_level_with_the_sensor_is_not_the_ground() -> None:
+    rng = np.random.default_rng(4)
+    desk = np.column_stack([rng.uniform(-6, 6, (6000, 2)), rng.normal(-0.06, 0.01, 6000)])
+    wall = np.column_stack([np.full(3000, 6.0), rng.uniform(-6, 6, 3000), rng.uniform(-0.7, 1.5, 3000)])
+    level = level_sweep(Sweep(np.concatenate([desk, wall]).astype(np.float32)), GRIDS["indoor"])
+    assert level.sensor_height_m >= 0.25
+    assert not level.ground.seen.any()

@@ -16,12 +16,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import FloatArray
-from viewshed.planes import near_plane
+from viewshed.planes import MIN_HEIGHT_M, near_plane
 
 NODES = 64
 """Lattice nodes per side."""
 ASSUMED_HEIGHT_M = 1.8
 """Sensor height where neither the sweep nor its returns tell one."""
+MIN_SUPPORT = 0.22
+"""A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,11 +80,17 @@ def estimate_ground(lows_m: NDArray[np.float32], half_extent_m: float, sensor_he
     node_m = 2.0 * half_extent_m / lows_m.shape[0]
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
     plane, support = near_plane(lows_m, known)
-    if support == 0.0:
-        return Ground.flat(half_extent_m, -(sensor_height_m or ASSUMED_HEIGHT_M))
+    if support < MIN_SUPPORT:
+        return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
     heights, seen = _walk(lows_m, np.float32(node_m), plane, _order(lows_m.shape[0]))
     a, b, c = (float(value) for value in plane)
     return Ground(heights, half_extent_m, seen, (a, b, c), float(support))
+
+
+def _lowest_m(lows_m: NDArray[np.float32]) -> float:
+    """Return how far below the sensor the lowest twentieth of the nodes lies; the assumed height without any."""
+    below = -lows_m[np.isfinite(lows_m)]
+    return float(np.quantile(below, 0.95).clip(MIN_HEIGHT_M, 10.0)) if below.size > 5 else ASSUMED_HEIGHT_M
 
 
 @lru_cache(maxsize=4)

@@ -26,6 +26,8 @@ EGO_BOX_M = (2.7, 1.1)
 """Half length and half width of the vehicle below the sensor."""
 EGO_HEIGHTS_M = (1.2, 3.0)
 """Sensor heights at which such a vehicle is assumed; lower ones are robots, higher ones stand at the roadside."""
+TILT_SUPPORT = 0.35
+"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt."""
 LEVEL_TILT = np.deg2rad(6.0)
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
 
@@ -140,11 +142,12 @@ def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64]) -> Groun
 def _tilted_normal(sweep: Sweep, ground: Ground) -> NDArray[np.float64] | None:
     """Return the ground's normal (3,) in the sensor frame where the sensor is clearly tilted, else None."""
     normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
-    if ground.support < 0.35:
+    if ground.support < TILT_SUPPORT:
         stride = max(len(sweep) // 2500, 1)
         found, support = free_plane(np.ascontiguousarray(sweep.points[::stride]))
-        if support > 0.3:
-            normal = found.astype(np.float64)
+        if support < TILT_SUPPORT:
+            return None
+        normal = found.astype(np.float64)
     normal /= np.linalg.norm(normal)
     return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
 

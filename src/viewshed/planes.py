@@ -9,6 +9,8 @@ from numba import njit
 
 MAX_SLOPE = 0.21
 """Steepest ground plane that is looked for in the level frame (12°)."""
+MIN_HEIGHT_M = 0.25
+"""A plane nearer below the sensor than this is a desk, a hood or its own nearly level beams, not the ground."""
 _TRIALS = 256
 
 
@@ -27,6 +29,8 @@ def near_plane(lows: Any, height: float) -> Any:  # pragma: no cover - compiled
         return plane, 0.0
     for _ in range(3):
         plane = _refit(points, plane)
+    if not np.isfinite(height) and plane[2] > -MIN_HEIGHT_M:
+        return plane, 0.0
     on = 0
     for k in range(points.shape[0]):
         on += abs(_above(points[k], plane)) < _tolerance(points[k])
@@ -105,7 +109,8 @@ def _best_plane(points: Any, height: float) -> Any:  # pragma: no cover - compil
         j, state = _draw(state, count)
         k, state = _draw(state, count)
         candidate, fits = _plane_through(points[i], points[j], points[k])
-        if fits and not (np.isfinite(height) and abs(candidate[2] + height) > 0.4):
+        near = abs(candidate[2] + height) <= 0.4 if np.isfinite(height) else candidate[2] <= -MIN_HEIGHT_M
+        if fits and near:
             score = _score(some[0], some[1], some[2], tolerance, candidate)
             if score > best:
                 best, plane = score, candidate
