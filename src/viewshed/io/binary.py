@@ -16,7 +16,7 @@ from viewshed.io.source import Source
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _CHUNK_ROWS = 65_536
-_SAMPLE_BYTES = 20_480
+_SAMPLE_BYTES = 8_000
 _MICROSECONDS = re.compile(r"__(\d{16})\.pcd\.bin$")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from viewshed.geometry import Rigid
-from viewshed.io.source import one_line
+from viewshed.io.source import one_line, open_source
 
 _INDEX_BYTES = 64_000_000
 
@@ -47,12 +47,12 @@ def read_index(path: str | os.PathLike[str]) -> list[IndexEntry]:
         ValueError: it is no such index, or names a file outside its folder.
     """
     where = Path(path)
-    with where.open("rb") as file:
-        raw = file.read(_INDEX_BYTES + 1)
+    with open_source(where) as source:
+        if source.size > _INDEX_BYTES:
+            raise source.error(f"must be at most {_INDEX_BYTES} bytes, got {source.size}")
+        content = source.content()
     try:
-        if len(raw) > _INDEX_BYTES:
-            raise ValueError(f"must be at most {_INDEX_BYTES} bytes")
-        entries = json.loads(raw)
+        entries = json.loads(content)
         if not isinstance(entries, list):
             raise ValueError("must be a JSON list of entries")
         folder = where.parent.resolve()

@@ -89,7 +89,7 @@ def _revolutions(core: Any, info: Any, content: bytes, frame: Rigid) -> Iterator
             complete += 1
             yield _columns(core, info, image, lut(image), model, frame)
         else:
-            rest = rest or image
+            rest = image
     if not complete and rest is not None:
         yield _columns(core, info, rest, lut(rest), model, frame)
     elif not complete:

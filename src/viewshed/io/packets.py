@@ -101,12 +101,13 @@ def _columns(scan: Any, name: str, frame: Rigid | None) -> Columns:
     stamp, table = scan
     table = _one_turn(np.asarray(table, dtype=np.float32))
     points = np.ascontiguousarray(table[:, :3])
+    begin = float(table[:, 4].min()) if len(table) else 0.0
     return Columns(
         points, table[:, 3],
         ring=table[:, 6].astype(np.int16),
         azimuth=np.arctan2(points[:, 1], points[:, 0]) if name in _NO_AZIMUTH_OFFSET else None,
-        time_s=table[:, 4] - table[:, 4].min() if len(table) else table[:, 4],
-        t_ns=round(stamp.host * 1e9),
+        time_s=table[:, 4] - np.float32(begin),
+        t_ns=round((stamp.host + begin) * 1e9),
         model=lidar_model(_TABLES[name]) if name in _TABLES else None,
         frame=IDENTITY if frame is None else frame,
     )  # fmt: skip

@@ -34,7 +34,7 @@ def rings_by_elevation(
     if laser.min() < 0 or laser.max() >= MAX_RINGS:
         raise ValueError(f"ring must lie in [0, {MAX_RINGS}), got {laser.min()}…{laser.max()}")
     beams, median, tight = _beam_elevations(laser, points)
-    last = int(beams.max()) if model is None else max(model.rings - 1, int(beams.max()))
+    last = int(laser.max()) if model is None else max(model.rings - 1, int(laser.max()))
     table = np.arange(last + 1)
     order = _order(median)
     if order == 0 and tight and beams.size > 2:

@@ -1,0 +1,241 @@
+"""Small valid files of every format, made byte by byte from the formats' descriptions, for tests and for fuzzing."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io.arrays import write_npz
+from viewshed.sweep import Sweep
+
+POINTS = np.array(
+    [[5.0, 1.0, -1.5], [8.0, -2.0, -1.0], [3.0, 4.0, 0.0], [-6.0, 2.5, 0.5], [-7.0, -3.0, 1.0], [0.5, 9.0, 2.0]],
+    dtype=np.float32,
+)
+"""(6, 3) float32 metres: asymmetric, elevation ascends from row to row."""
+INTENSITY = np.array([10, 20, 30, 40, 50, 60], dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleFile:
+    """A file: the format it is of, its name, its bytes, and the files beside it."""
+
+    format: str
+    name: str
+    content: bytes
+    beside: dict[str, bytes] = field(default_factory=dict)
+
+
+def rows(*columns: NDArray[np.generic], order: str = "<") -> bytes:
+    """Return columns as rows of float32."""
+    return np.column_stack(columns).astype(order + "f4").tobytes()
+
+
+def pcd(body: bytes, data: str, fields: str = "x y z intensity", count: int = 6) -> bytes:
+    """Return a PCD file of float32 fields with this body."""
+    width = len(fields.split())
+    header = (
+        f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {fields}\nSIZE {'4 ' * width}\n"
+        f"TYPE {'F ' * width}\nCOUNT {'1 ' * width}\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"POINTS {count}\nDATA {data}\n"
+    )
+    return header.encode() + body
+
+
+def lzf_packed(data: bytes) -> bytes:
+    """Return an LZF stream: runs of equal bytes as back references of distance 1, the rest as literals."""
+    packed = bytearray()
+    at = 0
+    while at < len(data):
+        run = 1
+        while at + run < len(data) and data[at + run] == data[at] and run < 200:
+            run += 1
+        if run >= 12:
+            packed += bytes([0, data[at], 7 << 5, run - 1 - 9, 0])
+            at += run
+        else:
+            packed += bytes([run - 1]) + data[at : at + run]
+            at += run
+    return bytes(packed)
+
+
+def pcd_compressed(table: NDArray[np.float32], fields: str = "x y z intensity") -> bytes:
+    """Return a binary_compressed PCD file of the columns of a table (N, fields)."""
+    raw = np.ascontiguousarray(table.T, "<f4").tobytes()
+    packed = lzf_packed(raw)
+    return pcd(struct.pack("<II", len(packed), len(raw)) + packed, "binary_compressed", fields, len(table))
+
+
+def ply(body: bytes, order: str, count: int = 6) -> bytes:
+    """Return a PLY file of x, y, z, I with this body."""
+    header = (
+        f"ply\nformat {order} 1.0\ncomment a comment\nelement vertex {count}\nproperty float x\nproperty float32 y\n"
+        "property float z\nproperty float I\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return header.encode() + body
+
+
+def text(table: NDArray[np.float32]) -> bytes:
+    """Return rows of numbers as text."""
+    return "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in table).encode()
+
+
+def npy(array: NDArray[np.generic]) -> bytes:
+    """Return an NPY file, as numpy writes it."""
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def npz(**arrays: NDArray[np.generic]) -> bytes:
+    """Return an NPZ file, as numpy writes it."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def feather(compression: str = "lz4", laser: tuple[int, ...] = (3, 1, 2, 0, 4, 5)) -> bytes:
+    """Return an Argoverse 2 sweep of :data:`POINTS` in the car's frame."""
+    import pyarrow as pa
+    from pyarrow import feather as arrow
+
+    table = pa.table(
+        {
+            **{name: pa.array(POINTS[:, axis].astype(np.float16)) for axis, name in enumerate("xyz")},
+            "intensity": pa.array(INTENSITY.astype(np.uint8)),
+            "laser_number": pa.array(np.array(laser, np.uint8)),
+            "offset_ns": pa.array(np.arange(6, dtype=np.int32) * 1_000_000),
+        }
+    )
+    buffer = io.BytesIO()
+    arrow.write_feather(table, buffer, compression=compression)
+    return buffer.getvalue()
+
+
+def vlp16_payload(start_deg: float, step_deg: float, distance_m: float, product: int = 0x22) -> bytes:
+    """Return a VLP-16 data packet: 12 blocks that begin at an azimuth (clockwise), every beam at one distance."""
+    payload = bytearray()
+    for block in range(12):
+        centidegrees = round(100 * (start_deg + block * step_deg)) % 36_000
+        payload += struct.pack("<HH", 0xEEFF, centidegrees)
+        payload += struct.pack("<HB", round(distance_m / 0.002), 77) * 32
+    return bytes(payload) + struct.pack("<IBB", round(start_deg * 277), 0x37, product)
+
+
+def vlp16_turns(turns: float = 2.3, step_deg: float = 2.4, distance_m: float = 5.0) -> list[bytes]:
+    """Return the packets of some turns of a VLP-16."""
+    packets = int(turns * 360 / (12 * step_deg))
+    return [vlp16_payload(index * 12 * step_deg, step_deg, distance_m) for index in range(packets)]
+
+
+def udp_packet(payload: bytes) -> bytes:
+    """Return an IPv4 packet body (UDP header and payload)."""
+    return struct.pack(">HHHH", 2368, 2368, 8 + len(payload), 0) + payload
+
+
+def ip_packet(body: bytes, *, offset: int = 0, more: bool = False, number: int = 7) -> bytes:
+    """Return an Ethernet frame with an IPv4 packet or fragment."""
+    flags = offset // 8 | (0x2000 if more else 0)
+    header = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(body), number, flags, 64, 17, 0, b"\x0a" * 4, b"\x0b" * 4)
+    return b"\x02" * 12 + b"\x08\x00" + header + body
+
+
+def fragments(payload: bytes, size: int = 1480, number: int = 7) -> list[bytes]:
+    """Return the Ethernet frames of a UDP datagram in fragments."""
+    body = udp_packet(payload)
+    starts = range(0, len(body), size)
+    return [
+        ip_packet(body[at : at + size], offset=at, more=at + size < len(body), number=number) for at in starts
+    ]  # fmt: skip
+
+
+def pcap(frames: list[bytes], order: str = "<") -> bytes:
+    """Return a capture of Ethernet frames, one a millisecond from second 1000 on."""
+    capture = bytearray(struct.pack(order + "IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1))
+    for index, frame in enumerate(frames):
+        capture += struct.pack(order + "IIII", 1000, 1000 * index, len(frame), len(frame)) + frame
+    return bytes(capture)
+
+
+OUSTER_BEAMS_DEG = [12.0 - 0.75 * row for row in range(32)]
+OUSTER_OFFSETS_DEG = [(-4.0, -1.5, 1.5, 4.0)[row % 4] for row in range(32)]
+
+
+def ouster_metadata(columns: int = 64) -> bytes:
+    """Return metadata of an imagined Ouster sensor of 32 beams."""
+    identity = np.eye(4).ravel().tolist()
+    layout = {
+        "column_window": [0, columns - 1], "columns_per_frame": columns, "columns_per_packet": 16,
+        "pixel_shift_by_row": [0] * 32, "pixels_per_column": 32, "udp_profile_lidar": "LEGACY",
+        "udp_profile_imu": "LEGACY",
+    }  # fmt: skip
+    about = {
+        "prod_line": "OS-1-32", "prod_pn": "840", "prod_sn": "123", "build_rev": "v2.1.1", "image_rev": "x",
+        "build_date": "2021-06-18T06:44:07Z", "base_pn": "", "base_sn": "", "hostname": "", "proto_rev": "v1.1.1",
+        "status": "RUNNING",
+    }  # fmt: skip
+    geometry = {
+        "beam_altitude_angles": OUSTER_BEAMS_DEG, "beam_azimuth_angles": OUSTER_OFFSETS_DEG, "lidar_mode": "512x10",
+        "lidar_origin_to_beam_origin_mm": 15.8, "imu_to_sensor_transform": identity,
+        "lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1],
+    }  # fmt: skip
+    return json.dumps({**about, **geometry, "data_format": layout}).encode()
+
+
+def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
+    """Return lidar packets of some revolutions; frame f has every beam at 5000 + 1000 f millimetres."""
+    from ouster.sdk import core
+
+    info = core.SensorInfo(ouster_metadata(columns).decode())
+    payloads: list[bytes] = []
+    for index in range(frames):
+        image = core.LidarFrame(info)
+        image.field(core.ChanField.RANGE)[:] = 5000 + 1000 * index
+        image.status[:] = 1
+        image.measurement_id[:] = np.arange(columns)
+        image.timestamp[:] = 1_000_000_000 * (index + 1) + np.arange(columns) * 1_000_000
+        image.frame_id = index + 1
+        payloads += [bytes(packet.buf) for packet in core.frame_to_packets(image, core.PacketFormat(info), 0, 123)]
+    return payloads
+
+
+def sample_sweep() -> Sweep:
+    """Return a sweep with every attribute but a model."""
+    return Sweep(
+        POINTS, INTENSITY, ring=np.arange(6), azimuth=np.arange(6) * 0.5, time_s=np.arange(6) * 0.01, t_ns=12,
+        attitude=np.array([1.0, 0, 0, 0]), sensor_height_m=1.8, world_from_sensor=Rigid.from_yaw(1.0, (1, 2, 3)),
+    )  # fmt: skip
+
+
+def samples() -> dict[str, SampleFile]:
+    """Return a small valid file of every kind that the readers know, by a name of its own."""
+    table = np.column_stack((POINTS, INTENSITY))
+    turns = vlp16_turns()
+    files = {
+        "nuscenes": SampleFile("nuscenes", "a.pcd.bin", rows(POINTS, INTENSITY, np.arange(6))),
+        "kitti": SampleFile("kitti", "a.bin", rows(POINTS, INTENSITY)),
+        "pcd ascii": SampleFile("pcd", "a.pcd", pcd(text(table), "ascii")),
+        "pcd binary": SampleFile("pcd", "b.pcd", pcd(rows(table), "binary")),
+        "pcd compressed": SampleFile("pcd", "c.pcd", pcd_compressed(np.repeat(table, 40, axis=0))),
+        "ply ascii": SampleFile("ply", "a.ply", ply(text(table), "ascii")),
+        "ply little endian": SampleFile("ply", "b.ply", ply(rows(table), "binary_little_endian")),
+        "ply big endian": SampleFile("ply", "c.ply", ply(rows(table, order=">"), "binary_big_endian")),
+        "npy": SampleFile("npy", "a.npy", npy(POINTS)),
+        "npz": SampleFile("npz", "a.npz", npz(points=(POINTS * 1000).astype(np.int32))),
+        "npz of viewshed": SampleFile("npz", "b.npz", write_npz(sample_sweep())),
+        "argoverse2 lz4": SampleFile("argoverse2", "a.feather", feather()),
+        "argoverse2 zstd": SampleFile("argoverse2", "b.feather", feather("zstd")),
+        "velodyne payloads": SampleFile("velodyne", "v.bin", b"".join(turns)),
+        "velodyne pcap": SampleFile("velodyne", "v.pcap", pcap([ip_packet(udp_packet(one)) for one in turns])),
+        "ply gzipped": SampleFile("ply", "a.ply.gz", gzip.compress(ply(text(table), "ascii"), mtime=0)),
+    }
+    capture = pcap([frame for number, one in enumerate(ouster_payloads()) for frame in fragments(one, number=number)])
+    files["ouster pcap"] = SampleFile("ouster", "o.pcap", capture, {"o.json": ouster_metadata()})
+    return files
