@@ -1,5 +1,6 @@
 """Masks to polygons and back; inner polygons and sectors never leave the mask."""
 
+import itertools
 import time
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from shapely import MultiPolygon
 
 from viewshed.bev import BevGrid
+from viewshed.nested import best_sectors
 from viewshed.polygons import (
     blind_spot,
     inner_polygon_of_mask,
@@ -197,7 +199,6 @@ def test_sectors_stay_inside(seed: int, count: int, whole_cells: bool) -> None:
     mask, grid = street(seed % 50, cells=64, noise=0.002)
     found = sectors_of_mask(mask, grid, count, whole_cells=whole_cells, range_step_m=0.1)
     assert len(found.range_m) <= count
-    assert (found.start[1:] >= found.end[:-1] - 1e-12).all()
     assert not (found.covers(grid.centers) & ~mask).any()
     if whole_cells:
         rng = np.random.default_rng(seed)
@@ -212,11 +213,37 @@ def test_sectors_by_hand() -> None:
     x, y = grid.centers[..., 0], grid.centers[..., 1]
     mask = (x > 0) & (y > 0) & (np.hypot(x, y) < 12) | (x < 0) & (y > 0) & (np.hypot(x, y) < 6)
     found = sectors_of_mask(mask, grid, 2)
-    np.testing.assert_allclose(found.start, [0, np.pi / 2])
-    np.testing.assert_allclose(found.end, [np.pi / 2, np.pi])
-    assert 11 < found.range_m[0] <= 12
-    assert 5 < found.range_m[1] <= 6
+    far, near = np.argsort(-found.range_m)
+    np.testing.assert_allclose([found.start[far], found.end[far]], [0, np.pi / 2])
+    np.testing.assert_allclose([found.start[near], found.end[near]], [0, np.pi])
+    assert 11 < found.range_m[far] <= 12
+    assert 5 < found.range_m[near] <= 6
     assert found.area_m2 == pytest.approx(np.pi / 4 * (found.range_m**2).sum())
+
+
+def test_sectors_lie_upon_one_another() -> None:
+    first, end, reach = best_sectors(np.array([4.0, 4.0, 9.0, 9.0, 4.0, 4.0, 4.0, 4.0]), 2)
+    assert (first.tolist(), end.tolist(), reach.tolist()) == ([0, 2], [8, 4], [4.0, 9.0])
+
+
+@given(st.lists(st.integers(0, 6), min_size=4, max_size=8), st.integers(1, 3), st.sampled_from([0.0, 1.5]))
+@settings(deadline=None)
+def test_sectors_are_the_best_of_all(ranges: list[int], count: int, inner: float) -> None:
+    bins = len(ranges)
+
+    def gain(choice: tuple[tuple[int, int, float], ...]) -> float:
+        cover = np.full(bins, inner)
+        for first, end, reach in choice:
+            cover[np.arange(first, end) % bins] = np.maximum(cover[np.arange(first, end) % bins], reach)
+        return float((cover**2 - inner**2).sum())
+
+    wrapped = np.array(ranges * 2, float)
+    every = [(i, i + w, wrapped[i : i + w].min()) for i in range(bins) for w in range(1, bins + 1)]
+    expected = max(gain(choice) for choice in itertools.combinations(every, count))
+    found = tuple(zip(*(part.tolist() for part in best_sectors(wrapped[:bins], count, inner)), strict=True))
+    assert len(found) <= count
+    assert all(reach <= wrapped[first:end].min() for first, end, reach in found)
+    assert gain(found) == pytest.approx(expected)
 
 
 def test_sectors_of_a_square_touch_its_sides() -> None:
@@ -249,7 +276,7 @@ def test_blind_spot_of_an_open_or_absent_sensor_is_none() -> None:
 
 
 def test_sector_count_is_checked() -> None:
-    with pytest.raises(ValueError, match=r"sectors must lie in \[1, 720\], got 0"):
+    with pytest.raises(ValueError, match=r"sectors must lie in \[1, 1800\], got 0"):
         sectors_of_mask(np.ones((4, 4), bool), BevGrid(4, 2.0), 0)
 
 

@@ -11,17 +11,20 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
-from shapely import GeometryType, MultiPolygon
+from shapely import GeometryType, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from viewshed.bev import BevGrid
 from viewshed.geometry import FloatArray
+from viewshed.nested import best_sectors
 from viewshed.rings import flip, touch, trace
-from viewshed.star import best_sectors, free_ranges, star_vertices
+from viewshed.star import free_ranges, star_vertices
 
 BoolMask = NDArray[np.bool_]
 BINS = 720
-"""Directions that inner shapes are chosen from: half a degree each, a whole number of the 0.1° of ETSI messages."""
+"""Directions that the vertices of inner polygons are chosen from: half a degree each."""
+SECTOR_BINS = 1800
+"""Directions that sectors are made of: 0.2° each, a whole number of the 0.1° of ETSI messages."""
 _MAX_PIECES = 8
 _PRICE_STEPS = 10
 
@@ -131,20 +134,19 @@ def inner_polygon_of_mask(mask: BoolMask, grid: BevGrid, max_vertices: int) -> M
 
 def _inner_pieces(mask: BoolMask, grid: BevGrid, price_m2: float) -> MultiPolygon:
     """Return star polygons inside ``mask``, apart from each other, as long as one is worth its vertices' price."""
-    left, pieces = mask.copy(), list[BaseGeometry]()
+    left, pieces = mask.copy(), list[Polygon]()
     for _ in range(_MAX_PIECES):
         piece, spent = _best_star(left, grid, price_m2, about_sensor=not pieces)
         if piece.area - price_m2 * vertices_of(piece) <= 0.0:
             break
-        pieces.extend(shapely.get_parts(piece))
+        pieces.extend(part for part in shapely.get_parts(piece) if isinstance(part, Polygon))
         left &= ~spent
     return MultiPolygon(pieces)
 
 
 def _best_star(mask: BoolMask, grid: BevGrid, price_m2: float, about_sensor: bool) -> tuple[BaseGeometry, BoolMask]:
     """Return the star polygon that pays most, about the sensor or the deepest cell, and the cells it uses up."""
-    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    deepest = grid.centers[np.unravel_index(int(np.argmax(depth)), mask.shape)]
+    deepest = deepest_point(mask, grid)
     candidates = [_star_about(mask, grid, (float(deepest[0]), float(deepest[1])), price_m2, None)]
     hole = blind_spot(mask, grid) if about_sensor else None
     if hole is not None:
@@ -165,14 +167,23 @@ def _star_about(
     if len(vertices) < 3:
         return MultiPolygon()
     angle, radius = vertices.T
-    star = shapely.Polygon(np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None] + apex_m)
-    return star if hole is None or not hole.any() else shapely.difference(star, _box_of(hole, grid))
+    star = Polygon(np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None] + apex_m)
+    return star if hole is None or not hole.any() else shapely.difference(star, bounding_box(hole, grid))
 
 
-def _box_of(hole: BoolMask, grid: BevGrid) -> BaseGeometry:
+def deepest_point(mask: BoolMask, grid: BevGrid) -> NDArray[np.float64]:
+    """Return (2,) metres: the centre of the true cell of ``mask`` that lies farthest from any other."""
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    center: NDArray[np.float64] = grid.centers[np.unravel_index(int(np.argmax(depth)), mask.shape)]
+    return center
+
+
+def bounding_box(hole: BoolMask, grid: BevGrid) -> Polygon:
+    """Return the smallest upright rectangle around the true cells of ``hole``, at least one, in metres."""
     low, high = np.argwhere(hole).min(axis=0), np.argwhere(hole).max(axis=0) + 1
     corners = np.asarray(grid.origin_m) + np.stack([low, high]) * grid.cell_m
-    return shapely.box(*corners[0], *corners[1])
+    box: Polygon = shapely.box(*corners[0], *corners[1])
+    return box
 
 
 def blind_spot(mask: BoolMask, grid: BevGrid) -> BoolMask | None:
@@ -195,7 +206,7 @@ def blind_spot(mask: BoolMask, grid: BevGrid) -> BoolMask | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sectors:
-    """Sectors of rings about one point, none overlapping another: K angles and ranges.
+    """Sectors of rings about one point: K angles and ranges. They may lie upon one another; what counts is their union.
 
     Attributes:
         apex_m: (x, y) of the point in ``level``, in metres.
@@ -213,8 +224,13 @@ class Sectors:
 
     @property
     def area_m2(self) -> float:
-        """Area of all sectors in square metres."""
-        return float(0.5 * ((self.range_m**2 - self.inner_m**2) * (self.end - self.start)).sum())
+        """Area of the union of the sectors in square metres."""
+        turn = 2 * np.pi
+        borders = np.unique(np.concatenate([[0.0, turn], self.start % turn, self.end % turn]))
+        middle = 0.5 * (borders[1:, None] + borders[:-1, None])
+        within = (middle - self.start) % turn < self.end - self.start
+        reach = np.where(within, self.range_m, self.inner_m).max(axis=1, initial=self.inner_m)
+        return float(0.5 * ((reach**2 - self.inner_m**2) * np.diff(borders)).sum())
 
     def covers(self, xy: FloatArray) -> BoolMask:
         """Return whether each of the points (…, 2) lies in a sector (…,)."""
@@ -234,7 +250,7 @@ def sectors_of_mask(
     whole_cells: bool = True,
     range_step_m: float = 0.0,
 ) -> Sectors:
-    """Return at most ``sectors`` sectors about ``apex_m``, of free widths and of greatest area, that stay in ``mask``.
+    """Return at most ``sectors`` sectors about ``apex_m``, whose union is the largest that stays in ``mask``.
 
     With ``whole_cells`` they cover no part of another cell; without, no other cell's centre. Ranges are rounded down
     to ``range_step_m``. About a sensor that stands in a blind spot they begin beyond it (``inner_m``).
@@ -242,15 +258,15 @@ def sectors_of_mask(
     Raises:
         ValueError: no sector is allowed, or the mask is not the grid's.
     """
-    if not 1 <= sectors <= BINS:
-        raise ValueError(f"sectors must lie in [1, {BINS}], got {sectors}")
+    if not 1 <= sectors <= SECTOR_BINS:
+        raise ValueError(f"sectors must lie in [1, {SECTOR_BINS}], got {sectors}")
     array, inner = checked_mask(mask, grid), 0.0
     hole = blind_spot(array, grid) if apex_m == (0.0, 0.0) else None
     if hole is not None and hole.any():
         array, inner = array | hole, float(np.hypot(*np.abs(grid.centers[hole]).T).max() + grid.cell_m * 0.7072)
-    ranges = free_ranges(array, grid, apex_m, BINS, whole_cells=whole_cells)
+    ranges = free_ranges(array, grid, apex_m, SECTOR_BINS, whole_cells=whole_cells)
     if range_step_m > 0.0:
         ranges = np.floor(ranges / range_step_m + 1e-9) * range_step_m * (1 - 1e-12)
     first, end, reach = best_sectors(ranges, sectors, inner)
-    step = np.float64(2 * np.pi / BINS)
+    step = np.float64(2 * np.pi / SECTOR_BINS)
     return Sectors(apex_m, np.asarray(first * step), np.asarray(end * step), reach, inner)

@@ -1,6 +1,6 @@
 """Star shapes about a point that stay inside a mask: the numerical part of :mod:`viewshed.polygons`.
 
-How far each direction is free, and the few sectors or vertices that keep the most of it. Directions are ``bins``
+How far each direction is free, and the few vertices that keep the most of it. Directions are ``bins``
 equal wedges, wedge k from angle 2πk/bins to 2π(k+1)/bins, counter-clockwise from x.
 """
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _WINDOWS = (1, 2, 4, 8, 16, 32)
 _SHRINK = (0.98, 0.95, 0.9)
@@ -34,40 +33,37 @@ def free_ranges(
     """Return (bins,) metres: how far each wedge reaches from ``apex_m`` without leaving the true cells of ``mask``.
 
     With ``whole_cells`` no part of another cell is covered, and all stay ``margin_m`` away from it; without, no
-    other cell's centre is. 0 where the apex itself is not inside. ``bins`` must be a multiple of 4.
+    other cell's centre is, nor anything off the grid. 0 where the apex itself is not inside. ``bins`` must be a
+    multiple of 4.
     """
     if bins % 4 or bins <= 0:
         raise ValueError(f"bins must be a positive multiple of 4, got {bins}")
-    lattice = (*grid.origin_m, grid.cell_m, margin_m)
+    lattice = (*grid.origin_m, grid.cell_m, 0.5 * grid.cell_m + margin_m)
     if whole_cells:
-        return np.asarray(_free_ranges(mask, lattice, apex_m, bins), np.float64)
-    edge = _free_ranges(np.ones_like(mask), lattice, apex_m, bins)
-    x, y = grid.centers[~mask].T - np.asarray(apex_m)[:, None]
-    turns = np.arctan2(y, x) / (2 * np.pi) * bins
-    for nudge in (-1e-9, 1e-9):
-        np.minimum.at(edge, np.floor(turns + nudge).astype(np.intp) % bins, np.hypot(x, y) * (1 - 1e-9))
-    return np.asarray(edge, np.float64)
+        return np.asarray(_free_ranges(mask, lattice, apex_m, bins, True), np.float64)
+    edge = _free_ranges(np.ones_like(mask), lattice, apex_m, bins, True)
+    lattice = (*grid.origin_m, grid.cell_m, max(margin_m, 1e-6))
+    return np.asarray(np.minimum(edge, _free_ranges(mask, lattice, apex_m, bins, False)), np.float64)
 
 
 @njit(cache=True, nogil=True)
-def _free_ranges(mask: Any, lattice: Any, apex: Any, bins: int) -> Any:  # pragma: no cover - compiled
+def _free_ranges(mask: Any, lattice: Any, apex: Any, bins: int, solid: bool) -> Any:  # pragma: no cover - compiled
+    """Return (bins,) ranges up to boxes of half side ``lattice[3]`` about the centres of the false cells.
+
+    Where the boxes are ``solid``, those with no true cell beside them lie behind others and are left out.
+    """
     cells = mask.shape[0]
-    x0, y0, cell, margin = lattice
+    x0, y0, cell, half = lattice
     ranges = np.full(bins, _FAR)
     for i in range(-1, cells + 1):
         for j in range(-1, cells + 1):
             if _is_true(mask, i, j):
                 continue
-            left, low = x0 + i * cell - apex[0] - margin, y0 + j * cell - apex[1] - margin
-            box = (left, left + cell + 2 * margin, low, low + cell + 2 * margin)
+            x, y = x0 + (i + 0.5) * cell - apex[0], y0 + (j + 0.5) * cell - apex[1]
+            box = (x - half, x + half, y - half, y + half)
             if box[0] <= 0.0 <= box[1] and box[2] <= 0.0 <= box[3]:
                 _close_towards(box, ranges)
-            elif (
-                _is_true(mask, i - 1, j)
-                or _is_true(mask, i + 1, j)
-                or _is_true(mask, i, j - 1)
-                or _is_true(mask, i, j + 1)
-            ):
+            elif not solid or _is_true(mask, i - 1, j) or _is_true(mask, i + 1, j) or _beside(mask, i, j):
                 _limit_by_face(box[0], box[1], box[2], box[3], 0.0, ranges)
                 _limit_by_face(box[2], box[3], -box[1], -box[0], 0.5 * np.pi, ranges)
     return ranges
@@ -110,51 +106,6 @@ def _limit_by_face(
         start, end = max(first, k * step - base), min(last, (k + 1) * step - base)
         offset = 0.0 if start <= 0.0 <= end else min(abs(start), abs(end))
         ranges[k % len(ranges)] = min(ranges[k % len(ranges)], distance / np.cos(offset))
-
-
-def best_sectors(ranges: FloatArray, sectors: int, inner_m: float = 0.0) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the at most ``sectors`` sectors of greatest area below ``ranges`` (bins,): first bin, end bin, range.
-
-    What lies nearer than ``inner_m`` does not count.
-
-    Exact for one cut of the circle, at the shortest range, by dynamic programming over the ends of the sectors; a
-    sector's range is the smallest of its bins. An end may exceed ``bins``: it wraps.
-    """
-    bins, cut = len(ranges), int(np.argmin(ranges))
-    rolled = np.ascontiguousarray(np.roll(ranges, -cut))
-    origin = _best_ends(rolled, sectors, inner_m)
-    first, end, k, j = [], [], sectors, bins
-    while k > 0 and j > 0:
-        i = int(origin[k, j])
-        if i >= 0:
-            first.append(i)
-            end.append(j)
-        j, k = (j - 1, k) if i < 0 else (i, k - 1)
-    reach = [float(rolled[i:j].min()) for i, j in zip(first, end, strict=True)]
-    begin = (np.array(first, np.int64) + cut) % bins
-    widths = np.array(end, np.int64) - np.array(first, np.int64)
-    order = np.argsort(begin)
-    return begin[order], (begin + widths)[order], np.array(reach)[order]
-
-
-@njit(cache=True, nogil=True)
-def _best_ends(ranges: Any, sectors: int, inner: float) -> Any:  # pragma: no cover - compiled
-    """Return (sectors + 1, bins + 1): where the k-th sector that ends at j begins, -1 where bin j - 1 is in none."""
-    bins = len(ranges)
-    area = np.zeros((sectors + 1, bins + 1))
-    origin = np.full((sectors + 1, bins + 1), -1, np.int32)
-    for k in range(1, sectors + 1):
-        for j in range(1, bins + 1):
-            best, begin, reach = area[k, j - 1], -1, _FAR
-            for i in range(j - 1, -1, -1):
-                reach = min(reach, ranges[i])
-                if reach <= inner:
-                    break
-                value = area[k - 1, i] + (reach * reach - inner * inner) * (j - i)
-                if value > best:
-                    best, begin = value, i
-            area[k, j], origin[k, j] = best, begin
-    return origin
 
 
 def star_vertices(ranges: FloatArray, price_m2: float) -> FloatArray:
