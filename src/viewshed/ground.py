@@ -80,9 +80,10 @@ def estimate_ground(lows_m: NDArray[np.float32], half_extent_m: float, sensor_he
     node_m = 2.0 * half_extent_m / lows_m.shape[0]
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
     plane, support = near_plane(lows_m, known)
-    if support < MIN_SUPPORT:
-        return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
     heights, seen = _walk(lows_m, np.float32(node_m), plane, _order(lows_m.shape[0]))
+    middle = lows_m.shape[0] // 2
+    if support < MIN_SUPPORT or (sensor_height_m is None and heights[middle, middle] > -MIN_HEIGHT_M):
+        return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
     a, b, c = (float(value) for value in plane)
     return Ground(heights, half_extent_m, seen, (a, b, c), float(support))
 

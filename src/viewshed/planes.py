@@ -29,8 +29,6 @@ def near_plane(lows: Any, height: float) -> Any:  # pragma: no cover - compiled
         return plane, 0.0
     for _ in range(3):
         plane = _refit(points, plane)
-    if not np.isfinite(height) and plane[2] > -MIN_HEIGHT_M:
-        return plane, 0.0
     on = 0
     for k in range(points.shape[0]):
         on += abs(_above(points[k], plane)) < _tolerance(points[k])
@@ -149,7 +147,7 @@ def _plane_through(p: Any, q: Any, r: Any) -> Any:  # pragma: no cover - compile
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _score(x: Any, y: Any, z: Any, tolerance: Any, plane: Any) -> int:  # pragma: no cover - compiled
+def _score(x: Any, y: Any, z: Any, tolerance: Any, plane: Any) -> Any:  # pragma: no cover - compiled
     """Nodes on the plane less nodes clearly below it."""
     a, b, c = plane[0], plane[1], plane[2]
     score: Any = 0
