@@ -164,26 +164,38 @@ def _lows(
     points: Any, rotation: Any, limits: Any, half: Any, lows: Any, rows: Any
 ) -> None:  # pragma: no cover - compiled
     """Keep the two lowest z of each node, ascending, and the rows that they come from."""
-    n = lows.shape[0]
-    per_m = n / (2.0 * half)
-    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
+    nodes, heights = _nodes(points, rotation, limits, half, lows.shape[0])
+    lowest, origin = lows.reshape(-1, 2), rows.reshape(-1, 2)
     for k in range(points.shape[0]):
+        node, z = nodes[k], heights[k]
+        if node >= 0 and z < lowest[node, 1]:
+            rank = 1
+            if z < lowest[node, 0]:
+                lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
+                rank = 0
+            lowest[node, rank], origin[node, rank] = z, k
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nodes(points: Any, rotation: Any, limits: Any, half: Any, n: int) -> Any:  # pragma: no cover - compiled
+    """Return each point's node (-1 outside or out of range) and its z; without branches, so that it vectorizes."""
+    count = points.shape[0]
+    nodes, heights = np.empty(count, np.int32), np.empty(count, np.float32)
+    per_m, last = np.float32(n / (2.0 * half)), np.float32(n)
+    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
+    xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    for k in range(count):
         px, py, pz = points[k, 0], points[k, 1], points[k, 2]
         d2 = px * px + py * py + pz * pz
-        if d2 < near2 or d2 > far2:
-            continue
-        u = (rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + half) * per_m
-        v = (rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + half) * per_m
-        if u < 0.0 or v < 0.0 or u >= n or v >= n:
-            continue
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-        i, j = int(u), int(v)
-        if z < lows[i, j, 1]:
-            rank = 1
-            if z < lows[i, j, 0]:
-                lows[i, j, 1], rows[i, j, 1] = lows[i, j, 0], rows[i, j, 0]
-                rank = 0
-            lows[i, j, rank], rows[i, j, rank] = z, k
+        u = (xx * px + xy * py + xz * pz + half) * per_m
+        v = (yx * px + yy * py + yz * pz + half) * per_m
+        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last)
+        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
+        nodes[k] = i * np.int32(n) + j if inside else np.int32(-1)
+        heights[k] = zx * px + zy * py + zz * pz
+    return nodes, heights
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
