@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import clouds, machine, processes
+from benchmarks import clouds, processes
 from benchmarks.cases import Case, all_cases
 from benchmarks.report import Row, write
 from benchmarks.timing import Timing, bandwidth_bytes_per_s, interleaved
+from viewshed.report import facts as facts_of_run
 
-PAGE = machine.ROOT / "docs" / "results" / "speed.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "speed.md"
+LIBRARIES = ("numpy", "numba", "scipy", "shapely", "rasterio", "contourpy", "concave-hull", "matplotlib")
 SEED = 20_250_307
 
 
@@ -25,9 +29,13 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes; the JSON goes beside it")
     parser.add_argument("--only", default="", help="measure only the steps that contain this word")
     chosen = parser.parse_args()
-    facts = machine.describe() | {"command": f"python -m benchmarks {' '.join(sys.argv[1:])}".strip()}
     bandwidth = bandwidth_bytes_per_s()
-    facts["bandwidth of one thread"] = f"{bandwidth / 1e9:.1f} GB/s, read and written in a copy of 256 MB"
+    facts = facts_of_run(
+        command=f"`{' '.join(['python -m benchmarks', *sys.argv[1:]])}`",
+        libraries=", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES),
+        load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores",
+        bandwidth=f"{bandwidth / 1e9:.1f} GB/s by one thread, read and written in a copy of 256 MB",
+    )
     with tempfile.TemporaryDirectory() as name:
         rows = list(_measured(Path(name), chosen.only, bandwidth, facts))
     if not chosen.only:

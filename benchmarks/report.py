@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from viewshed import report
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -60,33 +62,31 @@ HEAD = [
     "",
     "time of the alternatives, as a multiple of ours",
 ]
-INTRODUCTION = """# Speed
-
-Written by `make bench`. Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile.
-The alternatives are measured in the same run, interleaved with ours round by round in an order drawn anew, so the
-ratios hold better than the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is the time that
-moving the input and the output once through memory takes at the bandwidth measured in the same run; what fits into a
-cache can pass below it.
+INTRODUCTION = """\
+Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile. The alternatives are
+measured in the same run, interleaved with ours round by round in an order drawn anew, so the ratios hold better than
+the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is the time that moving the input and the
+output once through memory takes at the bandwidth measured in the same run; what fits into a cache can pass below it.
 
 The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but
 without attitude, height or beam azimuth, so that levelling and the ground, which have a row of their own, are part of
 every estimator's time; rows marked *real* are a nuScenes and a KITTI sweep. The estimators start from points in memory
-and end with probability and state of every cell. Processes are timed on the wall clock, with
-everything compiled before.
-"""
+and end with probability and state of every cell. Processes are timed on the wall clock, with everything compiled
+before."""
 
 
 def write(rows: Sequence[Row], facts: dict[str, str], page: Path) -> None:
     """Write the page (Markdown) and beside it the same as JSON."""
-    lines = [INTRODUCTION, *_table(rows), "", "## The run", "", *(f"- {key}: {value}" for key, value in facts.items())]
-    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    body = report.table(HEAD, [row.cells() for row in rows])
+    page.write_text(report.page("Speed", facts, INTRODUCTION, _verdict(rows), body), encoding="utf-8")
     content = {"facts": facts, "rows": [asdict(row) for row in rows]}
     page.with_suffix(".json").write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _table(rows: Sequence[Row]) -> list[str]:
-    body = [HEAD, ["---"] * len(HEAD), *(row.cells() for row in rows)]
-    return [f"| {' | '.join(cells)} |" for cells in body]
+def _verdict(rows: Sequence[Row]) -> str:
+    judged = [row for row in rows if row.met is not None]
+    missed = [f"{row.step} ({row.size})" for row in judged if not row.met]
+    return f"{len(judged) - len(missed)} of {len(judged)} targets are met. Missed: {', '.join(missed) or 'none'}."
 
 
 def _ms(value: float) -> str:
