@@ -101,17 +101,17 @@ def npz(**arrays: NDArray[np.generic]) -> bytes:
     return buffer.getvalue()
 
 
-def feather(compression: str = "lz4", laser: tuple[int, ...] = (3, 1, 2, 0, 4, 5)) -> bytes:
-    """Return an Argoverse 2 sweep of :data:`POINTS` in the car's frame."""
+def feather(compression: str = "lz4", repeats: int = 1) -> bytes:
+    """Return an Argoverse 2 sweep of :data:`POINTS`, repeated, in the car's frame; lasers are in no order."""
     import pyarrow as pa
     from pyarrow import feather as arrow
 
     table = pa.table(
         {
-            **{name: pa.array(POINTS[:, axis].astype(np.float16)) for axis, name in enumerate("xyz")},
-            "intensity": pa.array(INTENSITY.astype(np.uint8)),
-            "laser_number": pa.array(np.array(laser, np.uint8)),
-            "offset_ns": pa.array(np.arange(6, dtype=np.int32) * 1_000_000),
+            **{name: pa.array(np.tile(POINTS[:, axis], repeats).astype(np.float16)) for axis, name in enumerate("xyz")},
+            "intensity": pa.array(np.tile(INTENSITY, repeats).astype(np.uint8)),
+            "laser_number": pa.array(np.tile(np.array((3, 1, 2, 0, 4, 5), np.uint8), repeats)),
+            "offset_ns": pa.array(np.arange(6 * repeats, dtype=np.int32) * 1000_000 // repeats),
         }
     )
     buffer = io.BytesIO()

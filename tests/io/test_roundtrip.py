@@ -90,30 +90,32 @@ def test_rows_keep_points_and_intensity(sweep: Sweep, tmp_path: Path) -> None:
 
 
 def test_nuscenes_file_is_in_nuscenes_frame(tmp_path: Path) -> None:
-    write_sweep(Sweep(np.array([[7.0, -2.0, 1.0]]), ring=np.array([4])), tmp_path / "a.pcd.bin")
+    write_sweep(Sweep(np.array([[7.0, -2.0, 1.0]], np.float32), ring=np.array([4], np.int16)), tmp_path / "a.pcd.bin")
     assert np.fromfile(tmp_path / "a.pcd.bin", "<f4").tolist() == [2.0, 7.0, 1.0, 0.0, 4.0]
 
 
 def test_kitti_file_is_rows_of_four_floats(tmp_path: Path) -> None:
-    write_sweep(Sweep(np.array([[7.0, -2.0, 1.0]]), intensity=np.array([0.5])), tmp_path / "a.bin")
+    write_sweep(
+        Sweep(np.array([[7.0, -2.0, 1.0]], np.float32), intensity=np.array([0.5], np.float32)), tmp_path / "a.bin"
+    )
     assert np.fromfile(tmp_path / "a.bin", "<f4").tolist() == [7.0, -2.0, 1.0, 0.5]
 
 
 def test_written_files_replace_the_old_one_and_leave_nothing_else(tmp_path: Path) -> None:
     for name in ("a.bin", "a.bin"):
-        write_sweep(Sweep(np.ones((3, 3))), tmp_path / name)
+        write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / name)
     assert [file.name for file in tmp_path.iterdir()] == ["a.bin"]
     with pytest.raises(ValueError, match="a sweep without ring cannot be written as nuScenes"):
-        write_sweep(Sweep(np.ones((3, 3))), tmp_path / "b.pcd.bin")
+        write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / "b.pcd.bin")
     with pytest.raises(ValueError, match=r"b\.feather: format is not told by the name"):
-        write_sweep(Sweep(np.ones((3, 3))), tmp_path / "b.feather")
+        write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / "b.feather")
     with pytest.raises(ValueError, match=r"format must be one of .* to write, got 'ouster'"):
-        write_sweep(Sweep(np.ones((3, 3))), tmp_path / "b.pcap", format="ouster")
+        write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / "b.pcap", format="ouster")
     assert [file.name for file in tmp_path.iterdir()] == ["a.bin"]
 
 
 def test_an_empty_sweep_survives_headers(tmp_path: Path) -> None:
     for name in ("a.npz", "a.pcd", "a.ply", "a.npy"):
-        write_sweep(Sweep(np.zeros((0, 3))), tmp_path / name)
+        write_sweep(Sweep(np.zeros((0, 3), np.float32)), tmp_path / name)
         assert len(read_sweep(tmp_path / name)) == 0
     assert {name for name, how in FORMATS.items() if how.write} == {"nuscenes", "kitti", "pcd", "ply", "npy", "npz"}

@@ -50,9 +50,9 @@ def _table(content: bytes) -> dict[str, NDArray[Any]]:
             raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {arrow.num_rows}")
         names = [name for name in arrow.column_names if name.lower() in WANTED]
         return {name.lower(): _numbers(pa, name, arrow.column(name)) for name in names}
-    except ValueError:
-        raise
-    except Exception as error:  # Arrow's own exceptions, and what it raises on damaged metadata
+    except pa.ArrowException as error:
+        raise ValueError(f"feather content is damaged or cut off: {error}") from error
+    except (KeyError, TypeError, OSError, UnicodeError, MemoryError) as error:
         raise ValueError(f"feather content is damaged or cut off: {error or type(error).__name__}") from error
 
 

@@ -45,7 +45,7 @@ def read_ouster(source: Source, frame: Rigid | None) -> Iterator[Columns]:
     try:
         info = _sensor_info(core, metadata_path(source.path))
         yield from _revolutions(core, info, content, IDENTITY if frame is None else frame)
-    except ValueError as error:
+    except Exception as error:  # the SDK is compiled code with exceptions of its own
         raise source.error(error) from error
 
 
@@ -97,25 +97,24 @@ def _revolutions(core: Any, info: Any, content: bytes, frame: Rigid) -> Iterator
 
 
 def _images(core: Any, info: Any, content: bytes) -> Iterator[Any]:
-    """Yield the range images of a capture; each is overwritten when the next is asked for."""
+    """Yield the range images of a capture, by frame number; late packets of the frame before are left out."""
     packet = core.LidarPacket(core.PacketFormat(info))
     size = len(packet.buf)
-    batcher, image = core.FrameBatcher(info), core.LidarFrame(info)
-    pending = 0
+    image = number = last = None
+    batcher: Any = None
     for _, payload in udp_payloads(content):
         if len(payload) != size:
             continue
         packet.buf[:] = np.frombuffer(payload, np.uint8)
-        try:
-            usable = packet.validate(info) == core.PacketValidationFailure.NONE
-            pending += usable
-            done = usable and batcher.batch(packet, image)
-        except Exception as error:  # compiled code with exceptions of its own
-            raise ValueError(f"ouster-sdk refuses the packets: {error}") from error
-        if done:
-            yield image
-            pending = 1
-    if pending:
+        if packet.validate(info) != core.PacketValidationFailure.NONE or packet.frame_id() == last:
+            continue
+        if packet.frame_id() != number:
+            if image is not None:
+                yield image
+            last, number = number, packet.frame_id()
+            batcher, image = core.FrameBatcher(info), core.LidarFrame(info)
+        batcher.batch(packet, image)
+    if image is not None:
         yield image
 
 

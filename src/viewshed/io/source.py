@@ -81,11 +81,14 @@ def open_source(path: str | os.PathLike[str]) -> Iterator[Source]:
         descriptor = os.open(where, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except OSError as error:
         raise type(error)(one_line(f"{where}: {error.strerror or error}")) from error
-    with io.FileIO(descriptor) as file:
+    try:
         status = os.fstat(descriptor)
-        _check_kind(where, status.st_mode)
-        if status.st_size == 0:
-            raise ValueError(one_line(f"{where}: the file is empty"))
+        _check_kind(where, status)
+        file = io.FileIO(descriptor)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    with file:
         head = os.pread(descriptor, _HEAD_BYTES, 0)
         name = os.path.basename(where).lower()  # noqa: PTH119 (a Path costs as much as reading a small sweep)
         if head[:2] != b"\x1f\x8b":
@@ -95,11 +98,14 @@ def open_source(path: str | os.PathLike[str]) -> Iterator[Source]:
         yield Source(where, name.removesuffix(".gz"), io.BytesIO(content), len(content), content[:_HEAD_BYTES])
 
 
-def _check_kind(where: str, mode: int) -> None:
+def _check_kind(where: str, status: os.stat_result) -> None:
+    mode = status.st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(one_line(f"{where}: is a folder; name the files in it"))
     if not stat.S_ISREG(mode):
         raise OSError(one_line(f"{where}: is not a regular file"))
+    if status.st_size == 0:
+        raise ValueError(one_line(f"{where}: the file is empty"))
 
 
 def _gunzip(where: str, file: BinaryIO, size: int) -> bytes:

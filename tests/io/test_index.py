@@ -1,0 +1,91 @@
+"""Indexes of sweeps, and what they may not do."""
+
+import json
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from viewshed import Rigid
+from viewshed.io import read_index, read_indexed
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+files: Any = import_module("sweep_files")
+
+FRAME = [[0.0, 1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+def index(folder: Path, *entries: Any) -> Path:
+    (folder / "index.json").write_text(json.dumps(list(entries)))
+    return folder / "index.json"
+
+
+def test_entry_and_its_sweep(tmp_path: Path) -> None:
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive/a.bin").write_bytes(files.rows([[2.0, 3.0, 4.0]], [9.0]))
+    pose = Rigid.from_yaw(0.3, (1.0, 2.0, 3.0))
+    (entry,) = read_index(
+        index(
+            tmp_path,
+            {
+                "file": "drive/a.bin", "sensor": "HDL-64E", "sensor_from_file": FRAME, "sensor_height_m": 1.7,
+                "world_from_sensor": pose.as_matrix().tolist(), "seq": "one", "t": 12.25, "stats": {"points": 1},
+            },
+        )
+    )  # fmt: skip
+    assert entry.file == (tmp_path / "drive/a.bin").resolve()
+    assert (entry.sensor, entry.seq, entry.t, entry.points) == ("HDL-64E", "one", 12.25, 1)
+    sweep = read_indexed(entry)
+    np.testing.assert_allclose(sweep.points, [[3.5, -2.0, 3.0]])
+    assert sweep.sensor_height_m == 1.7
+    assert sweep.t_ns == 12_250_000_000
+    assert sweep.world_from_sensor is not None
+    np.testing.assert_allclose(sweep.world_from_sensor.as_matrix(), pose.as_matrix())
+
+
+@pytest.mark.parametrize("name", ["../a.bin", "/etc/passwd", "in/../../a.bin", "link/a.bin", "link.bin"])
+def test_names_and_links_that_leave_the_folder_are_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(b"secret")
+    folder = tmp_path / "data"
+    (folder / "in").mkdir(parents=True)
+    (folder / "link").symlink_to(tmp_path)
+    (folder / "link.bin").symlink_to(tmp_path / "a.bin")
+    with pytest.raises(ValueError, match=r"index\.json: entry 0: .* leads out of the folder of the index; refused"):
+        read_index(index(folder, {"file": name, "sensor": "x"}))
+
+
+def test_links_inside_the_folder_are_followed(tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(b"x")
+    (tmp_path / "b.bin").symlink_to(tmp_path / "a.bin")
+    (entry,) = read_index(index(tmp_path, {"file": "b.bin", "sensor": "x"}))
+    assert entry.file.name == "a.bin"
+
+
+@pytest.mark.parametrize(
+    ("entry", "pattern"),
+    [
+        (5, "entry 0: "),
+        ({"sensor": "x"}, "entry 0 has no 'file'"),
+        ({"file": "a.bin"}, "entry 0 has no 'sensor'"),
+        ({"file": "a\0.bin", "sensor": "x"}, "entry 0: "),
+        ({"file": "a.bin", "sensor": "x", "t": "late"}, "entry 0: could not convert string to float"),
+        ({"file": "a.bin", "sensor": "x", "sensor_from_file": [[1]]}, r"entry 0: matrix must have shape \(4, 4\)"),
+        ({"file": "a.bin", "sensor": "x", "sensor_from_file": np.diag([1, 1, -1, 1]).tolist()}, "right-handed"),
+        ({"file": "a.bin", "sensor": "x", "world_from_sensor": np.diag([2, 2, 2, 1]).tolist()}, "orthonormal"),
+    ],
+)
+def test_bad_entries_are_named(entry: Any, pattern: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=pattern) as caught:
+        read_index(index(tmp_path, entry))
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize("content", ["{}", "[", "[" * 100_000, "\xff\xfe", '"' + "a" * 500])
+def test_files_that_are_no_index_are_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / "i.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(ValueError, match=r"i\.json: "):
+        read_index(tmp_path / "i.json")

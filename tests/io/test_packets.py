@@ -1,0 +1,115 @@
+"""Packet captures: Velodyne and Ouster, whole and in fragments."""
+
+import struct
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from viewshed.io import read_sweep, read_sweeps
+from viewshed.io.pcap import udp_payloads
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+files: Any = import_module("sweep_files")
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_payloads_come_out_of_a_capture_in_order(order: str) -> None:
+    payloads = [bytes([number]) * (number + 1) for number in range(5)]
+    capture = files.pcap([files.ip_packet(files.udp_packet(one)) for one in payloads], order)
+    found = list(udp_payloads(capture))
+    assert [one for _, one in found] == payloads
+    np.testing.assert_allclose([time for time, _ in found], 1000 + 0.001 * np.arange(5))
+
+
+def test_fragments_are_joined_also_out_of_order_and_mixed() -> None:
+    first, second = bytes(range(256)) * 30, bytes(reversed(range(256))) * 20
+    a, b = files.fragments(first, number=1), files.fragments(second, number=2)
+    assert len(a) > 3
+    assert [one for _, one in udp_payloads(files.pcap([a[1], b[0], a[-1], *b[1:], a[0], *a[2:-1]]))] == [second, first]
+    assert list(udp_payloads(files.pcap(a[:-1]))) == []
+
+
+def test_other_packets_are_skipped() -> None:
+    good = files.ip_packet(files.udp_packet(b"abc"))
+    tcp = good[:23] + b"\x06" + good[24:]
+    arp = good[:12] + b"\x08\x06" + good[14:]
+    tagged = good[:12] + b"\x81\x00\x00\x05" + good[12:]
+    lying = files.ip_packet(struct.pack(">HHHH", 1, 1, 900, 0) + b"abc")
+    assert [one for _, one in udp_payloads(files.pcap([tcp, arp, b"", b"\x00", lying, tagged]))] == [b"abc"]
+
+
+@pytest.mark.parametrize("name", ["v.bin", "v.pcap"])
+def test_vlp16_revolution(name: str, tmp_path: Path) -> None:
+    turns = files.vlp16_turns(turns=3.2, distance_m=5.0)
+    bare = name.endswith(".bin")
+    content = b"".join(turns) if bare else files.pcap([files.ip_packet(files.udp_packet(one)) for one in turns])
+    (tmp_path / name).write_bytes(content)
+    sweeps = list(read_sweeps(tmp_path / name))
+    assert len(sweeps) == 3
+    sweep = sweeps[0]
+    assert sweep.ring is not None
+    assert sweep.azimuth is not None
+    assert sweep.time_s is not None
+    assert sweep.model is not None
+    assert sweep.model.rings == 16
+    np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 5.0, atol=0.03)
+    elevation = np.rad2deg(np.arcsin(sweep.points[:, 2] / np.linalg.norm(sweep.points, axis=1)))
+    np.testing.assert_allclose(elevation, 2.0 * sweep.ring - 15.0, atol=0.3)
+    np.testing.assert_allclose(sweep.azimuth, np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), atol=1e-5)
+    assert abs(len(sweep) - 16 * 300) < 16 * 6
+    clockwise = np.diff(np.unwrap(sweep.azimuth[sweep.ring == 3].astype(np.float64)))
+    assert (clockwise < 0).all()
+    assert clockwise.sum() == pytest.approx(-2 * np.pi, abs=0.06)
+    assert sweep.time_s.min() == 0
+
+
+def test_a_cut_off_revolution_is_read_if_there_is_no_other(tmp_path: Path) -> None:
+    (tmp_path / "v.bin").write_bytes(b"".join(files.vlp16_turns(turns=0.5)))
+    sweeps = list(read_sweeps(tmp_path / "v.bin"))
+    assert len(sweeps) == 1
+    assert 0.4 < len(sweeps[0]) / (16 * 300) < 0.6
+
+
+def test_ouster_revolutions_rings_and_azimuths(tmp_path: Path) -> None:
+    payloads = files.ouster_payloads(frames=2)
+    frames = [frame for number, one in enumerate(payloads) for frame in files.fragments(one, number=number)]
+    (tmp_path / "o.pcap").write_bytes(files.pcap(frames))
+    (tmp_path / "o.json").write_bytes(files.ouster_metadata())
+    first, second = list(read_sweeps(tmp_path / "o.pcap"))
+    assert len(first) == len(second) == 32 * 64
+    x, y, z = first.points.T.astype(np.float64)
+    assert first.ring is not None
+    assert first.azimuth is not None
+    assert first.model is not None
+    altitude = np.deg2rad(np.sort(files.OUSTER_BEAMS_DEG))[first.ring]
+    np.testing.assert_allclose(z - 0.03618, (5.0 - 0.0158) * np.sin(altitude), atol=1e-3)
+    offset = -np.deg2rad(np.array(files.OUSTER_OFFSETS_DEG)[::-1])[first.ring]
+    turn = np.mod(first.azimuth + offset - np.arctan2(y, x) + np.pi, 2 * np.pi) - np.pi
+    np.testing.assert_allclose(turn, 0, atol=1e-3)
+    np.testing.assert_allclose(first.model.elevation[first.ring], altitude)
+    np.testing.assert_allclose(first.model.azimuth_offset[first.ring], offset)
+    assert first.t_ns == 1_000_000_000
+    assert second.t_ns == 2_000_000_000
+    np.testing.assert_allclose(np.linalg.norm(second.points, axis=1), 6.0, atol=0.05)
+    start = first.azimuth[np.argmin(np.asarray(first.time_s))]
+    assert start == pytest.approx(np.pi)
+
+
+def test_ouster_without_metadata_and_with_metadata_of_another_sensor(tmp_path: Path) -> None:
+    capture = files.pcap([files.ip_packet(files.udp_packet(one)) for one in files.ouster_payloads()])
+    (tmp_path / "o.pcap").write_bytes(capture)
+    with pytest.raises(ValueError, match=r"o\.pcap: .* put its metadata beside it as o\.json"):
+        read_sweep(tmp_path / "o.pcap")
+    with pytest.raises(ValueError, match=r"o\.pcap: an Ouster capture needs its metadata in o\.json: No such file"):
+        read_sweep(tmp_path / "o.pcap", format="ouster")
+    (tmp_path / "o.json").write_bytes(b"{}")
+    with pytest.raises(ValueError, match=r"o\.pcap: o\.json must be Ouster metadata"):
+        read_sweep(tmp_path / "o.pcap")
+    for old, new in ((b'"pixels_per_column": 32', b'"pixels_per_column": 99999999'), (b"32", b'"a"')):
+        (tmp_path / "o.json").write_bytes(files.ouster_metadata().replace(old, new))
+        with pytest.raises(ValueError, match=r"o\.json must be Ouster metadata: pixels_per_column|o\.json must be"):
+            read_sweep(tmp_path / "o.pcap")
