@@ -1,0 +1,28 @@
+"""``viewshed demo``: the main job on the sample that travels with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from viewshed.cli import options
+from viewshed.cli.estimate import run_one
+from viewshed.cli.options import Reading
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("demo"),
+) -> None:
+    """Estimate what the sensor saw in the embedded sample, and say where the picture is.
+
+    Example: viewshed demo --out demo
+    """
+    from viewshed.samples import junction_path
+
+    out.mkdir(parents=True, exist_ok=True)
+    sweep = Reading().sweep(junction_path())
+    estimator = options.make_estimator("shadow_map", options.parse_grid("road"), "car")
+    typer.echo(run_one(sweep, "junction", estimator, 0.5, out))
+    typer.echo(f"Look at {(out / 'junction.png').resolve()}")

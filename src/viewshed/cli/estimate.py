@@ -1,0 +1,140 @@
+"""``viewshed estimate``: from files to fields of view."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import options
+from viewshed.cli.options import AUTO, Reading
+
+if TYPE_CHECKING:
+    from viewshed.estimate import FovEstimate, FovEstimator
+    from viewshed.level import LevelSweep
+    from viewshed.sweep import Sweep
+
+_SUFFIXES = (".gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap")
+
+
+def estimate(  # noqa: PLR0913
+    files: Annotated[list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps, in any known format.")] = None,
+    method: Annotated[str, typer.Option(help="Estimator; see docs/estimators.md.")] = "shadow_map",
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    format: options.FormatName = AUTO,  # noqa: A002
+    file_frame: options.FrameName = None,
+    height: options.Height = None,
+    attitude: options.Attitude = None,
+    index: options.Index = None,
+    target: options.TargetName = "car",
+    profile: options.Profile = "sound",
+    threshold: Annotated[float, typer.Option(help="Probability from which a cell counts as visible.")] = 0.5,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
+) -> None:
+    """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each file.
+
+    Example: viewshed estimate sweep.pcd.bin --out out
+    """
+    reading = Reading(sensor, format, file_frame, height, attitude)
+    estimator = options.make_estimator(method, options.parse_grid(grid), target, profile)
+    if not 0 < threshold <= 1:
+        raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
+    jobs = list(options.chosen(files or [], index))
+    out.mkdir(parents=True, exist_ok=True)
+    failed = 0
+    names = _stems([file for file, _ in jobs])
+    for k, (file, entry) in enumerate(jobs):
+        _progress(k, len(jobs), file)
+        try:
+            sweep = reading.sweep(file, entry)
+            typer.echo(run_one(sweep, names[k], estimator, threshold, out))
+        except (ValueError, OSError, ImportError, MemoryError) as error:
+            failed += 1
+            typer.echo(f"viewshed: {_named(file, error)}", err=True)
+    _progress(len(jobs), len(jobs), None)
+    if failed:
+        raise typer.Exit(2)
+
+
+def run_one(sweep: Sweep, name: str, estimator: FovEstimator, threshold: float, out: Path) -> str:
+    """Write picture, GeoJSON and NPZ of one sweep into ``out`` and return the summary line."""
+    from viewshed.export import to_geojson, to_npz
+    from viewshed.export.atomic import write_bytes
+    from viewshed.level import level_sweep
+    from viewshed.plot import Panel, picture
+
+    start = time.perf_counter()
+    found = estimator.estimate(sweep)
+    elapsed_ms = 1e3 * (time.perf_counter() - start)
+    level = level_sweep(sweep, estimator.grid)
+    summary = summary_line(found, threshold, elapsed_ms)
+    made = {
+        ".png": picture(Panel(found, f"{name}: {summary}", level)),
+        ".geojson": _json(to_geojson(found, threshold)),
+        ".npz": to_npz(found),
+    }
+    for suffix, content in made.items():
+        write_bytes(out / f"{name}{suffix}", content)
+    return f"{name}: {summary}{_doubt(sweep, level)} → {out / name}.png"
+
+
+def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float) -> str:
+    """Return visible area, shares of hidden and unknown cells, method and time, in one line."""
+    from viewshed.estimate import CellState
+
+    hidden, unknown = found.share(CellState.HIDDEN), found.share(CellState.UNKNOWN)
+    return (
+        f"visible {found.area_m2(threshold):.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%} "
+        f"({found.method}, {found.target.name}, {elapsed_ms:.1f} ms)"
+    )
+
+
+def _doubt(sweep: Sweep, level: LevelSweep) -> str:
+    if len(level.points) == 0:
+        return f"; no usable return among {len(sweep)} points: nothing is known"
+    if level.ground.support == 0 and sweep.sensor_height_m is None:
+        return f"; ground not seen, sensor taken to be {level.sensor_height_m:.2f} m above it (give --height)"
+    return ""
+
+
+def _json(content: object) -> bytes:
+    import json
+
+    return json.dumps(content, allow_nan=False).encode()
+
+
+def _stems(files: list[Path]) -> list[str]:
+    """Return one output name for each file; files of one name get their folder's before it, then a number.
+
+    >>> _stems([Path("a/x.bin"), Path("b/x.bin"), Path("y.pcd.bin.gz")])
+    ['a_x', 'b_x', 'y']
+    """
+    stems = [_stem(file.name) for file in files]
+    longer = [f"{file.parent.name}_{stem}" if stems.count(stem) > 1 else stem for file, stem in zip(files, stems, strict=True)]
+    return [f"{name}_{longer[:k].count(name)}" if name in longer[:k] else name for k, name in enumerate(longer)]
+
+
+def _stem(name: str) -> str:
+    for suffix in _SUFFIXES:
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            name = name[: -len(suffix)]
+    return name
+
+
+def _named(file: Path, error: BaseException) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if file.name in text else f"{file}: {text}"
+
+
+def _progress(done: int, total: int, file: Path | None) -> None:
+    """Draw a bar on a terminal when there are several files; a pipe gets nothing."""
+    if total < 2 or not sys.stderr.isatty():
+        return
+    filled = round(24 * done / total)
+    bar = "█" * filled + "·" * (24 - filled)
+    end = f" {file.name[:40]}" if file is not None else "\n"
+    typer.echo(f"\r\x1b[K{bar} {done}/{total}{end}", err=True, nl=False)

@@ -1,0 +1,60 @@
+"""``viewshed export``: a field of view in other programs' formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from viewshed.cli import options
+from viewshed.cli.estimate import _stem
+from viewshed.cli.options import AUTO, Reading
+
+
+def export(  # noqa: PLR0913
+    file: Annotated[Path, typer.Argument(help="A sweep, or an estimate's .npz.")],
+    to: Annotated[str, typer.Option(help="geojson, occupancy_grid, grid_map, osi, cpm or npz.")] = "geojson",
+    sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,
+    method: Annotated[str, typer.Option(help="Estimator, where FILE is a sweep.")] = "shadow_map",
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    format: options.FormatName = AUTO,  # noqa: A002
+    file_frame: options.FrameName = None,
+    height: options.Height = None,
+    index: options.Index = None,
+    target: options.TargetName = "car",
+    out: Annotated[Path | None, typer.Option(help="File or folder; the default is beside here, by FILE's name.")] = None,
+) -> None:
+    """Write the field of view as GeoJSON, ROS messages, OSI-style polygons or an ETSI CPM perception region.
+
+    Example: viewshed export sweep.bin --to cpm --sectors 16
+    """
+    import json
+
+    from viewshed.export import EXPORTERS, read_npz, to_cpm
+    from viewshed.export.atomic import write_bytes
+
+    if to not in EXPORTERS:
+        raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
+    if _is_estimate(file):
+        found = read_npz(file)
+    else:
+        [(path, entry)] = options.chosen([file], index)
+        estimator = options.make_estimator(method, options.parse_grid(grid), target)
+        found = estimator.estimate(Reading(sensor, format, file_frame, height).sweep(path, entry))
+    content = json.dumps(to_cpm(found, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(found)
+    name = _stem(file.name) + EXPORTERS[to].suffix
+    place = Path(name) if out is None else out / name if out.is_dir() else out
+    write_bytes(place, content)
+    typer.echo(f"{place}: {len(content)} bytes. {EXPORTERS[to].states}")
+
+
+def _is_estimate(file: Path) -> bool:
+    """Whether a file is an NPZ with a field of view in it; anything else is read as a sweep."""
+    import zipfile
+
+    if file.suffix != ".npz" or not zipfile.is_zipfile(file):
+        return False
+    with zipfile.ZipFile(file) as archive:
+        return "visible_prob.npy" in archive.namelist()

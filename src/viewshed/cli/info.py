@@ -1,0 +1,83 @@
+"""``viewshed info``: what a file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import options
+from viewshed.cli.options import AUTO, Reading
+
+if TYPE_CHECKING:
+    from viewshed.level import LevelSweep
+    from viewshed.sweep import Sweep
+
+
+def info(  # noqa: PLR0913
+    file: Annotated[Path, typer.Argument(help="A sweep, in any known format.")],
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    format: options.FormatName = AUTO,  # noqa: A002
+    file_frame: options.FrameName = None,
+    height: options.Height = None,
+    attitude: options.Attitude = None,
+    index: options.Index = None,
+) -> None:
+    """Tell what a file holds: points, rings, sensor, ground, coverage.
+
+    Example: viewshed info sweep.pcd.bin
+    """
+    from viewshed.level import level_sweep
+
+    [(path, entry)] = options.chosen([file], index)
+    sweep = Reading("none", format, file_frame, height, attitude).sweep(path, entry)
+    level = level_sweep(sweep, options.parse_grid(grid))
+    for name, value in (*_points(sweep, level), *_beams(sweep, sensor), *_ground(sweep, level)):
+        typer.echo(f"{name + ':':<12} {value}")
+
+
+def _points(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
+    import numpy as np
+
+    yield "points", f"{len(sweep)}, {sweep.dropped_points} more were not finite"
+    if len(sweep) == 0:
+        return
+    range_m = np.linalg.norm(sweep.points, axis=1)
+    quantiles = " / ".join(f"{value:.1f}" for value in np.quantile(range_m, [0.01, 0.5, 0.99, 1.0]))
+    yield "range", f"{quantiles} m (1 %, half, 99 %, all of the points)"
+    yield "left out", f"{1 - len(level.points) / len(sweep):.1%}: null returns and returns of the vehicle itself"
+    degrees = np.unique(np.floor(np.rad2deg(level.azimuth))).size
+    yield "azimuth", f"returns in {degrees} of 360 degrees"
+
+
+def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
+    from viewshed.beams import infer_sensor, recover_beams
+    from viewshed.sensors import lidar_model
+
+    if sensor == AUTO:
+        model, score = infer_sensor(sweep.points, sweep.ring)
+        name = f"{model.name} (inferred, score {score:.2f})" if model else f"not known (best score {score:.2f})"
+    else:
+        model = None if sensor == "none" else lidar_model(sensor)
+        name = f"{model.name} (given)" if model else "not asked for"
+    yield "sensor", name
+    beams = recover_beams(sweep, model)
+    yield "rings", f"{beams.rings}, from {beams.source}; {beams.placed_share:.1%} of the points placed"
+    yield "columns", f"{beams.columns}; {beams.alone_share:.1%} of the points alone in their pixel"
+
+
+def _ground(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
+    import numpy as np
+
+    tilt = np.rad2deg(np.arccos(min(level.level_from_sensor.rotation[2, 2], 1.0)))
+    told = "given" if sweep.known_attitude is not None else "estimated"
+    yield "tilt", f"{tilt:.1f}° ({told})"
+    ground = level.ground
+    source = "given" if sweep.sensor_height_m is not None else "estimated" if ground.support else "assumed: no ground seen"
+    yield "height", f"sensor {level.sensor_height_m:.2f} m above the ground ({source})"
+    slope = np.rad2deg(np.arctan(np.hypot(ground.plane[0], ground.plane[1])))
+    yield "ground", f"slope {slope:.1f}°, {ground.support:.0%} of the near ground on one plane, {ground.seen.mean():.0%} seen"
+    yield "pose", "none" if sweep.world_from_sensor is None else f"world {sweep.world_from_sensor.translation.round(2).tolist()}"
