@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,7 +17,8 @@ from viewshed.io.source import Source
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _CHUNK_ROWS = 65_536
-_SAMPLE_BYTES = 8_000
+_LOCAL = threading.local()
+_SAMPLE_BYTES = 4_800
 _MICROSECONDS = re.compile(r"__(\d{16})\.pcd\.bin$")
 
 
@@ -25,7 +27,7 @@ def read_kitti(source: Source, frame: Rigid | None) -> Iterator[Columns]:
     rows = _rows(source, 4)
     block = np.empty(4 * rows, np.float32)
     points, intensity = block[: 3 * rows], block[3 * rows :]
-    buffer = np.empty(4 * _CHUNK_ROWS, np.float32)
+    buffer, _ = _scratch()
     start = 0
     while start < rows:
         count = _fill(source, buffer, rows - start, 4)
@@ -41,7 +43,7 @@ def read_nuscenes(source: Source, frame: Rigid | None) -> Iterator[Columns]:
     block = np.empty(9 * rows, np.int16)
     floats, ring = block[: 8 * rows].view(np.float32), block[8 * rows :]
     points, intensity = floats[: 3 * rows], floats[3 * rows :]
-    buffer, rings = np.empty(5 * _CHUNK_ROWS, np.float32), np.empty(min(rows, _CHUNK_ROWS), np.float32)
+    buffer, rings = _scratch()
     start = bad = 0
     while start < rows:
         count = _fill(source, buffer, rows - start, 5)
@@ -56,6 +58,15 @@ def read_nuscenes(source: Source, frame: Rigid | None) -> Iterator[Columns]:
         points.reshape(rows, 3), intensity, ring,
         t_ns=int(named[1]) * 1000 if named else None, frame=IDENTITY if frame is None else frame,
     )  # fmt: skip
+
+
+def _scratch() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return this thread's buffers for rows and rings, kept because fresh memory costs more than reading."""
+    buffers: tuple[NDArray[np.float32], NDArray[np.float32]] | None = getattr(_LOCAL, "buffers", None)
+    if buffers is None:
+        buffers = np.empty(5 * _CHUNK_ROWS, np.float32), np.empty(_CHUNK_ROWS, np.float32)
+        _LOCAL.buffers = buffers
+    return buffers
 
 
 def _rows(source: Source, columns: int) -> int:

@@ -16,9 +16,9 @@ from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Columns:
-    """Columns of one revolution.
+    """Columns of one revolution (not frozen, which costs as much as opening a file).
 
     Attributes:
         points: (N, 3) float32, metres, writable, in ``frame``.

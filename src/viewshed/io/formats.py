@@ -12,7 +12,7 @@ from viewshed.io.columns import Columns
 from viewshed.io.feather import read_argoverse2
 from viewshed.io.ouster import metadata_path, read_ouster
 from viewshed.io.packets import is_velodyne, looks_like_payloads, read_velodyne
-from viewshed.io.pcap import is_pcap, udp_payloads
+from viewshed.io.pcap import PCAP_BEGINS, udp_payloads
 from viewshed.io.pcd import read_pcd, write_pcd
 from viewshed.io.ply import read_ply, write_ply
 from viewshed.io.source import Source
@@ -66,6 +66,7 @@ _NOT_READ = {
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
 }
+_BEGINS = (*_NOT_READ, *PCAP_BEGINS, *(begins for known in FORMATS.values() for begins in known.begins))
 
 
 def format_of(source: Source) -> str:
@@ -77,15 +78,15 @@ def format_of(source: Source) -> str:
     head = source.head
     if source.name.endswith(".pcd.bin") and not head.startswith(b"# .PCD"):
         return "nuscenes"
+    if not head.startswith(_BEGINS):
+        return _format_by_name(source)
     for begins, problem in _NOT_READ.items():
         if head.startswith(begins):
             raise source.error(problem)
     for name, known in FORMATS.items():
         if known.begins and head.startswith(known.begins):
             return name
-    if is_pcap(head):
-        return _maker_of_capture(source)
-    return _format_by_name(source)
+    return _maker_of_capture(source)
 
 
 def _format_by_name(source: Source) -> str:

@@ -9,15 +9,13 @@ _MAGICS = {
     b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6),
     b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9),
 }  # fmt: skip
+PCAP_BEGINS = tuple(_MAGICS)
+"""First bytes of captures that can be read."""
 _LINK_HEADER_BYTES = {0: 4, 1: 14, 101: 0, 113: 16, 228: 0, 276: 20}
-_FRAGMENTS_MAX = 64
+_DATAGRAMS_OPEN = 64
+_PARTS_MAX = 512
 _DATAGRAM_MAX = 65_535
 _UDP = 17
-
-
-def is_pcap(head: bytes) -> bool:
-    """Return whether a file that begins so is a packet capture that can be read."""
-    return head[:4] in _MAGICS
 
 
 def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
@@ -26,7 +24,7 @@ def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
     Raises:
         ValueError: it is no capture, of a link type that is not known, or cut off within a packet.
     """
-    if not is_pcap(content) or len(content) < 24:
+    if content[:4] not in _MAGICS or len(content) < 24:
         raise ValueError("is not a packet capture or is cut off")
     order, unit = _MAGICS[content[:4]]
     link = struct.unpack_from(order + "I", content, 20)[0] & 0xFFFF
@@ -79,10 +77,10 @@ def _joined(
     key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, dict[int, bytes]]
 ) -> bytes | None:  # fmt: skip
     """Keep a fragment; return the datagram once it is complete. The last fragment is kept under offset -1 too."""
-    if key not in fragments and len(fragments) >= _FRAGMENTS_MAX:
+    if key not in fragments and len(fragments) >= _DATAGRAMS_OPEN:
         fragments.pop(next(iter(fragments)))
     parts = fragments.setdefault(key, {})
-    if offset + len(body) > _DATAGRAM_MAX or not body:
+    if offset + len(body) > _DATAGRAM_MAX or len(parts) > _PARTS_MAX or not body:
         return None
     parts[offset] = body
     if not more:

@@ -89,7 +89,8 @@ def open_source(path: str | os.PathLike[str]) -> Iterator[Source]:
         os.close(descriptor)
         raise
     with file:
-        head = os.pread(descriptor, _HEAD_BYTES, 0)
+        head = file.read(_HEAD_BYTES)
+        file.seek(0)
         name = os.path.basename(where).lower()  # noqa: PTH119 (a Path costs as much as reading a small sweep)
         if head[:2] != b"\x1f\x8b":
             yield Source(where, name, file, status.st_size, head)
