@@ -127,6 +127,11 @@ def test_null_and_ego_returns_are_no_returns(make: EstimatorFactory) -> None:
     )
 
 
+def test_null_returns_of_a_low_robot_are_no_returns(make: EstimatorFactory) -> None:
+    null = np.random.default_rng(0).uniform(-0.25, 0.25, (300, 3)).astype(np.float32)
+    assert _sees_nothing(make(BevGrid(64, 4.0)).estimate(Sweep(null, sensor_height_m=0.4)))
+
+
 def test_returns_beyond_every_range_are_no_returns(make: EstimatorFactory) -> None:
     far = np.random.default_rng(0).uniform(2_000, 3_000, (300, 3)).astype(np.float32)
     assert _sees_nothing(make(GRID).estimate(Sweep(far, sensor_height_m=1.8)))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
-from viewshed.estimators.farthest import QuantizedRayTrace
+from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.polar import BINS_LADDER, measured_azimuth_bins
 from viewshed.estimators.trimmed import TrimmedRayTrace
@@ -189,6 +189,22 @@ def test_bins_follow_the_measured_step(columns: int, bins: int) -> None:
     azimuth = ((np.arange(columns) + 0.4) * 2 * np.pi / columns - np.pi).astype(np.float32)
     assert measured_azimuth_bins(np.tile(azimuth, 3)) == bins
     assert bins in BINS_LADDER
+
+
+def test_the_window_reaches_across_the_back(make_level: MakeLevel) -> None:
+    # The cell's centre is at (-9.75, 0.25), 0.02564 rad before half a turn; returns stand on the other side of it.
+    cell = np.array([-9.75, 0.25])
+    for turn, seen in ((0.049, 1.0), (0.051, 0.0)):
+        azimuth = np.arctan2(cell[1], cell[0]) + turn
+        level = make_level(np.array([[12 * np.cos(azimuth), 12 * np.sin(azimuth), 0.0]]))
+        assert level.azimuth[0] < -3
+        assert float(ContinuousRayTrace(GRID, window=0.05).estimate_level(level).at(cell)) == seen
+
+
+def test_the_median_leaves_out_azimuths_without_returns(make_level: MakeLevel) -> None:
+    level = make_level(np.array([[0.2, 5.0, 1.0], [0.2, 12.0, 0.0]]))
+    estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate_level(level)
+    assert [_at(estimate, 0.2, y) for y in (4.0, 9.0)] == [CellState.FREE, CellState.HIDDEN]
 
 
 def test_bins_of_a_cropped_sweep_follow_its_step() -> None:
