@@ -47,8 +47,8 @@ class Panel:
 
 def picture(panel: Panel) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
-    figure = Figure(figsize=(8.2, 9.0), dpi=110)
-    axes = figure.add_axes((0.03, 0.13, 0.87, 0.8))
+    figure = Figure(figsize=(8.2, 8.4), dpi=110)
+    axes = figure.add_axes((0.03, 0.095, 0.87, 0.85))
     _draw(axes, panel)
     axes.set_title(panel.title, fontsize=10, loc="left")
     _legend(figure, 2)
@@ -141,7 +141,9 @@ def _viridis() -> NDArray[np.float32]:
 
 
 def _scale_bar(axes: Any, grid: BevGrid) -> None:
-    length = max(step for step in (0.1, 0.5, 1, 2, 5, 10, 20, 50, 100, 500) if step <= grid.half_extent_m / 2 or step == 0.1)
+    length = max(
+        step for step in (0.1, 0.5, 1, 2, 5, 10, 20, 50, 100, 500) if step <= grid.half_extent_m / 2 or step == 0.1
+    )
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
     x, y = x0 + 0.04 * side, y0 + 0.04 * side
     axes.plot([y + length, y], [x, x], color="black", linewidth=2.5, solid_capstyle="butt")

@@ -16,7 +16,9 @@ _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "
 
 def compare(  # noqa: PLR0913
     file: Annotated[Path, typer.Argument(help="A sweep, in any known format.")],
-    methods: Annotated[str, typer.Option(help="Estimators, with commas; 'all' for every one.")] = "shadow_map,vote,first_blocker",
+    methods: Annotated[
+        str, typer.Option(help="Estimators, with commas; 'all' for every one.")
+    ] = "shadow_map,vote,first_blocker",
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002

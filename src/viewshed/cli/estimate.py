@@ -114,7 +114,9 @@ def _stems(files: list[Path]) -> list[str]:
     ['a_x', 'b_x', 'y']
     """
     stems = [_stem(file.name) for file in files]
-    longer = [f"{file.parent.name}_{stem}" if stems.count(stem) > 1 else stem for file, stem in zip(files, stems, strict=True)]
+    longer = [
+        f"{file.parent.name}_{stem}" if stems.count(stem) > 1 else stem for file, stem in zip(files, stems, strict=True)
+    ]
     return [f"{name}_{longer[:k].count(name)}" if name in longer[:k] else name for k, name in enumerate(longer)]
 
 

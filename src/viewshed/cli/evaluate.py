@@ -42,7 +42,9 @@ def crossview(
     index: Annotated[Path, typer.Argument(help="Index (JSON) of posed sweeps; each folder of it is one scene.")],
     methods: Annotated[str, typer.Option(help="Estimators, with commas; 'all' for every one.")] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
+    ] = None,
     floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
 ) -> None:
     """Over- and under-claim against what other sweeps of the same scene saw.

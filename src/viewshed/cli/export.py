@@ -24,7 +24,9 @@ def export(  # noqa: PLR0913
     height: options.Height = None,
     index: options.Index = None,
     target: options.TargetName = "car",
-    out: Annotated[Path | None, typer.Option(help="File or folder; the default is beside here, by FILE's name.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File or folder; the default is beside here, by FILE's name.")
+    ] = None,
 ) -> None:
     """Write the field of view as GeoJSON, ROS messages, OSI-style polygons or an ETSI CPM perception region.
 

@@ -76,8 +76,16 @@ def _ground(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
     told = "given" if sweep.known_attitude is not None else "estimated"
     yield "tilt", f"{tilt:.1f}° ({told})"
     ground = level.ground
-    source = "given" if sweep.sensor_height_m is not None else "estimated" if ground.support else "assumed: no ground seen"
+    source = (
+        "given" if sweep.sensor_height_m is not None else "estimated" if ground.support else "assumed: no ground seen"
+    )
     yield "height", f"sensor {level.sensor_height_m:.2f} m above the ground ({source})"
     slope = np.rad2deg(np.arctan(np.hypot(ground.plane[0], ground.plane[1])))
-    yield "ground", f"slope {slope:.1f}°, {ground.support:.0%} of the near ground on one plane, {ground.seen.mean():.0%} seen"
-    yield "pose", "none" if sweep.world_from_sensor is None else f"world {sweep.world_from_sensor.translation.round(2).tolist()}"
+    yield (
+        "ground",
+        f"slope {slope:.1f}°, {ground.support:.0%} of the near ground on one plane, {ground.seen.mean():.0%} seen",
+    )
+    yield (
+        "pose",
+        "none" if sweep.world_from_sensor is None else f"world {sweep.world_from_sensor.translation.round(2).tolist()}",
+    )

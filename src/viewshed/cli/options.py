@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from viewshed.sweep import Sweep
     from viewshed.visible import Target
 
-GridName = Annotated[str, typer.Option("--grid", help="road, indoor, paper, paper_indoor, or CELLSxHALF_EXTENT_M (256x64).")]
+GridName = Annotated[
+    str, typer.Option("--grid", help="road, indoor, paper, paper_indoor, or CELLSxHALF_EXTENT_M (256x64).")
+]
 SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name, or a TOML file.")]
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
 FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
@@ -65,7 +67,11 @@ def with_inferred_sensor(sweep: Sweep) -> Sweep:
     if sweep.model is not None:
         return sweep
     model, score = infer_sensor(sweep.points, sweep.ring)
-    if model is None or score < AUTO_SCORE or (sweep.ring is not None and int(sweep.ring.max(initial=0)) >= model.rings):
+    if (
+        model is None
+        or score < AUTO_SCORE
+        or (sweep.ring is not None and int(sweep.ring.max(initial=0)) >= model.rings)
+    ):
         return sweep
     return sweep.replace(model=model)
 
