@@ -15,7 +15,6 @@ help:  ## list the commands
 
 demo: $(VENV)/.core  ## own environment, install, then estimate what a sensor sees in an embedded sample
 	$(BIN)/viewshed demo --out $(OUT)
-	@echo "The picture is $(abspath $(OUT))/demo.png"
 
 test: lint types imports unit  ## lint, types, import contracts, tests and doctests
 

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
@@ -72,7 +73,7 @@ def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: S
         axes.set_title(panel.title, fontsize=9)
     axes = figure.add_axes((0.02, 0.75 / height, 0.96, bottom - 0.95 / height))
     axes.axis("off")
-    table = axes.table(cellText=[list(row) for row in rows], colLabels=list(header), loc="center", bbox=[0, 0, 1, 1])
+    table = axes.table(cellText=[list(row) for row in rows], colLabels=list(header), loc="center", bbox=Bbox.unit())
     table.auto_set_font_size(False)
     table.set_fontsize(8)
     _legend(figure, 2 if across < 3 else 4)
@@ -168,5 +169,6 @@ def _height_bar(figure: Figure, place: tuple[float, float, float, float]) -> Non
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png")
     return buffer.getvalue()

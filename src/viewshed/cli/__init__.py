@@ -52,9 +52,9 @@ def main() -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error's message without line breaks.
+    r"""Return an error's message without line breaks.
 
-    >>> one_line(ValueError("a\\nb"))
+    >>> one_line(ValueError("a\nb"))
     'a b'
     """
     return " ".join(str(error).split()) or type(error).__name__

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import options
 from viewshed.cli.options import AUTO, Reading
 
+if TYPE_CHECKING:
+    from viewshed.estimate import CellState
+
 _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "time ms")
 
 
-def compare(  # noqa: PLR0913
+def compare(
     file: Annotated[Path, typer.Argument(help="A sweep, in any known format.")],
     methods: Annotated[
         str, typer.Option(help="Estimators, with commas; 'all' for every one.")
@@ -66,7 +69,7 @@ def compare(  # noqa: PLR0913
     typer.echo(f"→ {out}")
 
 
-def _hidden_and_unknown() -> tuple[int, int]:
+def _hidden_and_unknown() -> tuple[CellState, CellState]:
     from viewshed.estimate import CellState
 
     return CellState.HIDDEN, CellState.UNKNOWN

@@ -24,5 +24,5 @@ def demo(
     out.mkdir(parents=True, exist_ok=True)
     sweep = Reading().sweep(junction_path())
     estimator = options.make_estimator("shadow_map", options.parse_grid("road"), "car")
-    typer.echo(run_one(sweep, "junction", estimator, 0.5, out))
+    typer.echo(run_one(sweep, "demo", estimator, 0.5, out))
     typer.echo(f"Look at {(out / 'junction.png').resolve()}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,13 +15,16 @@ from viewshed.cli.options import AUTO, Reading
 
 if TYPE_CHECKING:
     from viewshed.estimate import FovEstimate, FovEstimator
+    from viewshed.io import IndexEntry
     from viewshed.level import LevelSweep
     from viewshed.sweep import Sweep
+
+    Job = tuple[Path, IndexEntry | None]
 
 _SUFFIXES = (".gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap")
 
 
-def estimate(  # noqa: PLR0913
+def estimate(
     files: Annotated[list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps, in any known format.")] = None,
     method: Annotated[str, typer.Option(help="Estimator; see docs/estimators.md.")] = "shadow_map",
     grid: options.GridName = "road",
@@ -47,15 +51,12 @@ def estimate(  # noqa: PLR0913
     out.mkdir(parents=True, exist_ok=True)
     failed = 0
     names = _stems([file for file, _ in jobs])
-    for k, (file, entry) in enumerate(jobs):
-        _progress(k, len(jobs), file)
+    for (file, entry), name in zip(_with_bar(jobs), names, strict=True):
         try:
-            sweep = reading.sweep(file, entry)
-            typer.echo(run_one(sweep, names[k], estimator, threshold, out))
+            typer.echo(run_one(reading.sweep(file, entry), name, estimator, threshold, out))
         except (ValueError, OSError, ImportError, MemoryError) as error:
             failed += 1
             typer.echo(f"viewshed: {_named(file, error)}", err=True)
-    _progress(len(jobs), len(jobs), None)
     if failed:
         raise typer.Exit(2)
 
@@ -132,11 +133,11 @@ def _named(file: Path, error: BaseException) -> str:
     return text if file.name in text else f"{file}: {text}"
 
 
-def _progress(done: int, total: int, file: Path | None) -> None:
-    """Draw a bar on a terminal when there are several files; a pipe gets nothing."""
-    if total < 2 or not sys.stderr.isatty():
-        return
-    filled = round(24 * done / total)
-    bar = "█" * filled + "·" * (24 - filled)
-    end = f" {file.name[:40]}" if file is not None else "\n"
-    typer.echo(f"\r\x1b[K{bar} {done}/{total}{end}", err=True, nl=False)
+def _with_bar(jobs: list[Job]) -> Iterable[Job]:
+    """Return the jobs, with a progress bar on standard error where that is a terminal and they are several."""
+    if len(jobs) < 2 or not sys.stderr.isatty():
+        return jobs
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(jobs, description="sweeps", console=Console(stderr=True), transient=True)

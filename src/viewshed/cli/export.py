@@ -12,7 +12,7 @@ from viewshed.cli.estimate import _stem
 from viewshed.cli.options import AUTO, Reading
 
 
-def export(  # noqa: PLR0913
+def export(
     file: Annotated[Path, typer.Argument(help="A sweep, or an estimate's .npz.")],
     to: Annotated[str, typer.Option(help="geojson, occupancy_grid, grid_map, osi, cpm or npz.")] = "geojson",
     sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,

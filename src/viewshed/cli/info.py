@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from viewshed.sweep import Sweep
 
 
-def info(  # noqa: PLR0913
+def info(
     file: Annotated[Path, typer.Argument(help="A sweep, in any known format.")],
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
