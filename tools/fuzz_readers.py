@@ -147,6 +147,7 @@ def work(name: str, seed: int, first: int, folder: Path) -> None:
     for other, content in sample.beside.items():
         (folder / other).write_bytes(content)
     read_case(sample, folder, sample.content, auto=False)
+    read_case(cases()["kitti"], folder, cases()["kitti"].content, auto=True)
     signal.signal(signal.SIGALRM, _hang)
     with Path("/proc/self/statm").open() as statm:
         pages = int(statm.read().split()[0])
