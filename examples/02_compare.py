@@ -1,4 +1,4 @@
-"""Why the word "farthest" is dangerous: every classical estimator on one sweep, and what 150 spoofed points do to it."""
+"""Why "farthest" is a dangerous word: every classical estimator on one sweep, before and after 150 spoofed points."""
 
 import numpy as np
 

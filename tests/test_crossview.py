@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from viewshed import BevGrid, FovEstimate, Rigid, Sweep
+from viewshed import BevGrid, FovEstimate, FovEstimator, Rigid, Sweep
 from viewshed.crossview import CrossViewRules, columns_of, evaluate_crossview
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.level import level_sweep
@@ -55,7 +55,11 @@ class _Constant:
 
 
 def test_the_rates_of_all_nothing_and_the_shadow_map() -> None:
-    estimators = {"all": _Constant(1.0), "nothing": _Constant(0.0), "shadow_map": ShadowMap(GRID)}
+    estimators: dict[str, FovEstimator] = {
+        "all": _Constant(1.0),
+        "nothing": _Constant(0.0),
+        "shadow_map": ShadowMap(GRID),
+    }
     rows = {r.method: r for r in evaluate_crossview([SWEEPS], estimators, rng=np.random.default_rng(0))}
     assert (rows["all"].over.value, rows["all"].under.value) == (1.0, 0.0)
     assert (rows["nothing"].over.value, rows["nothing"].under.value) == (0.0, 1.0)

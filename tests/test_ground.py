@@ -35,7 +35,7 @@ def test_ground_of_a_sloping_street_among_walls(slope: tuple[float, float]) -> N
 
 def level_heights(level: LevelSweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ground z (M,) at level points, in a frame whose z = 0 is the true ground below the sensor."""
-    return level.ground.at(xy) + 1.8 - level.sensor_height_m
+    return level.ground.at(xy).astype(np.float64) + 1.8 - level.sensor_height_m
 
 
 def test_ground_follows_a_hill_and_does_not_climb_a_wall() -> None:

@@ -6,7 +6,7 @@ from viewshed import Rigid, Sweep, lidar_model
 
 def test_rows_that_are_not_finite_go_with_their_columns() -> None:
     points = np.array([[1, 2, 3], [np.nan, 0, 0], [4, 5, 6], [0, np.inf, 0]], np.float32)
-    sweep = Sweep(points, intensity=np.arange(4), ring=np.array([3, 2, 1, 0]))
+    sweep = Sweep(points, intensity=np.arange(4, dtype=np.float32), ring=np.array([3, 2, 1, 0], np.int16))
     assert sweep.points.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert sweep.dropped_points == 2
     assert sweep.intensity is not None
@@ -25,7 +25,11 @@ def test_a_sweep_is_read_only_and_its_source_stays_writable() -> None:
 
 
 def test_select_takes_the_rows_of_every_column_in_order() -> None:
-    sweep = Sweep(np.arange(9).reshape(3, 3), ring=np.array([0, 1, 2]), time_s=np.array([0.0, 0.1, 0.2]))
+    sweep = Sweep(
+        np.arange(9, dtype=np.float32).reshape(3, 3),
+        ring=np.array([0, 1, 2], np.int16),
+        time_s=np.array([0.0, 0.1, 0.2], np.float32),
+    )
     picked = sweep.select(np.array([2, 0]))
     assert picked.points[:, 0].tolist() == [6, 0]
     assert picked.ring is not None
@@ -36,10 +40,10 @@ def test_select_takes_the_rows_of_every_column_in_order() -> None:
 
 def test_the_pose_gives_the_attitude_where_none_is_given() -> None:
     pose = Rigid.from_yaw(0.7, (10.0, 0.0, 2.0))
-    known = Sweep(np.zeros((1, 3)), world_from_sensor=pose).known_attitude
+    known = Sweep(np.zeros((1, 3), np.float32), world_from_sensor=pose).known_attitude
     assert known is not None
     assert np.allclose(known, [1, 0, 0, 0])
-    assert Sweep(np.zeros((1, 3))).known_attitude is None
+    assert Sweep(np.zeros((1, 3), np.float32)).known_attitude is None
 
 
 @pytest.mark.parametrize(
@@ -66,4 +70,4 @@ def test_bad_columns_are_refused_in_one_line(columns: dict[str, object], message
 
 def test_a_ring_beyond_the_sensors_is_refused() -> None:
     with pytest.raises(ValueError, match="of VLP-16, got 0…16; name the right sensor"):
-        Sweep(np.zeros((2, 3)), ring=np.array([0, 16]), model=lidar_model("vlp16"))
+        Sweep(np.zeros((2, 3), np.float32), ring=np.array([0, 16], np.int16), model=lidar_model("vlp16"))

@@ -1,12 +1,14 @@
 """The shadow map against targets that are really placed in an asymmetric scene and cast."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Sweep, Target
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.level import level_sweep
+from viewshed.level import LevelSweep, level_sweep
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Cylinder, Scene, cast, depth_image
 
@@ -89,7 +91,7 @@ def _absorber() -> Sweep:
 def test_what_a_missing_return_means_is_the_stated_rule() -> None:
     sweep = _absorber()
     behind = np.array([[20.0, 3.0]])
-    prob = {rule: ShadowMap(GRID, no_return=rule).estimate(sweep).at(behind)[0] for rule in ("unknown", "max_range")}  # type: ignore[arg-type]
+    prob = {rule: ShadowMap(GRID, no_return=rule).estimate(sweep).at(behind)[0] for rule in ("unknown", "max_range")}
     assert prob["unknown"] < 0.5
     assert prob["max_range"] > 0.9
 
@@ -100,7 +102,7 @@ def test_fill_takes_the_nearer_neighbor() -> None:
     open_road = np.array([[10.0, -20.0]])
     counts = {}
     for rule in ("unknown", "fill"):
-        estimate = ShadowMap(GRID, CAR, rule).estimate(thinned)  # type: ignore[arg-type]
+        estimate = ShadowMap(GRID, CAR, rule).estimate(thinned)
         counts[rule] = float(estimate.visible_prob.sum())
     assert counts["fill"] > counts["unknown"]
     assert ShadowMap(GRID, no_return="fill").estimate(thinned).at(open_road)[0] > 0.5
@@ -118,9 +120,7 @@ def test_an_obstacle_on_a_beam_never_adds_visibility() -> None:
     assert after.visible().sum() < before.visible().sum()
 
 
-def _with_ground(level, reference):  # type: ignore[no-untyped-def]
-    from dataclasses import replace
-
+def _with_ground(level: LevelSweep, reference: LevelSweep) -> LevelSweep:
     return replace(level, ground=reference.ground, level_from_sensor=reference.level_from_sensor)
 
 

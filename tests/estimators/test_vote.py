@@ -1,6 +1,6 @@
 import numpy as np
 
-from viewshed import CAR, BevGrid, CellState
+from viewshed import CAR, BevGrid, CellState, FovEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 from viewshed.estimators.vote import VoteOfFive
@@ -13,8 +13,8 @@ SWEEP = cast(MODEL, Scene((Box(9, 2, 0.5, 6, 2), Box(7, -5, 4, 2, 0.8), Box(-12,
 
 
 def test_three_of_five_decide() -> None:
-    voters = [ShadowMap(GRID, CAR, rule) for rule in NO_RETURN_RULES]
-    blockers = [FirstBlocker(GRID, CAR, limit_farthest=limit) for limit in (True, False)]
+    voters: list[FovEstimator] = [ShadowMap(GRID, CAR, rule) for rule in NO_RETURN_RULES]
+    blockers: list[FovEstimator] = [FirstBlocker(GRID, CAR, limit_farthest=limit) for limit in (True, False)]
     votes = sum(v.estimate(SWEEP).visible().astype(int) for v in (*voters, *blockers))
     estimate = VoteOfFive(GRID).estimate(SWEEP)
     assert (estimate.visible() == (votes >= 3)).all()

@@ -12,7 +12,8 @@ from viewshed.cli import options
 from viewshed.cli.options import AUTO, Reading
 
 if TYPE_CHECKING:
-    from viewshed.estimate import CellState
+    from viewshed.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.sweep import Sweep
 
 _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "time ms")
 
@@ -37,8 +38,6 @@ def compare(
 
     Example: viewshed compare sweep.bin --methods shadow_map,quantized,concave_hull
     """
-    import numpy as np
-
     from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
     from viewshed.export.atomic import write_bytes
     from viewshed.level import level_sweep
@@ -52,21 +51,26 @@ def compare(
     [(path, entry)] = options.chosen([file], index)
     sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
     level = level_sweep(sweep, cells)
-    panels, rows, first = [], [], None
-    for name, estimator in estimators.items():
-        estimator.estimate(sweep)
-        start = time.perf_counter()
-        found = estimator.estimate(sweep)
-        elapsed_ms = 1e3 * (time.perf_counter() - start)
-        mask = found.visible()
-        first = mask if first is None else first
-        overlap = float(np.sum(mask & first)) / max(float(np.sum(mask | first)), 1.0)
-        shares = [f"{found.share(state):.1%}" for state in _hidden_and_unknown()]
-        rows.append([name, f"{found.area_m2():.0f}", *shares, f"{overlap:.3f}", f"{elapsed_ms:.1f}"])
-        panels.append(Panel(found, name, level))
-    write_bytes(out, comparison(panels, rows, _HEADER))
+    found = {name: _timed(estimator, sweep) for name, estimator in estimators.items()}
+    rows = [_row(name, estimate, elapsed_ms, found[names[0]][0]) for name, (estimate, elapsed_ms) in found.items()]
+    write_bytes(out, comparison([Panel(estimate, name, level) for name, (estimate, _) in found.items()], rows, _HEADER))
     typer.echo(table(_HEADER, rows))
     typer.echo(f"→ {out}")
+
+
+def _timed(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:
+    """Return the estimate and how many milliseconds a second call takes; the first one may compile."""
+    estimator.estimate(sweep)
+    start = time.perf_counter()
+    estimate = estimator.estimate(sweep)
+    return estimate, 1e3 * (time.perf_counter() - start)
+
+
+def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate) -> list[str]:
+    mask, reference = estimate.visible(), first.visible()
+    overlap = float((mask & reference).sum()) / max(float((mask | reference).sum()), 1.0)
+    shares = [f"{estimate.share(state):.1%}" for state in _hidden_and_unknown()]
+    return [name, f"{estimate.area_m2():.0f}", *shares, f"{overlap:.3f}", f"{elapsed_ms:.1f}"]
 
 
 def _hidden_and_unknown() -> tuple[CellState, CellState]:

@@ -25,4 +25,4 @@ def demo(
     sweep = Reading().sweep(junction_path())
     estimator = options.make_estimator("shadow_map", options.parse_grid("road"), "car")
     typer.echo(run_one(sweep, "demo", estimator, 0.5, out))
-    typer.echo(f"Look at {(out / 'junction.png').resolve()}")
+    typer.echo(f"Look at {(out / 'demo.png').resolve()}")
