@@ -49,6 +49,23 @@ def test_ground_follows_a_hill_and_does_not_climb_a_wall() -> None:
     assert level_heights(level, np.array([[15.0, 15.0]]))[0] == pytest.approx(0.05, abs=0.2)
 
 
+def test_a_street_that_begins_to_climb_is_followed() -> None:
+    rng = np.random.default_rng(6)
+    xy = rng.uniform(-50, 50, (60_000, 2))
+    climb = 0.16 * np.maximum(xy[:, 0] - 12.0, 0.0)
+    points = np.column_stack([xy, climb - 1.8 + rng.normal(0, 0.02, len(xy))]).astype(np.float32)
+    level = _level(points)
+    found = level_heights(level, np.array([[20.0, 4.0], [35.0, -10.0], [-20.0, 0.0]]))
+    assert np.allclose(found, [1.28, 3.68, 0.0], atol=0.15)
+
+
+def test_parked_vans_are_no_ground() -> None:
+    vans = tuple(Box(x, 5.0, 5.5, 2.2, 2.3, bottom_m=0.25) for x in (6.0, 12.0, 18.0, 24.0))
+    level = _level(_cast(Scene(vans)))
+    under = np.array([[6.0, 5.0], [12.0, 5.0], [18.0, 5.0]])
+    assert np.abs(level_heights(level, under)).max() < 0.2
+
+
 def test_returns_below_the_ground_do_not_pull_it_down() -> None:
     points = _cast(Scene(WALLS))
     rng = np.random.default_rng(3)

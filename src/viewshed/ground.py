@@ -22,6 +22,12 @@ NODES = 64
 """Lattice nodes per side."""
 ASSUMED_HEIGHT_M = 1.8
 """Sensor height where neither the sweep nor its returns tell one."""
+EVEN_M = 0.12
+"""Nodes whose low points lie this near to one plane are even ground, no obstacle."""
+EVEN_SLOPE = 0.3
+"""Steepest even ground (17°)."""
+EVEN_STEP_M = 0.5
+"""Even ground may lie this far from what the nodes nearer to the sensor predict."""
 MIN_SUPPORT = 0.22
 """A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level."""
 
@@ -119,12 +125,17 @@ def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no cover - compiled
-    """Carry height and slope outwards; accept a low only within a step that ground can take."""
+    """Carry height and slope outwards; accept a low only within a step that ground can take.
+
+    The step may be larger where a node and its neighbors lie on one plane: a street that begins to climb, and not
+    the side of a car.
+    """
     n = lows.shape[0]
     height = np.zeros((n, n), np.float32)
     slope = np.zeros((n, n, 2), np.float32)
     weight = np.zeros((n, n), np.float32)
     seen = np.zeros((n, n), np.bool_)
+    even, grade = _even(lows)
     for k in range(order.shape[0]):
         i, j = order[k, 0], order[k, 1]
         x, y = (i + 0.5 - n / 2) * node_m, (j + 0.5 - n / 2) * node_m
@@ -133,7 +144,13 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
             z, sx, sy, mx, my = plane[0] * x + plane[1] * y + plane[2], plane[0], plane[1], node_m, 0.0
         step = lows[i, j, 2] - z - sx * (lows[i, j, 0] - x) - sy * (lows[i, j, 1] - y)
         support = min(total / 3.0, 1.0)
-        if abs(step) < 0.10 + 0.05 * min(node_m, 2.5) + 0.10 * (1.0 - support):
+        if even[i, j] and abs(step) < EVEN_STEP_M:
+            a, b = grade[i, j, 0], grade[i, j, 1]
+            height[i, j] = lows[i, j, 2] - a * (lows[i, j, 0] - x) - b * (lows[i, j, 1] - y)
+            slope[i, j, 0], slope[i, j, 1] = 0.5 * (sx + a), 0.5 * (sy + b)
+            weight[i, j] = 1.0
+            seen[i, j] = True
+        elif abs(step) < 0.10 + 0.05 * min(node_m, 2.5) + 0.10 * (1.0 - support):
             length2 = mx * mx + my * my + 0.25 * node_m * node_m
             height[i, j] = z + 0.7 * step
             slope[i, j, 0] = sx + 0.25 * step * mx / length2
@@ -146,6 +163,52 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
             slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
             weight[i, j] = max(0.8 * support, 0.05)
     return _smooth(height, seen), seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _even(lows: Any) -> Any:  # pragma: no cover - compiled
+    """Return whether each node and its neighbors lie on one plane (n, n), and that plane's slope (n, n, 2)."""
+    n = lows.shape[0]
+    even = np.zeros((n, n), np.bool_)
+    slope = np.zeros((n, n, 2), np.float32)
+    near = np.empty((9, 3), np.float32)
+    for i in range(1, n - 1):
+        for j in range(1, n - 1):
+            if not np.isfinite(lows[i, j, 2]):
+                continue
+            count = 0
+            for p in range(i - 1, i + 2):
+                for q in range(j - 1, j + 2):
+                    if np.isfinite(lows[p, q, 2]):
+                        near[count] = lows[p, q]
+                        count += 1
+            if count >= 7:
+                fits, a, b = _one_plane(near[:count])
+                even[i, j], slope[i, j, 0], slope[i, j, 1] = fits, a, b
+    return even, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _one_plane(points: Any) -> Any:  # pragma: no cover - compiled
+    """Return whether points lie within ``EVEN_M`` of their least-squares plane, and its slope (x, y)."""
+    count = np.float32(points.shape[0])
+    mx, my, mz = points[:, 0].sum() / count, points[:, 1].sum() / count, points[:, 2].sum() / count
+    xx, xy, yy, xz, yz = 1e-6, 0.0, 1e-6, 0.0, 0.0
+    for k in range(points.shape[0]):
+        x, y, z = points[k, 0] - mx, points[k, 1] - my, points[k, 2] - mz
+        xx += x * x
+        xy += x * y
+        yy += y * y
+        xz += x * z
+        yz += y * z
+    area = xx * yy - xy * xy
+    a, b = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area
+    if a * a + b * b > EVEN_SLOPE * EVEN_SLOPE:
+        return False, a, b
+    for k in range(points.shape[0]):
+        if abs(points[k, 2] - mz - a * (points[k, 0] - mx) - b * (points[k, 1] - my)) > EVEN_M:
+            return False, a, b
+    return True, a, b
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -178,7 +178,11 @@ def _lows(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nodes(points: Any, rotation: Any, limits: Any, half: Any, n: int) -> Any:  # pragma: no cover - compiled
-    """Return each point's node (-1 outside or out of range) and its z; without branches, so that it vectorizes."""
+    """Return each point's node (-1 where it is no candidate for ground) and its z.
+
+    No candidates: points outside or out of range, and those that may be the hood or roof of the vehicle below the
+    sensor. Without branches, so that it vectorizes.
+    """
     count = points.shape[0]
     nodes, heights = np.empty(count, np.int32), np.empty(count, np.float32)
     per_m, last = np.float32(n / (2.0 * half)), np.float32(n)
@@ -186,15 +190,18 @@ def _nodes(points: Any, rotation: Any, limits: Any, half: Any, n: int) -> Any:  
     xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
     for k in range(count):
         px, py, pz = points[k, 0], points[k, 1], points[k, 2]
         d2 = px * px + py * py + pz * pz
-        u = (xx * px + xy * py + xz * pz + half) * per_m
-        v = (yx * px + yy * py + yz * pz + half) * per_m
-        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last)
+        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
+        z = zx * px + zy * py + zz * pz
+        u, v = (x + half) * per_m, (y + half) * per_m
+        hood = (abs(x) < hood_x) & (abs(y) < hood_y) & (z > hood_z)
+        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
         i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
         nodes[k] = i * np.int32(n) + j if inside else np.int32(-1)
-        heights[k] = zx * px + zy * py + zz * pz
+        heights[k] = z
     return nodes, heights
 
 

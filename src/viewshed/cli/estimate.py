@@ -74,7 +74,7 @@ def run_one(sweep: Sweep, name: str, estimator: FovEstimator, threshold: float, 
     level = level_sweep(sweep, estimator.grid)
     summary = summary_line(found, threshold, elapsed_ms)
     made = {
-        ".png": picture(Panel(found, f"{name}: {summary}", level)),
+        ".png": picture(Panel(found, f"{name[-32:]}: {summary}", level)),
         ".geojson": _json(to_geojson(found, threshold)),
         ".npz": to_npz(found),
     }
