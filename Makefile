@@ -32,7 +32,7 @@ unit: $(VENV)/.test
 	$(BIN)/pytest
 
 docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: $(VENV)/.core  ## speed against named alternatives; writes docs/results/speed.md
 	$(BIN)/python -m benchmarks
