@@ -7,25 +7,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from viewshed.angles import atan2
+
 _COARSE = 1024
 _FINE = 512
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
-    """Azimuth in [-π, π) within 2e-6 rad: a minimax polynomial of the arctangent on [0, 1]."""
-    ax, ay = abs(x), abs(y)
-    ratio = min(ax, ay) / max(ax, ay, np.float32(1e-12))
-    s = ratio * ratio
-    p = np.float32(-0.01172120) * s + np.float32(0.05265332)
-    p = p * s - np.float32(0.11643287)
-    p = p * s + np.float32(0.19354346)
-    p = p * s - np.float32(0.33262347)
-    a = (p * s + np.float32(0.99997726)) * ratio
-    a = np.float32(1.57079637) - a if ay > ax else a
-    a = np.float32(3.14159274) - a if x < 0 else a
-    a = -a if y < 0 else a
-    return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
 
 
 @njit(cache=True, nogil=True)
@@ -38,7 +23,7 @@ def polar(points: Any) -> Any:  # pragma: no cover - compiled
     for n in range(count):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         r = np.sqrt(x * x + y * y)
-        azimuth[n] = _atan2(y, x)
+        azimuth[n] = atan2(y, x)
         range_m[n] = r
         slope[n] = z / r if r > 0 else np.float32(0.0)
     return azimuth, slope, range_m

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.angles import atan2
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.ground import NODES, Ground, estimate_ground
@@ -232,7 +233,7 @@ def _level(points: Any, transform: Any, limits: Any, ground: Any, half: Any) -> 
     for k in range(m):
         x, y = out[k, 0], out[k, 1]
         range_m[k] = np.sqrt(x * x + y * y)
-        azimuth[k] = _atan2(y, x)
+        azimuth[k] = atan2(y, x)
     for k in range(m):
         u = _clamped((out[k, 0] + half) * per_m - np.float32(0.5), last)
         v = _clamped((out[k, 1] + half) * per_m - np.float32(0.5), last)
@@ -248,24 +249,6 @@ def _level(points: Any, transform: Any, limits: Any, ground: Any, half: Any) -> 
 def _clamped(value: Any, last: Any) -> Any:  # pragma: no cover - compiled
     value = np.float32(0.0) if value < np.float32(0.0) else value
     return last if value > last else value
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
-    """Azimuth in [-π, π) within 2e-6 rad: a minimax polynomial of the arctangent on [0, 1]."""
-    ax, ay = abs(x), abs(y)
-    small, large = (ax, ay) if ax < ay else (ay, ax)
-    ratio = small / (large + np.float32(1e-30))
-    s = ratio * ratio
-    p = np.float32(-0.01172120) * s + np.float32(0.05265332)
-    p = p * s - np.float32(0.11643287)
-    p = p * s + np.float32(0.19354346)
-    p = p * s - np.float32(0.33262347)
-    a = (p * s + np.float32(0.99997726)) * ratio
-    a = np.float32(1.57079637) - a if ay > ax else a
-    a = np.float32(3.14159274) - a if x < 0 else a
-    a = -a if y < 0 else a
-    return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
