@@ -276,7 +276,7 @@ def test_blind_spot_of_an_open_or_absent_sensor_is_none() -> None:
 
 
 def test_sector_count_is_checked() -> None:
-    with pytest.raises(ValueError, match=r"sectors must lie in \[1, 1800\], got 0"):
+    with pytest.raises(ValueError, match=r"sectors must lie in \[1, 256\], got 0"):
         sectors_of_mask(np.ones((4, 4), bool), BevGrid(4, 2.0), 0)
 
 

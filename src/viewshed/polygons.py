@@ -24,7 +24,10 @@ BoolMask = NDArray[np.bool_]
 BINS = 720
 """Directions that the vertices of inner polygons are chosen from: half a degree each."""
 SECTOR_BINS = 1800
-"""Directions that sectors are made of: 0.2° each, a whole number of the 0.1° of ETSI messages."""
+"""Directions that up to 16 sectors are made of, 0.2° each: whole numbers of the 0.1° of ETSI messages. More sectors
+are made of half as many."""
+MAX_SECTORS = 256
+"""The most sectors that are chosen together."""
 _MAX_PIECES = 8
 _PRICE_STEPS = 10
 
@@ -258,15 +261,16 @@ def sectors_of_mask(
     Raises:
         ValueError: no sector is allowed, or the mask is not the grid's.
     """
-    if not 1 <= sectors <= SECTOR_BINS:
-        raise ValueError(f"sectors must lie in [1, {SECTOR_BINS}], got {sectors}")
+    if not 1 <= sectors <= MAX_SECTORS:
+        raise ValueError(f"sectors must lie in [1, {MAX_SECTORS}], got {sectors}")
     array, inner = checked_mask(mask, grid), 0.0
     hole = blind_spot(array, grid) if apex_m == (0.0, 0.0) else None
     if hole is not None and hole.any():
         array, inner = array | hole, float(np.hypot(*np.abs(grid.centers[hole]).T).max() + grid.cell_m * 0.7072)
-    ranges = free_ranges(array, grid, apex_m, SECTOR_BINS, whole_cells=whole_cells)
+    bins = SECTOR_BINS if sectors <= 16 else SECTOR_BINS // 2
+    ranges = free_ranges(array, grid, apex_m, bins, whole_cells=whole_cells)
     if range_step_m > 0.0:
         ranges = np.floor(ranges / range_step_m + 1e-9) * range_step_m * (1 - 1e-12)
     first, end, reach = best_sectors(ranges, sectors, inner)
-    step = np.float64(2 * np.pi / SECTOR_BINS)
+    step = np.float64(2 * np.pi / bins)
     return Sectors(apex_m, np.asarray(first * step), np.asarray(end * step), reach, inner)

@@ -7,6 +7,7 @@ angles, 0.01 m for coordinates. Larger requests are shared among several regions
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,13 @@ from viewshed.estimate import THRESHOLD, FovEstimate
 from viewshed.geometry import FloatArray
 from viewshed.polygons import (
     BINS,
-    SECTOR_BINS,
+    MAX_SECTORS,
     BoolMask,
     Sectors,
     blind_spot,
     bounding_box,
     deepest_point,
+    mask_of_polygon,
     sectors_of_mask,
     vertices_of,
 )
@@ -38,6 +40,7 @@ MAX_IN_REGION = 16
 _MAX_RANGE = 4095
 _MARGIN_M = 0.0075
 _PRICE_STEPS = 10
+_MAX_ISLANDS = 8
 
 
 def to_cpm(
@@ -76,7 +79,7 @@ def to_cpm(
         raise ValueError(f"grid must lie within ±327 m, the limit of CartesianCoordinate, got {grid}")
     mask = estimate.visible(threshold) | (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < footprint_m)
     if shape == "sectors":
-        shapes = _radial_shapes(_fans(mask, grid, min(sectors, SECTOR_BINS), whole_cells))
+        shapes = _radial_shapes(_fans(mask, grid, min(sectors, MAX_SECTORS), whole_cells))
     else:
         shapes = [_polygonal(polygon) for polygon in _polygons(mask, grid, sectors, whole_cells)]
     message: dict[str, Any] = {"perceptionRegionContainer": [_region(each, threshold) for each in shapes]}
@@ -97,8 +100,9 @@ def _region(shape: dict[str, Any], threshold: float) -> dict[str, Any]:
 def _fans(mask: BoolMask, grid: BevGrid, sectors: int, whole_cells: bool) -> list[Sectors]:
     """Return fans of ``sectors`` sectors in all that reach their apex: about the sensor, or beside its blind spot."""
     about = sectors_of_mask(mask, grid, sectors, whole_cells=whole_cells, range_step_m=0.1)
-    if len(about.range_m) and about.inner_m == 0.0:
-        return [about]
+    reaching = [about] if about.inner_m == 0.0 else []
+    if _area(reaching) > 0.5 * mask.sum() * grid.cell_area_m2:
+        return reaching
     x, y = grid.centers[..., 0], grid.centers[..., 1]
     splits = [[mask], [mask & (x > 0), mask & (x < 0)], [mask & (y > 0), mask & (y < 0)]]
     reach = about.inner_m + grid.cell_m
@@ -106,15 +110,32 @@ def _fans(mask: BoolMask, grid: BevGrid, sectors: int, whole_cells: bool) -> lis
     def fans(parts: list[BoolMask], count: int) -> list[Sectors]:
         return [_beside(part, grid, count // len(parts), reach, whole_cells) for part in parts]
 
-    best = max(splits, key=lambda parts: sum(fan.area_m2 for fan in fans(parts, min(sectors, MAX_IN_REGION))))
-    return fans(best, sectors)
+    best = max(splits, key=lambda parts: _area(fans(parts, min(sectors, MAX_IN_REGION))))
+    return max(reaching, fans(best, sectors), _scattered(mask, grid, sectors, whole_cells), key=_area)
+
+
+def _area(fans: list[Sectors]) -> float:
+    return sum(fan.area_m2 for fan in fans)
+
+
+def _scattered(mask: BoolMask, grid: BevGrid, sectors: int, whole_cells: bool) -> list[Sectors]:
+    """Return four fans, each about the deepest point of what the ones before it left, as near as the format reaches."""
+    near = (np.abs(grid.centers + 10.4) < 20.4).all(axis=-1)
+    left, fans = mask.copy(), list[Sectors]()
+    for _ in range(4):
+        if (left & near).any():
+            apex = _whole_cm(deepest_point(left & near, grid))
+            fan = sectors_of_mask(left, grid, sectors // 4, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
+            fans.append(fan)
+            left &= ~fan.covers(grid.centers)
+    return fans
 
 
 def _beside(part: BoolMask, grid: BevGrid, sectors: int, reach_m: float, whole_cells: bool) -> Sectors:
     """Return the fan of most area about one of eight points around the sensor, or about the deepest point."""
     turns = np.arange(8) * (np.pi / 4)
     around = np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach_m
-    points = [_whole_cm(point) for point in (*around, deepest_point(part, grid)) if np.abs(point + 10.0).max() < 20.0]
+    points = [_whole_cm(point) for point in (*around, deepest_point(part, grid)) if np.abs(point + 10.4).max() < 20.4]
     areas = [(free_ranges(part, grid, point, BINS, whole_cells=whole_cells) ** 2).sum() for point in points]
     apex = points[int(np.argmax(areas))]
     return sectors_of_mask(part, grid, sectors, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
@@ -160,17 +181,42 @@ def _polygons(mask: BoolMask, grid: BevGrid, vertices: int, whole_cells: bool) -
     filled = mask if hole is None else mask | hole
     ranges = free_ranges(filled, grid, apex, BINS, margin_m=_MARGIN_M, whole_cells=whole_cells)
     blind = bounding_box(hole, grid).buffer(_MARGIN_M, join_style="mitre") if hole is not None and hole.any() else None
-    best: list[Polygon] = []
-    low, high = grid.cell_area_m2 * 1e-3, max(float(mask.sum()), 1.0) * grid.cell_area_m2
+    largest = max(float(mask.sum()), 1.0) * grid.cell_area_m2
+    star = _dearest(lambda price: _pieces(star_vertices(ranges, price), apex, blind), vertices, largest)
+    islands = _dearest(lambda price: _islands(mask, grid, price, whole_cells), vertices, largest)
+    return max(star, islands, key=_total_area)
+
+
+def _dearest(make: Callable[[float], list[Polygon]], vertices: int, largest_m2: float) -> list[Polygon]:
+    """Return the largest polygons of at most ``vertices`` vertices that bisection of the price a vertex (m²) finds."""
+    best, low, high = list[Polygon](), 1e-5 * largest_m2, largest_m2
     for _ in range(_PRICE_STEPS):
         price = float(np.sqrt(low * high))
-        pieces = _pieces(star_vertices(ranges, price), apex, blind)
+        pieces = make(price)
         if sum(vertices_of(piece) for piece in pieces) > vertices:
             low = price
-            continue
-        high = price
-        best = max(best, pieces, key=lambda found: sum(piece.area for piece in found))
+        else:
+            best, high = max(best, pieces, key=_total_area), price
     return best
+
+
+def _total_area(pieces: list[Polygon]) -> float:
+    return sum(piece.area for piece in pieces)
+
+
+def _islands(mask: BoolMask, grid: BevGrid, price_m2: float, whole_cells: bool) -> list[Polygon]:
+    """Return star polygons, each about the deepest point of what the ones before it left, while they are worth it."""
+    left, pieces = mask.copy(), list[Polygon]()
+    for _ in range(_MAX_ISLANDS):
+        apex = _whole_cm(deepest_point(left, grid))
+        ranges = free_ranges(left, grid, apex, BINS // 4, margin_m=_MARGIN_M, whole_cells=whole_cells)
+        found = _pieces(star_vertices(ranges, price_m2), apex, None)
+        if sum(piece.area - price_m2 * vertices_of(piece) for piece in found) <= 0.0:
+            break
+        for piece in found:
+            pieces.append(piece)
+            left &= ~mask_of_polygon(piece, grid)
+    return pieces
 
 
 def _pieces(star: FloatArray, apex: tuple[float, float], blind: Polygon | None) -> list[Polygon]:
