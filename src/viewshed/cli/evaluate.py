@@ -74,11 +74,18 @@ def crossview(
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:
-    from viewshed import GRIDS
+    from functools import partial
+
+    from viewshed import CAR, GRIDS
     from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
+    from viewshed.estimators.shadow_map import ShadowMap
 
     paper = {f"paper: {name.removeprefix('paper_')}": make for name, make in PAPER_ESTIMATORS.items()}
-    known = {**ESTIMATORS, **paper}
+    rules = {
+        f"shadow_map, no return {rule}": partial(ShadowMap, target=CAR, no_return=rule)
+        for rule in ("max_range", "fill")
+    }
+    known = {**ESTIMATORS, **rules, **paper}
     names = list(known) if methods == _ALL else methods.split(",")
     for name in names:
         if name not in known:
