@@ -6,8 +6,11 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate, Sweep
+from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.level import level_sweep
-from viewshed.plot import COLORS, Panel, _raster, comparison, contact_sheet, picture
+from viewshed.plot import COLORS, Panel, _fit, _raster, comparison, contact_sheet, picture
+from viewshed.sensors import LidarModel
+from viewshed.sim import Box, Scene, cast
 
 GRID = BevGrid(16, 8.0)
 
@@ -26,16 +29,16 @@ def _image(png: bytes) -> NDArray[np.float32]:
 
 
 def test_forward_is_up_and_left_is_left() -> None:
-    raster = _raster(Panel(_estimate(), ""), 1)
-    assert np.allclose(raster[0, 0], COLORS[CellState.SURFACE])
-    assert np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN])
+    raster = _raster(Panel(_estimate(), ""), 16) / 255
+    assert np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
+    assert np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN], atol=0.01)
 
 
 def test_points_are_painted_where_they_are() -> None:
     sweep = Sweep(np.array([[7.5, 7.5, 1.0], [7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5)
-    raster = _raster(Panel(_estimate(), "", level_sweep(sweep, GRID)), 1)
-    assert not np.allclose(raster[0, 0], COLORS[CellState.SURFACE])
-    assert np.allclose(raster[0, 1], COLORS[CellState.UNKNOWN])
+    raster = _raster(Panel(_estimate(), "", level_sweep(sweep, GRID)), 16) / 255
+    assert not np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
+    assert np.allclose(raster[0, 1], COLORS[CellState.UNKNOWN], atol=0.01)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -47,3 +50,61 @@ def test_pictures_open_and_are_not_blank(count: int) -> None:
         assert min(image.shape[:2]) > 100
         free = np.abs(image - np.array(COLORS[CellState.FREE])).max(axis=-1) < 0.02
         assert free.sum() > 50
+
+
+def _places(image: NDArray[np.float32], state: CellState) -> tuple[float, float]:
+    """Mean row and column of the pixels in a state's color, as shares of the picture."""
+    rows, columns = np.nonzero(np.abs(image - np.array(COLORS[state])).max(axis=-1) < 0.02)
+    return float(rows.mean() / image.shape[0]), float(columns.mean() / image.shape[1])
+
+
+def test_a_block_ahead_at_the_left_is_drawn_at_the_upper_left() -> None:
+    state = np.full(GRID.shape, CellState.FREE, np.uint8)
+    state[10:15, 9:15] = CellState.HIDDEN
+    png = picture(Panel(FovEstimate(GRID, (state == CellState.FREE).astype(np.float32), state), "x"))
+    image = _image(png)[:-100]  # without the legend
+    row, column = _places(image, CellState.HIDDEN)
+    assert row < 0.4
+    assert column < 0.4
+
+
+def test_a_wall_at_the_left_only_hides_the_left_side_of_the_picture() -> None:
+    model = LidarModel("fan", np.deg2rad(np.arange(-25.0, 4.0)), 720)
+    sweep = cast(model, Scene(boxes=(Box(2.0, 6.0, 9.0, 0.5, 4.0),)), 1.8)
+    grid = BevGrid(64, 16.0)
+    found = ShadowMap(grid).estimate(sweep)
+    row, column = _places(_image(picture(Panel(found, "wall", level_sweep(sweep, grid))))[:-100], CellState.HIDDEN)
+    assert column < 0.35
+    assert 0.3 < row < 0.6
+
+
+def test_points_take_the_color_of_their_height() -> None:
+    heights = np.array([0.0, 3.0, 9.0])
+    points = np.column_stack([[-4.5, 0.5, 4.5], [3.5, 3.5, 3.5], heights - 1.5]).astype(np.float32)
+    level = level_sweep(Sweep(points, sensor_height_m=1.5), GRID)
+    raster = _raster(Panel(_estimate(), "", level), 16)
+    low, high, higher = raster[12, 4], raster[7, 4], raster[3, 4]
+    assert low[0] > 60 > low[1]  # the dark violet end of viridis
+    assert (high == higher).all()
+    assert high[0] > 240  # its yellow end
+    assert high[2] < 60
+
+
+@pytest.mark.parametrize("cells", [1, 7, 512, 1000])
+def test_grids_of_any_size_make_a_picture(cells: int) -> None:
+    grid = BevGrid(cells, 5.0, (3.0, -2.0))
+    state = np.full(grid.shape, CellState.FREE, np.uint8)
+    image = _image(picture(Panel(FovEstimate(grid, np.ones(grid.shape, np.float32), state), "x" * 300)))
+    assert (np.abs(image - np.array(COLORS[CellState.FREE])).max(axis=-1) < 0.02).mean() > 0.5
+
+
+def test_pictures_are_the_same_each_time() -> None:
+    assert picture(Panel(_estimate(), "a")) == picture(Panel(_estimate(), "a"))
+
+
+def test_the_title_is_cut_in_its_middle() -> None:
+    line = _fit("a" * 90 + "b" * 90)
+    assert len(line) <= 100
+    assert line.startswith("aaa")
+    assert line.endswith("bbb")
+    assert _fit("short.bin") == "short.bin"

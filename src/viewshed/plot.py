@@ -5,18 +5,22 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
 from viewshed.estimate import CellState, FovEstimate
 from viewshed.level import LevelSweep
+
+Image = NDArray[np.uint8]
 
 COLORS = {
     CellState.UNKNOWN: (0.93, 0.93, 0.93),
@@ -33,8 +37,11 @@ WORDS = {
 }
 HEIGHTS_M = (0.0, 3.0)
 """Heights above local ground between which points are colored."""
-_PIXELS = 1024
-_EDGE = (0.0, 0.27, 0.55)
+_EDGE = (0.0, 0.22, 0.5)
+_LOW_M = 0.3
+_LARGE = 500
+_DPI = 100
+_TITLE_LETTERS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,129 +53,205 @@ class Panel:
     level: LevelSweep | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Page:
+    """A figure on which places are given in pixels from the upper left corner."""
+
+    figure: Figure
+    width: int
+    height: int
+
+    @classmethod
+    def blank(cls, width: int, height: int) -> _Page:
+        return cls(Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI), width, height)
+
+    def axes(self, left: int, top: int, width: int, height: int) -> Axes:
+        bottom = self.height - top - height
+        place = (left / self.width, bottom / self.height, width / self.width, height / self.height)
+        axes = self.figure.add_axes(place)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        return axes
+
+    def png(self) -> bytes:
+        buffer = io.BytesIO()
+        FigureCanvasAgg(self.figure)
+        self.figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 4})
+        return buffer.getvalue()
+
+
 def picture(panel: Panel) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
-    figure = Figure(figsize=(8.2, 8.4), dpi=110)
-    axes = figure.add_axes((0.03, 0.095, 0.87, 0.85))
-    _draw(axes, panel)
-    axes.set_title(panel.title, fontsize=10, loc="left")
-    _legend(figure, 2)
+    side = 768
+    page = _Page.blank(side + 104, side + 124)
+    axes = page.axes(20, 52, side, side)
+    _draw(axes, panel, side)
+    axes.set_title("\n".join(_fit(line) for line in panel.title.splitlines()), fontsize=10, loc="left", linespacing=1.4)
+    shares = {state: f"{panel.estimate.share(state):.0%} " for state in CellState}
+    _legend(page, 2, shares)
     if panel.level is not None:
-        _height_bar(figure, (0.915, 0.3, 0.018, 0.45))
-    return _png(figure)
+        _height_bar(page, (side + 46, 250, 18, 360))
+    return page.png()
 
 
 def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: Sequence[str]) -> bytes:
     """Return a PNG of several estimates side by side above a table of ``rows`` (one for each panel)."""
-    across = min(len(panels), 3)
+    across, side = len(panels) if len(panels) < 4 else 2 if len(panels) == 4 else 3, 400
     down = -(-len(panels) // across)
-    height = 4.3 * down + 0.28 * len(panels) + 1.5
-    figure = Figure(figsize=(4.2 * across, height), dpi=100)
-    bottom = (0.28 * len(panels) + 1.2) / height
+    table_top, table_height = down * (side + 36) + 10, 26 * (len(rows) + 1)
+    page = _Page.blank(max(across * (side + 12) + 12, 640), table_top + table_height + 60)
     for k, panel in enumerate(panels):
         row, column = divmod(k, across)
-        size = (1 - bottom) / down
-        axes = figure.add_axes((column / across + 0.01, 1 - (row + 1) * size + 0.01, 1 / across - 0.02, size * 0.88))
-        _draw(axes, panel)
-        axes.set_title(panel.title, fontsize=9)
-    axes = figure.add_axes((0.02, 0.75 / height, 0.96, bottom - 0.95 / height))
+        axes = page.axes(12 + column * (side + 12), 28 + row * (side + 36), side, side)
+        _draw(axes, panel, side)
+        axes.set_title(panel.title, fontsize=10)
+    axes = page.axes(12, table_top, page.width - 24, table_height)
     axes.axis("off")
-    table = axes.table(cellText=[list(row) for row in rows], colLabels=list(header), loc="center", bbox=Bbox.unit())
-    table.auto_set_font_size(False)
-    table.set_fontsize(8)
-    _legend(figure, 2 if across < 3 else 4)
-    return _png(figure)
+    _table(axes, rows, header)
+    _legend(page, 4 if across == 3 else 2)
+    return page.png()
 
 
-def contact_sheet(panels: Sequence[Panel], across: int = 8, inches: float = 1.7) -> bytes:
-    """Return a PNG with one small picture for each panel, ``across`` in a row."""
+def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> bytes:
+    """Return a PNG with one small picture of ``side`` pixels for each panel, ``across`` in a row."""
     down = -(-max(len(panels), 1) // across)
-    height = down * (inches + 0.22) + 0.7
-    figure = Figure(figsize=(across * inches, height), dpi=80)
+    page = _Page.blank(across * (side + 6) + 6, down * (side + 32) + 40)
     for k, panel in enumerate(panels):
         row, column = divmod(k, across)
-        top = 1 - (row + 1) * (inches + 0.22) / height
-        axes = figure.add_axes((column / across + 0.003, top, 1 / across - 0.006, inches / height * 0.98))
-        _draw(axes, panel, pixels=256)
-        axes.set_title(panel.title, fontsize=5.5, pad=2)
-    _legend(figure, 4)
-    return _png(figure)
+        axes = page.axes(6 + column * (side + 6), 30 + row * (side + 32), side, side)
+        _draw(axes, panel, side)
+        axes.set_title(panel.title, fontsize=6.5, pad=2)
+    _legend(page, 4)
+    return page.png()
 
 
-def _draw(axes: Any, panel: Panel, pixels: int = _PIXELS) -> None:
+def _fit(line: str) -> str:
+    """Return a line that fits above the picture, its middle left out if need be."""
+    half = _TITLE_LETTERS // 2
+    return line if len(line) <= _TITLE_LETTERS else f"{line[: half - 1]} … {line[-half + 2 :]}"
+
+
+def _draw(axes: Axes, panel: Panel, pixels: int) -> None:
     grid = panel.estimate.grid
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
-    image = _raster(panel, max(pixels // grid.cells, 1))
-    axes.imshow(image, extent=(y0 + side, y0, x0, x0 + side), interpolation="nearest", aspect="equal")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    size = 0.022 * side
-    axes.add_patch(Polygon([(0, 1.4 * size), (size, -size), (-size, -size)], color="black", zorder=3))
-    _scale_bar(axes, grid)
+    axes.imshow(
+        _raster(panel, pixels), extent=(y0 + side, y0, x0, x0 + side), interpolation="nearest", aspect="auto"
+    )  # fmt: skip
+    size = side * (0.012 if pixels > 300 else 0.03)
+    axes.add_patch(
+        Polygon(
+            [(0, 1.5 * size), (size, -size), (0, -0.5 * size), (-size, -size)], facecolor="black", edgecolor="white",
+            linewidth=0.8, zorder=3,
+        )
+    )  # fmt: skip
+    _scale_bar(axes, grid, pixels)
+    if pixels >= _LARGE:
+        _forward_mark(axes)
 
 
-def _raster(panel: Panel, zoom: int) -> NDArray[np.float32]:
-    """Return the picture as (rows, columns, 3): row 0 is farthest ahead, column 0 farthest left."""
+def _raster(panel: Panel, pixels: int) -> Image:
+    """Return the picture as (pixels, pixels, 3) uint8: row 0 is farthest ahead, column 0 farthest left."""
     estimate = panel.estimate
-    palette = np.array([COLORS[CellState(state)] for state in range(len(CellState))], np.float32)
-    image = np.kron(palette[estimate.state], np.ones((zoom, zoom, 1), np.float32))
-    if zoom > 1:
-        image[_edge(np.kron(estimate.visible(), np.ones((zoom, zoom), bool)))] = _EDGE
+    palette = _bytes(np.array([COLORS[CellState(state)] for state in range(len(CellState))]))
+    nearest = (np.arange(pixels) * estimate.grid.cells) // pixels
+    image = palette[estimate.state[nearest][:, nearest]]
+    if pixels >= 2 * estimate.grid.cells:
+        image[_edge(estimate.visible()[nearest][:, nearest])] = _bytes(np.array(_EDGE))
     if panel.level is not None:
-        _paint_points(image, panel.level, BevGrid(len(image), estimate.grid.half_extent_m, estimate.grid.offset_m))
+        fine = BevGrid(pixels, estimate.grid.half_extent_m, estimate.grid.offset_m)
+        _paint_points(image, panel.level, fine)
     return image[::-1, ::-1]
 
 
 def _edge(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    inner = mask.copy()
-    inner[1:-1, 1:-1] &= mask[2:, 1:-1] & mask[:-2, 1:-1] & mask[1:-1, 2:] & mask[1:-1, :-2]
+    """Return the pixels of a mask that have a neighbor outside it; the rim of the picture is no edge."""
+    padded = np.pad(mask, 1, mode="edge")
+    inner = padded[2:, 1:-1] & padded[:-2, 1:-1] & padded[1:-1, 2:] & padded[1:-1, :-2]
     return mask & ~inner
 
 
-def _paint_points(image: NDArray[np.float32], level: LevelSweep, fine: BevGrid) -> None:
-    """Paint each point with the color of its height, higher ones over lower ones."""
+def _paint_points(image: Image, level: LevelSweep, fine: BevGrid) -> None:
+    """Paint each point in the color of its height, higher ones on top; large pictures show obstacles as 2 × 2."""
+    low, high = HEIGHTS_M
     order = np.argsort(level.height_m, kind="stable")
     cells, inside = fine.index(level.points[order])
-    low, high = HEIGHTS_M
-    share = np.clip((level.height_m[order][inside] - low) / (high - low), 0, 1)
+    height_m = level.height_m[order][inside]
     i, j = cells[inside].T
-    image[i, j] = _viridis()[(share * 255).astype(np.intp)]
+    colors = _height_colors()[(np.clip((height_m - low) / (high - low), 0, 1) * 255).astype(np.intp)]
+    image[i, j] = colors
+    if len(image) < _LARGE:
+        return
+    tall = slice(int(np.searchsorted(height_m, _LOW_M)), None)
+    last = len(image) - 1
+    for di, dj in ((0, 1), (1, 0), (1, 1)):
+        image[np.minimum(i[tall] + di, last), np.minimum(j[tall] + dj, last)] = colors[tall]
 
 
-def _viridis() -> NDArray[np.float32]:
-    from matplotlib import colormaps
+@lru_cache(maxsize=1)
+def _height_colors() -> Image:
+    return _bytes(colormaps["viridis"](np.arange(256))[:, :3])
 
-    return np.asarray(colormaps["viridis"](np.arange(256)), dtype=np.float32)[:, :3]
+
+def _bytes(colors: NDArray[np.float64]) -> Image:
+    return (colors * 255).round().astype(np.uint8)
 
 
-def _scale_bar(axes: Any, grid: BevGrid) -> None:
-    length = max(
-        step for step in (0.1, 0.5, 1, 2, 5, 10, 20, 50, 100, 500) if step <= grid.half_extent_m / 2 or step == 0.1
-    )
+def _scale_bar(axes: Axes, grid: BevGrid, pixels: int) -> None:
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
-    x, y = x0 + 0.04 * side, y0 + 0.04 * side
-    axes.plot([y + length, y], [x, x], color="black", linewidth=2.5, solid_capstyle="butt")
-    axes.text(y + length / 2, x + 0.012 * side, f"{length:g} m", ha="center", va="bottom", fontsize=8)
+    length = _round_length(side / 4)
+    size = 8.0 if pixels > 300 else 6.0
+    letters = size * 1.6 / pixels * side  # height of a line of text in metres
+    x, y, pad = x0 + 0.03 * side, y0 + 0.03 * side, 0.012 * side
+    box = Rectangle((y - pad, x - pad), length + 2 * pad, letters + 2 * pad, color="white", alpha=0.85, zorder=2)
+    axes.add_patch(box)
+    axes.plot([y + length, y], [x, x], color="black", linewidth=2, solid_capstyle="butt", zorder=3)
+    axes.text(y + length / 2, x + pad / 2, f"{length:g} m", ha="center", va="bottom", fontsize=size, zorder=3)
     axes.set_xlim(y0 + side, y0)
     axes.set_ylim(x0, x0 + side)
 
 
-def _legend(figure: Figure, columns: int) -> None:
-    patches = [Patch(facecolor=COLORS[state], edgecolor="black", linewidth=0.4, label=WORDS[state]) for state in WORDS]
-    figure.legend(handles=patches, loc="lower center", ncols=columns, fontsize=8, frameon=False)
+def _round_length(limit_m: float) -> float:
+    """Return the longest of 1, 2, 5 times a power of ten metres that is not above ``limit_m``.
+
+    >>> _round_length(32.0), _round_length(8.0)
+    (20.0, 5.0)
+    """
+    power = 10.0 ** np.floor(np.log10(limit_m))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= limit_m * (1 + 1e-9)))
 
 
-def _height_bar(figure: Figure, place: tuple[float, float, float, float]) -> None:
-    axes = figure.add_axes(place)
-    axes.imshow(_viridis()[::-1, None], aspect="auto", extent=(0, 1, *HEIGHTS_M))
-    axes.set_xticks([])
+def _forward_mark(axes: Axes) -> None:
+    box = {"boxstyle": "round", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    axes.text(
+        0.02, 0.98, "↑ forward", transform=axes.transAxes, ha="left", va="top", fontsize=9, zorder=3, bbox=box
+    )  # fmt: skip
+
+
+def _table(axes: Axes, rows: Sequence[Sequence[str]], header: Sequence[str]) -> None:
+    table = axes.table(cellText=[list(row) for row in rows], colLabels=list(header), loc="center", bbox=Bbox.unit())
+    table.auto_set_font_size(False)
+    table.set_fontsize(9)
+    for (row, _), cell in table.get_celld().items():
+        cell.set_edgecolor("0.8")
+        if row == 0:
+            cell.set_facecolor("0.93")
+            cell.set_text_props(weight="bold")
+
+
+def _legend(page: _Page, columns: int, shares: dict[CellState, str] | None = None) -> None:
+    patches: list[Patch] = [
+        Patch(facecolor=COLORS[state], edgecolor="black", linewidth=0.4, label=(shares or {}).get(state, "") + words)
+        for state, words in WORDS.items()
+    ]
+    page.figure.legend(
+        handles=patches, loc="lower center", ncols=columns, fontsize=9 if columns == 2 else 8, frameon=False
+    )
+
+
+def _height_bar(page: _Page, place: tuple[int, int, int, int]) -> None:
+    axes = page.axes(*place)
+    axes.imshow(_height_colors()[::-1, None], aspect="auto", extent=(0, 1, *HEIGHTS_M))
     axes.yaxis.tick_right()
+    axes.set_yticks(np.arange(HEIGHTS_M[0], HEIGHTS_M[1] + 0.5, 1.0))
     axes.tick_params(labelsize=8)
-    axes.set_title("height\nabove\nground, m", fontsize=7)
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    axes.set_title("points:\nheight\nabove\nground, m", fontsize=8, pad=8)
