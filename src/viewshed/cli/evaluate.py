@@ -74,23 +74,19 @@ def crossview(
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:
-    from functools import partial
-
     from viewshed import CAR, GRIDS
     from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
-    from viewshed.estimators.shadow_map import ShadowMap
+    from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 
-    paper = {f"paper: {name.removeprefix('paper_')}": make for name, make in PAPER_ESTIMATORS.items()}
-    rules = {
-        f"shadow_map, no return {rule}": partial(ShadowMap, target=CAR, no_return=rule)
-        for rule in ("max_range", "fill")
-    }
-    known = {**ESTIMATORS, **rules, **paper}
+    road, published = GRIDS["road"], GRIDS["paper"]
+    known = {name: make(road) for name, make in ESTIMATORS.items()}
+    known |= {f"shadow_map, no return {rule}": ShadowMap(road, CAR, rule) for rule in NO_RETURN_RULES[1:]}
+    known |= {f"paper: {name.removeprefix('paper_')}": make(published) for name, make in PAPER_ESTIMATORS.items()}
     names = list(known) if methods == _ALL else methods.split(",")
     for name in names:
         if name not in known:
             raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
-    return {name: known[name](GRIDS["paper" if name in paper else "road"]) for name in names}
+    return {name: known[name] for name in names}
 
 
 def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:
