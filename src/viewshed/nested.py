@@ -26,7 +26,7 @@ def best_sectors(
     [[0, 2], [4, 3], [1.0, 3.0]]
     """
     bins, cut = len(ranges), int(np.argmin(ranges))
-    rolled = np.ascontiguousarray(np.roll(ranges, -cut), np.float64)
+    rolled = np.maximum(np.roll(ranges, -cut), inner_m)
     parent, low, high = _tree(rolled)
     chosen = _choose(rolled, parent, low, high, sectors, inner_m)
     first = (low[chosen] + cut) % bins
@@ -66,6 +66,7 @@ def _choose(
     """
     width = high - low
     order = np.argsort((low + 1) * (len(ranges) + 1) - width, kind="mergesort")
+    _drop_repeats(order, ranges, parent, width)
     depth = _depths(order, parent)
     shape = (len(ranges), depth.max() + 2, sectors + 1)
     taken, given = np.zeros(shape, np.bool_), np.zeros(shape, np.int16)
@@ -87,6 +88,16 @@ def _choose(
                 _merge(below[depth[node] - 1, level], value, width[node], given[node, level])
         children[:] = 0.0
     return _collect(order, parent, depth, taken, given)
+
+
+@njit(cache=True, nogil=True)
+def _drop_repeats(order: Any, ranges: Any, parent: Any, width: Any) -> None:  # pragma: no cover - compiled
+    """Give the children of a sector that reaches no farther than its parent to the parent, and it no width."""
+    for node in order[1:]:
+        if width[parent[node]] == 0:
+            parent[node] = parent[parent[node]]
+        if ranges[node] == ranges[parent[node]]:
+            width[node] = 0
 
 
 @njit(cache=True, nogil=True)

@@ -29,7 +29,7 @@ are made of half as many."""
 MAX_SECTORS = 256
 """The most sectors that are chosen together."""
 _MAX_PIECES = 8
-_PRICE_STEPS = 10
+_PRICE_STEPS, _PRICE_SPAN = 7, 500.0
 
 
 def checked_mask(mask: BoolMask, grid: BevGrid) -> BoolMask:
@@ -112,7 +112,8 @@ def inner_polygon_of_mask(mask: BoolMask, grid: BevGrid, max_vertices: int) -> M
 
     The exact outline where that has few enough vertices. Otherwise star polygons, each with the greatest area for its
     vertices: one about the sensor, with a hole where the sensor's own surroundings are not seen, then others in what
-    is left. A price per vertex, found by bisection, shares them out. A heuristic, not the optimum.
+    is left. A price per vertex, found by bisection, shares them out: at area / ``max_vertices`` no more than that many
+    can be worth it. A heuristic, not the optimum.
 
     Raises:
         ValueError: fewer than three vertices, or a mask that is not the grid's.
@@ -123,7 +124,8 @@ def inner_polygon_of_mask(mask: BoolMask, grid: BevGrid, max_vertices: int) -> M
     exact = polygon_of_mask(array, grid)
     if vertices_of(exact) <= max_vertices:
         return exact
-    best, low, high = MultiPolygon(), grid.cell_area_m2 * 1e-3, exact.area
+    best, high = MultiPolygon(), exact.area / max_vertices
+    low = high / _PRICE_SPAN
     for _ in range(_PRICE_STEPS):
         price = float(np.sqrt(low * high))
         found = _inner_pieces(array, grid, price)

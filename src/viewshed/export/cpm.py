@@ -39,7 +39,7 @@ STATES = (
 MAX_IN_REGION = 16
 _MAX_RANGE = 4095
 _MARGIN_M = 0.0075
-_PRICE_STEPS = 10
+_PRICE_STEPS = 8
 _MAX_ISLANDS = 8
 
 
@@ -189,7 +189,8 @@ def _polygons(mask: BoolMask, grid: BevGrid, vertices: int, whole_cells: bool) -
 
 def _dearest(make: Callable[[float], list[Polygon]], vertices: int, largest_m2: float) -> list[Polygon]:
     """Return the largest polygons of at most ``vertices`` vertices that bisection of the price a vertex (m²) finds."""
-    best, low, high = list[Polygon](), 1e-5 * largest_m2, largest_m2
+    best, high = list[Polygon](), 4.0 * largest_m2 / vertices
+    low = high / 2000.0
     for _ in range(_PRICE_STEPS):
         price = float(np.sqrt(low * high))
         pieces = make(price)
