@@ -1,24 +1,43 @@
 """The commands as a stranger types them: exit codes, messages, files."""
 
+import contextlib
+import io
 import json
+import os
+import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from viewshed import BevGrid, read_sweep
+import viewshed
+from viewshed import BevGrid, read_sweep, write_sweep
+from viewshed.cli import main
 from viewshed.cli.options import make_estimator, parse_grid
+from viewshed.cli.outputs import output_names
 from viewshed.export import read_npz
 from viewshed.samples import junction_path
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process; :func:`start` is for what only a process of its own can show."""
+    words, out, err = [*map(str, arguments)], io.StringIO(), io.StringIO()
+    with (
+        contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
+        contextlib.chdir(cwd or Path.cwd()), pytest.raises(SystemExit) as exit_,
+    ):  # fmt: skip
+        main(words)
+    return subprocess.CompletedProcess(words, int(exit_.value.code or 0), out.getvalue(), err.getvalue())
+
+
+def start(*arguments: object, stderr: int = subprocess.PIPE) -> subprocess.Popen[str]:
     code = "from viewshed.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)], check=False, capture_output=True, text=True, cwd=cwd
-    )
+    words = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +194,170 @@ def test_no_command_and_a_wrong_command_say_how() -> None:
     wrong = run("estimat")
     assert wrong.returncode == 2
     assert "No such command" in wrong.stderr
+    assert len(wrong.stderr.splitlines()) == 1
+
+
+def test_without_a_command_the_help_is_shown_and_version_is_told() -> None:
+    assert run().returncode == 0
+    assert "demo" in run().stdout
+    assert run("--version").stdout == f"viewshed {viewshed.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info"], "Missing argument"),
+        (["info", "x.bin", "--wat"], "No such option: --wat"),
+        (["estimate", "x.bin", "--threshold", "much"], "--threshold"),
+        (["estimate"], "name at least one FILE, or an --index"),
+        (["estimate", "."], "is a folder"),
+        (["info", "nowhere.bin"], "nowhere.bin: No such file"),
+        (["compare", "nowhere.bin"], "nowhere.bin: No such file"),
+        (["export", "nowhere.bin"], "nowhere.bin: No such file"),
+        (["export", "x.bin", "--to", "jpeg"], "to must be one of geojson"),
+        (["export", junction_path(), "--to", "cpm", "--sectors", "0"], "sectors"),
+        (["compare", junction_path(), "--methods", "shadow_map,magic"], "method must be one of"),
+        (["evaluate"], "Missing command"),
+        (["evaluate", "crossview", "nowhere.json"], "nowhere.json"),
+    ],
+)
+def test_every_refusal_is_one_line(arguments: list[object], message: str, tmp_path: Path) -> None:
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("viewshed: ")
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_no_result_replaces_an_input(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    write_sweep(read_sweep(junction_path()), path)
+    before = path.read_bytes()
+    for arguments in (
+        ["estimate", path, "--out", tmp_path],
+        ["export", path, "--to", "npz"],
+        ["compare", path, "--out", path],
+    ):
+        done = run(*arguments, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "is an input and would be replaced; choose another --out" in done.stderr
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_output_names_never_meet() -> None:
+    files = [Path("a/x.bin"), Path("b/x.bin"), Path("b/X.pcd"), Path("a_x.bin"), Path("a/x.bin"), Path("a_x_1.bin")]
+    names = output_names(files)
+    assert names[:2] == ["a_x", "b_x"]
+    assert len({name.casefold() for name in names}) == len(files)
+
+
+def test_a_file_of_several_sweeps_gives_each_its_results(real_data: Path, tmp_path: Path) -> None:
+    [capture] = real_data.rglob("OS-1-128_v2.3.0_1024x10.pcap*")
+    done = run("estimate", capture, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("visible") == 3
+    assert {file.stem[-4:] for file in tmp_path.iterdir()} == {"_000", "_001", "_002"}
+
+
+def test_interruption_is_130_without_a_trace_and_without_half_files(kitti_like: Path, tmp_path: Path) -> None:
+    process = start("estimate", *[kitti_like] * 300, "--out", tmp_path)
+    assert process.stdout is not None
+    assert "visible" in process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == ""
+    assert {file.suffix for file in tmp_path.iterdir()} <= {".png", ".geojson", ".npz"}
+
+
+def test_progress_goes_to_the_terminal_and_lines_to_the_pipe(kitti_like: Path, tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    process = start("estimate", kitti_like, kitti_like, "--out", tmp_path, stderr=slave)
+    out, _ = process.communicate(timeout=60)
+    os.close(slave)
+    shown = os.read(master, 100_000).decode()
+    os.close(master)
+    assert process.returncode == 0
+    assert len(out.splitlines()) == 2
+    assert "sweeps" in shown
+    assert "visible" not in shown
+
+
+def test_the_paper_profile_has_its_own_method_and_threshold(kitti_like: Path, tmp_path: Path) -> None:
+    for grid in ("paper", "paper_indoor"):
+        done = run("estimate", kitti_like, "--profile", "paper", "--grid", grid, "--out", tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "paper_label" in done.stdout
+    thresholds = {
+        feature["properties"]["threshold"]
+        for feature in json.loads((tmp_path / "000001.geojson").read_text())["features"]
+    }
+    assert thresholds == {0.7, None}
+
+
+def test_an_index_names_files_frames_heights_and_poses(kitti_like: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(kitti_like.read_bytes())
+    pose = [[0.0, -1.0, 0.0, 50.0], [1.0, 0.0, 0.0, 7.0], [0.0, 0.0, 1.0, 1.84], [0.0, 0.0, 0.0, 1.0]]
+    entry = {
+        "file": "a.bin",
+        "sensor": "HDL-32E",
+        "sensor_height_m": 1.84,
+        "world_from_sensor": pose,
+        "stats": {"points": 5},
+    }
+    (tmp_path / "index.json").write_text(json.dumps([entry, {"file": "notes.txt", "sensor": "none"}]))
+    done = run("estimate", "--index", tmp_path / "index.json", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    found = read_npz(tmp_path / "out" / "a.npz")
+    assert found.world_from_level is not None
+    assert found.world_from_level.translation == pytest.approx([50.0, 7.0, 0.0])
+    features = json.loads((tmp_path / "out" / "a.geojson").read_text())
+    assert features["viewshed:frame"]["name"] == "world"
+    refused = run("estimate", "--index", tmp_path / "index.json", kitti_like, "--out", tmp_path / "other")
+    assert refused.returncode == 2
+    assert "is not in the index" in refused.stderr
+
+
+@pytest.mark.parametrize("method", sorted(viewshed.ESTIMATORS))
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3)),
+        np.array([[5.0, 2.0, -1.0]]),
+        np.array([[5.0, 2.0, -1.0]] * 9),
+        np.column_stack([np.linspace(3, 30, 50), np.linspace(1, 10, 50), np.zeros(50)]),
+    ],
+    ids=["none", "one", "duplicates", "collinear"],
+)
+def test_every_method_takes_degenerate_sweeps(method: str, points: NDArray[np.float64], tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", points.astype(np.float32))
+    done = run("estimate", tmp_path / "x.npy", "--method", method, "--grid", "32x32", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    found = read_npz(tmp_path / "out" / "x.npz")
+    if len(points) == 0:
+        assert "nothing is known" in done.stdout
+        assert (found.state == viewshed.CellState.UNKNOWN).all()
+
+
+def test_points_on_one_side_say_nothing_of_the_other(tmp_path: Path) -> None:
+    sweep = read_sweep(junction_path())
+    np.save(tmp_path / "left.npy", sweep.points[sweep.points[:, 1] > 0])
+    assert run("estimate", tmp_path / "left.npy", "--out", tmp_path / "out").returncode == 0
+    found = read_npz(tmp_path / "out" / "left.npz")
+    right = found.grid.centers[..., 1] < -10.0
+    assert (found.state[right] == viewshed.CellState.UNKNOWN).all()
+    assert found.visible()[~right].sum() > 1000
+
+
+def test_output_that_cannot_be_written_is_one_line(kitti_like: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file, not a folder")
+    done = run("estimate", kitti_like, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_grids_and_targets_reach_the_estimator() -> None:

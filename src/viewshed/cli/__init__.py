@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -14,14 +14,13 @@ from viewshed.cli.estimate import estimate
 from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
 from viewshed.cli.info import info
+from viewshed.cli.options import BAD_INPUTS, one_line
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+_Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
-app = typer.Typer(
-    name="viewshed", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
-    help="What can this LiDAR see, how sure are we, and is someone lying about it?",
-)  # fmt: skip
+app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command in (estimate, info, compare, export, demo):
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
@@ -33,28 +32,35 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _options(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
 ) -> None:
-    """What can this LiDAR see, how sure are we, and is someone lying about it?"""
+    """What can this LiDAR see, how sure are we, and is someone lying about it?
+
+    Start with: viewshed demo
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
-def main() -> None:
-    """Run a command; bad input is one line on standard error and exit code 2."""
+def main(arguments: list[str] | None = None) -> None:
+    """Run a command and exit; bad input is one line on standard error and exit code 2, Ctrl-C is exit code 130.
+
+    Args:
+        arguments: the command and its options; None takes those of the process.
+    """
     try:
-        app()
-    except (ValueError, OSError, ImportError, MemoryError) as error:
-        typer.echo(f"viewshed: {one_line(error)}", err=True)
-        sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
+        sys.exit(app(arguments, standalone_mode=False))
+    except _Refused as error:
+        _complain(cast(typer.BadParameter, error).format_message())
+    except BAD_INPUTS as error:
+        _complain(one_line(error))
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
 
 
-def one_line(error: BaseException) -> str:
-    r"""Return an error's message without line breaks.
-
-    >>> one_line(ValueError("a\nb"))
-    'a b'
-    """
-    return " ".join(str(error).split()) or type(error).__name__
+def _complain(message: str) -> None:
+    typer.echo(f"viewshed: {' '.join(message.split())}", err=True)
+    sys.exit(BAD_INPUT)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.options import AUTO, Reading
+from viewshed.cli.options import AUTO, Reading, timed
+from viewshed.cli.outputs import refuse_inputs
 
 if TYPE_CHECKING:
     from viewshed.estimate import CellState, FovEstimate, FovEstimator
@@ -38,37 +38,35 @@ def compare(
 
     Example: viewshed compare sweep.bin --methods shadow_map,quantized,concave_hull
     """
-    from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
     from viewshed.export.atomic import write_bytes
     from viewshed.level import level_sweep
     from viewshed.plot import Panel, comparison
     from viewshed.report import table
 
     cells = options.parse_grid(grid)
-    known = ESTIMATORS if profile == "sound" else PAPER_ESTIMATORS
-    names = list(known) if methods == "all" else methods.split(",")
+    names = list(options.estimators_of(profile, cells)) if methods == "all" else methods.split(",")
     estimators = {name: options.make_estimator(name, cells, target, profile) for name in names}
     [(path, entry)] = options.chosen([file], index)
+    refuse_inputs([out], [file])
     sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
     level = level_sweep(sweep, cells)
-    found = {name: _timed(estimator, sweep) for name, estimator in estimators.items()}
+    found = {name: _second(estimator, sweep) for name, estimator in estimators.items()}
     rows = [_row(name, estimate, elapsed_ms, found[names[0]][0]) for name, (estimate, elapsed_ms) in found.items()]
     write_bytes(out, comparison([Panel(estimate, name, level) for name, (estimate, _) in found.items()], rows, _HEADER))
     typer.echo(table(_HEADER, rows))
     typer.echo(f"→ {out}")
 
 
-def _timed(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:
-    """Return the estimate and how many milliseconds a second call takes; the first one may compile."""
-    estimator.estimate(sweep)
-    start = time.perf_counter()
-    estimate = estimator.estimate(sweep)
-    return estimate, 1e3 * (time.perf_counter() - start)
+def _second(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:
+    """Return the estimate and the milliseconds of a second call; the first one loads compiled code."""
+    timed(estimator, sweep)
+    return timed(estimator, sweep)
 
 
 def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate) -> list[str]:
     mask, reference = estimate.visible(), first.visible()
-    overlap = float((mask & reference).sum()) / max(float((mask | reference).sum()), 1.0)
+    either = int((mask | reference).sum())
+    overlap = int((mask & reference).sum()) / either if either else 1.0
     shares = [f"{estimate.share(state):.1%}" for state in _hidden_and_unknown()]
     return [name, f"{estimate.area_m2():.0f}", *shares, f"{overlap:.3f}", f"{elapsed_ms:.1f}"]
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.estimate import run_one
+from viewshed.cli.estimate import Run
 from viewshed.cli.options import Reading
 
 
@@ -24,5 +24,5 @@ def demo(
     out.mkdir(parents=True, exist_ok=True)
     sweep = Reading().sweep(junction_path())
     estimator = options.make_estimator("shadow_map", options.parse_grid("road"), "car")
-    typer.echo(run_one(sweep, "demo", estimator, 0.5, out))
+    typer.echo(Run(estimator, options.parse_threshold(None, "sound"), out).one(sweep, "demo"))
     typer.echo(f"Look at {(out / 'demo.png').resolve()}")

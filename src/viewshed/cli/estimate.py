@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.options import AUTO, Reading
+from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line, timed
+from viewshed.cli.outputs import free_name, output_names, refuse_inputs
 
 if TYPE_CHECKING:
     from viewshed.estimate import FovEstimate, FovEstimator
@@ -21,12 +22,14 @@ if TYPE_CHECKING:
 
     Job = tuple[Path, IndexEntry | None]
 
-_SUFFIXES = (".gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap")
+_RESULTS = (".png", ".geojson", ".npz")
 
 
 def estimate(
     files: Annotated[list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps, in any known format.")] = None,
-    method: Annotated[str, typer.Option(help="Estimator; see docs/estimators.md.")] = "shadow_map",
+    method: Annotated[
+        str | None, typer.Option(help="Estimator; shadow_map if not given. See docs/estimators.md.")
+    ] = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002
@@ -36,51 +39,73 @@ def estimate(
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
-    threshold: Annotated[float, typer.Option(help="Probability from which a cell counts as visible.")] = 0.5,
+    threshold: Annotated[
+        float | None, typer.Option(help="Probability from which a cell counts as visible; 0.5 if not given.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
-    """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each file.
+    """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
+
+    A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 
     Example: viewshed estimate sweep.pcd.bin --out out
     """
     reading = Reading(sensor, format, file_frame, height, attitude)
     estimator = options.make_estimator(method, options.parse_grid(grid), target, profile)
-    if not 0 < threshold <= 1:
-        raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
+    run = Run(estimator, options.parse_threshold(threshold, profile), out)
     jobs = list(options.chosen(files or [], index))
+    names = output_names([file for file, _ in jobs])
+    refuse_inputs((out / f"{name}{suffix}" for name in names for suffix in _RESULTS), (file for file, _ in jobs))
     out.mkdir(parents=True, exist_ok=True)
+    taken = {name.casefold() for name in names}
     failed = 0
-    names = _stems([file for file, _ in jobs])
     for (file, entry), name in zip(_with_bar(jobs), names, strict=True):
         try:
-            typer.echo(run_one(reading.sweep(file, entry), name, estimator, threshold, out))
-        except (ValueError, OSError, ImportError, MemoryError) as error:
+            for sweep, single in _named(reading.sweeps(file, entry), name, taken):
+                typer.echo(run.one(sweep, single))
+        except BAD_INPUTS as error:
             failed += 1
-            typer.echo(f"viewshed: {_named(file, error)}", err=True)
+            typer.echo(f"viewshed: {_about(file, error)}", err=True)
     if failed:
         raise typer.Exit(2)
 
 
-def run_one(sweep: Sweep, name: str, estimator: FovEstimator, threshold: float, out: Path) -> str:
-    """Write picture, GeoJSON and NPZ of one sweep into ``out`` and return the summary line."""
-    from viewshed.export import to_geojson, to_npz
-    from viewshed.export.atomic import write_bytes
-    from viewshed.level import level_sweep
-    from viewshed.plot import Panel, picture
+@dataclass(slots=True)
+class Run:
+    """What is done with every sweep.
 
-    start = time.perf_counter()
-    found = estimator.estimate(sweep)
-    elapsed_ms = 1e3 * (time.perf_counter() - start)
-    level = level_sweep(sweep, estimator.grid)
-    summary = summary_line(found, threshold, elapsed_ms)
-    made = {
-        ".png": picture(Panel(found, f"{name[-32:]}: {summary}", level)),
-        ".geojson": _json(to_geojson(found, threshold)),
-        ".npz": to_npz(found),
-    }
-    for suffix, content in made.items():
-        write_bytes(out / f"{name}{suffix}", content)
-    return f"{name}: {summary}{_doubt(sweep, level)} → {out / name}.png"
+    Attributes:
+        estimator: what looks at it.
+        threshold: probability from which a cell counts as visible.
+        out: folder of the results.
+    """
+
+    estimator: FovEstimator
+    threshold: float
+    out: Path
+    _warm: bool = field(default=False, init=False)
+
+    def one(self, sweep: Sweep, name: str) -> str:
+        """Write picture, GeoJSON and NPZ of one sweep and return its summary line."""
+        from viewshed.export import to_geojson, to_npz
+        from viewshed.export.atomic import write_bytes
+        from viewshed.level import level_sweep
+        from viewshed.plot import Panel, picture
+
+        if not self._warm:  # the first call loads compiled code, which is no time of the estimator
+            self.estimator.estimate(sweep)
+            self._warm = True
+        found, elapsed_ms = timed(self.estimator, sweep)
+        level = level_sweep(sweep, self.estimator.grid)
+        summary = summary_line(found, self.threshold, elapsed_ms)
+        content = (
+            picture(Panel(found, f"{name}\n{summary}", level)),
+            _json(to_geojson(found, self.threshold)),
+            to_npz(found),
+        )
+        for suffix, made in zip(_RESULTS, content, strict=True):
+            write_bytes(self.out / f"{name}{suffix}", made)
+        return f"{name}: {summary}{_doubt(sweep, level)} → {self.out / name}.png"
 
 
 def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float) -> str:
@@ -108,28 +133,20 @@ def _json(content: object) -> bytes:
     return json.dumps(content, allow_nan=False).encode()
 
 
-def _stems(files: list[Path]) -> list[str]:
-    """Return one output name for each file; files of one name get their folder's before it, then a number.
-
-    >>> _stems([Path("a/x.bin"), Path("b/x.bin"), Path("y.pcd.bin.gz")])
-    ['a_x', 'b_x', 'y']
-    """
-    stems = [_stem(file.name) for file in files]
-    longer = [
-        f"{file.parent.name}_{stem}" if stems.count(stem) > 1 else stem for file, stem in zip(files, stems, strict=True)
-    ]
-    return [f"{name}_{longer[:k].count(name)}" if name in longer[:k] else name for k, name in enumerate(longer)]
-
-
-def _stem(name: str) -> str:
-    for suffix in _SUFFIXES:
-        if name.lower().endswith(suffix) and len(name) > len(suffix):
-            name = name[: -len(suffix)]
-    return name
+def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
+    """Yield each sweep with the name of its results: the file's, or numbered ones where it holds several."""
+    first, second = next(sweeps), next(sweeps, None)
+    if second is None:
+        yield first, name
+        return
+    yield first, free_name(f"{name}_000", taken)
+    yield second, free_name(f"{name}_001", taken)
+    for number, sweep in enumerate(sweeps, start=2):
+        yield sweep, free_name(f"{name}_{number:03}", taken)
 
 
-def _named(file: Path, error: BaseException) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
+def _about(file: Path, error: BaseException) -> str:
+    text = one_line(error)
     return text if file.name in text else f"{file}: {text}"
 
 
@@ -137,7 +154,13 @@ def _with_bar(jobs: list[Job]) -> Iterable[Job]:
     """Return the jobs, with a progress bar on standard error where that is a terminal and they are several."""
     if len(jobs) < 2 or not sys.stderr.isatty():
         return jobs
-    from rich.console import Console
-    from rich.progress import track
+    return _tracked(jobs)
 
-    return track(jobs, description="sweeps", console=Console(stderr=True), transient=True)
+
+def _tracked(jobs: list[Job]) -> Iterator[Job]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    to_terminal = sys.stdout.isatty()  # else the lines belong in the file or pipe, not above the bar
+    with Progress(console=Console(stderr=True), transient=True, redirect_stdout=to_terminal) as bar:
+        yield from bar.track(jobs, description="sweeps")

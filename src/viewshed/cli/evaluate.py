@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from viewshed.estimate import FovEstimator
     from viewshed.sweep import Sweep
 
-evaluate_app = typer.Typer(no_args_is_help=True, help="Figures on real data that no estimator made.")
+evaluate_app = typer.Typer(help="Figures on real data that no estimator made.")
 _ALL = "all"
 _INTRODUCTION = """\
 Two posed sweeps A and B of a static scene: what B sees tells what A must have seen or missed. *over* is the share of

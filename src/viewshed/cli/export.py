@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.estimate import _stem
 from viewshed.cli.options import AUTO, Reading
+from viewshed.cli.outputs import refuse_inputs, stem_of
 
 
 def export(
@@ -22,11 +22,10 @@ def export(
     format: options.FormatName = AUTO,  # noqa: A002
     file_frame: options.FrameName = None,
     height: options.Height = None,
+    attitude: options.Attitude = None,
     index: options.Index = None,
     target: options.TargetName = "car",
-    out: Annotated[
-        Path | None, typer.Option(help="File or folder; the default is beside here, by FILE's name.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="File or folder; if not given, here, named after FILE.")] = None,
 ) -> None:
     """Write the field of view as GeoJSON, ROS messages, OSI-style polygons or an ETSI CPM perception region.
 
@@ -44,10 +43,11 @@ def export(
     else:
         [(path, entry)] = options.chosen([file], index)
         estimator = options.make_estimator(method, options.parse_grid(grid), target)
-        found = estimator.estimate(Reading(sensor, format, file_frame, height).sweep(path, entry))
+        found = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
     content = json.dumps(to_cpm(found, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(found)
-    name = _stem(file.name) + EXPORTERS[to].suffix
+    name = stem_of(file.name) + EXPORTERS[to].suffix
     place = Path(name) if out is None else out / name if out.is_dir() else out
+    refuse_inputs([place], [file])
     write_bytes(place, content)
     typer.echo(f"{place}: {len(content)} bytes. {EXPORTERS[to].states}")
 

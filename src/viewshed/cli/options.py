@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ import typer
 
 if TYPE_CHECKING:
     from viewshed.bev import BevGrid
-    from viewshed.estimate import FovEstimator
+    from viewshed.estimate import FovEstimate, FovEstimator
+    from viewshed.estimators import EstimatorFactory
     from viewshed.io import IndexEntry
     from viewshed.sweep import Sweep
     from viewshed.visible import Target
@@ -19,16 +21,18 @@ if TYPE_CHECKING:
 GridName = Annotated[
     str, typer.Option("--grid", help="road, indoor, paper, paper_indoor, or CELLSxHALF_EXTENT_M (256x64).")
 ]
-SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name, or a TOML file.")]
+SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
 FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in metres, if known.")]
-Attitude = Annotated[str | None, typer.Option("--attitude", help="Quaternion W,X,Y,Z of level_from_sensor, if known.")]
+Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
 Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
 TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
 Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the published parameters.")]
 AUTO = "auto"
-AUTO_SCORE = 0.5
+BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
+"""What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
+_ROOM_M = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,22 +46,35 @@ class Reading:
     attitude: str | None = None
 
     def sweep(self, path: Path, entry: IndexEntry | None = None) -> Sweep:
-        """Return the sweep in a file, or of an index's entry, with the sensor that was asked for."""
-        from viewshed.io import read_indexed, read_sweep
+        """Return the first sweep of :meth:`sweeps`."""
+        return next(self.sweeps(path, entry))
+
+    def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
+        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
         from viewshed.sensors import lidar_model
 
-        if entry is not None:
-            sweep = read_indexed(entry)
-        else:
-            sweep = read_sweep(
-                path, format=self.format, file_frame=self.file_frame,
-                sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
-            )  # fmt: skip
-        if self.sensor == "none":
-            return sweep
-        if self.sensor == AUTO:
-            return with_inferred_sensor(sweep)
-        return sweep.replace(model=lidar_model(self.sensor))
+        model = None if self.sensor in {AUTO, "none"} else lidar_model(self.sensor)
+        for sweep in self._read(path) if entry is None else self._indexed(entry):
+            if model is not None:
+                yield sweep.replace(model=model)
+            else:
+                yield with_inferred_sensor(sweep) if self.sensor == AUTO else sweep
+
+    def _read(self, path: Path) -> Iterator[Sweep]:
+        from viewshed.io import read_sweeps
+
+        return read_sweeps(
+            path, format=self.format, file_frame=self.file_frame,
+            sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
+        )  # fmt: skip
+
+    def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
+        from viewshed.io import read_indexed
+
+        if self.format != AUTO or self.file_frame is not None:
+            raise ValueError("--format and --file-frame do not go with --index, which names the axes of its files")
+        given = {"sensor_height_m": self.height_m, "attitude": parse_numbers("attitude", self.attitude, 4)}
+        yield read_indexed(entry).replace(**{name: value for name, value in given.items() if value is not None})
 
 
 def with_inferred_sensor(sweep: Sweep) -> Sweep:
@@ -66,12 +83,8 @@ def with_inferred_sensor(sweep: Sweep) -> Sweep:
 
     if sweep.model is not None:
         return sweep
-    model, score = infer_sensor(sweep.points, sweep.ring)
-    if (
-        model is None
-        or score < AUTO_SCORE
-        or (sweep.ring is not None and int(sweep.ring.max(initial=0)) >= model.rings)
-    ):
+    model, _ = infer_sensor(sweep.points, sweep.ring)
+    if model is None or (sweep.ring is not None and int(sweep.ring.max(initial=0)) >= model.rings):
         return sweep
     return sweep.replace(model=model)
 
@@ -122,20 +135,56 @@ def parse_target(name: str) -> Target:
     return TARGETS[name]
 
 
-def make_estimator(method: str, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
-    """Return the estimator called ``method`` in a profile, for a target."""
+def make_estimator(method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
+    """Return the estimator called ``method`` in a profile, for a target; None is the profile's main one."""
     from dataclasses import replace
 
-    from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
-
-    tables = {"sound": ESTIMATORS, "paper": {**PAPER_ESTIMATORS}}
-    if profile not in tables:
-        raise ValueError(f"profile must be sound or paper, got {profile!r}")
-    table = tables[profile]
-    name = method if method in table else f"{profile}_{method}"
+    table = estimators_of(profile, grid)
+    main = "shadow_map" if profile == "sound" else "label"
+    name = main if method is None else method
+    name = name if name in table else f"{profile}_{name}"
     if name not in table:
         raise ValueError(f"method must be one of {', '.join(table)}, got {method!r}")
     return replace(table[name](grid), target=parse_target(target))  # type: ignore[type-var]
+
+
+def estimators_of(profile: str, grid: BevGrid) -> dict[str, EstimatorFactory]:
+    """Return the estimators of a profile; the paper's own depend on whether the grid is a room's or a road's."""
+    from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
+
+    papers = PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _ROOM_M else PAPER_ESTIMATORS
+    tables = {"sound": ESTIMATORS, "paper": papers}
+    if profile not in tables:
+        raise ValueError(f"profile must be sound or paper, got {profile!r}")
+    return tables[profile]
+
+
+def parse_threshold(threshold: float | None, profile: str) -> float:
+    """Return the probability from which a cell counts as visible; None is the profile's own."""
+    from viewshed.estimate import THRESHOLD
+    from viewshed.estimators import PAPER_THRESHOLD
+
+    if threshold is None:
+        return THRESHOLD if profile == "sound" else PAPER_THRESHOLD
+    if not 0 < threshold <= 1:
+        raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
+    return threshold
+
+
+def timed(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:
+    """Return the estimate and the milliseconds that it took."""
+    start = time.perf_counter()
+    estimate = estimator.estimate(sweep)
+    return estimate, 1e3 * (time.perf_counter() - start)
+
+
+def one_line(error: BaseException) -> str:
+    r"""Return an error's message without line breaks.
+
+    >>> one_line(ValueError("a\nb"))
+    'a b'
+    """
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
