@@ -169,12 +169,22 @@ def _lows(
     lowest, origin = lows.reshape(-1, 2), rows.reshape(-1, 2)
     for k in range(points.shape[0]):
         node, z = nodes[k], heights[k]
-        if node >= 0 and z < lowest[node, 1]:
+        if node >= 0 and _before(points, k, z, origin[node, 1], lowest[node, 1]):
             rank = 1
-            if z < lowest[node, 0]:
+            if _before(points, k, z, origin[node, 0], lowest[node, 0]):
                 lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
                 rank = 0
             lowest[node, rank], origin[node, rank] = z, k
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma: no cover - compiled
+    """Whether ``z`` is lower; among equals x and y decide, so that the order of the points does not."""
+    if z != low:
+        return z < low
+    if points[k, 0] != points[other, 0]:
+        return points[k, 0] < points[other, 0]
+    return points[k, 1] < points[other, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -52,6 +52,7 @@ def _aligned_columns(points: NDArray[np.float32], columns: int) -> tuple[NDArray
     """
     position = (np.arctan2(points[:, 1], points[:, 0]).astype(np.float64) / (2 * np.pi) + 0.5) * columns
     phase = float(np.angle(np.exp(2j * np.pi * position).sum()) / (2 * np.pi)) if len(points) else 0.5
+    phase = round(phase, 6)  # the rest depends on the order of the points
     return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
 
 
