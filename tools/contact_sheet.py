@@ -10,6 +10,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from viewshed import GRIDS, CellState
@@ -21,7 +22,7 @@ from viewshed.level import level_sweep
 from viewshed.plot import Panel, contact_sheet
 from viewshed.report import facts, page, table
 
-HEADER = ("file", "sensor", "grid", "points", "visible m²", "hidden", "unknown", "sensor height m", "tilt", "ms")
+HEADER = ("no.", "file", "sensor", "grid", "points", "visible m²", "hidden", "unknown", "sensor height m", "tilt", "ms")
 _INDOORS = ("indoor", "office", "room")
 
 
@@ -33,13 +34,15 @@ def main() -> None:
     arguments = parser.parse_args()
     environments = {entry["file"]: entry["environment"] for entry in json.loads(arguments.index.read_text())}
     folder = arguments.index.resolve().parent
-    panels, rows = [], []
+    panels: list[Panel] = []
+    rows: list[list[str]] = []
     for entry in read_index(arguments.index):
         environment = environments[str(entry.file.relative_to(folder))]
         grid = "indoor" if any(word in environment for word in _INDOORS) else "road"
         row, panel = _estimated(entry, grid, str(entry.file.relative_to(folder)))
-        rows.append(row)
-        panels += [panel] if panel is not None else []
+        number = str(len(panels) + 1) if panel is not None else ""
+        rows.append([number, *row])
+        panels += [replace(panel, title=f"{number} · {panel.title}")] if panel is not None else []
         sys.stderr.write(f"{row[0]}\n")
     write_bytes(arguments.out / "real_sweeps.png", contact_sheet(panels))
     judgement = (arguments.out / "real_sweeps_judgement.md").read_text(encoding="utf-8")
@@ -73,7 +76,7 @@ def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Pane
         f"{elapsed_ms:.1f}",
     ]
     short = entry.file.name.replace("__LIDAR_TOP__", " ")
-    return row, Panel(found, f"{short[-24:]}\n{found.area_m2():.0f} m²")
+    return row, Panel(found, f"{short[-22:]}\n{found.area_m2():.0f} m²")
 
 
 def _tilt_deg(cosine: float) -> str:

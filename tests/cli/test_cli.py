@@ -5,6 +5,7 @@ import io
 import json
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -187,6 +188,14 @@ def test_every_command_has_help_with_an_example() -> None:
         done = run(command, "--help")
         assert done.returncode == 0
         assert f"Example: viewshed {command}" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("command", ["estimate", "compare", "export"])
+def test_every_option_is_in_the_docs(command: str) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
+    offered = set(re.findall(r"--[a-z-]+", run(command, "--help").stdout)) - {"--help"}
+    assert len(offered) > 8
+    assert [option for option in offered if option not in page] == []
 
 
 def test_no_command_and_a_wrong_command_say_how() -> None:

@@ -19,7 +19,7 @@ _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "
 
 
 def compare(
-    file: Annotated[Path, typer.Argument(help="A sweep, in any known format.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     methods: Annotated[
         str, typer.Option(help="Estimators, with commas; 'all' for every one.")
     ] = "shadow_map,vote,first_blocker",

@@ -39,7 +39,9 @@ def evaluate() -> None:
 
 @evaluate_app.command()
 def crossview(
-    index: Annotated[Path, typer.Argument(help="Index (JSON) of posed sweeps; each folder of it is one scene.")],
+    index: Annotated[
+        Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
+    ],
     methods: Annotated[str, typer.Option(help="Estimators, with commas; 'all' for every one.")] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
     out: Annotated[

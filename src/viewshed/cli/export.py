@@ -13,7 +13,7 @@ from viewshed.cli.outputs import refuse_inputs, stem_of
 
 
 def export(
-    file: Annotated[Path, typer.Argument(help="A sweep, or an estimate's .npz.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
     to: Annotated[str, typer.Option(help="geojson, occupancy_grid, grid_map, osi, cpm or npz.")] = "geojson",
     sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,
     method: Annotated[str, typer.Option(help="Estimator, where FILE is a sweep.")] = "shadow_map",

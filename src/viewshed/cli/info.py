@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def info(
-    file: Annotated[Path, typer.Argument(help="A sweep, in any known format.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002
