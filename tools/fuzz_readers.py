@@ -109,7 +109,7 @@ def _damage(here: bytes, rng: np.random.Generator) -> tuple[int, bytes]:
 
 def cases() -> dict[str, SampleFile]:
     """Return every sample, the metadata beside a capture, and an index of sweeps."""
-    files = samples()
+    files: dict[str, SampleFile] = samples()
     capture = files["ouster pcap"]
     files["ouster metadata"] = SampleFile("ouster", "o.json", ouster_metadata(), {"o.pcap": capture.content})
     index = [{"file": "a.bin", "sensor": "HDL-64E", "sensor_from_file": np.eye(4).tolist(), "t": 1.5}]

@@ -209,8 +209,9 @@ def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
 def sample_sweep() -> Sweep:
     """Return a sweep with every attribute but a model."""
     return Sweep(
-        POINTS, INTENSITY, ring=np.arange(6), azimuth=np.arange(6) * 0.5, time_s=np.arange(6) * 0.01, t_ns=12,
-        attitude=np.array([1.0, 0, 0, 0]), sensor_height_m=1.8, world_from_sensor=Rigid.from_yaw(1.0, (1, 2, 3)),
+        POINTS, INTENSITY, ring=np.arange(6, dtype=np.int16), azimuth=np.arange(6) * 0.5,
+        time_s=np.arange(6) * 0.01, t_ns=12, attitude=np.array([1.0, 0, 0, 0]), sensor_height_m=1.8,
+        world_from_sensor=Rigid.from_yaw(1.0, (1, 2, 3)),
     )  # fmt: skip
 
 
