@@ -20,7 +20,7 @@ from viewshed import BevGrid, read_sweep, write_sweep
 from viewshed.cli import main
 from viewshed.cli.options import make_estimator, parse_grid
 from viewshed.cli.outputs import output_names
-from viewshed.export import read_npz
+from viewshed.export import EXPORTERS, read_npz
 from viewshed.samples import junction_path
 
 
@@ -196,6 +196,12 @@ def test_every_option_is_in_the_docs(command: str) -> None:
     offered = set(re.findall(r"--[a-z-]+", run(command, "--help").stdout)) - {"--help"}
     assert len(offered) > 8
     assert [option for option in offered if option not in page] == []
+
+
+def test_every_export_and_how_it_maps_the_states_is_in_the_docs() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
+    rows = [f"| `{name}` | `STEM{way.suffix}` | {way.states} |" for name, way in EXPORTERS.items()]
+    assert [row for row in rows if row not in page] == []
 
 
 def test_no_command_and_a_wrong_command_say_how() -> None:
