@@ -34,7 +34,7 @@ unit: $(VENV)/.test
 docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-bench: $(VENV)/.core  ## speed against named alternatives; writes docs/results/speed.md
+bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/speed.md
 	$(BIN)/python -m benchmarks
 
 clean:  ## remove what these commands made
@@ -51,6 +51,10 @@ $(VENV)/.core: pyproject.toml $(VENV)/.made
 
 $(VENV)/.test: pyproject.toml $(VENV)/.made
 	$(PIP) --editable '.[test]'
+	@touch $@ $(VENV)/.core
+
+$(VENV)/.bench: pyproject.toml $(VENV)/.made
+	$(PIP) --editable '.[bench]'
 	@touch $@ $(VENV)/.core
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.made
