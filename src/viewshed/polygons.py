@@ -24,7 +24,7 @@ BoolMask = NDArray[np.bool_]
 BINS = 720
 """Directions that the vertices of inner polygons are chosen from: half a degree each."""
 SECTOR_BINS = 1800
-"""Directions that up to 16 sectors are made of, 0.2° each: whole numbers of the 0.1° of ETSI messages. More sectors
+"""Directions that up to 64 sectors are made of, 0.2° each: whole numbers of the 0.1° of ETSI messages. More sectors
 are made of half as many."""
 MAX_SECTORS = 256
 """The most sectors that are chosen together."""
@@ -269,7 +269,7 @@ def sectors_of_mask(
     hole = blind_spot(array, grid) if apex_m == (0.0, 0.0) else None
     if hole is not None and hole.any():
         array, inner = array | hole, float(np.hypot(*np.abs(grid.centers[hole]).T).max() + grid.cell_m * 0.7072)
-    bins = SECTOR_BINS if sectors <= 16 else SECTOR_BINS // 2
+    bins = SECTOR_BINS if sectors <= 64 else SECTOR_BINS // 2
     ranges = free_ranges(array, grid, apex_m, bins, whole_cells=whole_cells)
     if range_step_m > 0.0:
         ranges = np.floor(ranges / range_step_m + 1e-9) * range_step_m * (1 - 1e-12)
