@@ -47,10 +47,12 @@ def _measured(folder: Path, only: str, bandwidth: float, facts: dict[str, str]) 
     rng = np.random.default_rng(SEED)
     for case in all_cases(folder, rng):
         if only in case.step:
-            timings = interleaved({"": case.job, **case.others}, rng)
-            yield _told(_row_of_case(case, timings, bandwidth))
-    if only in "import viewshed":
-        yield _told(_row_of_process("import viewshed", "–", processes.imports(rng), 500.0))
+            medians = interleaved({"": case.job, **case.others}, rng)
+            yield _told(_row_of_case(case, medians, bandwidth))
+    if only in processes.IMPORT_ALL:
+        timings = processes.imports(rng)
+        for name in (processes.IMPORT, processes.IMPORT_ALL):
+            yield _told(_row_of_process(name, "–", timings, 500.0))
     if only in "viewshed estimate":
         sweep = clouds.write_nuscenes(clouds.synthetic("35k", rng), folder / "cold.pcd.bin")
         processes.estimate(sweep, folder / "out", rng)

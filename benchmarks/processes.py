@@ -13,12 +13,19 @@ import numpy as np
 from benchmarks.timing import Job, Timing, interleaved
 
 VIEWSHED = str(Path(sys.executable).with_name("viewshed"))
+IMPORT = "import viewshed"
+IMPORT_ALL = "import viewshed, use every public name"
 LIBRARIES = "import numpy, numba, matplotlib.figure, typer"
 
 
 def imports(rng: np.random.Generator) -> dict[str, Timing]:
-    """Return the time of a process that imports viewshed, beside numpy alone and Python alone."""
-    code = {"import viewshed": "import viewshed", "import numpy": "import numpy", "Python alone": ""}
+    """Return the time of a process that imports viewshed, and all it names, beside numpy alone and Python alone."""
+    code = {
+        IMPORT: "import viewshed",
+        IMPORT_ALL: "import viewshed; [getattr(viewshed, name) for name in viewshed.__all__]",
+        "import numpy": "import numpy",
+        "Python alone": "",
+    }
     return interleaved({name: _job(sys.executable, "-c", text) for name, text in code.items()}, rng)
 
 
