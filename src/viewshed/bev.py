@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import FloatArray, Rigid
 
 MAX_CELLS = 4096
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -105,28 +106,49 @@ class BevGrid:
             np.ascontiguousarray(points, dtype=np.float32),
             transform.rotation.astype(np.float32),
             transform.translation.astype(np.float32),
-            np.array([*self.origin_m, 1.0 / self.cell_m], np.float32),
+            np.array([*self.origin_m, 1.0 / self.cell_m, self.cells], np.float32),
             np.array([*height_m, min(max_range_m, 1e18) ** 2], np.float32),
             counts,
         )
         return counts
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _count(
     points: Any, rotation: Any, translation: Any, lattice: Any, limits: Any, counts: Any
 ) -> None:  # pragma: no cover - compiled
-    cells = counts.shape[0]
-    x0, y0, per_m = lattice
+    """Find each point's cell in blocks, in a loop without branches that vectorizes, then count."""
+    flat = counts.reshape(-1)
+    block = np.empty(_BLOCK, np.int32)
+    for start in range(0, points.shape[0], _BLOCK):
+        part = points[start : start + _BLOCK]
+        _cells(part, rotation, translation, lattice, limits, block)
+        for k in range(part.shape[0]):
+            if block[k] >= 0:
+                flat[block[k]] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cells(
+    points: Any, rotation: Any, translation: Any, lattice: Any, limits: Any, cells: Any
+) -> None:  # pragma: no cover - compiled
+    x0, y0, per_m, last = lattice
     low, high, max_range2 = limits
-    for n in range(points.shape[0]):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+    xx, xy, xz, x_off = rotation[0, 0], rotation[0, 1], rotation[0, 2], translation[0]
+    yx, yy, yz, y_off = rotation[1, 0], rotation[1, 1], rotation[1, 2], translation[1]
+    zx, zy, zz, z_off = rotation[2, 0], rotation[2, 1], rotation[2, 2], translation[2]
+    side = np.int32(last)
+    for k in range(points.shape[0]):
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+        x = xx * px + xy * py + xz * pz + x_off
+        y = yx * px + yy * py + yz * pz + y_off
+        z = zx * px + zy * py + zz * pz + z_off
         u, v = (x - x0) * per_m, (y - y0) * per_m
-        if u >= 0.0 and v >= 0.0 and u < cells and v < cells and low <= z <= high and x * x + y * y <= max_range2:
-            counts[int(u), int(v)] += 1
+        inside = (
+            (u >= 0) & (v >= 0) & (u < last) & (v < last) & (z >= low) & (z <= high) & (x * x + y * y <= max_range2)
+        )
+        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
+        cells[k] = i * side + j if inside else np.int32(-1)
 
 
 GRIDS: dict[str, BevGrid] = {

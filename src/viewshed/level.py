@@ -31,6 +31,7 @@ TILT_SUPPORT = 0.35
 """Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt."""
 LEVEL_TILT = np.deg2rad(6.0)
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
+_BLOCK = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,16 +166,19 @@ def _lows(
     points: Any, rotation: Any, limits: Any, half: Any, lows: Any, rows: Any
 ) -> None:  # pragma: no cover - compiled
     """Keep the two lowest z of each node, ascending, and the rows that they come from."""
-    nodes, heights = _nodes(points, rotation, limits, half, lows.shape[0])
     lowest, origin = lows.reshape(-1, 2), rows.reshape(-1, 2)
-    for k in range(points.shape[0]):
-        node, z = nodes[k], heights[k]
-        if node >= 0 and _before(points, k, z, origin[node, 1], lowest[node, 1]):
-            rank = 1
-            if _before(points, k, z, origin[node, 0], lowest[node, 0]):
-                lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
-                rank = 0
-            lowest[node, rank], origin[node, rank] = z, k
+    nodes, heights = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.float32)
+    for start in range(0, points.shape[0], _BLOCK):
+        part = points[start : start + _BLOCK]
+        _nodes(part, rotation, limits, (half, np.float32(lows.shape[0])), nodes, heights)
+        for n in range(part.shape[0]):
+            node, z, k = nodes[n], heights[n], start + n
+            if node >= 0 and _before(points, k, z, origin[node, 1], lowest[node, 1]):
+                rank = 1
+                if _before(points, k, z, origin[node, 0], lowest[node, 0]):
+                    lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
+                    rank = 0
+                lowest[node, rank], origin[node, rank] = z, k
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -188,21 +192,22 @@ def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(points: Any, rotation: Any, limits: Any, half: Any, n: int) -> Any:  # pragma: no cover - compiled
-    """Return each point's node (-1 where it is no candidate for ground) and its z.
+def _nodes(
+    points: Any, rotation: Any, limits: Any, lattice: Any, nodes: Any, heights: Any
+) -> None:  # pragma: no cover - compiled
+    """Find each point's node (-1 where it is no candidate for ground) and its z.
 
     No candidates: points outside or out of range, and those that may be the hood or roof of the vehicle below the
     sensor. Without branches, so that it vectorizes.
     """
-    count = points.shape[0]
-    nodes, heights = np.empty(count, np.int32), np.empty(count, np.float32)
-    per_m, last = np.float32(n / (2.0 * half)), np.float32(n)
+    half, last = lattice
+    per_m, side = last / (np.float32(2.0) * half), np.int32(last)
     near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
     xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
-    for k in range(count):
+    for k in range(points.shape[0]):
         px, py, pz = points[k, 0], points[k, 1], points[k, 2]
         d2 = px * px + py * py + pz * pz
         x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
@@ -211,9 +216,8 @@ def _nodes(points: Any, rotation: Any, limits: Any, half: Any, n: int) -> Any:  
         hood = (abs(x) < hood_x) & (abs(y) < hood_y) & (z > hood_z)
         inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
         i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
-        nodes[k] = i * np.int32(n) + j if inside else np.int32(-1)
+        nodes[k] = i * side + j if inside else np.int32(-1)
         heights[k] = z
-    return nodes, heights
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -177,19 +177,19 @@ def fov_of_state(level: LevelSweep, grid: BevGrid, state: NDArray[np.uint8], nam
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
     position = int((np.float64(azimuth) + np.pi) * (bins / (2.0 * np.pi)))
     return min(max(position, 0), bins - 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _occupy(azimuth: Any, occupied: Any) -> None:  # pragma: no cover - compiled
     for n in range(azimuth.shape[0]):
         occupied[_bin(azimuth[n], occupied.shape[0])] = True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _largest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover - compiled
     bins, last = best.shape[0], best.shape[1] - 1
     for n in range(azimuth.shape[0]):
@@ -202,7 +202,7 @@ def _largest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover
             best[b, k] = r
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _smallest(azimuth: Any, range_m: Any, height: Any, limits: Any, best: Any) -> None:  # pragma: no cover - compiled
     bins, last = best.shape[0], best.shape[1] - 1
     for n in range(azimuth.shape[0]):
@@ -217,7 +217,7 @@ def _smallest(azimuth: Any, range_m: Any, height: Any, limits: Any, best: Any) -
             best[b, k] = r
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _at_limit(
     azimuth: Any, range_m: Any, height: Any, limits: Any, limit_m: Any, found: Any
 ) -> None:  # pragma: no cover - compiled
@@ -229,7 +229,7 @@ def _at_limit(
                 found[b] = True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _states(
     bins: Any, range_m: Any, visible_m: Any, hidden_m: Any, surface: Any, state: Any
 ) -> None:  # pragma: no cover - compiled
