@@ -379,3 +379,11 @@ def test_grids_and_targets_reach_the_estimator() -> None:
     estimator = make_estimator("first_blocker", parse_grid("64x8"), "pedestrian")
     assert estimator.grid == BevGrid(64, 8.0)
     assert make_estimator("quantized", parse_grid("road"), "car", "paper").grid.cells == 256
+
+
+def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
+    sweep = read_sweep(junction_path())
+    upside_down = np.column_stack([sweep.points * [1, -1, -1], np.zeros(len(sweep))]).astype(np.float32)
+    upside_down.tofile(tmp_path / "x.bin")
+    done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
+    assert "if the file's z points down give --file-frame carla" in done.stdout
