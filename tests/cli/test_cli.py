@@ -386,4 +386,4 @@ def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
     upside_down = np.column_stack([sweep.points * [1, -1, -1], np.zeros(len(sweep))]).astype(np.float32)
     upside_down.tofile(tmp_path / "x.bin")
     done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
-    assert "if the file's z points down give --file-frame carla" in done.stdout
+    assert "or --file-frame if the file's z points down" in done.stdout

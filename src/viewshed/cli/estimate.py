@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 _RESULTS = (".png", ".geojson", ".npz")
 
-_ABOVE = 0.8
-"""Share of returns above the sensor from which on a file is suspected to be upside down."""
-
 
 def estimate(
     files: Annotated[list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps, in any known format.")] = None,
@@ -125,10 +122,9 @@ def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float) -> str
 def _doubt(sweep: Sweep, level: LevelSweep) -> str:
     if len(level.points) == 0:
         return f"; no usable return among {len(sweep)} points: nothing is known"
-    if level.ground.support == 0 and (sweep.points[:, 2] > 0).mean() > _ABOVE:
-        return "; no ground below, most returns above: if the file's z points down give --file-frame carla"
     if level.ground.support == 0 and sweep.sensor_height_m is None:
-        return f"; ground not seen, sensor taken to be {level.sensor_height_m:.2f} m above it (give --height)"
+        assumed = f"; ground not seen, sensor taken to be {level.sensor_height_m:.2f} m above it"
+        return f"{assumed} (give --height, or --file-frame if the file's z points down)"
     return ""
 
 
