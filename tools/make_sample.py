@@ -1,6 +1,7 @@
 """Make the embedded sample: ``python tools/make_sample.py``. The same seed gives the same bytes."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,9 @@ HEIGHT_M = 1.84
 
 def main() -> None:
     """Cast the junction and write it into the package."""
-    sweep = cast(lidar_model("hdl32e"), junction(), HEIGHT_M, rng=np.random.default_rng(SEED))
+    model = lidar_model("hdl32e")
+    between_columns = replace(model, azimuth_offset=model.azimuth_offset + model.azimuth_step / 2)
+    sweep = cast(between_columns, junction(), HEIGHT_M, rng=np.random.default_rng(SEED))
     rounded = sweep.replace(points=sweep.points.round(3), intensity=np.zeros(len(sweep), np.float32))
     write_sweep(rounded, junction_path())
     sys.stdout.write(f"{junction_path().name}: {len(sweep)} points, {junction_path().stat().st_size} bytes\n")
