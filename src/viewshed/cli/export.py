@@ -25,7 +25,9 @@ def export(
     attitude: options.Attitude = None,
     index: options.Index = None,
     target: options.TargetName = "car",
-    out: Annotated[Path | None, typer.Option(help="File or folder; if not given, here, named after FILE.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File, or a folder that exists; if not given, here, named after FILE.")
+    ] = None,
 ) -> None:
     """Write the field of view as GeoJSON, ROS messages, OSI-style polygons or an ETSI CPM perception region.
 
