@@ -23,8 +23,8 @@ claim. In brackets the 95 % interval (the wider of a bootstrap over sweeps and t
 columns the rate rests on. Differences under about .05 mean nothing."""
 _WHOLE = """\
 A column counts as not seen only if it hides a whole target: as wide (0.9 m to both sides across A's line of sight)
-and standing on the ground. The last table shows why. These two rules were added after the first figures on real data were
-known; the evidence for them is the simulation, and few columns are left, so the intervals are wide."""
+and standing on the ground. The last table shows why. These two rules were added after the first figures on real data
+were known; the evidence for them is the simulation, and few columns are left, so the intervals are wide."""
 _FIRST = """\
 The metric as first defined takes any column for a target. It is kept for comparison: a car-wide target that looks
 out beside a post, or beams that pass below a bus, count as over-claim although they are none."""
