@@ -37,7 +37,8 @@ def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, targ
     returns, aimed = expected_returns(beams, height_m, Ground.flat(20.0), GRID, target)
     for cell in [(int(i), int(j)) for i, j in rng.integers(0, 32, (10, 2))]:
         reach, aim = _by_hand(beams, height_m, cell, target)
-        assert abs(returns[cell] - reach) <= 3 + 4 * np.sqrt(reach)
+        assert abs(returns[cell] - reach) <= 1 + np.sqrt(reach)
+        # `aimed` is averaged over neighboring sectors, so random beams differ from the window's own by chance
         assert abs(aimed[cell] - aim) <= 4 + 4 * np.sqrt(aim)
 
 

@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from viewshed import GRIDS, CellState
+from viewshed.atomic import write_bytes
 from viewshed.cli.options import with_inferred_sensor
 from viewshed.estimators import ESTIMATORS
-from viewshed.export.atomic import write_bytes
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.level import level_sweep
 from viewshed.plot import Panel, contact_sheet

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, FovEstimate
+from viewshed.atomic import write_bytes
 from viewshed.bev import polar_of_cells
 from viewshed.export import claimed_by_cpm, to_cpm
-from viewshed.export.atomic import write_bytes
 from viewshed.io import read_index, read_indexed
 from viewshed.report import facts, page, table
 

@@ -85,7 +85,8 @@ def expected_returns(
     A beam counts for a cell at range r if its azimuth falls inside the target's width at r, its height at r lies
     between the local ground and the target's top, and its depth reaches r less one cell. ``aimed`` leaves the
     depth out: beams that would meet the target if nothing stood nearer. Counts are interpolated within an azimuth
-    column, so they need not be whole; heights may lie 0.3 m below ground, the tolerance of a measured ground.
+    column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
+    below ground, the tolerance of a measured ground.
     """
     range_of_cells, azimuth_of_cells = polar_of_cells(grid)
     bins = int(np.ceil(float(range_of_cells.max()) / grid.cell_m)) + 1

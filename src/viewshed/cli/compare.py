@@ -38,7 +38,7 @@ def compare(
 
     Example: viewshed compare sweep.bin --methods shadow_map,quantized,concave_hull
     """
-    from viewshed.export.atomic import write_bytes
+    from viewshed.atomic import write_bytes
     from viewshed.level import level_sweep
     from viewshed.plot import Panel, comparison
     from viewshed.report import table

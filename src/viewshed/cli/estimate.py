@@ -87,8 +87,8 @@ class Run:
 
     def one(self, sweep: Sweep, name: str) -> str:
         """Write picture, GeoJSON and NPZ of one sweep and return its summary line."""
+        from viewshed.atomic import write_bytes
         from viewshed.export import to_geojson, to_npz
-        from viewshed.export.atomic import write_bytes
         from viewshed.level import level_sweep
         from viewshed.plot import Panel, picture
 

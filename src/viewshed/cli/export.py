@@ -35,8 +35,8 @@ def export(
     """
     import json
 
+    from viewshed.atomic import write_bytes
     from viewshed.export import EXPORTERS, read_npz, to_cpm
-    from viewshed.export.atomic import write_bytes
 
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")

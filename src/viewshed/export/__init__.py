@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from viewshed.atomic import write_bytes
 from viewshed.estimate import FovEstimate
 from viewshed.export import archive, cpm, geojson, osi, ros
 from viewshed.export.archive import read_npz, to_npz, write_npz
-from viewshed.export.atomic import write_bytes
 from viewshed.export.cpm import claimed_by_cpm, to_cpm
 from viewshed.export.geojson import fov_from_geojson, to_geojson
 from viewshed.export.osi import polygons_of_osi, to_osi

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from viewshed.atomic import write_bytes
 from viewshed.bev import MAX_CELLS, BevGrid
 from viewshed.estimate import FovEstimate
-from viewshed.export.atomic import write_bytes
 from viewshed.geometry import Rigid
 from viewshed.visible import Target
 

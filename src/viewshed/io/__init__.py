@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import gzip
 import os
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from viewshed.atomic import write_bytes
 from viewshed.geometry import Rigid
 from viewshed.io.columns import Given, sweep_of
 from viewshed.io.formats import FORMATS, Format, format_named, format_of
@@ -131,20 +130,4 @@ def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "au
     content = write(sweep)
     if where.lower().endswith(".gz"):
         content = gzip.compress(content, compresslevel=6, mtime=0)
-    _replace(Path(where), content)
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there, so that no half of it is ever seen."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
-    part = Path(name)
-    try:
-        with open(descriptor, "wb") as file:  # noqa: PTH123 (a descriptor, not a path)
-            file.write(content)
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o666 & ~mask)
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    write_bytes(where, content)
