@@ -1,0 +1,244 @@
+"""Worlds: ground, things that stand or move on it, and the agents that look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.sim.materials import material_index
+from viewshed.sim.shapes import KINDS, Shape
+from viewshed.sim.terrain import Terrain
+
+GROUND, NOTHING = -1, -2
+"""What a beam met if it was no thing: the ground, or nothing within range."""
+_DT_S = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Where something is over time: straight between knots; before the first and after the last it stands still.
+
+    Attributes:
+        t_s: (k,) ascending seconds.
+        xy_m: (k, 2) metres in the world.
+        yaw: (k,) radians, continuous (it may pass π).
+    """
+
+    t_s: NDArray[np.float64]
+    xy_m: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name in ("t_s", "xy_m", "yaw"):
+            array = np.array(getattr(self, name), np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        count = len(self.t_s)
+        if count < 1 or self.xy_m.shape != (count, 2) or self.yaw.shape != (count,) or (np.diff(self.t_s) <= 0).any():
+            raise ValueError("a track must have ascending t_s (k,), xy_m (k, 2) and yaw (k,)")
+
+    def at(self, t_s: float) -> tuple[float, float, float]:
+        """Return x and y in metres and yaw in radians at ``t_s``."""
+        x, y = np.interp(t_s, self.t_s, self.xy_m[:, 0]), np.interp(t_s, self.t_s, self.xy_m[:, 1])
+        return float(x), float(y), float(np.interp(t_s, self.t_s, self.yaw))
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """Something that stands on the ground or moves over it.
+
+    Attributes:
+        kind: what it is, for example ``car``.
+        parts: its solids, in its own frame: x forward, y left, z up from the ground below its origin.
+        x_m: where its origin is in the world (at rest).
+        y_m: see ``x_m``.
+        yaw: its heading in the world (at rest).
+        track: where it is over time, or None if it rests.
+        tilts: whether it lies along the ground's slope (vehicles) or stands upright.
+        z_m: height of its origin in the world, or None for the ground's.
+    """
+
+    kind: str
+    parts: tuple[Shape, ...]
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw: float = 0.0
+    track: Track | None = None
+    tilts: bool = False
+    z_m: float | None = None
+
+    def place(self, t_s: float) -> tuple[float, float, float]:
+        """Return x and y in metres and yaw in radians at ``t_s``."""
+        return (self.x_m, self.y_m, self.yaw) if self.track is None else self.track.at(t_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agent:
+    """A sensor on a vehicle or on a mast.
+
+    Attributes:
+        name: who measures.
+        sensor: a beam table's name.
+        mount: ``carrier_from_sensor``: from the sensor to the frame of its carrier, or to the world if there is none.
+        carrier: index of the thing that it is mounted on, or None for a mast.
+    """
+
+    name: str
+    sensor: str
+    mount: Rigid
+    carrier: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AgentPlan:
+    """Which sensors a world is asked to carry.
+
+    Attributes:
+        moving: vehicles (outdoors) or robots (indoors) that drive and measure.
+        roadside: sensors on masts, elevated and tilted.
+        sensor: beam table of the moving ones.
+        roadside_sensor: beam table of those on masts.
+        sensor_height_m: of the moving ones, above the ground.
+        duration_s: how long the tracks must last.
+    """
+
+    moving: int = 1
+    roadside: int = 0
+    sensor: str = "hdl32e"
+    roadside_sensor: str = "roadside"
+    sensor_height_m: float = 1.84
+    duration_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        if min(self.moving, self.roadside) < 0 or self.moving + self.roadside < 1:
+            raise ValueError(f"a plan needs at least one agent, got {self.moving} moving and {self.roadside} roadside")
+        if not (self.duration_s > 0 and self.sensor_height_m > 0):
+            raise ValueError("duration_s and sensor_height_m must be positive")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """All solids of a world at one time, as arrays, in the world frame.
+
+    Attributes:
+        terrain: the ground.
+        kind: (n,) uint8: ``BOX``, ``CYLINDER`` or ``ELLIPSOID``.
+        center_m: (n, 3) float64.
+        rotation: (n, 3, 3) float64, ``world_from_shape``.
+        half_m: (n, 3) float64 half sizes along the shape's own axes.
+        velocity_mps: (n, 3) float64; solids do not turn within a revolution.
+        material: (n,) uint8 rows of ``MATERIALS``.
+        thing: (n,) int32 index of the thing that it belongs to.
+    """
+
+    terrain: Terrain
+    kind: NDArray[np.uint8]
+    center_m: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    half_m: NDArray[np.float64]
+    velocity_mps: NDArray[np.float64]
+    material: NDArray[np.uint8]
+    thing: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Ground, things and agents, made from a seed.
+
+    Attributes:
+        name: what kind of place it is.
+        terrain: the ground.
+        things: all that stands or moves on it, the agents' own vehicles too.
+        agents: the sensors in it.
+        indoor: whether it is a building.
+    """
+
+    name: str
+    terrain: Terrain
+    things: tuple[Thing, ...] = ()
+    agents: tuple[Agent, ...] = ()
+    indoor: bool = False
+
+    def pose_of(self, thing: int, t_s: float) -> Rigid:
+        """Return ``world_from_thing`` at ``t_s``."""
+        rotation, origin = self._poses(t_s, np.array([thing]))
+        return Rigid(rotation[0], origin[0])
+
+    def world_from_sensor(self, agent: Agent, t_s: float) -> Rigid:
+        """Return the pose of an agent's sensor at ``t_s``."""
+        return agent.mount if agent.carrier is None else self.pose_of(agent.carrier, t_s) @ agent.mount
+
+    def snapshot(self, t_s: float) -> Snapshot:
+        """Return all solids at ``t_s``, with their velocities."""
+        rest, (kind, thing, material, half) = self._rest, self._parts[:4]
+        center, rotation, velocity = rest[0].copy(), rest[1].copy(), np.zeros((len(kind), 3))
+        moving = np.flatnonzero([one.track is not None for one in self.things])
+        rows = np.flatnonzero(np.isin(thing, moving))
+        if rows.size:
+            place = np.searchsorted(moving, thing[rows])
+            turn, origin = self._poses(t_s, moving)
+            _, before = self._poses(t_s - _DT_S, moving)
+            _, after = self._poses(t_s + _DT_S, moving)
+            center[rows], rotation[rows] = self._placed(rows, turn[place], origin[place])
+            velocity[rows] = ((after - before) / (2 * _DT_S))[place]
+        return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
+
+    @cached_property
+    def _parts(self) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64],
+                              NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+        """Kind, thing, material, half sizes, and in the frame of the thing centre and yaw of every solid."""
+        parts = [(index, part) for index, thing in enumerate(self.things) for part in thing.parts]
+        kind = np.array([KINDS[type(part)] for _, part in parts], np.uint8)
+        thing = np.array([index for index, _ in parts], np.int32)
+        material = np.array([material_index(part.material) for _, part in parts], np.uint8)
+        half = np.array([part.half_sizes_m for _, part in parts]).reshape(-1, 3)
+        center = np.array([(part.x_m, part.y_m, (part.top_m + part.bottom_m) / 2) for _, part in parts]).reshape(-1, 3)
+        return kind, thing, material, half, center, np.array([part.yaw for _, part in parts])
+
+    @cached_property
+    def _rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centres and rotations of all solids at time 0."""
+        thing = self._parts[1]
+        rotation, origin = self._poses(0.0, np.arange(len(self.things)))
+        return self._placed(np.arange(len(thing)), rotation[thing], origin[thing])
+
+    def _placed(
+        self, rows: NDArray[np.intp], rotation: NDArray[np.float64], origin: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        center, yaw = self._parts[4][rows], self._parts[5][rows]
+        return (rotation @ center[..., None])[..., 0] + origin, rotation @ _turns(yaw)
+
+    def _poses(self, t_s: float, which: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rotations (k, 3, 3) and origins (k, 3) of some things."""
+        places = np.array([self.things[index].place(t_s) for index in which]).reshape(-1, 3)
+        origin = np.column_stack([places[:, :2], self.terrain.at(places[:, :2])])
+        rotation = _turns(places[:, 2])
+        for k, index in enumerate(which):
+            thing = self.things[index]
+            if thing.z_m is not None:
+                origin[k, 2] = thing.z_m
+            if thing.tilts:
+                rotation[k] = _along(self.terrain.normal_at(places[k, 0], places[k, 1], 3.0), places[k, 2])
+        return rotation, origin
+
+
+def _turns(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotations (k, 3, 3) about z."""
+    turns = np.zeros((len(yaw), 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(yaw)
+    turns[:, 1, 0] = np.sin(yaw)
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    turns[:, 2, 2] = 1.0
+    return turns
+
+
+def _along(normal: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+    """Return the rotation that heads along ``yaw`` with z on ``normal``."""
+    forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    forward = forward - (forward @ normal) * normal
+    forward /= np.linalg.norm(forward)
+    return np.column_stack([forward, np.cross(normal, forward), normal])
