@@ -1,0 +1,17 @@
+"""Procedural worlds: one file a kind, one line a kind in the table ``WORLDS``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from viewshed.sim.world import AgentPlan, World
+
+WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
+"""Makes a world with the agents of a plan; the same state of the generator gives the same world."""
+
+WORLDS: dict[str, WorldMaker] = {}
+"""Every kind of world by name; to add one, write a file and add a line."""
+
+__all__ = ["WORLDS", "WorldMaker"]
