@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.firing import firing
+from viewshed.sim.firing import column_poses, still_firing
 from viewshed.sim.scan import STILL, Motion
 from viewshed.sweep import Sweep
 
@@ -51,17 +53,44 @@ class RangeImage:
 
     def sweep(self) -> Sweep:
         """Return the sweep: points in the sensor's reference frame (motion undone), firing order, ring and time."""
-        column, ring = np.nonzero(self.steps)
-        origin, direction, time_s = firing(self.model, self.motion, self.world_from_sensor)
-        range_m = self.steps[column, ring].astype(np.float32) * np.float32(self.step_m)
+        start_m, direction, _ = still_firing(self.model)
+        turn, shift_m, time_s = column_poses(self.model, self.motion, self.world_from_sensor)
+        points, intensity, ring, time_s = _returns(
+            (self.steps, self.intensity), np.float32(self.step_m), (start_m, direction), (turn, shift_m, time_s)
+        )
         return Sweep(
-            points=origin[column, ring] + direction[column, ring] * range_m[:, None],
-            intensity=self.intensity[column, ring].astype(np.float32),
-            ring=ring.astype(np.int16),
-            time_s=time_s[column],
+            points=points,
+            intensity=intensity,
+            ring=ring,
+            time_s=time_s,
             t_ns=self.t_ns,
             sensor_height_m=self.sensor_height_m,
             world_from_sensor=self.world_from_sensor,
             model=self.model,
             agent=self.agent,
         )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _returns(image: Any, step_m: Any, beams: Any, poses: Any) -> Any:  # pragma: no cover - compiled
+    """Return points (N, 3), intensity, ring and time of the beams that returned, column after column."""
+    steps, level = image
+    start_m, direction = beams
+    turn, shift_m, column_s = poses
+    columns, rings = steps.shape
+    points = np.empty((steps.size, 3), np.float32)
+    intensity, time_s = np.empty(steps.size, np.float32), np.empty(steps.size, np.float32)
+    ring = np.empty(steps.size, np.int16)
+    n = 0
+    for c in range(columns):
+        pose = turn[c]
+        for r in range(rings):
+            if steps[c, r] == 0:
+                continue
+            d = np.float32(steps[c, r]) * step_m
+            x, y, z = direction[c, r, 0] * d, direction[c, r, 1] * d, direction[c, r, 2] * d + start_m[r]
+            for axis in range(3):
+                points[n, axis] = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z + shift_m[c, axis]
+            intensity[n], ring[n], time_s[n] = level[c, r], r, column_s[c]
+            n += 1
+    return points[:n], intensity[:n], ring[:n], time_s[:n]
