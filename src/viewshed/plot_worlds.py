@@ -1,0 +1,239 @@
+"""Pictures of simulated worlds, and the sheet that shows them beside their sweeps and truths."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid
+from viewshed.estimate import CellState
+from viewshed.geometry import Rigid
+from viewshed.plot import COLORS, HEIGHTS_M, WORDS
+from viewshed.sim.camera import Colors, Image, surface_colors, to_bytes
+from viewshed.sim.materials import MATERIALS
+from viewshed.sim.shapes import BOX
+from viewshed.sim.terrain import Terrain
+from viewshed.sim.world import GROUND, Snapshot, World
+from viewshed.truth import Truth
+
+SIDE = 256
+"""Pixels along each side of a view from above."""
+_DPI, _GAP, _TOP, _HEAD, _LEGEND = 100, 7, 44, 24, 66
+CEILING_M = 2.0
+"""Indoors, solids that begin higher than this above the ground are left out of the view from above."""
+DIFFERENCES = {
+    "nobody: out of view": (0.42, 0.42, 0.47),
+    "all": (0.62, 0.82, 0.95),
+    "probe (ours), not first_blocker": (0.0, 0.45, 0.70),
+    "farthest, not probe": (0.84, 0.37, 0.0),
+    "line of sight between beams": (0.94, 0.89, 0.26),
+}
+"""Colors of who calls a cell visible for a car; `probe` is the project's own definition."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One sweep on the sheet: its heading, what moves, and six pictures (rows, columns, 3) from left to right."""
+
+    title: str
+    marks: Marks
+    pictures: tuple[Image, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """What is drawn over the view from above, in its pixels (across, down).
+
+    Attributes:
+        arrows: (n, 4) start and end of things that move: where they will be in two seconds.
+        agents: (m, 2) the other agents.
+        sensor: this agent's.
+        scale_m: length of the scale bar.
+        scale_pixels: the same in pixels.
+    """
+
+    arrows: NDArray[np.float64]
+    agents: NDArray[np.float64]
+    sensor: tuple[float, float]
+    scale_m: float
+    scale_pixels: float
+
+
+def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: BevGrid) -> Image:
+    """Return the world from above (SIDE, SIDE, 3), forward up, left left: higher solids over lower ones."""
+    fine = BevGrid(SIDE, grid.half_extent_m, grid.offset_m)
+    xy = (world_from_level @ np.dstack([fine.centers, np.zeros(fine.shape)]))[..., :2]
+    image = _ground_colors(world.terrain, xy, fine.cell_m, world_from_level.yaw)
+    height_m = snapshot.center_m[:, 2] - world.terrain.at(snapshot.center_m[:, :2])
+    half_height = (np.abs(snapshot.rotation[:, 2]) * snapshot.half_m).sum(axis=1)
+    kept = np.flatnonzero(height_m - half_height < (CEILING_M if world.indoor else np.inf))
+    colors = surface_colors(world, snapshot.thing, snapshot.material)
+    light = 0.75 + 0.35 * np.clip((height_m + half_height) / (3.0 if world.indoor else 12.0), 0, 1)
+    opacity = np.where(np.isfinite([MATERIALS[row].per_m for row in snapshot.material]), 0.7, 1.0)
+    for k in kept[np.argsort((height_m + half_height)[kept], kind="stable")]:
+        window, inside = _footprint(snapshot, k, xy, fine.cell_m)
+        region = image[window]
+        region[inside] += opacity[k] * (np.minimum(colors[k] * light[k], 1.0) - region[inside])
+    return to_bytes(image)[::-1, ::-1]
+
+
+def _ground_colors(terrain: Terrain, xy: NDArray[np.float64], step_m: float, yaw: float) -> Colors:
+    """Return ground colors of the pixels, lit from one side so that slopes and curbs show."""
+    i = np.clip(np.searchsorted(terrain.x_m, xy[..., 0], "right") - 1, 0, len(terrain.x_m) - 2)
+    j = np.clip(np.searchsorted(terrain.y_m, xy[..., 1], "right") - 1, 0, len(terrain.y_m) - 2)
+    material = terrain.material[i, j]
+    colors = surface_colors(World("", terrain), np.full(material.shape, GROUND, np.int32), material)
+    along, across = np.gradient(terrain.at(xy), step_m)
+    toward = along * np.cos(0.6 - yaw) + across * np.sin(0.6 - yaw)
+    light = 1.0 + np.clip(-1.2 * toward, -0.4, 0.4)
+    return np.asarray(np.clip(colors * light[..., None], 0, 1), np.float32)
+
+
+def _footprint(
+    snapshot: Snapshot, k: int, xy: NDArray[np.float64], step_m: float
+) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+    """Return the window of pixels around a solid and which of them it covers; the nearest one if it is small."""
+    half = np.maximum(snapshot.half_m[k, :2], 0.6 * step_m)
+    (ax, ay), corner = xy[1, 0] - xy[0, 0], xy[0, 0]
+    offset = snapshot.center_m[k, :2] - corner
+    i, j = (offset @ [ax, ay]) / step_m**2, (offset @ [-ay, ax]) / step_m**2
+    reach = float(np.hypot(*half)) / step_m + 1
+    window = tuple(slice(max(int(at - reach), 0), max(int(at + reach + 2), 0)) for at in (i, j))
+    local = ((xy[window] - snapshot.center_m[k, :2]) @ snapshot.rotation[k, :2, :2]) / half
+    inside = np.abs(local).max(axis=-1) <= 1 if snapshot.kind[k] == BOX else (local**2).sum(axis=-1) <= 1
+    return (window[0], window[1]), np.asarray(inside)
+
+
+def marks(world: World, snapshot: Snapshot, agent: int, pose: tuple[Rigid, float], grid: BevGrid) -> Marks:
+    """Return what is drawn over the view from above; ``pose`` is ``world_from_level`` and the time in seconds."""
+    world_from_level, t_s = pose
+    first = np.unique(snapshot.thing, return_index=True)[1]
+    first = first[np.hypot(*snapshot.velocity_mps[first, :2].T) > 0.2]
+    start = np.array([world.things[snapshot.thing[k]].place(t_s)[:2] for k in first]).reshape(-1, 2)
+    end = start + 2.0 * snapshot.velocity_mps[first, :2]
+    others = [world.world_from_sensor(one, t_s).translation[:2] for k, one in enumerate(world.agents) if k != agent]
+    arrows = np.hstack([_pixels(place, world_from_level, grid) for place in (start, end)])
+    agents = _pixels(np.array(others).reshape(-1, 2), world_from_level, grid)
+    scale_m = 20.0 if grid.half_extent_m > 30 else 5.0
+    pixels = scale_m * SIDE / (2 * grid.half_extent_m)
+    within = _inside(arrows[:, :2]) & _inside(arrows[:, 2:])
+    sensor = _pixels(world_from_level.translation[None, :2], world_from_level, grid)[0]
+    return Marks(arrows[within], agents[_inside(agents)], (float(sensor[0]), float(sensor[1])), scale_m, pixels)
+
+
+def _pixels(xy: NDArray[np.float64], world_from_level: Rigid, grid: BevGrid) -> NDArray[np.float64]:
+    """Return (n, 2) pixels (across, down) of places (n, 2) in the world."""
+    level = world_from_level.inverse() @ np.column_stack([xy, np.zeros(len(xy))])
+    return np.asarray(SIDE - ((level[:, :2] - grid.origin_m) * SIDE / (2 * grid.half_extent_m))[:, ::-1])
+
+
+def _inside(pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.asarray(((pixels >= 3) & (pixels <= SIDE - 3)).all(axis=1))
+
+
+def points_view(xy: NDArray[np.float64], height_m: NDArray[np.float64], grid: BevGrid) -> Image:
+    """Return points from above (SIDE, SIDE, 3), colored by height above the ground, the highest on top."""
+    image = np.full((SIDE, SIDE, 3), 24, np.uint8)
+    order = np.argsort(height_m, kind="stable")
+    cells, inside = BevGrid(SIDE, grid.half_extent_m, grid.offset_m).index(xy[order])
+    i, j = cells[inside].T
+    image[i, j] = to_bytes(height_colors(height_m[order][inside]))
+    return image[::-1, ::-1]
+
+
+def height_colors(height_m: NDArray[np.float64]) -> Colors:
+    """Return colors (n, 3) of heights above the ground."""
+    low, high = HEIGHTS_M
+    return np.asarray(colormaps["viridis"](0.15 + 0.85 * np.clip((height_m - low) / (high - low), 0, 1))[..., :3])
+
+
+def state_view(truth: Truth, known: NDArray[np.bool_], target: str) -> Image:
+    """Return the states (SIDE, SIDE, 3) for one target; white where the truth is not known."""
+    palette = np.array([COLORS[CellState(state)] for state in range(len(CellState))], np.float32)
+    colors = palette[truth.state[target]]
+    colors[~known] = 1.0
+    return _enlarged(colors)
+
+
+def differences_view(truth: Truth, known: NDArray[np.bool_]) -> Image:
+    """Return who calls a cell visible (SIDE, SIDE, 3), in the colors of ``DIFFERENCES``."""
+    probe, far = truth.visible("car"), truth.definitions["farthest"]
+    first, sight = truth.definitions["first_blocker"], truth.definitions["line_of_sight"]
+    who = np.where(probe, np.where(first, 1, 2), np.where(far, 3, np.where(sight, 4, 0)))
+    colors = np.array(list(DIFFERENCES.values()), np.float32)[who]
+    colors[~known] = 1.0
+    return _enlarged(colors)
+
+
+def _enlarged(colors: Colors) -> Image:
+    nearest = (np.arange(SIDE) * len(colors)) // SIDE
+    return to_bytes(colors[nearest][:, nearest])[::-1, ::-1]
+
+
+def sheet(rows: Sequence[Row], headings: Sequence[str], title: str) -> bytes:
+    """Return a PNG with a line of pictures for each row under its title, and a legend."""
+    widths = [picture.shape[1] for picture in rows[0].pictures]
+    lefts = [int(left) for left in np.cumsum([_GAP, *(width + _GAP for width in widths[:-1])])]
+    height, width = _TOP + len(rows) * (SIDE + _HEAD) + _LEGEND, sum(widths) + _GAP * (len(widths) + 1)
+    page = np.full((height, width, 3), 255, np.uint8)
+    for k, row in enumerate(rows):
+        for left, picture in zip(lefts, row.pictures, strict=True):
+            top = _TOP + k * (SIDE + _HEAD) + _HEAD
+            page[top : top + SIDE, left : left + picture.shape[1]] = picture
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.axis("off")
+    axes.imshow(page, extent=(0, width, height, 0), interpolation="nearest", aspect="auto")
+    axes.text(_GAP, 6, title, fontsize=11, weight="bold", va="top")
+    for left, heading in zip(lefts, headings, strict=True):
+        axes.text(left, _TOP - 2, heading, fontsize=8.5, va="bottom", color="0.25")
+    for k, row in enumerate(rows):
+        top = _TOP + k * (SIDE + _HEAD) + _HEAD
+        axes.text(_GAP, top - 4, row.title, fontsize=8.5, va="bottom", weight="bold")
+        _draw_marks(axes, row.marks, (lefts[0], top))
+    _legend(axes, height - _LEGEND)
+    axes.set_xlim(0, width)
+    axes.set_ylim(height, 0)
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", pil_kwargs={"optimize": True})
+    return buffer.getvalue()
+
+
+def _draw_marks(axes: Axes, drawn: Marks, corner: tuple[int, int]) -> None:
+    for x0, y0, x1, y1 in drawn.arrows + np.tile(corner, 2):
+        axes.annotate("", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "->", "color": "black", "linewidth": 0.9})
+    left, top = corner
+    across, down = (drawn.agents + corner).T
+    axes.scatter(across, down, s=22, facecolor="#ff3fd0", edgecolor="white", linewidth=0.7)
+    x, y = left + drawn.sensor[0], top + drawn.sensor[1]
+    axes.scatter(x, y, s=46, marker="^", facecolor="black", edgecolor="white", linewidth=0.8)
+    axes.plot([left + 8, left + 8 + drawn.scale_pixels], [top + SIDE - 8] * 2, color="black", linewidth=2)
+    axes.text(left + 8, top + SIDE - 11, f"{drawn.scale_m:g} m", fontsize=7, va="bottom")
+
+
+def _legend(axes: Axes, top: int) -> None:
+    """Write what the colors mean: states, differences, heights, marks."""
+    for k, (state, words) in enumerate(WORDS.items()):
+        _swatch(axes, (_GAP + 420 * (k % 2), top + 10 + 18 * (k // 2)), COLORS[state], words)
+    for k, (words, color) in enumerate(DIFFERENCES.items()):
+        _swatch(axes, (880 + 260 * (k % 3), top + 10 + 18 * (k // 3)), color, words)
+    heights = height_colors(np.linspace(*HEIGHTS_M, 160))[None]
+    axes.imshow(heights, extent=(_GAP, _GAP + 160, top + 58, top + 48), aspect="auto")
+    low, high = HEIGHTS_M
+    words = f"points: {low:g} to {high:g} m above the ground; pink: other agents; arrows: where things will be in 2 s"
+    axes.text(_GAP + 168, top + 53, words, fontsize=8, va="center")
+
+
+def _swatch(axes: Axes, place: tuple[float, float], color: tuple[float, float, float], words: str) -> None:
+    axes.add_patch(Rectangle(place, 12, 10, facecolor=color, edgecolor="black", linewidth=0.4))
+    axes.text(place[0] + 18, place[1] + 5, words, fontsize=8, va="center")
