@@ -1,0 +1,211 @@
+"""Frame: what an archive stores of one sample, and the row of columns that it becomes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.datasets import packing
+from viewshed.datasets.layout import Layout, Sensors
+from viewshed.datasets.sample import Sample
+from viewshed.geometry import Rigid
+from viewshed.sim.range_image import RangeImage
+from viewshed.sim.scan import Motion
+from viewshed.sweep import Sweep
+from viewshed.truth import Truth
+
+BLOBS = ("ranges", "intensity", "points", "returns", "states", "masks")
+"""The binary columns; ``about`` comes before them."""
+Row = tuple[str, packing.Buffer | None, packing.Buffer | None, packing.Buffer | None,
+            packing.Buffer, packing.Buffer, packing.Buffer]  # fmt: skip
+"""``about`` and the columns of :data:`BLOBS`."""
+_COLUMNS: dict[str, type[np.generic]] = {
+    "intensity": np.float32, "ring": np.int16, "azimuth": np.float32, "time_s": np.float32,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """What is stored of one sample.
+
+    Attributes:
+        measured: the range image, or the sweep where there is no range image.
+        truth: see :class:`Sample`.
+        known: see :class:`Sample`.
+    """
+
+    measured: RangeImage | Sweep
+    truth: Truth
+    known: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, sample: Sample) -> Frame:
+        """Return what is to be stored: the range image where the sweep is still the one that was made from it."""
+        image = sample.image
+        whole = image is not None and same_sweep(sample.sweep, image.sweep())
+        return cls(image if image is not None and whole else sample.sweep, sample.truth, sample.known)
+
+    @property
+    def sweep(self) -> Sweep:
+        """The sweep, made from the range image where there is one."""
+        return self.measured if isinstance(self.measured, Sweep) else self.measured.sweep()
+
+    def sample(self, scene: str, split: str) -> Sample:
+        """Return the sample."""
+        image = None if isinstance(self.measured, Sweep) else self.measured
+        return Sample(self.sweep, self.truth, self.known, scene, split, image)
+
+    def row(self, layout: Layout, sensors: Sensors) -> Row:
+        """Return the frame as columns.
+
+        Raises:
+            ValueError: its truth does not have this layout.
+        """
+        if Layout.of(self.truth) != layout:
+            raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(self.truth)}")
+        image = self.measured
+        about = _about(image, sensors)
+        packed = (None, None, _pack_points(image)) if isinstance(image, Sweep) else _pack_image(image)
+        returns = b"".join(self.truth.expected_returns[name].tobytes() for name in layout.targets)
+        states = packing.pack_states(np.array([self.truth.state[name] for name in layout.targets], np.uint8))
+        masks = np.stack([*(self.truth.definitions[name] for name in layout.definitions), self.known])
+        return json.dumps(about, ensure_ascii=False), *packed, returns, states, packing.pack_masks(masks)
+
+    @classmethod
+    def from_row(cls, row: Row, layout: Layout, sensors: Sensors) -> Frame:
+        """Return the frame of :meth:`row`.
+
+        Raises:
+            ValueError: the columns do not fit the layout or each other.
+        """
+        about, ranges, intensity, points, returns, states, masks = row
+        try:
+            said = json.loads(about)
+            measured = _image(said, ranges, intensity, sensors) if points is None else _sweep(said, points, sensors)
+        except (KeyError, TypeError, IndexError, AttributeError) as error:
+            raise ValueError(f"about must describe the frame: {error!r}") from error
+        return cls(measured, *_truth(layout, returns, states, masks))
+
+
+def same_sweep(one: Sweep, other: Sweep) -> bool:
+    """Return whether two sweeps are equal in every attribute, bit by bit; one object as beam table is asked for."""
+    arrays = ("points", *_COLUMNS, "attitude")
+    plain = ("t_ns", "sensor_height_m", "model", "agent", "dropped_points")
+    return (
+        all(getattr(one, name) == getattr(other, name) for name in plain)
+        and all(_same(getattr(one, name), getattr(other, name)) for name in arrays)
+        and _same(_numbers(one.world_from_sensor), _numbers(other.world_from_sensor))
+    )
+
+
+def _same(one: NDArray[Any] | None, other: NDArray[Any] | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return one.shape == other.shape and (one is other or bool((one == other).all()))
+
+
+def _numbers(pose: Rigid | None) -> NDArray[np.float64] | None:
+    return None if pose is None else np.concatenate([pose.rotation.ravel(), pose.translation])
+
+
+def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
+    """Return what is neither array nor truth, as plain values; Python's floats survive JSON exactly."""
+    pose = _numbers(measured.world_from_sensor)
+    about: dict[str, Any] = {
+        "agent": measured.agent,
+        "t_ns": None if measured.t_ns is None else int(measured.t_ns),
+        "sensor": sensors.number(measured.model),
+        "sensor_height_m": None if measured.sensor_height_m is None else float(measured.sensor_height_m),
+        "world_from_sensor": None if pose is None else pose.tolist(),
+    }
+    if isinstance(measured, RangeImage):
+        motion = measured.motion
+        numbers = [*motion.velocity_mps, motion.yaw_rate, motion.period_s]
+        return about | {"step_m": float(measured.step_m), "motion": [float(value) for value in numbers]}
+    return about | {
+        "points": len(measured),
+        "columns": [name for name in _COLUMNS if getattr(measured, name) is not None],
+        "attitude": None if measured.attitude is None else measured.attitude.tolist(),
+        "dropped_points": int(measured.dropped_points),
+    }
+
+
+def _pack_image(image: RangeImage) -> tuple[bytes, bytes, None]:
+    return packing.pack_ranges(image.steps), image.intensity.tobytes(), None
+
+
+def _pack_points(sweep: Sweep) -> bytes:
+    columns = [getattr(sweep, name) for name in _COLUMNS]
+    return b"".join(packing.pack_column(column) for column in (sweep.points, *columns) if column is not None)
+
+
+def _image(
+    about: dict[str, Any], ranges: packing.Buffer | None, intensity: packing.Buffer | None, sensors: Sensors
+) -> RangeImage:
+    model = sensors.model(about["sensor"])
+    if model is None or ranges is None or intensity is None:
+        raise ValueError("a frame without points must have a sensor, ranges and intensity")
+    shape = (model.azimuth_columns, model.rings)
+    vx, vy, vz, yaw_rate, period_s = about["motion"]
+    pose = _pose(about["world_from_sensor"])
+    if pose is None:
+        raise ValueError("a range image must have a pose")
+    return RangeImage(
+        model=model,
+        steps=packing.unpack_ranges(ranges, shape),
+        intensity=packing.bytes_of(intensity, shape),
+        step_m=about["step_m"],
+        world_from_sensor=pose,
+        motion=Motion((vx, vy, vz), yaw_rate, period_s),
+        sensor_height_m=about["sensor_height_m"],
+        t_ns=about["t_ns"],
+        agent=about["agent"],
+    )
+
+
+def _sweep(about: dict[str, Any], raw: packing.Buffer, sensors: Sensors) -> Sweep:
+    count, view = int(about["points"]), memoryview(raw)
+    points = packing.unpack_column(view[: 12 * count], np.float32, (count, 3))
+    start, columns = 12 * count, {}
+    for name in about["columns"]:
+        end = start + count * np.dtype(_COLUMNS[name]).itemsize
+        columns[name] = packing.unpack_column(view[start:end], _COLUMNS[name], (count,))
+        start = end
+    return Sweep(
+        points=points,
+        **columns,
+        t_ns=about["t_ns"],
+        attitude=None if about["attitude"] is None else np.array(about["attitude"]),
+        sensor_height_m=about["sensor_height_m"],
+        world_from_sensor=_pose(about["world_from_sensor"]),
+        model=sensors.model(about["sensor"]),
+        agent=about["agent"],
+        dropped_points=int(about["dropped_points"]),
+    )
+
+
+def _pose(numbers: list[float] | None) -> Rigid | None:
+    if numbers is None:
+        return None
+    return Rigid(np.array(numbers[:9]).reshape(3, 3), np.array(numbers[9:]))
+
+
+def _truth(
+    layout: Layout, returns: packing.Buffer, states: packing.Buffer, masks: packing.Buffer
+) -> tuple[Truth, NDArray[np.bool_]]:
+    shape = layout.grid.shape
+    targets, definitions = len(layout.targets), len(layout.definitions)
+    counts = packing.bytes_of(returns, (targets, *shape))
+    state = packing.unpack_states(states, (targets, *shape))
+    bits = packing.unpack_masks(masks, (definitions + 1, *shape))
+    truth = Truth(
+        layout.grid,
+        dict(zip(layout.targets, counts, strict=True)),
+        dict(zip(layout.targets, state, strict=True)),
+        dict(zip(layout.definitions, bits[:-1], strict=True)),
+    )
+    return truth, bits[-1]
