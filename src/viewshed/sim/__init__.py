@@ -1,6 +1,7 @@
-"""Analytic scenes whose exact depths are known: for the embedded sample and as truth in tests."""
+"""The simulator: worlds from a seed, what every beam meets in them, and what could have been seen."""
 
-from viewshed.sim.caster import cast, depth_image
-from viewshed.sim.scene import Box, Cylinder, Scene, junction
+from viewshed.sim.caster import cast_world
+from viewshed.sim.scene import Scene, cast, depth_image, junction
+from viewshed.sim.shapes import Box, Cylinder, Ellipsoid
 
-__all__ = ["Box", "Cylinder", "Scene", "cast", "depth_image", "junction"]
+__all__ = ["Box", "Cylinder", "Ellipsoid", "Scene", "cast", "cast_world", "depth_image", "junction"]

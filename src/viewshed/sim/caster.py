@@ -1,129 +1,99 @@
-"""Exact nearest hits of a sensor's beams: every solid is convex, so a beam is inside it between two depths."""
+"""What the beams of a sensor meet in a world: exact first stops, without noise."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from viewshed.geometry import rotation_from_quaternion
+from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.scene import Box, Cylinder, Scene
-from viewshed.sweep import Sweep
-
-Array = NDArray[np.float64]
-NOISE_M = 0.015
-"""Standard deviation of a measured range, typical of a mechanical sensor."""
-
-
-class _Rays(NamedTuple):
-    origins: tuple[Array, Array, Array]
-    directions: tuple[Array, Array, Array]
+from viewshed.sim.cast_kernels import BLOCK, DRAWS, cast_solids
+from viewshed.sim.firing import column_poses, still_firing
+from viewshed.sim.materials import PER_M
+from viewshed.sim.scan import STILL, Motion, Scan
+from viewshed.sim.stop_kernels import block_beams, measure_stops, turn_beams
+from viewshed.sim.terrain_kernels import cast_terrain
+from viewshed.sim.world import Snapshot
 
 
-def depth_image(
-    model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
-) -> Array:
-    """Return (rings, azimuth_columns) metres from each beam's origin to its first hit; inf where it hits nothing.
+def cast_world(
+    snapshot: Snapshot, model: LidarModel, world_from_sensor: Rigid, motion: Motion = STILL, seed: int = 0
+) -> Scan:
+    """Return what every beam of one revolution meets first, within 1e-5 of its depth.
 
-    Column c fires at azimuth -π + c · ``model.azimuth_step``. ``attitude`` is ``level_from_sensor`` (w, x, y, z).
+    Every solid and every triangle of the ground is tested against those beams that point at its bounding box, in
+    single precision; the stop is then measured again in double precision.
 
-    >>> model = LidarModel("one", np.deg2rad([-30.0]), azimuth_columns=4)
-    >>> depth_image(model, Scene(), sensor_height_m=2.0).round(6).tolist()
-    [[4.0, 4.0, 4.0, 4.0]]
+    Args:
+        snapshot: the solids and the ground, in the world frame, at the middle of the revolution.
+        model: the sensor.
+        world_from_sensor: pose of the sensor at the middle of the revolution.
+        motion: how it moves about that pose.
+        seed: draws where beams stop in leaves, mesh and glass, for each beam and solid.
     """
-    rotation = rotation_from_quaternion(attitude)
-    starts, directions = _beams(model)
-    level_starts = starts @ rotation.T + [0.0, 0.0, sensor_height_m]
-    level_directions = directions @ rotation.T
-    rays = _Rays(_split(np.broadcast_to(level_starts, directions.shape)), _split(level_directions))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = _ground_depth(rays, scene)
-        solids: tuple[Box | Cylinder, ...] = (*scene.boxes, *scene.cylinders)
-        for solid in solids:
-            np.minimum(depth, _solid_depth(rays, solid, scene.ground_m(solid.x_m, solid.y_m)), out=depth)
-    return depth
+    turns, starts, time_s = _moves(model, motion, world_from_sensor)
+    direction, origin = np.empty((2, model.azimuth_columns, model.rings, 3), np.float32)
+    turn_beams(still_firing(model)[1], turns, starts, direction, origin)
+    beams = _blocks(model)
+    block_beams(direction, starts[1], time_s, beams)
+    best = (np.full(beams.shape[1], np.inf, np.float32), np.full(beams.shape[1], -1, np.int32))
+    solids, lattice = _relative(snapshot, world_from_sensor.translation, seed)
+    frame = _frame(model, world_from_sensor, motion)
+    rows = tuple(beams)
+    cast_solids(rows, solids[:7], frame, _free_paths(), best)
+    cast_terrain(rows, lattice, frame, best, len(snapshot.kind))
+    out = _stops(model)
+    ground = (lattice, snapshot.terrain.material, _free_paths(), model.max_range_m)
+    measure_stops((origin, direction), time_s, solids, ground, best, out)
+    return Scan(model, world_from_sensor, motion, time_s, origin, direction, *out)
 
 
-def cast(
-    model: LidarModel,
-    scene: Scene,
-    sensor_height_m: float,
-    attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
-    rng: np.random.Generator | None = None,
-) -> Sweep:
-    """Return the sweep that ``model`` would measure, with ring and firing azimuth; beams without a return are left out.
-
-    With ``rng`` the ranges have normal noise of :data:`NOISE_M`; without it they are exact.
-    """
-    depth = depth_image(model, scene, sensor_height_m, attitude)
-    returned = (depth >= model.min_range_m) & (depth <= model.max_range_m)
-    ring, column = np.nonzero(returned)
-    measured = depth[returned] + (0.0 if rng is None else rng.normal(0.0, NOISE_M, len(ring)))
-    starts, directions = _beams(model)
-    return Sweep(
-        points=(starts[ring, 0] + directions[ring, column] * measured[:, None]).astype(np.float32),
-        ring=ring.astype(np.int16),
-        azimuth=_firing_azimuth(model)[column].astype(np.float32),
-        attitude=np.asarray(attitude, dtype=np.float64),
-        sensor_height_m=sensor_height_m,
-        model=model,
-    )
+def _stops(model: LidarModel) -> tuple[NDArray[Any], ...]:
+    shape = (model.azimuth_columns, model.rings)
+    return tuple(np.empty(shape, dtype) for dtype in (np.float32, np.int32, np.uint8, np.float32))
 
 
-def _firing_azimuth(model: LidarModel) -> Array:
-    return np.linspace(-np.pi, np.pi, model.azimuth_columns, endpoint=False)
+def _blocks(model: LidarModel) -> NDArray[np.float32]:
+    """Return room for x, y, z, rise and time of every beam; those that fill up the last block point up."""
+    blocks = -(-model.rings // BLOCK)
+    beams = np.empty((5, blocks * model.azimuth_columns * BLOCK), np.float32)
+    if model.rings % BLOCK:
+        beams[:, (blocks - 1) * model.azimuth_columns * BLOCK :] = np.array([[0], [0], [1], [0], [0]], np.float32)
+    return beams
 
 
-def _beams(model: LidarModel) -> tuple[Array, Array]:
-    """Origins (rings, 1, 3) and unit directions (rings, columns, 3) of the beams in the sensor's frame."""
-    azimuth = _firing_azimuth(model) + np.asarray(model.azimuth_offset)[:, None]
-    elevation = np.broadcast_to(model.elevation[:, None], azimuth.shape)
-    flat = np.cos(elevation)
-    directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
-    origins = np.zeros((model.rings, 1, 3))
-    origins[:, 0, 2] = model.origin_m
-    return origins, directions
+def _moves(model: LidarModel, motion: Motion, pose: Rigid) -> tuple[NDArray[np.float32], Any, NDArray[np.float32]]:
+    """Return ``world_from_sensor`` (C, 3, 3), shifts of the columns (C, 3) with rises of the rings (R,), times (C,)."""
+    turns, _, time_s = column_poses(model, motion, pose)
+    shifts = np.outer(time_s, motion.velocity_mps).astype(np.float32)
+    return (pose.rotation @ turns).astype(np.float32), (shifts, still_firing(model)[0]), time_s
 
 
-def _split(vectors: Array) -> tuple[Array, Array, Array]:
-    return vectors[..., 0], vectors[..., 1], vectors[..., 2]
+@lru_cache(maxsize=1)
+def _free_paths() -> NDArray[np.float32]:
+    """Return the quantiles of an exponential distribution of mean 1."""
+    return (-np.log1p(-(np.arange(DRAWS) + 0.5) / DRAWS)).astype(np.float32)
 
 
-def _ground_depth(rays: _Rays, scene: Scene) -> Array:
-    (x, y, z), (dx, dy, dz) = rays
-    a, b = scene.slope
-    depth = (a * x + b * y - z) / (dz - a * dx - b * dy)
-    return np.where(depth > 0, depth, np.inf)
+def _relative(snapshot: Snapshot, origin: NDArray[np.float64], seed: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Return the solids and the ground's nodes from the sensor's position."""
+    count = len(snapshot.kind)
+    salts = np.random.Generator(np.random.PCG64(seed)).integers(0, 2**32, count, np.uint32)
+    solids = (
+        snapshot.center_m - origin, snapshot.rotation, snapshot.half_m, snapshot.kind, snapshot.velocity_mps,
+        PER_M[snapshot.material], salts, snapshot.thing, snapshot.material,
+    )  # fmt: skip
+    ground = snapshot.terrain
+    return solids, (ground.x_m - origin[0], ground.y_m - origin[1], ground.heights_m - origin[2])
 
 
-def _solid_depth(rays: _Rays, solid: Box | Cylinder, ground_m: float) -> Array:
-    near, far = _box_interval(rays, solid) if isinstance(solid, Box) else _cylinder_interval(rays, solid)
-    low, high = _slab(rays.origins[2], rays.directions[2], ground_m + solid.bottom_m, ground_m + solid.top_m)
-    enter, leave = np.maximum(near, low), np.minimum(far, high)
-    return np.where((enter <= leave) & (enter > 0), enter, np.inf)
-
-
-def _slab(start: Array, direction: Array, low_m: float, high_m: float) -> tuple[Array, Array]:
-    """Depths at which a beam enters and leaves low ≤ coordinate ≤ high."""
-    first, second = (low_m - start) / direction, (high_m - start) / direction
-    return np.fmin(first, second), np.fmax(first, second)
-
-
-def _box_interval(rays: _Rays, box: Box) -> tuple[Array, Array]:
-    (x, y, _), (dx, dy, _) = rays
-    c, s = np.cos(box.yaw), np.sin(box.yaw)
-    x, y = x - box.x_m, y - box.y_m
-    near_u, far_u = _slab(c * x + s * y, c * dx + s * dy, -box.length_m / 2, box.length_m / 2)
-    near_v, far_v = _slab(c * y - s * x, c * dy - s * dx, -box.width_m / 2, box.width_m / 2)
-    return np.maximum(near_u, near_v), np.minimum(far_u, far_v)
-
-
-def _cylinder_interval(rays: _Rays, cylinder: Cylinder) -> tuple[Array, Array]:
-    """Roots of |o + t d|² = r² in the plane; none gives an empty interval."""
-    (x, y, _), (dx, dy, _) = rays
-    x, y = x - cylinder.x_m, y - cylinder.y_m
-    a, half_b = dx * dx + dy * dy, x * dx + y * dy
-    root = np.sqrt(half_b**2 - a * (x * x + y * y - cylinder.radius_m**2))
-    return np.nan_to_num((-half_b - root) / a, nan=np.inf), np.nan_to_num((-half_b + root) / a, nan=-np.inf)
+def _frame(model: LidarModel, pose: Rigid, motion: Motion) -> tuple[Any, ...]:
+    swing = abs(motion.yaw_rate) * motion.period_s / 2
+    sweep = (model.azimuth_step, float(model.azimuth_offset.min()) - swing, float(model.azimuth_offset.max()) + swing)
+    tilt = float(np.hypot(pose.rotation[2, 0], pose.rotation[2, 1]))
+    lift = float(np.abs(model.origin_m).max())
+    limits = (model.azimuth_columns, model.max_range_m, motion.period_s / 2, lift, 2.0 * swing * tilt)
+    return pose.rotation, sweep, np.tan(model.elevation), limits, np.asarray(motion.velocity_mps, np.float64)

@@ -1,50 +1,24 @@
-"""Scenes of upright boxes and cylinders on a plane, in the ``level`` frame (metres, sensor above the origin)."""
+"""Scenes by hand: upright boxes and cylinders on a plane, in the ``level`` frame (metres, sensor above the origin)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from viewshed.geometry import Rigid
+from viewshed.sensors import LidarModel
+from viewshed.sim.caster import cast_world
+from viewshed.sim.scan import Scan
+from viewshed.sim.shapes import Box, Cylinder
+from viewshed.sim.terrain import Terrain
+from viewshed.sim.world import Thing, World
+from viewshed.sweep import Sweep
 
-@dataclass(frozen=True, slots=True)
-class Box:
-    """An upright box.
-
-    Attributes:
-        x_m: centre, forward.
-        y_m: centre, left.
-        length_m: side along ``yaw``.
-        width_m: side across ``yaw``.
-        top_m: top above the ground below the centre.
-        bottom_m: bottom above that ground; negative is sunk into it.
-        yaw: radians from x, counter-clockwise from above.
-    """
-
-    x_m: float
-    y_m: float
-    length_m: float
-    width_m: float
-    top_m: float
-    bottom_m: float = -1.0
-    yaw: float = 0.0
-
-    def __post_init__(self) -> None:
-        _check(self.length_m, self.width_m, self.top_m - self.bottom_m)
-
-
-@dataclass(frozen=True, slots=True)
-class Cylinder:
-    """An upright cylinder; attributes as in :class:`Box`."""
-
-    x_m: float
-    y_m: float
-    radius_m: float
-    top_m: float
-    bottom_m: float = -1.0
-
-    def __post_init__(self) -> None:
-        _check(self.radius_m, self.top_m - self.bottom_m)
+NOISE_M = 0.015
+"""Standard deviation of a measured range, typical of a mechanical sensor."""
+_HALF_EXTENT_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +47,61 @@ class Scene:
         """
         return self.slope[0] * x_m + self.slope[1] * y_m
 
+    def world(self) -> World:
+        """Return the scene as a world, each solid a thing on the ground below its centre."""
+        solids: tuple[Box | Cylinder, ...] = (*self.boxes, *self.cylinders)
+        things = tuple(Thing("solid", (replace(s, x_m=0.0, y_m=0.0),), s.x_m, s.y_m) for s in solids)
+        return World("scene", Terrain.plane(_HALF_EXTENT_M, self.slope), things)
 
-def _check(*sizes_m: float) -> None:
-    if not all(np.isfinite(size) and size > 0 for size in sizes_m):
-        raise ValueError(f"sizes must be positive and finite, got {sizes_m}")
+
+def scan_of(
+    model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+) -> Scan:
+    """Return what the beams meet; column c fires at azimuth -π + c · ``model.azimuth_step``.
+
+    ``attitude`` is ``level_from_sensor`` (w, x, y, z).
+    """
+    on_steps = replace(model, azimuth_offset=model.azimuth_offset - model.azimuth_step / 2)
+    pose = Rigid.from_quaternion(attitude, (0.0, 0.0, sensor_height_m))
+    return cast_world(scene.world().snapshot(0.0), on_steps, pose)
+
+
+def depth_image(
+    model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+) -> NDArray[np.float64]:
+    """Return (rings, azimuth_columns) metres from each beam's start to its first hit; inf where it hits nothing.
+
+    >>> model = LidarModel("one", np.deg2rad([-30.0]), azimuth_columns=4)
+    >>> depth_image(model, Scene(), sensor_height_m=2.0).round(5).tolist()
+    [[4.0, 4.0, 4.0, 4.0]]
+    """
+    return np.asarray(scan_of(model, scene, sensor_height_m, attitude).depth_m.T, np.float64)
+
+
+def cast(
+    model: LidarModel,
+    scene: Scene,
+    sensor_height_m: float,
+    attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    rng: np.random.Generator | None = None,
+) -> Sweep:
+    """Return the sweep that ``model`` would measure, with ring and firing azimuth; beams without a return are left out.
+
+    With ``rng`` the ranges have normal noise of :data:`NOISE_M`; without it they are exact.
+    """
+    scan = scan_of(model, scene, sensor_height_m, attitude)
+    depth = scan.depth_m.T
+    ring, column = np.nonzero((depth >= model.min_range_m) & np.isfinite(depth))
+    measured = depth[ring, column] + (0.0 if rng is None else rng.normal(0.0, NOISE_M, len(ring)))
+    level = scan.origin_m[column, ring] + scan.direction[column, ring] * measured[:, None]
+    return Sweep(
+        points=(level @ scan.world_from_sensor.rotation).astype(np.float32),
+        ring=ring.astype(np.int16),
+        azimuth=(-np.pi + column * model.azimuth_step).astype(np.float32),
+        attitude=np.asarray(attitude, dtype=np.float64),
+        sensor_height_m=sensor_height_m,
+        model=model,
+    )
 
 
 def junction() -> Scene:

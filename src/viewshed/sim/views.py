@@ -9,8 +9,8 @@ import numpy as np
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.caster import cast, depth_image
-from viewshed.sim.scene import Box, Cylinder, Scene
+from viewshed.sim.scene import Scene, cast, depth_image
+from viewshed.sim.shapes import Box, Cylinder
 from viewshed.sweep import Sweep
 from viewshed.visible import Beams
 
