@@ -1,4 +1,4 @@
-"""Makers of people, street furniture, barriers and enclosures: each returns a `Thing` at the origin, heading along x."""
+"""Makers of people, street furniture, barriers and enclosures: each returns a `Thing` at the origin, along x."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def bush(rng: np.random.Generator, width_m: float = 1.4) -> Thing:
     tall = width_m * rng.uniform(0.6, 1.1)
     parts = [Ellipsoid(0.0, 0.0, 0.8 * width_m, 0.9 * width_m, tall, -0.2, rng.uniform(0, 3), "hedge")]
     for _ in range(int(rng.integers(0, 3))):
-        x, y, size = *rng.uniform(-0.2, 0.2, 2).tolist(), rng.uniform(0.4, 0.55)
+        x, y, size = rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2), rng.uniform(0.4, 0.55)
         parts.append(Ellipsoid(x * width_m, y * width_m, size * width_m, size * width_m, tall * size * 1.7, -0.1,
                                0.0, "hedge"))  # fmt: skip
     return Thing("bush", tuple(parts))

@@ -90,14 +90,14 @@ def cyclist(rng: np.random.Generator) -> Thing:
 def motorcycle(rng: np.random.Generator) -> Thing:
     """Return a rider on a motorcycle of 2.1 m."""
     tall = rng.uniform(1.45, 1.65)
+    wheels = tuple(Box(x, 0.0, 0.64, 0.14, 0.64, 0.0, 0.0, "rubber") for x in (-0.72, 0.72))
     parts = (
-        *(Box(x, 0.0, 0.64, 0.14, 0.64, 0.0, 0.0, "rubber") for x in (-0.72, 0.72)),
         Box(0.0, 0.0, 1.3, 0.36, 0.85, 0.25, 0.0, _paint(rng)),
         Box(0.5, 0.0, 0.12, 0.75, 1.1, 0.9, 0.0, "metal"),
         Ellipsoid(-0.15, 0.0, 0.5, 0.5, tall - 0.22, 0.7, 0.0, "clothes"),
         Ellipsoid(0.05, 0.0, 0.28, 0.26, tall, tall - 0.28, 0.0, "paint"),
     )
-    return Thing("motorcycle", parts, tilts=True)
+    return Thing("motorcycle", (*wheels, *parts), tilts=True)
 
 
 def sensor_car(rng: np.random.Generator, sensor_height_m: float) -> tuple[Thing, float]:

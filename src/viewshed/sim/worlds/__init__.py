@@ -7,11 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
+from viewshed.sim.worlds.street import street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
 """Makes a world with the agents of a plan; the same state of the generator gives the same world."""
 
-WORLDS: dict[str, WorldMaker] = {}
+WORLDS: dict[str, WorldMaker] = {
+    "street": street,
+}
 """Every kind of world by name; to add one, write a file and add a line."""
 
 __all__ = ["WORLDS", "WorldMaker"]

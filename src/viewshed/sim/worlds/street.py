@@ -1,0 +1,90 @@
+"""A street canyon in town: lanes both ways along x, parked rows, sidewalks, closed rows of buildings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from viewshed.sim.things import cone, put, work_barrier
+from viewshed.sim.vehicles import cyclist, street_vehicle
+from viewshed.sim.world import AgentPlan, Thing, World
+from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, side, walkers
+from viewshed.sim.worlds.ground import Ground, Road, relief
+from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast
+from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
+
+_HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 60.0, 50.0
+_MOST_MOVING = 6
+
+
+def street(rng: np.random.Generator, plan: AgentPlan) -> World:
+    """Return a street canyon with the agents of ``plan`` in its lanes and on its sidewalks."""
+    lanes, wide, biking = 1 + int(rng.random() < 0.4), rng.uniform(3.0, 3.5), rng.random() < 0.35
+    half = lanes * wide + (1.6 if biking else 0.0) + PARKING_M + 0.2
+    road = Road(half, rng.uniform(2.1, 4.8), rng.uniform(0.1, 0.15))
+    bumps = (rng.uniform(-40, 40),) if lanes == 1 and rng.random() < 0.3 else ()
+    ground = Ground(relief(rng), road, None, rng.uniform(0.0, 0.05), "concrete", bumps)
+    sides = [side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
+    masts = _masts(rng, plan.roadside, road)
+    still = [thing for one in sides for thing in _lined(rng, one, masts, bumps)]
+    moving = _traffic(rng, plan, lanes, wide)
+    if biking:
+        moving += _cyclists(rng, plan, lanes * wide + 0.8)
+    moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
+    if not sides[0].parked and rng.random() < 0.5:
+        still += _works(rng, half)
+    return assembled("street", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
+
+
+def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
+    found = []
+    for k in range(count):
+        x = (k + 0.5 - count / 2) * 80.0 / max(count, 1) + rng.uniform(-5, 5)
+        way = -1 if (k + rng.integers(2)) % 2 else 1
+        found.append(mast(rng, x, way * (road.half_m + 0.55), (x + rng.uniform(-15, 15), -way * 2.0)))
+    return found
+
+
+def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...]) -> list[Thing]:
+    flip = np.cos(one.yaw)
+    kept = [(flip * post.x_m - 0.8, flip * post.x_m + 0.8) for post in masts if post.y_m * flip > 0]
+    humps = [(flip * at - 1.2, flip * at + 1.2) for at in bumps]
+    span = (-_HALF_X_M, _HALF_X_M)
+    return [
+        *parked(rng, one, span, humps),
+        *furniture(rng, one, span, kept),
+        *buildings(rng, one, (-_HALF_X_M + rng.uniform(-8, 0), _HALF_X_M)),
+    ]
+
+
+def _traffic(rng: np.random.Generator, plan: AgentPlan, lanes: int, wide: float) -> list[Rider]:
+    riders: list[Rider] = []
+    dealt = carriers(rng, plan, 2 * lanes)
+    for k, seats in enumerate(dealt):
+        ahead = k % 2 == 0
+        across = (k // 2 + 0.5) * wide
+        lane = straight_lane(0.0, -across if ahead else across, 0.0 if ahead else np.pi)
+        stream = Stream(_HALF_X_M, _ROAM_M, _speed(rng, plan.duration_s), (6.0, rng.uniform(20.0, 60.0)))
+        riders += flow(lane, filled(rng, stream, street_vehicle, seats, plan.duration_s), plan.duration_s)
+    return riders
+
+
+def _speed(rng: np.random.Generator, duration_s: float) -> float:
+    """Return a speed in town that lets agents keep driving for most of the time within their part of the street."""
+    return float(min(rng.uniform(5.0, 14.0), max(2.0, rng.uniform(0.8, 1.6) * 2 * _ROAM_M / duration_s)))
+
+
+def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> list[Rider]:
+    riders: list[Rider] = []
+    for y, yaw in ((-across_m, 0.0), (across_m, np.pi)):
+        starts = sorted(rng.uniform(-90, 90, int(rng.integers(0, 4))).tolist(), reverse=True)
+        drivers = [Driver(cyclist(rng), start, 4.5) for start in starts]
+        riders += flow(straight_lane(0.0, y, yaw), drivers, plan.duration_s)
+    return riders
+
+
+def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
+    """Return a construction site where else vehicles would park: barriers around it and cones before it."""
+    x, y = rng.uniform(-40, 40), half_m - 1.1
+    rows = [put(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
+    ends = [put(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
+    return [*rows, *ends, *(put(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]
