@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
+from viewshed.sim.worlds.junction import junction
 from viewshed.sim.worlds.street import street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
@@ -14,6 +15,7 @@ WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
 
 WORLDS: dict[str, WorldMaker] = {
     "street": street,
+    "junction": junction,
 }
 """Every kind of world by name; to add one, write a file and add a line."""
 

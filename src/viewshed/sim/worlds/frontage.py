@@ -30,7 +30,6 @@ from viewshed.sim.worlds.ground import Road
 from viewshed.sim.worlds.layout import Span, plots, spots
 from viewshed.sim.worlds.traffic import Driver, Rider, flow, straight_lane
 
-_DETAIL_M = 72.0
 _BAY_M = 5.7
 _WIDE_WALK_M = 3.4
 PARKING_M = 2.2
@@ -49,6 +48,7 @@ class Side:
         parked: share of the parking strip that is taken, 0 if there is none.
         green: how many of the spots on the sidewalk are trees.
         furniture_gap_m: smallest and largest gap between two spots.
+        detail_m: buildings farther along than this have plain walls.
     """
 
     yaw: float
@@ -58,6 +58,7 @@ class Side:
     parked: float
     green: float
     furniture_gap_m: Span
+    detail_m: float = 72.0
 
     def put(self, thing: Thing, u_m: float, v_m: float, turn: float = 0.0) -> Thing:
         """Return the thing at (u, v) of this side, turned by ``turn`` from its direction."""
@@ -114,7 +115,7 @@ def buildings(rng: np.random.Generator, where: Side, span_m: Span, gap_share: fl
             things += _lot(rng, where, (middle, length))
             continue
         back = rng.uniform(0.0, 1.2) if rng.random() < 0.3 else 0.0
-        thing = town_house(rng, length, where.depth_m - back, abs(middle) > _DETAIL_M)
+        thing = town_house(rng, length, where.depth_m - back, abs(middle) > where.detail_m)
         things.append(where.put(thing, middle, front + back))
     return things
 

@@ -15,8 +15,8 @@ from viewshed.sim.vehicles import sensor_car
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
 
 Span = tuple[float, float]
-MAST_M = 0.7
-"""How much of a strip is kept free for a mast."""
+MOST_MOVING = 40
+"""How many things of a world have tracks, at most."""
 
 
 def spots(
@@ -119,12 +119,26 @@ class Contents:
 
 def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents) -> World:
     """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on."""
-    agents = []
-    ridden = [(k, ahead) for k, (_, ahead) in enumerate(contents.moving) if ahead is not None]
+    agents, moving = [], _nearest(contents, plan.duration_s)
+    ridden = [(k, ahead) for k, (_, ahead) in enumerate(moving) if ahead is not None]
     for number, (index, ahead) in enumerate(ridden):
         mount = Rigid.from_yaw(0.0, (ahead, 0.0, plan.sensor_height_m))
         agents.append(Agent(f"vehicle_{number}", plan.sensor, mount, index))
     for number, post in enumerate(contents.masts):
         agents.append(Agent(f"roadside_{number}", plan.roadside_sensor, post.pose(terrain)))
-    things = [thing for thing, _ in contents.moving] + [*contents.still, *(post.pole for post in contents.masts)]
+    things = [thing for thing, _ in moving] + [*contents.still, *(post.pole for post in contents.masts)]
     return World(name, terrain, tuple(things), tuple(agents))
+
+
+def _nearest(contents: Contents, duration_s: float) -> list[tuple[Thing, float | None]]:
+    """Return the agents' vehicles and those that come nearest to a sensor, as many as may move."""
+    times = (0.0, duration_s / 2, duration_s)
+    places = np.array([[one.place(t)[:2] for t in times] for one, _ in contents.moving]).reshape(-1, 3, 2)
+    ridden = np.array([ahead is not None for _, ahead in contents.moving], bool)
+    rests = np.array([one.track is None for one, _ in contents.moving], bool)
+    posts = np.array([[(post.x_m, post.y_m)] * 3 for post in contents.masts]).reshape(-1, 3, 2)
+    eyes = np.concatenate([places[ridden], posts])
+    gaps = np.hypot(*np.moveaxis(places[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
+    order = np.argsort(np.where(ridden | rests, -1.0, gaps), kind="stable")
+    kept = set(order[: MOST_MOVING + int((rests & ~ridden).sum())].tolist())
+    return [rider for k, rider in enumerate(contents.moving) if k in kept]
