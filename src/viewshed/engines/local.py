@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -36,7 +36,7 @@ class LocalEngine:
     def __post_init__(self) -> None:
         checked_workers(self.workers)
 
-    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Done[R]]:
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish; see :class:`viewshed.engines.Engine`.
 
         Raises:
@@ -69,7 +69,7 @@ class _Pool:
     next_job: int = 0
     failed_starts: int = 0
 
-    def run(self, jobs: Sequence[J]) -> Iterator[Done[R]]:
+    def run(self, jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         try:
             self.workers.extend(_start(self.work) for _ in range(self.size))
             while self.again or self.next_job < len(jobs) or any(worker.index is not None for worker in self.workers):

@@ -6,7 +6,8 @@ import contextlib
 import importlib.util
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import socket
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,10 @@ from viewshed.engines.role import TRIES, Done, J, R, attempt, checked_workers, r
 if TYPE_CHECKING:
     import ray
 
+_CONNECT_S = 10.0
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to anybody
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # print no line of another process, not even when a node dies; read at import
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # our tasks ask for no accelerator; Ray warns about that otherwise
 }
 
@@ -41,7 +44,7 @@ class RayEngine:
         if importlib.util.find_spec("ray") is None:
             raise ImportError("engine ray needs Ray, which is not installed; pip install 'viewshed[ray]'")
 
-    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Done[R]]:
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish; see :class:`viewshed.engines.Engine`.
 
         Raises:
@@ -64,7 +67,7 @@ class _Tasks:
         self._task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(attempt)
         self._under_way: dict[ray.ObjectRef[Any], tuple[int, int]] = {}
 
-    def run(self, limit: int) -> Iterator[Done[R]]:
+    def run(self, limit: int) -> Generator[Done[R], None, None]:
         indices = iter(range(len(self._jobs)))
         try:
             while True:
@@ -103,21 +106,30 @@ class _Tasks:
 @contextlib.contextmanager
 def _cluster() -> Iterator[None]:
     """Join a cluster or start one, quietly; leave what we joined."""
-    import ray
-
+    with _environment(_QUIET):
+        import ray
     if ray.is_initialized():
         yield
         return
-    with _environment(_QUIET):
-        try:
+    address = os.environ.get("RAY_ADDRESS", "")
+    try:
+        _reach(address)
+        with _environment(_QUIET):
             ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
-        except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
-            place = os.environ.get("RAY_ADDRESS", "this machine")
-            raise OSError(f"no Ray cluster at {place}: {reason(error)}; set RAY_ADDRESS or unset it") from error
+    except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
+        told = f"RAY_ADDRESS must name a running Ray cluster, got {address}" if address else "Ray cannot start here"
+        raise OSError(f"{told} ({reason(error)}); start one with ray start --head, or unset RAY_ADDRESS") from error
     try:
         yield
     finally:
         ray.shutdown()
+
+
+def _reach(address: str) -> None:
+    """Raise an OSError soon if nobody listens at ``host:port``; Ray would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
 
 
 @contextlib.contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -34,7 +34,7 @@ class Done(Generic[R_co]):
 class Engine(Protocol):
     """Anything that runs a function over jobs."""
 
-    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Done[R]]:
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish, in any order.
 
         ``work``, jobs and results travel between processes: ``work`` is a function of a module (or a
