@@ -1,4 +1,4 @@
-"""The command line: ``viewshed estimate | info | compare | export | demo | evaluate``."""
+"""The command line: ``viewshed estimate | info | compare | export | demo | evaluate | simulate | dataset``."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
 from viewshed.cli.info import info
 from viewshed.cli.options import BAD_INPUTS, one_line
+from viewshed.cli.simulate import dataset_app, simulate
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for _command in (estimate, info, compare, export, demo):
+for _command in (estimate, info, compare, export, demo, simulate):
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
+app.add_typer(dataset_app, name="dataset")
 
 
 def _version(asked: bool) -> None:

@@ -1,0 +1,139 @@
+"""``viewshed simulate`` and ``viewshed dataset``: make data sets, and look at them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import options
+
+if TYPE_CHECKING:
+    from viewshed.datasets import Archive
+    from viewshed.datasets.presets import Preset
+
+dataset_app = typer.Typer(help="Look at a data set.")
+Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
+
+
+def simulate(
+    preset: Annotated[str, typer.Argument(metavar="PRESET", help="carla, nuscenes, ugv, each also as NAME-small, …")],
+    out: Annotated[
+        str | None, typer.Option(help="Folder or URI (s3://bucket/data); its own name if not given.")
+    ] = None,
+    sweeps: Annotated[int | None, typer.Option(help="Number of sweeps; the preset's own if not given.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; one a core if not given.")] = None,
+    engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    grid: Annotated[str | None, typer.Option(help="Grid of the truth: a name, or CELLSxHALF_EXTENT_M.")] = None,
+    preview: Annotated[bool, typer.Option("--preview", help="Only draw some samples, to PRESET.png or --out.")] = False,
+) -> None:
+    """Simulate a data set with exact truth. Stopped runs go on where they were; the same bytes for any --workers.
+
+    Example: viewshed simulate nuscenes-small --out sweeps
+    """
+    from viewshed.datasets.presets import preset_named
+
+    chosen = _configured(preset_named(preset), sweeps, seed, grid)
+    if preview:
+        _preview(chosen, out)
+        return
+    count = workers if workers is not None else os.cpu_count() or 1
+    archive = _simulated(chosen, out or preset, engine, count)
+    typer.echo(_summary(archive))
+
+
+@dataset_app.callback()
+def dataset() -> None:
+    """Look at a data set."""
+
+
+@dataset_app.command()
+def info(place: Place) -> None:
+    """Say what a data set holds and how it was made.
+
+    Example: viewshed dataset info sweeps
+    """
+    from viewshed.datasets import Archive
+
+    archive = Archive.open(place)
+    typer.echo(_summary(archive))
+    recipe, grid = archive.manifest.recipe, archive.manifest.layout.grid
+    typer.echo(f"made by: {', '.join(f'{key} {recipe[key]}' for key in recipe if key not in ('config', 'targets'))}")
+    typer.echo(f"code:    viewshed {archive.manifest.code.get('version')}")
+    typer.echo(f"grid:    {grid.cells} × {grid.cells} cells of {grid.cell_m:g} m")
+    typer.echo(f"truth:   {', '.join((*archive.manifest.layout.targets, *archive.manifest.layout.definitions))}")
+    for split in archive.splits:
+        part = archive.split(split)
+        typer.echo(f"split:   {split}, {len(part)} sweeps in {len(part.scenes)} scene(s)")
+
+
+@dataset_app.command()
+def verify(place: Place) -> None:
+    """Compare every file of a data set with its checksum; exit code 2 if one is damaged.
+
+    Example: viewshed dataset verify sweeps
+    """
+    from viewshed.datasets import Archive
+
+    archive, damaged = Archive.open(place), 0
+    for _, problem in archive.verify():
+        if problem is not None:
+            damaged += 1
+            typer.echo(problem)
+    if damaged:
+        raise ValueError(f"{damaged} of {len(archive.shards)} shards of {archive.store.place} are damaged")
+    typer.echo(f"{len(archive.shards)} shards, all as they were written")
+
+
+def _configured(preset: Preset, sweeps: int | None, seed: int | None, grid: str | None) -> Preset:
+    from dataclasses import replace
+
+    if sweeps is not None:
+        preset = preset.scaled(sweeps)
+    if seed is not None:
+        preset = replace(preset, seed=seed)
+    if grid is not None:
+        wanted = options.parse_grid(grid)
+        preset = replace(preset, grid_cells=wanted.cells, grid_half_extent_m=float(wanted.half_extent_m))
+    return preset
+
+
+def _preview(preset: Preset, out: str | None) -> None:
+    from viewshed.atomic import write_bytes
+    from viewshed.preview import preview_png
+
+    path = Path(out or f"{preset.name}.png")
+    write_bytes(path, preview_png(preset.name, preset.seed))
+    typer.echo(f"Look at {path.resolve()}")
+
+
+def _simulated(preset: Preset, out: str, engine: str, workers: int) -> Archive:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from viewshed.datasets.simulation import simulate as run
+    from viewshed.datasets.store import Store
+    from viewshed.engines import engine_named
+
+    store, runner = Store.of(out), engine_named(engine, workers)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
+               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(f"{preset.name} into {store.place}", total=preset.sweeps)
+        return run(preset, store, runner, lambda shard: bar.advance(task, shard.frames))
+
+
+def _summary(archive: Archive) -> str:
+    size = sum(shard.bytes for shard in archive.shards)
+    parts = f"{len(archive)} sweeps in {len(archive.scenes)} scene(s), {len(archive.shards)} shards"
+    return f"{archive.store.place}: {parts}, {size / 1e6:.1f} MB"

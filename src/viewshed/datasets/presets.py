@@ -1,0 +1,201 @@
+"""Presets: how a simulated data set is composed, one flat TOML each."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+from viewshed.bev import BevGrid
+from viewshed.sensors import lidar_model
+from viewshed.sim.weather import conditions_named
+from viewshed.sim.world import AgentPlan
+from viewshed.sim.worlds import WORLDS
+
+MAX_SEED = 2**32 - 1
+MAX_CELLS = 2048
+"""Cells a side that a frame may have: a worker with one more target than ours still stays below half a gigabyte."""
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """How a simulated data set is composed. Lists of names have weights or numbers beside them.
+
+    Attributes:
+        name: of the preset.
+        about: one line for people.
+        worlds: kinds of world, of ``WORLDS``.
+        world_weights: in what proportion the scenes are of each kind.
+        splits: names of the splits.
+        scenes: number of scenes of each split.
+        frames: number of sweeps of each split, spread evenly over its scenes.
+        moving: vehicles or robots in each scene that measure.
+        roadside: sensors on masts in each scene.
+        sensors: beam tables of the moving ones; the scenes take them in turn.
+        roadside_sensor: beam table of those on masts.
+        sensor_height_m: of the moving ones.
+        interval_s: between two sweeps of one agent.
+        revolution_s: duration of a sweep; 0 lets all beams fire at once.
+        conditions: weather and faults, of ``CONDITIONS``; one for each scene.
+        condition_weights: in what proportion the scenes have them.
+        grid_cells: cells a side of the truth.
+        grid_half_extent_m: half the side of the truth's grid.
+        seed: of everything random.
+
+    Raises:
+        ValueError: a name is not known, a number is out of range, or lists differ in length.
+    """
+
+    name: str
+    about: str
+    worlds: tuple[str, ...]
+    world_weights: tuple[float, ...]
+    splits: tuple[str, ...]
+    scenes: tuple[int, ...]
+    frames: tuple[int, ...]
+    moving: int
+    roadside: int
+    sensors: tuple[str, ...]
+    roadside_sensor: str
+    sensor_height_m: float
+    interval_s: float
+    revolution_s: float
+    conditions: tuple[str, ...]
+    condition_weights: tuple[float, ...]
+    grid_cells: int
+    grid_half_extent_m: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        self._check_lists()
+        self._check_names()
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ValueError(f"seed must lie in [0, {MAX_SEED}], got {self.seed}")
+        if not 1 <= self.grid_cells <= MAX_CELLS:
+            raise ValueError(
+                f"a data set's grid must have 1 to {MAX_CELLS} cells a side, got {self.grid_cells}: "
+                "a frame would not fit into memory; choose fewer cells"
+            )
+        if not (self.interval_s > 0 and 0 <= self.revolution_s <= 1):
+            raise ValueError(f"{self.name}: interval_s must be positive and revolution_s lie in [0, 1]")
+        self.plan(0, 1.0)
+        _ = self.grid
+
+    def _check_lists(self) -> None:
+        for names, numbers in (("worlds", "world_weights"), ("conditions", "condition_weights"),
+                               ("splits", "scenes"), ("splits", "frames")):  # fmt: skip
+            keys, values = getattr(self, names), getattr(self, numbers)
+            if not keys or len(keys) != len(values) or len(set(keys)) != len(keys):
+                raise ValueError(f"{self.name}: {names} must be different names with {numbers} of the same length")
+            if min(values) <= 0:
+                raise ValueError(f"{self.name}: {numbers} must be positive, got {list(values)}")
+        for split, scenes, frames in zip(self.splits, self.scenes, self.frames, strict=True):
+            if frames < scenes:
+                raise ValueError(f"{self.name}: {split} must have a frame for each scene, got {frames} for {scenes}")
+
+    def _check_names(self) -> None:
+        for world in self.worlds:
+            if world not in WORLDS:
+                raise ValueError(f"{self.name}: worlds must be among {', '.join(WORLDS)}, got {world!r}")
+        for condition in self.conditions:
+            conditions_named(condition)
+        for sensor in (*self.sensors, self.roadside_sensor):
+            lidar_model(sensor)
+
+    @classmethod
+    def from_json(cls, table: dict[str, Any]) -> Preset:
+        """Return the preset in plain values: keys as the attributes, lists for tuples.
+
+        Raises:
+            ValueError: a key is missing or unknown, or a value is wrong.
+        """
+        types = {item.name: item.type for item in fields(cls)}
+        if table.keys() != types.keys():
+            wrong = sorted(table.keys() ^ types.keys())
+            raise ValueError(f"a preset must have the keys {', '.join(types)}; missing or unknown: {', '.join(wrong)}")
+        return cls(**{key: _typed(key, table[key], str(types[key])) for key in types})
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the preset as plain values."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+    @property
+    def grid(self) -> BevGrid:
+        """The truth's grid."""
+        return BevGrid(self.grid_cells, self.grid_half_extent_m)
+
+    @property
+    def agents(self) -> int:
+        """Agents in each scene."""
+        return self.moving + self.roadside
+
+    @property
+    def sweeps(self) -> int:
+        """Number of sweeps in all splits."""
+        return sum(self.frames)
+
+    def plan(self, sensor: int, duration_s: float) -> AgentPlan:
+        """Return what a world is asked to carry, with one of the sensors."""
+        height_m = self.sensor_height_m
+        return AgentPlan(self.moving, self.roadside, self.sensors[sensor], self.roadside_sensor, height_m, duration_s)
+
+    def scaled(self, sweeps: int) -> Preset:
+        """Return the preset with so many sweeps: splits keep their ratio and scenes their length, where they can.
+
+        Raises:
+            ValueError: there are fewer sweeps than splits.
+
+        >>> small = preset_named("nuscenes").scaled(1000)
+        >>> small.frames, small.scenes
+        ((821, 179), (21, 4))
+        """
+        if sweeps < len(self.splits):
+            raise ValueError(f"sweeps must be at least {len(self.splits)}, one for each split, got {sweeps}")
+        frames = _shared(sweeps, self.frames)
+        lengths = [total / count for total, count in zip(self.frames, self.scenes, strict=True)]
+        scenes = (max(1, min(count, round(count / length))) for count, length in zip(frames, lengths, strict=True))
+        return replace(self, frames=tuple(frames), scenes=tuple(scenes))
+
+
+def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
+    """Return whole numbers that add up to ``total`` in the ratio of ``weights``, none of them 0."""
+    rest, counts = total, []
+    for place, weight in enumerate(weights):
+        after = len(weights) - place - 1
+        share = round(rest * weight / sum(weights[place:]))
+        counts.append(min(max(share, 1), rest - after))
+        rest -= counts[-1]
+    return counts
+
+
+def _typed(key: str, value: Any, kind: str) -> Any:
+    if kind.startswith("tuple"):
+        item = kind.removeprefix("tuple[").split(",")[0]
+        if not isinstance(value, list):
+            raise ValueError(f"{key} must be a list, got {value!r}")
+        return tuple(_typed(key, one, item) for one in value)
+    types: dict[str, Any] = {"str": str, "int": int, "float": (int, float)}
+    if not isinstance(value, types[kind]) or isinstance(value, bool):
+        raise ValueError(f"{key} must be {kind}, got {value!r}")
+    return 1.0 * value if kind == "float" else value
+
+
+@lru_cache(maxsize=1)
+def preset_names() -> tuple[str, ...]:
+    """Return the names that :func:`preset_named` knows, in alphabetical order."""
+    tables = resources.files("viewshed") / "datasets" / "preset_tables"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in tables.iterdir() if entry.name.endswith(".toml")))
+
+
+def preset_named(name: str) -> Preset:
+    """Return the preset called ``name``.
+
+    Raises:
+        ValueError: there is none of that name; the message lists those that exist.
+    """
+    if name not in preset_names():
+        raise ValueError(f"preset must be one of {', '.join(preset_names())}, got {name!r}")
+    raw = (resources.files("viewshed") / "datasets" / "preset_tables" / f"{name}.toml").read_text(encoding="utf-8")
+    return Preset.from_json({"name": name} | tomllib.loads(raw))

@@ -1,0 +1,201 @@
+"""Simulated frames: everything that is random comes from the seed and the place of the frame in the data set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from viewshed.datasets.frame import Frame
+from viewshed.datasets.presets import Preset
+from viewshed.datasets.shard import ShardFacts, write_frames
+from viewshed.datasets.store import Store
+from viewshed.geometry import Rigid
+from viewshed.sensors import lidar_model
+from viewshed.sim.caster import cast_world
+from viewshed.sim.measure import measure
+from viewshed.sim.scan import Motion
+from viewshed.sim.truth import exact_truth
+from viewshed.sim.weather import CONDITIONS
+from viewshed.sim.world import Agent, Snapshot, World
+from viewshed.sim.worlds import WORLDS
+
+FRAMES_PER_SHARD = 48
+SIDECAR = ".json"
+"""Ending of the file beside a finished shard that tells its checksum, until the manifest does."""
+_GOLDEN = (5**0.5 - 1) / 2
+_SILVER = 2**0.5 - 1
+_BRONZE = (13**0.5 - 3) / 2
+
+
+class _Purpose(IntEnum):
+    WORLD = 0
+    CAST = 1
+    MEASURE = 2
+    WORLD_KIND = 3
+    CONDITIONS = 4
+    SENSOR = 5
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePlan:
+    """One scene of a simulated data set.
+
+    Attributes:
+        preset: the composition that it is part of.
+        split: number of its split.
+        number: its number in the split.
+    """
+
+    preset: Preset
+    split: int
+    number: int
+
+    @property
+    def split_name(self) -> str:
+        """Name of its split."""
+        return self.preset.splits[self.split]
+
+    @property
+    def name(self) -> str:
+        """Its name in the archive: split, number, kind of world, conditions."""
+        return f"{self.split_name}-{self.number:04d}-{self.world_kind}-{self.conditions}"
+
+    @property
+    def frames(self) -> int:
+        """Number of its frames: agent after agent, then the next time."""
+        total, scenes = self.preset.frames[self.split], self.preset.scenes[self.split]
+        return total // scenes + (self.number < total % scenes)
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasts."""
+        return -(-self.frames // self.preset.agents) * self.preset.interval_s
+
+    @property
+    def world_kind(self) -> str:
+        """What kind of place it is."""
+        return self.preset.worlds[self._turn(_Purpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
+
+    @property
+    def conditions(self) -> str:
+        """Weather and faults."""
+        return self.preset.conditions[self._turn(_Purpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
+
+    @property
+    def sensor(self) -> int:
+        """Which of the preset's sensors the moving agents have."""
+        return self._turn(_Purpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
+
+    def chunks(self) -> Iterator[tuple[int, int]]:
+        """Yield the first frame of each shard and the one after its last: whole times, at most 48 frames if they fit."""
+        agents = self.preset.agents
+        times = -(-self.frames // agents)
+        count = -(-times // max(1, FRAMES_PER_SHARD // agents))
+        ends = [times * k // count * agents for k in range(count + 1)]
+        yield from ((first, min(last, self.frames)) for first, last in pairwise(ends))
+
+    def seed(self, purpose: int, frame: int = 0) -> np.random.SeedSequence:
+        """Return the seed of what is random in one frame (or in the scene) for one purpose."""
+        time, agent = divmod(frame, self.preset.agents)
+        return np.random.SeedSequence([self.preset.seed, self.split, self.number, agent, time, purpose])
+
+    def _turn(self, purpose: int, step: float, weights: tuple[float, ...]) -> int:
+        """Return the scene's turn: the multiples of an irrational number fill [0, 1) evenly (Kronecker, Weyl)."""
+        start = np.random.SeedSequence([self.preset.seed, self.split, 0, 0, 0, purpose]).generate_state(1)[0] / 2**32
+        at = (start + self.number * step) % 1.0 * sum(weights)
+        return min(int(np.searchsorted(np.cumsum(weights), at, side="right")), len(weights) - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ShardJob:
+    """What a worker must know to make one shard.
+
+    Attributes:
+        store: where the shard goes.
+        scene: that its frames are from.
+        name: of the file.
+        first: its first frame in the scene.
+        last: the frame after its last.
+    """
+
+    store: Store
+    scene: ScenePlan
+    name: str
+    first: int
+    last: int
+
+
+def jobs_of(preset: Preset, store: Store) -> list[ShardJob]:
+    """Return the shards of a data set, in order."""
+    return [
+        ShardJob(store, scene, f"{scene.split_name}-{scene.number:04d}-{chunk:03d}.parquet", first, last)
+        for split, scenes in enumerate(preset.scenes)
+        for scene in (ScenePlan(preset, split, number) for number in range(scenes))
+        for chunk, (first, last) in enumerate(scene.chunks())
+    ]
+
+
+def simulate_shard(job: ShardJob) -> ShardFacts:
+    """Return the facts of the shard of ``job``, which is written with a file beside it that tells them.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    frames = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
+    facts = write_frames(job.store, job.name, (job.scene.name, job.scene.split_name), frames)
+    job.store.write(job.name + SIDECAR, json.dumps(facts.to_json()).encode())
+    return facts
+
+
+def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
+    """Return one frame of a scene: range image, truth and where it is known."""
+    world, (time, number) = world_of(scene), divmod(frame, scene.preset.agents)
+    t_s, agent = (time + 0.5) * scene.preset.interval_s, world.agents[number]
+    pose = world.world_from_sensor(agent, t_s)
+    motion = motion_of(world, agent, t_s, scene.preset.revolution_s)
+    seed = int(scene.seed(_Purpose.CAST, frame).generate_state(1)[0])
+    scan = cast_world(_snapshot(world, t_s), lidar_model(agent.sensor), pose, motion, seed)
+    image = measure(
+        scan,
+        CONDITIONS[scene.conditions],
+        np.random.Generator(np.random.PCG64(scene.seed(_Purpose.MEASURE, frame))),
+        sensor_height_m=float(pose.translation[2] - world.terrain.at(pose.translation[None])[0]),
+        t_ns=round(t_s * 1e9),
+        agent=agent.name,
+    )
+    return Frame(image, *exact_truth(scan, world, scene.preset.grid))
+
+
+@lru_cache(maxsize=2)
+def world_of(scene: ScenePlan) -> World:
+    """Return the world of a scene.
+
+    Raises:
+        ValueError: it does not have the agents of the preset.
+    """
+    rng = np.random.Generator(np.random.PCG64(scene.seed(_Purpose.WORLD)))
+    world = WORLDS[scene.world_kind](rng, scene.preset.plan(scene.sensor, scene.duration_s))
+    if len(world.agents) != scene.preset.agents:
+        raise ValueError(f"{scene.name} must have {scene.preset.agents} agents, got {len(world.agents)}")
+    return world
+
+
+def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion:
+    """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
+    if period_s == 0.0 or agent.carrier is None:
+        return Motion(period_s=period_s)
+    before, after = (world.world_from_sensor(agent, t_s + sign * period_s / 2) for sign in (-1, 1))
+    vx, vy, vz = (float(value) for value in (after.translation - before.translation) / period_s)
+    turned = Rigid(after.rotation @ before.rotation.T, np.zeros(3)).yaw
+    return Motion((vx, vy, vz), turned / period_s, period_s)
+
+
+@lru_cache(maxsize=1)
+def _snapshot(world: World, t_s: float) -> Snapshot:
+    return world.snapshot(t_s)

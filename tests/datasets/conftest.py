@@ -1,0 +1,79 @@
+"""Made-up samples: no part of the simulator decides what is in them."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from viewshed.bev import BevGrid
+from viewshed.datasets import Sample
+from viewshed.geometry import Rigid
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sim.range_image import RangeImage
+from viewshed.sim.scan import Motion
+from viewshed.sweep import Sweep
+from viewshed.truth import OTHER_DEFINITIONS, Truth
+
+MakeSample = Callable[..., Sample]
+
+
+@pytest.fixture
+def custom_model() -> LidarModel:
+    """A sensor that is in no table."""
+    elevation = np.deg2rad([-17.3, -3.1, 0.7])
+    return LidarModel("own", elevation, 40, np.deg2rad([0.1, 0.0, -0.2]), np.array([0.01, 0.0, -0.03]), 0.4, 77.7, "é")
+
+
+@pytest.fixture
+def make_truth() -> Callable[..., tuple[Truth, np.ndarray]]:
+    def make(seed: int = 0, cells: int = 33) -> tuple[Truth, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        grid = BevGrid(cells, 20.5, (1.5, -0.25))
+
+        def some(high: int) -> np.ndarray:
+            return rng.integers(0, high, grid.shape).astype(np.uint8)
+
+        returns, states = ({name: some(high) for name in ("pedestrian", "car")} for high in (256, 4))
+        return Truth(grid, returns, states, {name: some(2) == 1 for name in OTHER_DEFINITIONS}), some(2) == 1
+
+    return make
+
+
+@pytest.fixture
+def make_sample(make_truth: Callable[..., tuple[Truth, np.ndarray]], custom_model: LidarModel) -> MakeSample:
+    """Makes a sample with a range image (``image=True``) or with points only."""
+
+    def make(seed: int = 0, *, image: bool = True, scene: str = "s0", split: str = "train", cells: int = 33) -> Sample:
+        rng = np.random.default_rng(seed)
+        truth, known = make_truth(seed, cells)
+        pose = Rigid.from_yaw(rng.uniform(-3, 3), rng.normal(0, 100, 3))
+        if not image:
+            return Sample(_points(rng, pose), truth, known, scene, split)
+        model = custom_model if seed % 2 else lidar_model("vlp16")
+        shape = (model.azimuth_columns, model.rings)
+        steps = (rng.integers(0, 65536, shape) * (rng.random(shape) < 0.8)).astype(np.uint16)
+        level = np.where(steps > 0, rng.integers(0, 256, shape), 0).astype(np.uint8)
+        motion = Motion((8.1, -0.3, 0.07), 0.21, 0.1) if seed % 3 else Motion()
+        made = RangeImage(
+            model, steps, level, 0.002, pose, motion, 1.73, 123_456_789_012_345_678 + seed, f"agent {seed}"
+        )
+        return Sample(made.sweep(), truth, known, scene, split, made)
+
+    return make
+
+
+def _points(rng: np.random.Generator, pose: Rigid) -> Sweep:
+    count = int(rng.integers(0, 300))
+    return Sweep(
+        points=rng.normal(0, 30, (count, 3)).astype(np.float32),
+        intensity=rng.random(count).astype(np.float32),
+        ring=rng.integers(0, 64, count).astype(np.int16),
+        azimuth=None if rng.random() < 0.5 else rng.random(count).astype(np.float32),
+        time_s=rng.random(count).astype(np.float32),
+        t_ns=None if rng.random() < 0.5 else 7,
+        attitude=np.array([1.0, 0.0, 0.0, 0.0]) if rng.random() < 0.5 else None,
+        sensor_height_m=None,
+        world_from_sensor=pose if rng.random() < 0.5 else None,
+        agent="ägent",
+        dropped_points=3,
+    )
