@@ -16,8 +16,7 @@ DOOR_TOP_M = 2.05
 def door(width_m: float, angle: float, material: str = "wood") -> Group:
     """Return a door leaf hinged at the origin: closed along x, turned open by ``angle`` radians counter-clockwise."""
     leaf = Box(width_m / 2, 0.0, width_m, 0.04, DOOR_TOP_M - 0.02, 0.01, 0.0, material)
-    handle = Box(width_m - 0.08, 0.0, 0.12, 0.14, 1.04, 1.0, 0.0, "metal")
-    return (Thing("door", (leaf, handle), yaw=angle),)
+    return (Thing("door", (leaf,), yaw=angle),)
 
 
 def whiteboard(rng: np.random.Generator) -> Group:

@@ -5,6 +5,7 @@ A maker takes a generator for the sizes and returns a group about one origin: fr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
@@ -27,17 +28,17 @@ def placed(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0) -> 
     >>> [(round(one.x_m, 6), round(one.y_m, 6)) for one in placed((Thing("a", (), x_m=1.0),), 5.0, 2.0, np.pi / 2)]
     [(5.0, 3.0)]
     """
-    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    c, s = math.cos(yaw), math.sin(yaw)
     return tuple(
         replace(one, x_m=x_m + c * one.x_m - s * one.y_m, y_m=y_m + s * one.x_m + c * one.y_m, yaw=one.yaw + yaw)
         for one in group
     )
 
 
-def bounds(group: Iterable[Thing], below_m: float = np.inf) -> NDArray[np.float64]:
-    """Return (k, 4) metres: x and y from, x and y to of each solid that starts lower than ``below_m``, from above."""
-    rows = [_bounds(one, part) for one in group for part in one.parts if part.bottom_m < below_m]
-    return np.array(rows, np.float64).reshape(-1, 4)
+def bounds(group: Iterable[Thing]) -> NDArray[np.float64]:
+    """Return (k, 6) metres: x, y from, x, y to in the world, bottom and top above its ground, of each solid."""
+    rows = [(*_bounds(one, part), part.bottom_m, part.top_m) for one in group for part in one.parts]
+    return np.array(rows, np.float64).reshape(-1, 6)
 
 
 def footprint(group: Iterable[Thing]) -> tuple[float, float, float, float]:
@@ -46,22 +47,22 @@ def footprint(group: Iterable[Thing]) -> tuple[float, float, float, float]:
     >>> footprint((Thing("table", (Box(0.0, 0.0, 1.0, 2.0, 0.7),), x_m=3.0),))
     (2.5, -1.0, 3.5, 1.0)
     """
-    rows = bounds(group)
-    low, high = rows[:, :2].min(axis=0), rows[:, 2:].max(axis=0)
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    x0, y0, x1, y1 = zip(*(_bounds(one, part) for one in group for part in one.parts), strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
 
 
 def _bounds(one: Thing, part: Shape) -> tuple[float, float, float, float]:
-    c, s = np.cos(one.yaw), np.sin(one.yaw)
+    """Return the upright rectangle around one solid, from above."""
+    c, s = math.cos(one.yaw), math.sin(one.yaw)
     x, y = one.x_m + c * part.x_m - s * part.y_m, one.y_m + s * part.x_m + c * part.y_m
     a, b, _ = part.half_sizes_m
-    if isinstance(part, Cylinder):
-        return x - a, y - a, x + a, y + a
-    c, s = abs(np.cos(one.yaw + part.yaw)), abs(np.sin(one.yaw + part.yaw))
-    ex, ey = (
-        (c * a + s * b, s * a + c * b) if isinstance(part, Box) else (np.hypot(c * a, s * b), np.hypot(s * a, c * b))
+    c, s = abs(math.cos(one.yaw + part.yaw)), abs(math.sin(one.yaw + part.yaw))
+    wide, deep = (
+        (c * a + s * b, s * a + c * b)
+        if isinstance(part, Box)
+        else (math.hypot(c * a, s * b), math.hypot(s * a, c * b))
     )
-    return x - ex, y - ey, x + ex, y + ey
+    return x - wide, y - deep, x + wide, y + deep
 
 
 def legs(
@@ -166,7 +167,7 @@ def shelf(rng: np.random.Generator) -> Group:
     boards = tuple(slab(depth, width - 0.04, z, z + 0.02, "wood") for z in np.linspace(0.08, top - 0.02, 4))
     back = Box(-depth / 2 + 0.005, 0.0, 0.01, width - 0.04, top, 0.0)
     rows = (0.1, (top - 0.1) / 3 + 0.1, 2 * (top - 0.1) / 3 + 0.1)
-    books = tuple(_books(rng, width, float(z)) for z in rows if rng.random() < 0.75)
+    books = tuple(_books(rng, width, float(z)) for z in rows if rng.random() < 0.6)
     wood = tuple(replace(part, material="wood") for part in (*sides, back))
     return (Thing("shelf", (*wood, *boards, *books)),)
 

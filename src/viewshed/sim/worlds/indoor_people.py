@@ -1,0 +1,190 @@
+"""Who moves in a building: robots that measure, people who walk, sensors below the ceiling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.sim.furniture import bounds
+from viewshed.sim.shapes import Box, Cylinder, Shape
+from viewshed.sim.terrain import Terrain
+from viewshed.sim.things import drive, person
+from viewshed.sim.world import Agent, AgentPlan, Thing, World
+from viewshed.sim.worlds.indoor_routes import FreeFloor, Network, Points, RoadMap, follow, open_floor
+from viewshed.sim.worlds.indoor_site import Rect, Site
+
+ROBOT_RADIUS_M = 0.18
+_CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.36, 0.5
+_LEAD_S = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class Building:
+    """What the inhabitants must know of a building.
+
+    Attributes:
+        name: kind of world.
+        inside: the floor that may be driven on, in metres.
+        ceiling_m: height of the ceiling.
+        walkers: how many people walk about.
+    """
+
+    name: str
+    inside: Rect
+    ceiling_m: float
+    walkers: int
+
+
+def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
+    """Return the world of a finished building with robots, walking people and sensors below its ceiling."""
+    solids = bounds(site.things)
+    roads = _roads(site, building, solids, max(1.9, plan.sensor_height_m + 0.2))
+    people, roads = _walkers(site.rng, roads, building.walkers, plan.duration_s)
+    robots = [_robot(site.rng, network, plan) for network in _territories(roads, plan.moving)]
+    hung = _hung(site.rng, roads, solids, building.ceiling_m, plan.roadside)
+    mount = Rigid(np.eye(3), np.array([0.0, 0.0, plan.sensor_height_m]))
+    agents = [Agent(f"robot_{k}", plan.sensor, mount, k) for k in range(len(robots))]
+    agents += [Agent(f"ceiling_{k}", plan.roadside_sensor, pose) for k, pose in enumerate(hung)]
+    rods = [_rod(pose, building.ceiling_m) for pose in hung]
+    return World(building.name, terrain, (*robots, *people, *rods, *site.things), tuple(agents), indoor=True)
+
+
+def _roads(site: Site, building: Building, solids: NDArray[np.float64], below_m: float) -> RoadMap:
+    """Return the road map around all solids that begin below a height, over sills and thresholds, off steps."""
+    near = solids[(solids[:, 4] < below_m) & (solids[:, 5] > 0.03), :4]
+    near = np.concatenate([near, np.array(site.steps).reshape(-1, 4)])
+    doors = [
+        (one.x_m + off * (not one.along_x), one.y_m + off * one.along_x)
+        for one in site.doorways
+        for off in (-0.9, 0.0, 0.9)
+    ]
+    floor = open_floor(building.inside).without(near, _CLEAR_M)
+    return RoadMap.over(floor, site.rng, np.array(doors).reshape(-1, 2))
+
+
+def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: float) -> tuple[list[Thing], RoadMap]:
+    """Return people who walk to and fro, and the map that keeps clear of them and is still mostly connected."""
+    every = np.ones(len(roads.nodes_m), np.bool_)
+    most = roads.largest(every)
+    beats = _beats(rng, Network.of(roads, most), count)
+    while True:
+        left = roads.on(_around(roads.floor, beats))
+        if not beats or len(left.largest(every)) > 0.6 * len(most):
+            return [_walker(rng, beat, duration_s) for beat in beats], left
+        beats = beats[: len(beats) // 2]
+
+
+def _beats(rng: np.random.Generator, network: Network, count: int) -> list[Points]:
+    """Return up to ``count`` ways of a few metres that keep clear of each other."""
+    beats: list[Points] = []
+    floor, nodes = network.roads.floor, np.flatnonzero(network.rows)
+    for _ in range(2 * count):
+        start = int(rng.choice(nodes))
+        apart = np.hypot(*(network.roads.nodes_m[nodes] - network.roads.nodes_m[start]).T)
+        goals = nodes[(apart > 2.5) & (apart < 9.0)]
+        if len(beats) == count or not goals.size:
+            continue
+        way = network.path(start, int(rng.choice(goals)))
+        if floor.sees(way[:-1], way[1:]).all():
+            beats.append(way)
+            floor = _around(floor, [way])
+    return beats
+
+
+def _around(floor: FreeFloor, beats: list[Points]) -> FreeFloor:
+    """Return the floor that keeps clear of people on their beats."""
+    points = [
+        a + (b - a) * s
+        for way in beats
+        for a, b in pairwise(way)
+        for s in np.linspace(0, 1, 2 + int(8 * np.abs(b - a).max()))
+    ]
+    spots = np.array(points).reshape(-1, 2)
+    return floor.without(np.hstack([spots, spots]), _CLEAR_M + _PERSON_M)
+
+
+def _walker(rng: np.random.Generator, beat: Points, duration_s: float) -> Thing:
+    speed = rng.uniform(0.7, 1.5)
+    length = float(np.hypot(*np.diff(beat, axis=0).T).sum())
+    rounds = int((duration_s + _LEAD_S + 2.0) * speed / (2 * length)) + 1
+    way = np.concatenate([beat, *[beat[-2::-1], beat[1:]] * rounds])
+    pause = np.where((way == beat[0]).all(axis=1) | (way == beat[-1]).all(axis=1), rng.uniform(0, 3, len(way)), 0.0)
+    return drive(person(rng, walking=True), follow(way, speed, 3.0, -rng.uniform(1.0, _LEAD_S), pause))
+
+
+def _territories(roads: RoadMap, count: int) -> list[Network]:
+    """Return one network for each robot: strips of the building half a metre apart, cut along its better axis."""
+    best: list[NDArray[np.intp]] = []
+    every = roads.largest(np.ones(len(roads.nodes_m), np.bool_))
+    for axis in (0, 1):
+        at = roads.nodes_m[:, axis]
+        edges = np.quantile(at[every], np.linspace(0, 1, count + 1))
+        edges[0], edges[-1] = -np.inf, np.inf
+        parts = [roads.largest((at > low + _APART_M / 2) & (at < high - _APART_M / 2)) for low, high in pairwise(edges)]
+        best = max(best, parts, key=lambda some: min(map(len, some), default=0))
+    return [Network.of(roads, part) for part in best]
+
+
+def _robot(rng: np.random.Generator, network: Network, plan: AgentPlan) -> Thing:
+    """Return a robot that drives between random places of its network for as long as the plan lasts."""
+    speed, nodes = rng.uniform(0.2, 0.8), np.flatnonzero(network.rows)
+    at = int(rng.choice(nodes))
+    way, left = [network.roads.nodes_m[[at]]], (plan.duration_s + _LEAD_S + 2.0) * speed
+    while left > 0 and len(nodes) > 1:
+        goal = int(rng.choice(nodes[nodes != at]))
+        leg = network.path(at, goal)
+        left -= float(np.hypot(*np.diff(leg, axis=0).T).sum())
+        way.append(leg[1:])
+        at = goal
+    track = follow(np.concatenate(way), speed, rng.uniform(0.5, 1.2), -rng.uniform(1.0, _LEAD_S))
+    return drive(Thing("robot", robot_parts(rng, plan.sensor_height_m)), track)
+
+
+def robot_parts(rng: np.random.Generator, sensor_height_m: float) -> tuple[Shape, ...]:
+    """Return the solids of a robot below its sensor: round body, plates on rods, a mast; often an antenna behind.
+
+    The body ends 0.15 m below the sensor, so that beams down to 35 degrees pass its rim.
+    """
+    body = max(0.08, min(rng.uniform(0.12, 0.25), sensor_height_m - 0.2))
+    plate = max(body + 0.02, min(rng.uniform(0.35, 0.45), sensor_height_m - 0.17))
+    rods = [Cylinder(0.13 * x, 0.13 * y, 0.012, plate, body, "metal") for x, y in ((1, 0), (-0.5, 0.8), (-0.5, -0.8))]
+    base = Cylinder(0.0, 0.0, ROBOT_RADIUS_M, body, 0.03, "dark_paint")
+    mast = Cylinder(0.0, 0.0, 0.03, max(sensor_height_m - 0.06, plate + 0.03), body, "metal")
+    seat = Box(0.02, 0.0, 0.22, 0.16, plate + 0.02, plate, 0.0, "wood")
+    mount = Cylinder(0.0, 0.0, 0.05, sensor_height_m - 0.045, sensor_height_m - 0.06, "metal")
+    antenna = [Cylinder(-0.14, 0.06, 0.006, sensor_height_m + 0.1, body, "rubber")] if rng.random() < 0.6 else []
+    return base, mast, seat, mount, *rods, *antenna
+
+
+def _hung(
+    rng: np.random.Generator, roads: RoadMap, solids: NDArray[np.float64], ceiling_m: float, count: int
+) -> list[Rigid]:
+    """Return the poses of sensors that hang free, tilted down and apart from each other."""
+    poses: list[Rigid] = []
+    for _ in range(count):
+        z = ceiling_m - 0.3 if ceiling_m < 4.5 else rng.uniform(3.4, 4.4)
+        spots = np.column_stack([roads.nodes_m, np.full(len(roads.nodes_m), z)])[_hangs_free(roads.nodes_m, solids, z)]
+        some = spots[rng.integers(len(spots), size=8)]
+        gaps = [min([float(np.linalg.norm(spot - pose.translation)) for pose in poses], default=0.0) for spot in some]
+        tilt, yaw = rng.uniform(0.15, 0.5), rng.uniform(-np.pi, np.pi)
+        c, s = np.cos(tilt), np.sin(tilt)
+        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        poses.append(Rigid(Rigid.from_yaw(yaw).rotation @ down, some[int(np.argmax(gaps))]))
+    return poses
+
+
+def _hangs_free(spots: Points, solids: NDArray[np.float64], z_m: float) -> NDArray[np.bool_]:
+    """Return which points have no solid within 0.3 m aside, or below them within 0.4 m, up to the ceiling."""
+    above = solids[(solids[:, 5] > z_m - 0.4) & (solids[:, 4] < z_m + 0.15)]
+    x, y = spots[:, :1], spots[:, 1:]
+    near = (x > above[:, 0] - 0.3) & (x < above[:, 2] + 0.3) & (y > above[:, 1] - 0.3) & (y < above[:, 3] + 0.3)
+    return np.asarray(~near.any(axis=1))
+
+
+def _rod(pose: Rigid, ceiling_m: float) -> Thing:
+    x, y, z = pose.translation.tolist()
+    return Thing("rod", (Cylinder(x, y, 0.02, ceiling_m, z + 0.08, "metal"),), z_m=0.0)
