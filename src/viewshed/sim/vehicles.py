@@ -111,11 +111,12 @@ def sensor_car(rng: np.random.Generator, sensor_height_m: float) -> tuple[Thing,
         body = (Box(0.0, 0.0, 0.75, 0.5, roof, 0.4 * roof, 0.0, "paint"), *_axles(0.25, 0.5, 0.4 * roof + 0.02))
         return Thing("robot", body, tilts=True), 0.0
     tall, long = min(roof, rng.uniform(1.42, 1.68)), rng.uniform(4.1, 4.9)
-    parts = _body(long, rng.uniform(1.68, 1.78), tall, (0.62, -0.04), "paint" if rng.random() < 0.8 else "dark_paint")
+    paint = "paint" if rng.random() < 0.8 else "dark_paint"
+    parts = _body(long, rng.uniform(1.68, 1.78), tall - 0.07, (0.62, -0.04), paint)
     ahead = rng.uniform(0.0, 0.45)
     mast = Cylinder(ahead, 0.0, 0.05, sensor_height_m - 0.1, tall - 0.02, "metal")
-    rack = Box(0.0, 0.0, 0.9, 1.2, tall + 0.01, tall - 0.02, 0.0, "metal")
-    return Thing("car", (*parts, rack, mast) if roof > tall + 0.03 else parts, tilts=True), ahead
+    rack = Box(0.0, 0.0, 0.9, 1.0, tall, tall - 0.08, 0.0, "metal")
+    return Thing("car", (*parts, rack, mast), tilts=True), ahead
 
 
 _STREET: tuple[tuple[float, Callable[[np.random.Generator], Thing]], ...] = (
