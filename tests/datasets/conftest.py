@@ -1,9 +1,15 @@
-"""Made-up samples: no part of the simulator decides what is in them."""
+"""Made-up samples, no part of the simulator decides what is in them; and an S3 server on this machine."""
 
-from collections.abc import Callable
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from pyarrow import fs
 
 from viewshed.bev import BevGrid
 from viewshed.datasets import Sample
@@ -77,3 +83,38 @@ def _points(rng: np.random.Generator, pose: Rigid) -> Sweep:
         agent="ägent",
         dropped_points=3,
     )
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[str]:
+    """Options of a URI that lead to the server; it has a bucket named ``data``, ``s3://data/FOLDER?OPTIONS``."""
+    pytest.importorskip("moto", reason="moto is not installed: object stores are not tested")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    keys = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_EC2_METADATA_DISABLED": "true"}
+    server = subprocess.Popen(
+        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
+        env={**os.environ, **keys}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as environment:
+        for name, value in keys.items():
+            environment.setenv(name, value)
+        _wait_for(port)
+        options = f"endpoint_override=127.0.0.1:{port}&scheme=http&region=us-east-1"
+        made, _ = fs.FileSystem.from_uri(f"s3://data?{options}&allow_bucket_creation=true")
+        made.create_dir("data")
+        yield options
+    server.kill()
+    server.wait()
+
+
+def _wait_for(port: int) -> None:
+    for _ in range(200):
+        try:
+            socket.create_connection(("127.0.0.1", port)).close()
+        except OSError:
+            time.sleep(0.05)
+        else:
+            return
+    pytest.fail("the S3 server did not start")

@@ -209,7 +209,7 @@ def _named(store: Store, name: str) -> Iterator[None]:
 
 
 def _repair(error: OSError, local: bool) -> str:
-    if isinstance(error, FileNotFoundError) and local:
+    if isinstance(error, FileNotFoundError):
         return "no such file"
     if local:
         return _LOCAL_REPAIRS.get(error.errno or 0, _short(error))
