@@ -74,7 +74,7 @@ def test_noise_of_weak_returns_doubles_at_the_threshold() -> None:
 
 @pytest.mark.parametrize(("signal", "probability"), [(0.5, 1 / 17), (1.0, 0.5), (2.0, 16 / 17)])
 def test_weak_returns_are_detected_as_the_curve_says(signal: float, probability: float) -> None:
-    model = lidar_model("hdl64e")
+    model = replace(lidar_model("hdl64e"), max_range_m=250.0)
     optics = OPTICS["HDL-64E"]
     at_m = optics.reach_m * (1.2 / signal) ** 0.5
     assert share(scan_of(model, at_m)) == pytest.approx(probability * (1 - optics.missing_share), abs=0.01)
@@ -92,8 +92,8 @@ def test_light_lost_in_air_counts_both_ways() -> None:
 def test_oblique_surfaces_return_less_and_wet_ground_less_still() -> None:
     model = lidar_model("hdl32e")
     facing, oblique = (share(scan_of(model, 60.0, cosine=c)) for c in (1.0, 0.05))
-    dry, wet = (share(scan_of(model, 45.0, cosine=0.05, thing=-1), replace(CLEAR, wet=w)) for w in (1.0, 0.4))
-    other = share(scan_of(model, 45.0, cosine=0.05, thing=0), replace(CLEAR, wet=0.4))
+    dry, wet = (share(scan_of(model, 35.0, cosine=0.05, thing=-1), replace(CLEAR, wet=w)) for w in (1.0, 0.4))
+    other = share(scan_of(model, 35.0, cosine=0.05, thing=0), replace(CLEAR, wet=0.4))
     assert facing > 0.9
     assert oblique < 0.3
     assert other == dry > wet + 0.3

@@ -15,7 +15,7 @@ from viewshed.sim.range_image import RangeImage
 from viewshed.sim.scan import Scan
 from viewshed.sim.weather import Conditions
 
-ROUGHNESS = 0.35
+ROUGHNESS = 0.2
 """Slope of the facets of a surface, radians (Oren & Nayar 1994): why a road is seen at grazing incidence."""
 STEEPNESS = 4.0
 """A signal s, in units of the threshold, is detected with probability 1 / (1 + s ** -STEEPNESS)."""
