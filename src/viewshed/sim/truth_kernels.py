@@ -1,0 +1,241 @@
+"""Loops of the exact truth: beams sorted by azimuth, and the beams that a plate in each cell would meet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from viewshed.angles import atan2
+
+TILE = 8
+"""Beams of a ring lie in tiles of so many, sorted by azimuth, and are tested a tile at a time."""
+SECTORS = 256
+"""Sectors of azimuth in which the slopes of each ring are bounded."""
+MANY = 255
+"""Beams are counted up to here."""
+BEND, ALONG_X, ALONG_Y, RISE, SLOPE, STOP = range(6)
+"""What a beam is, as a line over the plane: distance by which it passes the sensor's reference position on its right,
+horizontal unit direction, height where it passes, rise over run, and the run from there to its stop."""
+_AZIMUTH_MARGIN = np.float32(1e-4)
+_PI = np.float32(np.pi)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beam_lines(
+    origin: Any, direction: Any, depth: Any, turn: Any, max_range: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return beams (6, C·R) float32 in axes turned by (cosine, sine), and their azimuths (C·R,)."""
+    count = depth.size
+    out, azimuth = np.empty((6, count), np.float32), np.empty(count, np.float32)
+    start, way, length = origin.reshape(-1, 3), direction.reshape(-1, 3), depth.reshape(-1)
+    c, s = np.float32(turn[0]), np.float32(turn[1])
+    for n in range(count):
+        dx, dy = c * way[n, 0] + s * way[n, 1], c * way[n, 1] - s * way[n, 0]
+        ox, oy = c * start[n, 0] + s * start[n, 1], c * start[n, 1] - s * start[n, 0]
+        flat = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
+        inverse = np.float32(1.0) / flat
+        ux, uy = dx * inverse, dy * inverse
+        slope, begin = way[n, 2] * inverse, ox * ux + oy * uy
+        out[0, n], out[1, n], out[2, n] = oy * ux - ox * uy, ux, uy
+        out[3, n], out[4, n] = start[n, 2] - slope * begin, slope
+        out[5, n] = begin + min(length[n], max_range) * flat
+    for n in range(count):
+        azimuth[n] = atan2(out[2, n], out[1, n])
+    return out, azimuth
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cover - compiled
+    """Sort each ring's beams into as many bins of azimuth as there are columns.
+
+    Returns tiles (R, T, 6, TILE), filled up with beams that meet nothing (NaN), and the place of the first beam of
+    each bin and ring (bins + 1, R).
+    """
+    columns = azimuth.size // rings
+    per_rad = np.float32(columns / (2 * np.pi))
+    starts = np.zeros((columns + 1, rings), np.int32)
+    bins = np.empty(azimuth.size, np.int32)
+    for n in range(azimuth.size):
+        bins[n] = min(max(int((azimuth[n] + _PI) * per_rad), 0), columns - 1)
+        starts[bins[n] + 1, n % rings] += 1
+    for b in range(columns):
+        for ring in range(rings):
+            starts[b + 1, ring] += starts[b, ring]
+    free = starts[:columns].copy()
+    tiles = np.empty((rings, (columns + TILE - 1) // TILE, 6, TILE), np.float32)
+    tiles[:, -1] = np.float32(np.nan)
+    for n in range(azimuth.size):
+        ring = n % rings
+        place = free[bins[n], ring]
+        free[bins[n], ring] = place + 1
+        for row in range(6):
+            tiles[ring, place // TILE, row, place % TILE] = beams[row, n]
+    return tiles, starts
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cover - compiled
+    """Return two bounds (SECTORS, R) that ascend with the ring.
+
+    The largest slope of any ring up to this one, and the smallest of any ring from this one on.
+    """
+    per_rad = np.float32(SECTORS / (2 * np.pi))
+    high = np.full((SECTORS, rings), np.float32(-np.inf))
+    low = np.full((SECTORS, rings), np.float32(np.inf))
+    for n in range(azimuth.size):
+        sector, ring = min(max(int((azimuth[n] + _PI) * per_rad), 0), SECTORS - 1), n % rings
+        high[sector, ring] = max(high[sector, ring], slope[n])
+        low[sector, ring] = min(low[sector, ring], slope[n])
+    for sector in range(SECTORS):
+        for ring in range(1, rings):
+            high[sector, ring] = max(high[sector, ring], high[sector, ring - 1])
+            back = rings - 1 - ring
+            low[sector, back] = min(low[sector, back], low[sector, back + 1])
+    return high, low
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_cells(beams: Any, cells: Any, plates: Any, limits: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` (4, cells) with aimed and reached beams of plate a, then of plate b, each up to 255.
+
+    Args:
+        beams: tiles, places of bins, and bounds of slopes.
+        cells: (5, cells) unit vector, range, azimuth, and ground from the sensor's height.
+        plates: half widths a and b (a the wider), heights a and b.
+        limits: cell's side, tolerance below ground, largest horizontal offset of a beam's start, its lowest and
+            highest vertical one, and the range from which nothing is counted.
+        out: as above.
+    """
+    tiles, starts, bounds = beams
+    half_a, half_b, high_a, high_b = plates
+    cell, below, aside, lowest, highest, max_range = limits
+    wide, tall = half_a + aside, max(high_a, high_b)
+    rings, span = np.array([0, -1]), np.empty(2, np.int64)
+    for n in range(cells.shape[1]):
+        r, ground = cells[2, n], cells[4, n]
+        out[:, n] = 0
+        if r <= aside or r - cell > max_range:
+            continue
+        low, high = ground - below - highest, ground + tall - lowest
+        near, far = r - aside, r + aside + wide
+        slopes = (low / (near if low < 0 else far), high / (far if high < 0 else near))
+        half = _half_window(wide, r)
+        _bins_of(cells[3, n], half, starts.shape[0] - 1, span)
+        _rings_of(bounds, cells[3, n], half, slopes, rings)
+        plate = (cells[0, n], cells[1, n], r, half_a, half_b, ground - below, ground + high_a, ground + high_b, cell)
+        narrow = False
+        for ring in range(rings[0], rings[1] + 1):
+            a, b = _met(tiles, starts, ring, span, plate)
+            out[0, n], out[1, n] = _added(out[0, n], a & 65535), _added(out[1, n], a >> 16)
+            out[2, n], out[3, n] = _added(out[2, n], b & 65535), _added(out[3, n], b >> 16)
+            if out[1, n] == MANY and not narrow:
+                narrow = True
+                _bins_of(cells[3, n], _half_window(half_b + aside, r), starts.shape[0] - 1, span)
+            if narrow and out[3, n] == MANY:
+                break
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _added(count: Any, more: Any) -> Any:  # pragma: no cover - compiled
+    return np.uint8(min(np.int32(count) + more, np.int32(MANY)))
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _met(tiles: Any, starts: Any, ring: Any, span: Any, plate: Any) -> Any:  # pragma: no cover - compiled
+    """Return aimed + 65536 · reached of both plates, of the ring's beams in the bins of ``span``; see ``_met_in``."""
+    begin, end = starts[span[0], ring] // TILE, (starts[span[1] + 1, ring] + TILE - 1) // TILE
+    if span[0] <= span[1]:
+        return _met_in(tiles[ring], begin, end, plate)
+    a, b = _met_in(tiles[ring], begin, tiles.shape[1], plate)
+    more_a, more_b = _met_in(tiles[ring], 0, min(end, begin), plate)
+    return a + more_a, b + more_b
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _met_in(tiles: Any, begin: Any, end: Any, plate: Any) -> Any:  # pragma: no cover - compiled
+    """Return aimed + 65536 · reached of both plates, of the beams in some tiles.
+
+    ``plate`` is the unit vector to the cell, its range, half widths, bottom, tops, and the cell's side. All lengths are
+    scaled by the cosine between beam and line of sight (``forward``), so that nothing is divided.
+    """
+    cx, cy, r, half_a, half_b, bottom, top_a, top_b, cell = plate
+    a, b = np.int32(0), np.int32(0)
+    for t in range(begin, end):
+        tile = tiles[t]
+        for k in range(TILE):
+            bend, ux, uy = tile[0, k], tile[1, k], tile[2, k]
+            forward, aside = ux * cx + uy * cy, uy * cx - ux * cy
+            run, lateral = r + bend * aside, abs(bend + r * aside)
+            height = tile[3, k] * forward + tile[4, k] * run
+            ahead = (forward > np.float32(0.0)) & (height >= bottom * forward)
+            hit_a = ahead & (lateral <= half_a * forward) & (height <= top_a * forward)
+            hit_b = ahead & (lateral <= half_b * forward) & (height <= top_b * forward)
+            worth = np.int32(65537) if tile[5, k] * forward >= run - cell else np.int32(1)
+            a += worth if hit_a else np.int32(0)
+            b += worth if hit_b else np.int32(0)
+    return a, b
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _half_window(wide: Any, r: Any) -> Any:  # pragma: no cover - compiled
+    """Return at least arcsin(wide / r), half the azimuths from which a beam may cross the plate."""
+    x = min(wide / r, np.float32(1.0))
+    return x + np.float32(0.5709) * x * x * x + _AZIMUTH_MARGIN
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _bins_of(azimuth: Any, half: Any, columns: Any, span: Any) -> None:  # pragma: no cover - compiled
+    """Set the first and last bin of a window; the first is larger where it crosses ±π."""
+    per_rad = np.float32(columns / (2 * np.pi))
+    first = int(np.floor((azimuth + _PI - half) * per_rad))
+    last = int(np.floor((azimuth + _PI + half) * per_rad))
+    if last - first + 1 >= columns:
+        span[0], span[1] = 0, columns - 1
+    else:
+        span[0] = first + columns if first < 0 else first
+        span[1] = last - columns if last >= columns else last
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rings_of(bounds: Any, azimuth: Any, half: Any, slopes: Any, span: Any) -> None:  # pragma: no cover - compiled
+    """Move ``span`` to the first and last ring that may have slopes between two limits, from where it was."""
+    high, low = bounds
+    rings = high.shape[1]
+    per_rad = np.float32(SECTORS / (2 * np.pi))
+    begin = int(np.floor((azimuth + _PI - half) * per_rad))
+    end = int(np.floor((azimuth + _PI + half) * per_rad))
+    first, last = rings, -1
+    for sector in range(begin, end + 1):
+        s = sector % SECTORS
+        f, k = min(span[0], rings - 1), max(span[1], 0)
+        while f > 0 and high[s, f - 1] >= slopes[0]:
+            f -= 1
+        while f < rings and high[s, f] < slopes[0]:
+            f += 1
+        while k < rings - 1 and low[s, k + 1] <= slopes[1]:
+            k += 1
+        while k >= 0 and low[s, k] > slopes[1]:
+            k -= 1
+        first, last = min(first, f), max(last, k)
+    span[0], span[1] = first, last
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mark_stops(beams: Any, counts: Any, ground: Any, shape: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Set ``out`` (targets, cells) where a stop that ``counts`` lies between a height and the target's top.
+
+    ``shape`` is the lattice (x and y of its corner, cells a metre, cells a side), the height and the tops (targets,).
+    """
+    (x0, y0, per_m, cells), low, tops = shape
+    for n in range(beams.shape[1]):
+        if counts[n]:
+            bend, ux, uy, run = beams[0, n], beams[1, n], beams[2, n], beams[5, n]
+            u, v = (ux * run - bend * uy - x0) * per_m, (uy * run + bend * ux - y0) * per_m
+            if u >= 0 and v >= 0 and u < cells and v < cells:
+                cell = int(u) * cells + int(v)
+                height = beams[3, n] + beams[4, n] * run - ground[cell]
+                for k in range(tops.shape[0]):
+                    if height > low and height <= tops[k]:
+                        out[k, cell] = True
