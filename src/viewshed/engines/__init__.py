@@ -12,15 +12,15 @@ from viewshed.engines.role import TRIES, Done, Engine
 
 __all__ = ["ENGINES", "TRIES", "Done", "Engine", "LocalEngine", "RayEngine", "engine_named"]
 
-ENGINES: dict[str, Callable[[int], Engine]] = {
+ENGINES: dict[str, Callable[[int | None], Engine]] = {
     "local": LocalEngine,
     "ray": RayEngine,
 }
-"""From a name to a function that makes the engine for a number of workers."""
+"""From a name to a function that makes the engine for a number of workers; None is one for each core."""
 
 
-def engine_named(name: str, workers: int) -> Engine:
-    """Return the engine with this name, for so many workers.
+def engine_named(name: str, workers: int | None = None) -> Engine:
+    """Return the engine with this name, for so many workers; None is one for each core of the machine or the cluster.
 
     Raises:
         ValueError: there is no such engine, or ``workers`` is below 1.

@@ -15,14 +15,14 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
-from viewshed.engines.role import TRIES, Done, J, R, attempt, checked_workers, reason
+from viewshed.engines.role import TRIES, Done, J, R, attempt, check_workers, reason
 
 _GRACE_S = 2.0  # for a worker to remove what it has half written
 
 
 @dataclass(frozen=True, slots=True)
 class LocalEngine:
-    """Runs jobs in ``workers`` processes; with one worker in this process, without any.
+    """Runs jobs in ``workers`` processes, None is one for each core; with one worker in this process, without any.
 
     Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
     ends them, and they end by themselves soon after this process is gone.
@@ -31,10 +31,10 @@ class LocalEngine:
         ValueError: ``workers`` is below 1.
     """
 
-    workers: int = 1
+    workers: int | None = None
 
     def __post_init__(self) -> None:
-        checked_workers(self.workers)
+        check_workers(self.workers)
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish; see :class:`viewshed.engines.Engine`.
@@ -42,9 +42,15 @@ class LocalEngine:
         Raises:
             OSError: workers cannot start.
         """
-        if self.workers == 1:
+        workers = _cores() if self.workers is None else self.workers
+        if workers == 1:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
-        return _Pool(pickle.dumps(work), min(self.workers, len(jobs))).run(jobs)
+        return _Pool(pickle.dumps(work), min(workers, len(jobs))).run(jobs)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 @dataclass(slots=True, eq=False)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from viewshed.engines.role import TRIES, Done, J, R, attempt, checked_workers, reason
+from viewshed.engines.role import TRIES, Done, J, R, attempt, check_workers, reason
 
 if TYPE_CHECKING:
     import ray
@@ -26,7 +26,7 @@ _QUIET = {
 
 @dataclass(frozen=True, slots=True)
 class RayEngine:
-    """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time.
+    """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time; None is one for each core of the cluster.
 
     Uses the cluster that the program has already joined or that ``RAY_ADDRESS`` names or that runs on this machine;
     where there is none, starts one on this machine and ends it afterwards. Every machine of the cluster needs the same
@@ -37,10 +37,10 @@ class RayEngine:
         ImportError: Ray is not installed.
     """
 
-    workers: int = 1
+    workers: int | None = None
 
     def __post_init__(self) -> None:
-        checked_workers(self.workers)
+        check_workers(self.workers)
         if importlib.util.find_spec("ray") is None:
             raise ImportError("engine ray needs Ray, which is not installed; pip install 'viewshed[ray]'")
 
@@ -67,11 +67,11 @@ class _Tasks:
         self._task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(attempt)
         self._under_way: dict[ray.ObjectRef[Any], tuple[int, int]] = {}
 
-    def run(self, limit: int) -> Generator[Done[R], None, None]:
+    def run(self, workers: int | None) -> Generator[Done[R], None, None]:
         indices = iter(range(len(self._jobs)))
         try:
             while True:
-                while len(self._under_way) < limit and (index := next(indices, None)) is not None:
+                while len(self._under_way) < (workers or self._cores()) and (index := next(indices, None)) is not None:
                     yield from self._begin(index, 1)
                 if not self._under_way:
                     return
@@ -80,6 +80,10 @@ class _Tasks:
         finally:
             for task in self._under_way:
                 self._ray.cancel(task, force=True)
+
+    def _cores(self) -> int:
+        """Cores of the cluster as it is now: nodes come and go."""
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def _begin(self, index: int, tries: int) -> Iterator[Done[R]]:
         try:

@@ -66,12 +66,11 @@ def reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}{where}" if text else f"{type(error).__name__}{where}"
 
 
-def checked_workers(workers: int) -> int:
-    """Return ``workers`` if it is at least 1.
+def check_workers(workers: int | None) -> None:
+    """Check a number of workers; None stands for all cores.
 
     Raises:
-        ValueError: it is not.
+        ValueError: it is below 1.
     """
-    if workers < 1:
+    if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
-    return workers
