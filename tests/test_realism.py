@@ -8,7 +8,7 @@ import pytest
 
 from viewshed.bev import BevGrid
 from viewshed.io import read_sweep
-from viewshed.realism import HEIGHT_EDGES_M, RANGE_EDGES_M, SweepStatistics, agreement, sweep_statistics
+from viewshed.realism import HEIGHT_EDGES_M, RANGE_EDGES_M, SweepStatistics, agreement, range_noise, sweep_statistics
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 
@@ -63,6 +63,15 @@ def test_bins_hold_every_return() -> None:
     assert (len(found.ranges), len(found.heights)) == (len(RANGE_EDGES_M) - 1, len(HEIGHT_EDGES_M) - 1)
     assert found.ranges.sum() == pytest.approx(1)
     assert found.heights.sum() == pytest.approx(1)
+
+
+def test_noise_of_ranges_is_found_on_smooth_surfaces() -> None:
+    sweep = yard()
+    along = 1 + np.random.default_rng(4).normal(0, 0.012, len(sweep)) / np.linalg.norm(sweep.points, axis=1)
+    noisy = sweep.replace(points=(sweep.points * along[:, None]).astype(np.float32))
+    assert range_noise(noisy) == pytest.approx(0.012, rel=0.05)
+    assert range_noise(sweep) < 0.002
+    assert np.isnan(range_noise(sweep.select(np.zeros(len(sweep), bool))))
 
 
 def test_an_empty_sweep_has_zeros() -> None:

@@ -18,7 +18,15 @@ from viewshed.atomic import write_bytes
 from viewshed.beams import recover_beams
 from viewshed.bev import BevGrid
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.realism import HEIGHT_EDGES_M, RANGE_EDGES_M, Agreement, SweepStatistics, agreement, sweep_statistics
+from viewshed.realism import (
+    HEIGHT_EDGES_M,
+    RANGE_EDGES_M,
+    Agreement,
+    SweepStatistics,
+    agreement,
+    range_noise,
+    sweep_statistics,
+)
 from viewshed.report import facts, page, table
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.caster import cast_world
@@ -38,6 +46,7 @@ NAMES = {
     "returns": "returns a beam",
 }
 STREETS = ("street", "junction", "residential", "parking")
+WIDE = ("street", "junction", "residential", "parking", "highway")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +91,7 @@ GROUPS = (
         places=7,
     ),
     Group("street, VLP-16", "vlp16", ("outdoor_vlp16_apollo/",), STREETS, 1.3),
-    Group("PandaSet, Pandar64", "pandar64", ("pandaset/",), STREETS, 2.07, has_rings=False, places=3),
+    Group("PandaSet, Pandar64", "pandar64", ("pandaset/",), WIDE, 2.07, has_rings=False, places=3),
     Group("street, OS1-128", "os1_128", ("decoded/OS-1-128",), STREETS, 2.0),
     Group("street, OS1-32", "os1_32g", ("decoded/OS-1-32",), STREETS, 2.0),
     Group("campus, OS0-128", "os0_128", ("decoded/OS-0-128",), STREETS, 2.0),

@@ -19,6 +19,9 @@ RANGE_EDGES_M = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, n
 HEIGHT_EDGES_M = (-np.inf, -0.3, 0.3, 1.0, 2.0, 3.0, 5.0, 8.0, np.inf)
 """Heights above local ground at which returns are counted."""
 
+_SMOOTH_M = (3.0, 25.0)
+_SMOOTH_STEP_M = 0.15
+
 Floats = NDArray[np.float64]
 
 
@@ -96,6 +99,23 @@ def sweep_statistics(sweep: Sweep, grid: BevGrid, model: LidarModel | None = Non
         occupied=np.array([float(cells.sum())]),
         returns=np.array([len(level.rows) / (firings * beams.rings)]),
     )
+
+
+def range_noise(sweep: Sweep, model: LidarModel | None = None) -> float:
+    """Return the standard deviation in metres of ranges between neighboring columns, NaN where no surface is smooth.
+
+    Taken from the second differences along a ring where three columns between 3 and 25 m lie within 15 cm: their median
+    absolute value is 0.6745 √6 standard deviations of normal noise; what surfaces bend is counted, too.
+    """
+    beams = recover_beams(sweep, model)
+    range_m = np.linalg.norm(sweep.points, axis=1)
+    keep = (beams.ring >= 0) & (range_m > _SMOOTH_M[0]) & (range_m < _SMOOTH_M[1])
+    image = np.full((beams.rings, beams.columns), np.nan)
+    image[beams.ring[keep], beams.column[keep]] = range_m[keep]
+    before, here, after = image[:, :-2], image[:, 1:-1], image[:, 2:]
+    bend = np.abs(before - 2 * here + after)[np.abs(after - before) < _SMOOTH_STEP_M]
+    bend = bend[np.isfinite(bend)]
+    return float(np.median(bend) / (0.6745 * np.sqrt(6))) if bend.size else float("nan")
 
 
 def agreement(name: str, real: Sequence[SweepStatistics], simulated: Sequence[SweepStatistics]) -> Agreement:

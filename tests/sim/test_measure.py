@@ -58,9 +58,9 @@ def test_perfect_sensor_stores_depth_to_half_a_step() -> None:
 
 
 def test_noise_of_strong_returns_is_that_of_the_sensor() -> None:
-    found = range_m(measured(scan_of(lidar_model("hdl32e"), 5.0)))
+    found = range_m(measured(scan_of(lidar_model("hdl64e"), 5.0)))
     assert found.mean() == pytest.approx(5.0, abs=0.001)
-    assert found.std() == pytest.approx(OPTICS["HDL-32E"].sigma_m, rel=0.05)
+    assert found.std() == pytest.approx(OPTICS["HDL-64E"].sigma_m, rel=0.05)
     tail = np.mean(np.abs(found - 5.0) > 2 * found.std())
     assert tail == pytest.approx(0.0455, abs=0.01)  # normal: 4.55 % beyond 2 standard deviations
 
