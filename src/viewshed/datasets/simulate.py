@@ -169,7 +169,7 @@ def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
         t_ns=round(t_s * 1e9),
         agent=agent.name,
     )
-    return Frame(image, *exact_truth(scan, world, scene.preset.grid))
+    return Frame(image, *exact_truth(scan, world, scene.preset.grid, agent=agent))
 
 
 @lru_cache(maxsize=2)
