@@ -7,7 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
+from viewshed.sim.worlds.highway import highway
 from viewshed.sim.worlds.junction import junction
+from viewshed.sim.worlds.parking import parking
+from viewshed.sim.worlds.residential import residential
 from viewshed.sim.worlds.street import street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
@@ -16,6 +19,9 @@ WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
 WORLDS: dict[str, WorldMaker] = {
     "street": street,
     "junction": junction,
+    "highway": highway,
+    "parking": parking,
+    "residential": residential,
 }
 """Every kind of world by name; to add one, write a file and add a line."""
 

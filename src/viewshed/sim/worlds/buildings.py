@@ -66,14 +66,14 @@ def glass_hall(rng: np.random.Generator, length_m: float, depth_m: float) -> Thi
     return Thing("building", tuple(parts))
 
 
-def family_house(rng: np.random.Generator, length_m: float, depth_m: float) -> Thing:
-    """Return a house of one or two storeys with windows, a recessed door and a roof in three steps along x."""
+def family_house(rng: np.random.Generator, length_m: float, depth_m: float, plain: bool = False) -> Thing:
+    """Return a house of one or two storeys with windows, a recessed door or ``plain`` walls, its roof in three steps."""
     eaves, material = (
         rng.uniform(2.7, 3.2) if rng.random() < 0.4 else rng.uniform(5.2, 6.2),
         pick(rng, ("plaster", "brick")),
     )
     front = Front(length_m, depth_m, eaves, material, 2.8, 2.9)
-    parts = _windows(rng, front) if rng.random() < 0.5 else _door(rng, front)
+    parts = _plain(rng, front) if plain else _windows(rng, front) if rng.random() < 0.4 else _door(rng, front)
     rise = rng.uniform(0.3, 0.55) * depth_m
     for k, share in enumerate((1.06, 0.7, 0.34)):
         low, top = eaves + k * rise / 3, eaves + (k + 1) * rise / 3

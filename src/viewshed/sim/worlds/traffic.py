@@ -139,6 +139,7 @@ class Stream:
         gap_m: smallest and largest gap between two vehicles.
         stop_m: stop line at which those before it wait for good, or None.
         clear_m: none is put between the stop line and this.
+        upstream_m: how far before the reach vehicles are put that arrive later.
     """
 
     reach_m: float
@@ -147,6 +148,7 @@ class Stream:
     gap_m: tuple[float, float]
     stop_m: float | None = None
     clear_m: float = 0.0
+    upstream_m: float = 60.0
 
 
 Maker = Callable[[np.random.Generator], Thing]
@@ -160,7 +162,7 @@ def filled(
     ``carriers``: vehicle of each agent and how far ahead of its middle the sensor sits.
     """
     travel = stream.speed_mps * duration_s
-    entry = -stream.reach_m - min(travel, 60.0)
+    entry = -stream.reach_m - min(travel, stream.upstream_m)
     if not carriers:
         return _others(rng, stream, maker, (entry, stream.reach_m))
     end = stream.roam_m if stream.stop_m is None else min(stream.roam_m, stream.stop_m - 3.0)
