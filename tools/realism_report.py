@@ -56,48 +56,51 @@ class Group:
     Attributes:
         title: what it is.
         sensor: beam table.
-        folders: parts of the path of its files in the index.
+        places: for each place that the files show, a part of the path of its files in the index.
         worlds: names in the table of worlds.
         height_m: of the sensor above the ground.
         has_rings: whether the rings of the file are those of the beam table.
         period_s: duration of a revolution.
-        places: how many different places the files show.
+        max_range_m: where the files were cut, or None.
     """
 
     title: str
     sensor: str
-    folders: tuple[str, ...]
+    places: tuple[str, ...]
     worlds: tuple[str, ...]
     height_m: float
     has_rings: bool = True
     period_s: float = 0.1
-    places: int = 1
+    max_range_m: float | None = None
 
     @property
     def grid(self) -> BevGrid:
         """The grid on which cells are counted."""
-        return ROOM if self.worlds[0] not in STREETS else ROAD
+        return ROAD if "street" in self.worlds else ROOM
+
+    @property
+    def judged(self) -> bool:
+        """Whether it shows enough places to tell how they differ."""
+        return len(self.places) > 2
 
 
+_KITTI = (
+    "odometry00/00000", "odometry00/000095", "odometry00/000199", "object/000000", "object/000001", "object/000002",
+    "object/000100", "raw_udacity/data_1_0000000000", "raw_udacity/data_1_0000000021", "raw_drive0001_seq/",
+)  # fmt: skip
+_CARLA = ("31_30/ego1", "31_30/ego2", "31_85/ego1", "31_85/ego2", "autopilot/ego1", "autopilot/ego2")
 GROUPS = (
-    Group("nuScenes, HDL-32E", "hdl32e", ("nuscenes/",), STREETS, 1.84, period_s=0.05, places=3),
-    Group("narrow street, HDL-32E", "hdl32e", ("outdoor_hdl32_gicp/",), ("street",), 2.0),
-    Group(
-        "KITTI, HDL-64E",
-        "hdl64e",
-        ("odometry00/", "object/", "raw_udacity/", "raw_drive0001_seq/"),
-        STREETS,
-        1.73,
-        places=7,
-    ),
-    Group("street, VLP-16", "vlp16", ("outdoor_vlp16_apollo/",), STREETS, 1.3),
-    Group("PandaSet, Pandar64", "pandar64", ("pandaset/",), WIDE, 2.07, has_rings=False, places=3),
-    Group("street, OS1-128", "os1_128", ("decoded/OS-1-128",), STREETS, 2.0),
-    Group("street, OS1-32", "os1_32g", ("decoded/OS-1-32",), STREETS, 2.0),
-    Group("campus, OS0-128", "os0_128", ("decoded/OS-0-128",), STREETS, 2.0),
-    Group("CARLA, 256 channels", "carla256", ("carla_multiagent/",), STREETS, 1.9, period_s=0.0, places=8),
-    Group("rooms, VLP-16", "vlp16", ("einride", "nebula/vlp16.pcd"), ("rooms", "corridor", "hall"), 1.0),
-    Group("office, XT32", "xt32", ("nebula/xt32",), ("rooms",), 1.0),
+    Group("nuScenes, HDL-32E", "hdl32e", ("1533151603", "1533151612", "1532402927"), WIDE, 1.84, period_s=0.05),
+    Group("KITTI, HDL-64E", "hdl64e", _KITTI, STREETS, 1.73, max_range_m=80.0),
+    Group("PandaSet, Pandar64", "pandar64", ("000200", "000500", "000800"), WIDE, 2.07, has_rings=False),
+    Group("CARLA, 256 channels", "carla256", _CARLA, WIDE, 1.9, period_s=0.0),
+    Group("alley, HDL-32E", "hdl32e", ("outdoor_hdl32_gicp/",), ("street",), 2.0),
+    Group("street, VLP-16", "vlp16", ("outdoor_vlp16_apollo/",), STREETS, 1.1),
+    Group("street, OS1-128", "os1_128", ("decoded/OS-1-128",), STREETS, 1.94),
+    Group("street, OS1-32", "os1_32g", ("decoded/OS-1-32",), STREETS, 1.88),
+    Group("campus, OS0-128", "os0_128", ("decoded/OS-0-128",), STREETS, 1.92),
+    Group("rooms, VLP-16", "vlp16", ("einride", "nebula/vlp16.pcd"), ("rooms", "corridor", "hall"), 0.8),
+    Group("office, XT32", "xt32", ("nebula/xt32",), ("rooms",), 0.75),
 )
 
 
@@ -110,34 +113,55 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/results/realism.md"))
     given = parser.parse_args()
     index = read_index(given.index)
-    found = {}
-    for group in GROUPS:
-        real, model = _real(group, index)
-        simulated = [sweep_statistics(sweep, group.grid) for sweep in _simulated(group, model, given)]
-        if real and simulated:
-            found[group] = {name: agreement(name, real, simulated) for name in _statistics(group)}, len(real)
-            sys.stderr.write(f"{group.title}: {len(real)} real, {len(simulated)} simulated\n")
-    _draw({group: agreed for group, (agreed, _) in found.items()}, given.out.with_suffix(".png"))
+    found = [one for group in GROUPS for one in _compared(group, index, given)]
+    _draw(found, given.out.with_suffix(".png"))
     told = facts(simulated=f"{given.sweeps} sweeps a group, clear, worlds {', '.join(WORLDS)}", seed=str(given.seed))
     write_bytes(given.out, page("Simulated against real sweeps", told, *_parts(found)).encode())
 
 
-def _statistics(group: Group) -> list[str]:
-    return [name for name in NAMES if group.has_rings or name not in ("rings", "returns")]
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """A group, its agreements by statistic, its real sweeps, and range noise in metres, real and simulated."""
+
+    group: Group
+    agreed: dict[str, Agreement]
+    count: int
+    noise_m: tuple[float, float]
 
 
-def _real(group: Group, index: list[IndexEntry]) -> tuple[list[SweepStatistics], LidarModel]:
-    """Return the statistics of the real sweeps, and the sensor with the columns that they have."""
-    entries = [entry for entry in index if entry.points and any(part in str(entry.file) for part in group.folders)]
+def _compared(group: Group, index: list[IndexEntry], given: argparse.Namespace) -> Iterator[Compared]:
+    places = _places(group, index)
+    real = [sweep for sweeps in places for sweep in sweeps]
+    worlds = [name for name in group.worlds if name in WORLDS]
+    if not real or not worlds:
+        return
+    model = _as_measured(group, real)
+    simulated = [_simulated(group, model, worlds[k % len(worlds)], (given.seed, k)) for k in range(given.sweeps)]
+    noise = [float(np.nanmedian([range_noise(sweep, model) for sweep in sweeps])) for sweeps in (real, simulated)]
+    means = [_mean([sweep_statistics(sweep, group.grid, model) for sweep in sweeps]) for sweeps in places]
+    drawn = [sweep_statistics(sweep, group.grid, model) for sweep in simulated]
+    names = [name for name in NAMES if group.has_rings or name not in ("rings", "returns")]
+    agreed = {name: agreement(name, means, drawn) for name in names}
+    sys.stderr.write(f"{group.title}: {len(real)} real, {len(simulated)} simulated\n")
+    yield Compared(group, agreed, len(real), (noise[0], noise[1]))
+
+
+def _places(group: Group, index: list[IndexEntry]) -> list[list[Sweep]]:
+    """Return the real sweeps of each place."""
+    model = lidar_model(group.sensor) if group.has_rings else None
+    entries = [[entry for entry in index if entry.points and part in str(entry.file)] for part in group.places]
+    return [[read_indexed(entry).replace(model=model) for entry in some] for some in entries if some]
+
+
+def _mean(some: list[SweepStatistics]) -> SweepStatistics:
+    return SweepStatistics(*(np.mean([getattr(one, name) for one in some], axis=0) for name in NAMES))
+
+
+def _as_measured(group: Group, real: list[Sweep]) -> LidarModel:
+    """Return the sensor with the columns and the maximum range that the files show."""
     model = lidar_model(group.sensor)
-    sweeps = [read_indexed(entry) for entry in entries]
-    if not group.has_rings:
-        return [sweep_statistics(sweep, group.grid, model) for sweep in sweeps], model
-    sweeps = [sweep.replace(model=model) for sweep in sweeps]
-    columns = [_firings(sweep) for sweep in sweeps]
-    return [sweep_statistics(sweep, group.grid) for sweep in sweeps], replace(
-        model, azimuth_columns=int(np.median(columns)) if columns else model.azimuth_columns
-    )
+    columns = int(np.median([_firings(sweep) for sweep in real])) if group.has_rings else model.azimuth_columns
+    return replace(model, azimuth_columns=columns, max_range_m=group.max_range_m or model.max_range_m)
 
 
 def _firings(sweep: Sweep) -> int:
@@ -145,76 +169,90 @@ def _firings(sweep: Sweep) -> int:
     return max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
 
 
-def _simulated(group: Group, model: LidarModel, given: argparse.Namespace) -> Iterator[Sweep]:
-    """Yield measured sweeps: a new world each, the kinds in turn, at a random time."""
-    worlds = [name for name in group.worlds if name in WORLDS]
+def _simulated(group: Group, model: LidarModel, world_name: str, seed: tuple[int, int]) -> Sweep:
+    """Return a measured sweep in a new world at a random time."""
     plan = AgentPlan(sensor=group.sensor, sensor_height_m=group.height_m)
-    for number in range(given.sweeps if worlds else 0):
-        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([given.seed, number])))
-        world = WORLDS[worlds[number % len(worlds)]](rng, plan)
-        agent, t_s = world.agents[0], float(rng.uniform(1.0, plan.duration_s - 1.0))
-        before, pose, after = (world.world_from_sensor(agent, t_s + dt) for dt in (-0.05, 0.0, 0.05))
-        motion = Motion(tuple((after.translation - before.translation) / 0.1), 0.0, group.period_s)
-        scan = cast_world(world.snapshot(t_s), model, pose, motion, number)
-        yield measure(scan, CONDITIONS["clear"], rng, sensor_height_m=group.height_m).sweep()
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+    world = WORLDS[world_name](rng, plan)
+    agent, t_s = world.agents[0], float(rng.uniform(1.0, plan.duration_s - 1.0))
+    before, pose, after = (world.world_from_sensor(agent, t_s + dt) for dt in (-0.05, 0.0, 0.05))
+    x, y, z = ((after.translation - before.translation) / 0.1).tolist()
+    scan = cast_world(world.snapshot(t_s), model, pose, Motion((x, y, z), 0.0, group.period_s), seed[1])
+    return measure(scan, CONDITIONS["clear"], rng, sensor_height_m=group.height_m).sweep()
 
 
-def _parts(found: dict[Group, tuple[dict[str, Agreement], int]]) -> list[str]:
-    typical = {name: _typical(name, found) for name in NAMES}
-    rows, numbers = [], []
-    for group, (agreed, count) in found.items():
-        for name, one in agreed.items():
-            allowed = max(one.spread, typical[name])
-            good = one.within if group.places > 2 else one.distance <= allowed
-            verdict = "within" if good else f"**outside** ({one.distance / allowed:.1f} of what is allowed)"
-            rows.append([
-                group.title, NAMES[name], f"{one.distance:.3g}", f"{one.spread:.3g}" if count > 1 else "–",
-                f"{allowed:.3g}", f"{one.inside_share:.0%}", verdict,
-            ])  # fmt: skip
-            if len(one.real) == 1:
-                numbers.append([
-                    group.title, NAMES[name], str(count), f"{one.low[0]:.3g}", f"{one.real[0]:.3g}",
-                    f"{one.high[0]:.3g}", f"{one.simulated[0]:.3g}",
-                ])  # fmt: skip
-    head = ("sensor, place", "statistic", "distance", "spread", "allowed", "entries inside", "verdict")
+def _parts(found: list[Compared]) -> list[str]:
+    head = (
+        "sensor, place",
+        "statistic",
+        "real sweeps",
+        "places",
+        "distance",
+        "spread",
+        "allowed",
+        "entries inside",
+        "",
+    )
+    noise = [[one.group.title, *(f"{1e3 * value:.1f}" for value in one.noise_m)] for one in found]
     return [
-        _WORDS, "![Simulated against real](realism.png)", "## Distances", table(head, rows), "## Numbers",
-        table(("sensor, place", "statistic", "real sweeps", "least", "mean", "greatest", "simulated"), numbers),
-        "## Histograms", table(("sensor, place", "statistic", "bin", "least", "greatest", "simulated"), _gaps(found)),
+        _WORDS, "![Simulated against real](realism.png)", "## Distances", table(head, _verdicts(found)), "## Numbers",
+        table(("sensor, place", "statistic", "least", "mean", "greatest", "simulated"), _numbers(found)),
+        "## Range noise, mm", _NOISE, table(("sensor, place", "real", "simulated"), noise),
+        "## Bins outside", table(("sensor, place", "statistic", "bin", "least", "greatest", "simulated"), _gaps(found)),
     ]  # fmt: skip
 
 
-def _typical(name: str, found: dict[Group, tuple[dict[str, Agreement], int]]) -> float:
+def _verdicts(found: list[Compared]) -> Iterator[list[str]]:
+    typical = {name: _typical(name, found) for name in NAMES}
+    for one in found:
+        for name, told in one.agreed.items():
+            allowed = told.spread if one.group.judged else max(told.spread, typical[name])
+            good = told.within if one.group.judged else told.distance <= allowed
+            spread = f"{told.spread:.3g}" if len(one.group.places) > 1 else "–"
+            yield [
+                one.group.title, NAMES[name], str(one.count), str(len(one.group.places)),
+                f"{told.distance:.3g}", spread, f"{allowed:.3g}", f"{told.inside_share:.0%}", "within" if good else "**outside**",
+            ]  # fmt: skip
+
+
+def _numbers(found: list[Compared]) -> Iterator[list[str]]:
+    for one in found:
+        for name, told in one.agreed.items():
+            if len(told.real) == 1:
+                values = (told.low[0], told.real[0], told.high[0], told.simulated[0])
+                yield [one.group.title, NAMES[name], *(f"{value:.3g}" for value in values)]
+
+
+def _typical(name: str, found: list[Compared]) -> float:
     """Return the median spread of the groups of several places."""
-    yardsticks = [agreed for group, (agreed, _) in found.items() if group.places > 2 and "carla" not in group.sensor]
-    spreads = [agreed[name].spread for agreed in yardsticks if name in agreed]
+    yardsticks = [one for one in found if one.group.judged and "carla" not in one.group.sensor]
+    spreads = [one.agreed[name].spread for one in yardsticks if name in one.agreed]
     return float(np.median(spreads)) if spreads else 0.0
 
 
-def _gaps(found: dict[Group, tuple[dict[str, Agreement], int]]) -> Iterator[list[str]]:
+def _gaps(found: list[Compared]) -> Iterator[list[str]]:
     """Yield every bin of the groups of several places whose simulated mean lies outside the real sweeps."""
-    for group, (agreed, _) in found.items():
+    for one in found:
         for name, edges in (("ranges", RANGE_EDGES_M), ("heights", HEIGHT_EDGES_M)):
-            one = agreed[name]
-            for k in range(len(edges) - 1):
-                if group.places > 2 and not one.low[k] <= one.simulated[k] <= one.high[k]:
-                    yield [
-                        group.title, NAMES[name], f"{edges[k]:g} to {edges[k + 1]:g} m", f"{one.low[k]:.3f}",
-                        f"{one.high[k]:.3f}", f"{one.simulated[k]:.3f}",
-                    ]  # fmt: skip
+            told = one.agreed[name]
+            for k in np.flatnonzero((told.simulated < told.low) | (told.simulated > told.high)):
+                if one.group.judged:
+                    values = (told.low[k], told.high[k], told.simulated[k])
+                    bounds = f"{edges[k]:g} to {edges[k + 1]:g} m"
+                    yield [one.group.title, NAMES[name], bounds, *(f"{value:.3f}" for value in values)]
 
 
-def _draw(found: dict[Group, dict[str, Agreement]], path: Path) -> None:
+def _draw(found: list[Compared], path: Path) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(len(found), 3, figsize=(12, 2.1 * len(found)), squeeze=False, layout="constrained")
-    for row, (group, agreed) in zip(axes, found.items(), strict=True):
+    for row, one in zip(axes, found, strict=True):
         for axis, name in zip(row, ("rings", "ranges", "heights"), strict=True):
-            _panel(axis, agreed.get(name))
-            axis.set_title(f"{group.title}: {NAMES[name]}", fontsize=8)
+            _panel(axis, one.agreed.get(name))
+            axis.set_title(f"{one.group.title}: {NAMES[name]}", fontsize=8)
         _ticks(row[1], RANGE_EDGES_M)
         _ticks(row[2], HEIGHT_EDGES_M)
     axes[0, 0].legend(fontsize=7)
@@ -239,15 +277,24 @@ def _ticks(axis: Any, edges: tuple[float, ...]) -> None:
 
 _WORDS = """\
 Returns of the vehicle itself and null returns are left out on both sides. *Rings*: returns of each ring divided by the
-columns. *Ranges, heights*: histograms of the share of returns, heights above the local ground as it is estimated from
-the sweep. *Occupied cells*: of 256 × 256 with a return, 0.5 m outdoors and 0.125 m indoors.
+firings of a revolution. *Ranges, heights*: histograms of the share of returns, heights above the local ground as it is
+estimated from the sweep. *Occupied cells*: of 256 × 256 with a return, 0.5 m outdoors and 0.125 m indoors. Real sweeps
+of one place are averaged first: a place counts once, however many of its sweeps there are.
 
 *Distance*: of the simulated mean from the real mean; half the sum of the differences of two histograms, the mean
-difference of rings, the difference of two numbers. *Spread*: the greatest distance of one real sweep from the mean of
-the others. *Within*: a histogram no farther away than that; a number between the least and the greatest real one.
-Where the sweeps of a sensor come from one or two places their spread is not that of places: there the distance is held
-against what is *allowed*, the larger of their own spread and the median spread of nuScenes, KITTI and PandaSet.
-*Entries inside*: share of the bins or rings whose simulated mean lies between the least and the greatest real sweep."""
+difference of rings, the difference of two numbers. *Spread*: the greatest distance of one real place from the mean of
+the others. *Within*: a histogram no farther away than that; a number between the least and the greatest real place.
+Sensors with one or two places do not show how places differ: there the distance is held against what is *allowed*, the
+larger of their own spread and the median spread of nuScenes, KITTI and PandaSet. *Entries inside*: share of the bins or
+rings whose simulated mean lies between the least and the greatest real place.
+
+The measurement was tuned on the range noise of every sensor and on how far nuScenes, KITTI, VLP-16 and OS1-128 see the
+road; the mounting of the sensor above its vehicle on nuScenes. Nothing was fitted to a single sweep. PandaSet's files
+are not in the sensor's frame, so its rings are not compared; KITTI's end at 80 m, and so do the simulated ones."""
+
+_NOISE = """\
+Standard deviation between neighboring columns on smooth surfaces, 3 to 25 m away, median over the sweeps (see
+`viewshed.realism.range_noise`). Offsets that a beam keeps, which the makers' accuracies include, do not show."""
 
 
 if __name__ == "__main__":
