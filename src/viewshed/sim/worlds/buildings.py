@@ -67,7 +67,7 @@ def glass_hall(rng: np.random.Generator, length_m: float, depth_m: float) -> Thi
 
 
 def family_house(rng: np.random.Generator, length_m: float, depth_m: float, plain: bool = False) -> Thing:
-    """Return a house of one or two storeys with windows, a recessed door or ``plain`` walls, its roof in three steps."""
+    """Return a house of one or two storeys with windows, a recessed door or ``plain`` walls; a stepped roof."""
     eaves, material = (
         rng.uniform(2.7, 3.2) if rng.random() < 0.4 else rng.uniform(5.2, 6.2),
         pick(rng, ("plaster", "brick")),

@@ -147,7 +147,7 @@ def _masts(rng: np.random.Generator, count: int, route: Route) -> list[Mast]:
     found = []
     for k in range(count):
         way, along = pick(rng, (-1, 1)), (k + 0.5 - count / 2) * 80.0 / count + rng.uniform(-5, 5)
-        x, y, _ = route.at(along, way * (route.edge_m + 1.2))
+        x, y, _ = route.at(along, way * (route.edge_m + 2.2))
         found.append(mast(rng, x, y, route.at(along + rng.uniform(-20, 20), 0.0)[:2]))
     return found
 
@@ -165,9 +165,9 @@ def _median(rng: np.random.Generator, route: Route, half_m: float) -> list[Thing
 
 def _overhead(rng: np.random.Generator, route: Route) -> list[Thing]:
     """Return now and then a sign bridge over one carriageway and a road bridge over both."""
-    things, span = [], route.edge_m + 0.6
+    things, span = [], route.edge_m + 0.25
     if rng.random() < 0.5:
-        things.append(route.put(gantry(rng, span), rng.uniform(-60, 60), -span))
+        things.append(route.put(gantry(rng, span), rng.uniform(-60, 60), -span - 0.75))
     if rng.random() < 0.2:
         x, half = pick(rng, (-1, 1)) * rng.uniform(75, 95), route.edge_m + 2.2
         ends = tuple(Box(0.0, y, 8.0, 1.5, 5.4, -3.0, 0.0, "concrete") for y in (-half, half))
@@ -195,8 +195,8 @@ def _roadside(rng: np.random.Generator, route: Route, half_m: float, way: int, m
     rail = np.abs(places - rng.uniform(-half_m, half_m)) < rng.uniform(40, 160)
     things += [route.put(guard_rail(step - 0.05), x, way * (edge + 0.4)) for x in places[rail].tolist()]
     for x in rng.uniform(-half_m, half_m, int(rng.integers(1, 4))).tolist():
-        if all(abs(post.x_m - x) > 2.0 for post in masts):
-            things.append(route.put(sign(rng), x, way * (edge + 1.3), 0.0 if way < 0 else np.pi))
+        if all(abs(post.x_m - x) > 2.0 for post in masts) and not 70.0 < abs(x) < 100.0:
+            things.append(route.put(sign(rng), x, way * (edge + 1.7), 0.0 if way < 0 else np.pi))
     walled = np.abs(places - rng.uniform(-half_m, half_m)) < (rng.uniform(60, 200) if rng.random() < 0.4 else 0.0)
     high = rng.uniform(2.5, 5.0)
     things += [route.put(sound_wall(step, high), x, way * (edge + 4.2)) for x in places[walled].tolist()]

@@ -80,7 +80,7 @@ def _side(rng: np.random.Generator, street: Street, way: int) -> Side:
 def _lined(rng: np.random.Generator, one: Side, other: Road, second: int, masts: list[Mast]) -> list[Thing]:
     """Return what stands on one side of a street, left and right of the other street."""
     things, c, s = [], np.cos(one.yaw), np.sin(one.yaw)
-    kept = [(c * post.x_m + s * post.y_m - 1.0, c * post.x_m + s * post.y_m + 1.0) for post in masts
+    kept = [(c * post.x_m + s * post.y_m - 3.9, c * post.x_m + s * post.y_m + 3.9) for post in masts
             if c * post.y_m - s * post.x_m > 0]  # fmt: skip
     corner = other.edge_m + 2.7
     for span in ((-_HALF_M, -corner), (corner, _HALF_M)):

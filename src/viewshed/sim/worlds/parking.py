@@ -124,7 +124,7 @@ def _row(rng: np.random.Generator, lot: Lot, y_m: float, masts: list[Mast]) -> l
             elif rng.random() < fill and k != trolleys + 1 and k != trolleys - 1:
                 turn = pick(rng, (-1, 1)) * np.pi / 2 + rng.normal(0, 0.025)
                 things.append(put(car(rng), x + rng.uniform(-0.12, 0.12), across + rng.uniform(-0.1, 0.05), turn))
-    closed = [(post.x_m - 1.2, post.x_m + 1.2) for post in masts if abs(post.y_m - y_m) < 1.0]
+    closed = [(post.x_m - 3.4, post.x_m + 3.4) for post in masts if abs(post.y_m - y_m) < 1.0]
     return things + (_roof(lot, y_m) if rng.random() < 0.2 and not closed else _island(rng, lot, y_m, closed))
 
 

@@ -45,7 +45,7 @@ def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
 
 def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...]) -> list[Thing]:
     flip = np.cos(one.yaw)
-    kept = [(flip * post.x_m - 0.8, flip * post.x_m + 0.8) for post in masts if post.y_m * flip > 0]
+    kept = [(flip * post.x_m - 3.9, flip * post.x_m + 3.9) for post in masts if post.y_m * flip > 0]
     humps = [(flip * at - 1.2, flip * at + 1.2) for at in bumps]
     span = (-_HALF_X_M, _HALF_X_M)
     return [

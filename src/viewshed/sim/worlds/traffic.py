@@ -16,6 +16,9 @@ _STEP_S = 0.5
 _SMOOTH_STEPS = 2
 _LEAD_S = 3.0
 _FAR_M = 1500.0
+_QUEUE_GAP_M = 2.0
+_DELAY_STEPS = 2
+_REACTION_S = _DELAY_STEPS * _STEP_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +119,9 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
     riders: list[Rider] = []
     for driver in drivers:
         rear, front, *_ = extent(driver.thing)
-        gap = 2.0 + front + rear_m
+        gap = _QUEUE_GAP_M + front + rear_m
         free = np.minimum(driver.start_m + driver.speed_mps * times, driver.hold_m)
-        delayed = np.concatenate([np.full(2, ahead[0]), ahead[:-2]])
+        delayed = np.concatenate([np.full(_DELAY_STEPS, ahead[0]), ahead[:-_DELAY_STEPS]])
         path = np.minimum(free, delayed - gap)
         track = _track(driver.lane or lane, wanted, _smooth(path)[keep])
         stands = float(np.ptp(track.xy_m, axis=0).max()) < 0.02
@@ -167,13 +170,14 @@ def filled(
         return _others(rng, stream, maker, (entry, stream.reach_m))
     end = stream.roam_m if stream.stop_m is None else min(stream.roam_m, stream.stop_m - 3.0)
     room = end + stream.roam_m
-    steps = [min(12.0 + rng.uniform(0.0, 16.0), room / len(carriers)) for _ in carriers[1:]]
+    apart = 8.0 + _REACTION_S * stream.speed_mps
+    steps = [min(apart + rng.uniform(0.0, 16.0), room / len(carriers)) for _ in carriers[1:]]
     lead = rng.uniform(-stream.roam_m + sum(steps), max(end - travel, -stream.roam_m + sum(steps)))
     places = lead - np.concatenate([[0.0], np.cumsum(steps)])
     agents = [Driver(thing, float(at), stream.speed_mps, end, None, ahead)
               for (thing, ahead), at in zip(carriers, places, strict=True)]  # fmt: skip
-    before = _others(rng, stream, maker, (lead + 12.0, stream.reach_m))
-    return [*before, *agents, *_others(rng, stream, maker, (entry, float(places[-1]) - 12.0))]
+    before = _others(rng, stream, maker, (lead + apart, stream.reach_m))
+    return [*before, *agents, *_others(rng, stream, maker, (entry, float(places[-1]) - apart))]
 
 
 def _others(rng: np.random.Generator, stream: Stream, maker: Maker, span_m: tuple[float, float]) -> list[Driver]:
@@ -189,7 +193,7 @@ def _others(rng: np.random.Generator, stream: Stream, maker: Maker, span_m: tupl
         waits = stream.stop_m is not None and at < stream.stop_m
         hold = stream.stop_m - front if waits and stream.stop_m is not None else float("inf")
         drivers.append(Driver(thing, at, stream.speed_mps, hold))
-        at += rear - rng.uniform(*stream.gap_m)
+        at += rear - max(rng.uniform(*stream.gap_m), _QUEUE_GAP_M + _REACTION_S * stream.speed_mps)
     return drivers
 
 
