@@ -7,11 +7,22 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
+from viewshed.datasets.presets import preset_named
 from viewshed.estimate import CellState
 from viewshed.geometry import Rigid
 from viewshed.plot import COLORS
-from viewshed.plot_worlds import DIFFERENCES, SIDE, differences_view, marks, plan_view, points_view, sheet, state_view
-from viewshed.preview import HEADINGS, Shot, row_of
+from viewshed.plot_worlds import (
+    DIFFERENCES,
+    NOT_KNOWN,
+    SIDE,
+    differences_view,
+    marks,
+    plan_view,
+    points_view,
+    sheet,
+    state_view,
+)
+from viewshed.preview import HEADINGS, Shot, _choice, preview_png, row_of
 from viewshed.sim.camera import Lens, photograph, surface_colors, viewpoint
 from viewshed.sim.materials import MATERIALS, material_index
 from viewshed.sim.shapes import Box
@@ -151,11 +162,11 @@ def test_truth_is_drawn_forward_up_and_left_left() -> None:
     known = np.ones(GRID.shape, np.bool_)
     known[:32, 32:] = False  # behind, left
     quarters = _quarters(state_view(_truth(state), known, "car"))
-    wanted = [COLORS[CellState.SURFACE], COLORS[CellState.HIDDEN], (1.0, 1.0, 1.0), COLORS[CellState.HIDDEN]]
+    wanted = [COLORS[CellState.SURFACE], COLORS[CellState.HIDDEN], NOT_KNOWN, COLORS[CellState.HIDDEN]]
     assert np.allclose(quarters, wanted, atol=0.02)
     quarters = _quarters(differences_view(_truth(state), known))
-    words = ["probe (ours), not first_blocker", "line of sight between beams", "", "farthest, not probe"]
-    assert np.allclose(quarters, [DIFFERENCES.get(word, (1.0, 1.0, 1.0)) for word in words], atol=0.02)
+    words = ["probe, not first_blocker", "line_of_sight only", "", "farthest, not probe"]
+    assert np.allclose(quarters, [DIFFERENCES.get(word, NOT_KNOWN) for word in words], atol=0.02)
 
 
 def test_points_are_drawn_where_they_are_the_highest_on_top() -> None:
@@ -190,3 +201,24 @@ def test_the_sheet_opens_and_is_the_same_each_time() -> None:
     assert image.shape[0] <= 2 * 330 + 110
     free = np.abs(image[..., :3] - np.array(COLORS[CellState.FREE])).max(axis=-1) < 0.02
     assert free.sum() >= 3 * SIDE**2  # two truths in each of two rows, less the points
+
+
+@pytest.mark.parametrize(("preset", "kinds"), [("ugv-small", 4), ("carla-small", 5)])
+def test_a_preset_shows_each_kind_of_world(preset: str, kinds: int) -> None:
+    chosen = _choice(replace(preset_named(preset), seed=3))
+    assert len({scene.world_kind for scene, _ in chosen}) == len(chosen) == kinds
+    assert {scene.preset.seed for scene, _ in chosen} == {3}
+    moving = preset_named(preset).moving
+    assert {agent < moving for _, agent in chosen} == ({True, False} if preset.startswith("carla") else {True})
+
+
+def test_the_preview_is_the_same_each_time_and_another_for_another_seed() -> None:
+    one = preview_png("ugv-small", 1)
+    assert one == preview_png("ugv-small", 1)
+    assert one != preview_png("ugv-small", 2)
+    assert len(one) < 1_500_000
+
+
+def test_an_unknown_preset_is_refused() -> None:
+    with pytest.raises(ValueError, match="preset must be one of"):
+        preview_png("no-such-preset", 0)

@@ -170,7 +170,7 @@ def test_readme_commands_are_make_targets() -> None:
     assert {line.split()[1] for line in commands if line.startswith("make ")} <= targets
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/conventions.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/conventions.md", "docs/simulator.md"])
 def test_python_in_the_pages_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs every python block of a page, in order, and compares what the comments after # → say."""
     blocks = re.findall(r"^```python\n(.*?)^```", _text(page), re.MULTILINE | re.DOTALL)

@@ -31,13 +31,15 @@ _DPI, _GAP, _TOP, _HEAD, _LEGEND = 100, 7, 44, 24, 66
 CEILING_M = 2.0
 """Indoors, solids that begin higher than this above the ground are left out of the view from above."""
 DIFFERENCES = {
-    "nobody: out of view": (0.42, 0.42, 0.47),
-    "all": (0.62, 0.82, 0.95),
-    "probe (ours), not first_blocker": (0.0, 0.45, 0.70),
+    "nobody": (0.42, 0.42, 0.47),
+    "probe (ours) and first_blocker": (0.62, 0.82, 0.95),
+    "probe, not first_blocker": (0.0, 0.45, 0.70),
     "farthest, not probe": (0.84, 0.37, 0.0),
-    "line of sight between beams": (0.94, 0.89, 0.26),
+    "line_of_sight only": (0.94, 0.89, 0.26),
 }
 """Colors of who calls a cell visible for a car; `probe` is the project's own definition."""
+NOT_KNOWN = (1.0, 0.94, 0.78)
+"""Color of cells whose truth is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,10 +159,10 @@ def height_colors(height_m: NDArray[np.float64]) -> Colors:
 
 
 def state_view(truth: Truth, known: NDArray[np.bool_], target: str) -> Image:
-    """Return the states (SIDE, SIDE, 3) for one target; white where the truth is not known."""
+    """Return the states (SIDE, SIDE, 3) for one target; `NOT_KNOWN` where there is no truth."""
     palette = np.array([COLORS[CellState(state)] for state in range(len(CellState))], np.float32)
     colors = palette[truth.state[target]]
-    colors[~known] = 1.0
+    colors[~known] = NOT_KNOWN
     return _enlarged(colors)
 
 
@@ -170,7 +172,7 @@ def differences_view(truth: Truth, known: NDArray[np.bool_]) -> Image:
     first, sight = truth.definitions["first_blocker"], truth.definitions["line_of_sight"]
     who = np.where(probe, np.where(first, 1, 2), np.where(far, 3, np.where(sight, 4, 0)))
     colors = np.array(list(DIFFERENCES.values()), np.float32)[who]
-    colors[~known] = 1.0
+    colors[~known] = NOT_KNOWN
     return _enlarged(colors)
 
 
@@ -222,16 +224,18 @@ def _draw_marks(axes: Axes, drawn: Marks, corner: tuple[int, int]) -> None:
 
 
 def _legend(axes: Axes, top: int) -> None:
-    """Write what the colors mean: states, differences, heights, marks."""
-    for k, (state, words) in enumerate(WORDS.items()):
-        _swatch(axes, (_GAP + 420 * (k % 2), top + 10 + 18 * (k // 2)), COLORS[state], words)
-    for k, (words, color) in enumerate(DIFFERENCES.items()):
-        _swatch(axes, (880 + 260 * (k % 3), top + 10 + 18 * (k // 3)), color, words)
-    heights = height_colors(np.linspace(*HEIGHTS_M, 160))[None]
-    axes.imshow(heights, extent=(_GAP, _GAP + 160, top + 58, top + 48), aspect="auto")
+    """Write what the colors mean: heights, marks, states, differences."""
+    heights = height_colors(np.linspace(*HEIGHTS_M, 200))[None]
+    axes.imshow(heights, extent=(_GAP, _GAP + 200, top + 20, top + 10), aspect="auto")
     low, high = HEIGHTS_M
-    words = f"points: {low:g} to {high:g} m above the ground; pink: other agents; arrows: where things will be in 2 s"
-    axes.text(_GAP + 168, top + 53, words, fontsize=8, va="center")
+    axes.text(_GAP + 208, top + 15, f"returns: {low:g} to {high:g} m above the ground", fontsize=8, va="center")
+    words = "▲ this sensor   ● (pink) other agents   → where things will be in 2 s"
+    axes.text(_GAP, top + 33, words, fontsize=8, va="center")
+    states = [(text, COLORS[state]) for state, text in WORDS.items()]
+    for k, (text, color) in enumerate([*states, ("no truth: own vehicle, outside the world", NOT_KNOWN)]):
+        _swatch(axes, (760 + 300 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
+    for k, (text, color) in enumerate(DIFFERENCES.items()):
+        _swatch(axes, (1350 + 215 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
 
 
 def _swatch(axes: Axes, place: tuple[float, float], color: tuple[float, float, float], words: str) -> None:
