@@ -164,10 +164,9 @@ def shelf(rng: np.random.Generator) -> Group:
     """Return an open shelf with boards and rows of books."""
     depth, width, top = 0.32, rng.uniform(0.8, 1.6), rng.uniform(1.7, 2.1)
     sides = tuple(Box(0.0, s * (width / 2 - 0.01), depth, 0.02, top, 0.0) for s in (-1, 1))
-    boards = tuple(slab(depth, width - 0.04, z, z + 0.02, "wood") for z in np.linspace(0.08, top - 0.02, 4))
+    boards = tuple(slab(depth, width - 0.04, z, z + 0.02, "wood") for z in (0.08, top / 2, top - 0.02))
     back = Box(-depth / 2 + 0.005, 0.0, 0.01, width - 0.04, top, 0.0)
-    rows = (0.1, (top - 0.1) / 3 + 0.1, 2 * (top - 0.1) / 3 + 0.1)
-    books = tuple(_books(rng, width, float(z)) for z in rows if rng.random() < 0.6)
+    books = tuple(_books(rng, width, z + 0.021) for z in (0.08, top / 2) if rng.random() < 0.7)
     wood = tuple(replace(part, material="wood") for part in (*sides, back))
     return (Thing("shelf", (*wood, *boards, *books)),)
 
@@ -176,7 +175,16 @@ def _books(rng: np.random.Generator, width_m: float, bottom_m: float) -> Box:
     long = rng.uniform(0.3, 0.9) * (width_m - 0.06)
     slack = (width_m - 0.06 - long) / 2
     y = rng.uniform(-slack, slack)
-    return Box(-0.02, y, 0.2, long, bottom_m + 0.24, bottom_m, 0.0, pick(rng, ("clothes", "paint", "dark_paint")))
+    return Box(
+        -0.02,
+        y,
+        0.2,
+        long,
+        bottom_m + rng.uniform(0.2, 0.5),
+        bottom_m,
+        0.0,
+        pick(rng, ("clothes", "paint", "dark_paint")),
+    )
 
 
 def cabinet(rng: np.random.Generator) -> Group:

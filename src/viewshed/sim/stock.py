@@ -24,6 +24,17 @@ def pallet(rng: np.random.Generator) -> Group:
     return (Thing("pallet", (*_deck(depth, width), body)),)
 
 
+def stack(rng: np.random.Generator) -> Group:
+    """Return one to three loaded pallets on each other, as goods that need no rack are stored."""
+    depth, width, foot = PALLET_M
+    count, high = int(rng.integers(1, 4)), rng.uniform(0.5, 1.1)
+    floors = [k * (high + foot) for k in range(count)]
+    decks = [slab(depth, width, z, z + foot - 0.001, "wood") for z in floors]
+    body = _load(rng)
+    loads = [slab(depth - 0.06, width - 0.08, z + foot, z + foot + high - 0.001, body) for z in floors]
+    return (Thing("pallet", (*decks, *loads)),)
+
+
 def _deck(depth_m: float, width_m: float) -> tuple[Box, ...]:
     """Return the boards of a pallet and the three runners that keep it off the floor."""
     runners = tuple(Box(0.0, s * (width_m / 2 - 0.05), depth_m, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 0, 1))
@@ -189,3 +200,36 @@ def planter(rng: np.random.Generator) -> Group:
 def double_seats(rng: np.random.Generator) -> Group:
     """Return two rows of seats back to back."""
     return (*placed(seats(rng), 0.32, 0.0), *placed(seats(rng), -0.32, 0.0, np.pi))
+
+
+def bistro(rng: np.random.Generator) -> Group:
+    """Return a small round table with two to four stools."""
+    table = Thing("table", (Cylinder(0.0, 0.0, 0.4, 0.75, 0.72, "wood"), Cylinder(0.0, 0.0, 0.04, 0.72, 0.03, "metal"),
+                            Cylinder(0.0, 0.0, 0.25, 0.03, 0.0, "metal")))  # fmt: skip
+    turns = rng.uniform(0, 2 * np.pi) + np.arange(int(rng.integers(2, 5))) * np.pi / 2
+    seat = (Cylinder(0.0, 0.0, 0.19, 0.48, 0.44, "wood"), Cylinder(0.0, 0.0, 0.03, 0.44, 0.02, "metal"),
+            Cylinder(0.0, 0.0, 0.18, 0.02, 0.0, "metal"))  # fmt: skip
+    stools = [Thing("stool", seat, x_m=0.65 * float(np.cos(turn)), y_m=0.65 * float(np.sin(turn))) for turn in turns]
+    return (table, *stools)
+
+
+def stairs(rng: np.random.Generator, top_m: float) -> Group:
+    """Return a flight of stairs that climbs along y from its lowest end to ``top_m``, with a rail at its front."""
+    steps = round(top_m / 0.2)
+    rise, tread, wide = top_m / steps, 0.28, rng.uniform(1.6, 2.4)
+    ys = (np.arange(steps) - (steps - 1) / 2) * tread
+    treads = [Box(0.0, y, wide, tread, (k + 1) * rise, 0.0 if k < 9 else (k - 3) * rise, 0.0, "concrete")
+              for k, y in enumerate(ys.tolist())]  # fmt: skip
+    return (Thing("stairs", tuple(treads)),)
+
+
+def trailer(rng: np.random.Generator) -> Group:
+    """Return the inside of a trailer that stands at a gate with its open end toward the highest x."""
+    long, wide, top = 8.0, 2.5, 2.7
+    sides = [Box(0.0, s * (wide / 2 - 0.03), long, 0.06, top, 0.02, 0.0, "metal") for s in (-1, 1)]
+    front, roof = (
+        Box(-long / 2 + 0.03, 0.0, 0.06, wide - 0.12, top, 0.02, 0.0, "metal"),
+        slab(long, wide, top, top + 0.06, "metal"),
+    )
+    load = Box(-long / 2 + 1.5, 0.0, 2.6, 2.2, rng.uniform(1.2, 2.3), 0.15, 0.0, _load(rng))
+    return (Thing("trailer", (*sides, front, roof, load)),)

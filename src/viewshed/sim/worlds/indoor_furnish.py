@@ -101,7 +101,7 @@ def furnish_all(site: Site, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[floa
         dx, dy = max(x0 - hub_m[0], 0.0, hub_m[0] - x1), max(y0 - hub_m[1], 0.0, hub_m[1] - y1)
         return float(np.hypot(dx, dy)) + 0.1 * float(np.hypot((x0 + x1) / 2 - hub_m[0], (y0 + y1) / 2 - hub_m[1]))
 
-    lived = []
+    lived = [(hub_m[0] - 4.0, hub_m[1] - 4.0, hub_m[0] + 4.0, hub_m[1] + 4.0)]
     for k in sorted(range(len(rooms)), key=far):
         room, use = rooms[k]
         bare = site.parts >= parts

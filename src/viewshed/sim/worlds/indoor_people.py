@@ -14,11 +14,11 @@ from viewshed.sim.shapes import Box, Cylinder, Shape
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.things import drive, person
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
-from viewshed.sim.worlds.indoor_routes import FreeFloor, Network, Points, RoadMap, follow, open_floor
+from viewshed.sim.worlds.indoor_routes import Network, Points, RoadMap, follow, open_floor
 from viewshed.sim.worlds.indoor_site import Rect, Site
 
 ROBOT_RADIUS_M = 0.18
-_CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.36, 0.5
+_CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.3, 0.5
 _LEAD_S = 12.0
 
 
@@ -68,43 +68,34 @@ def _roads(site: Site, building: Building, solids: NDArray[np.float64], below_m:
 
 def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: float) -> tuple[list[Thing], RoadMap]:
     """Return people who walk to and fro, and the map that keeps clear of them and is still mostly connected."""
-    every = np.ones(len(roads.nodes_m), np.bool_)
-    most = roads.largest(every)
-    beats = _beats(rng, Network.of(roads, most), count)
-    while True:
-        left = roads.on(_around(roads.floor, beats))
-        if not beats or len(left.largest(every)) > 0.6 * len(most):
-            return [_walker(rng, beat, duration_s) for beat in beats], left
-        beats = beats[: len(beats) // 2]
-
-
-def _beats(rng: np.random.Generator, network: Network, count: int) -> list[Points]:
-    """Return up to ``count`` ways of a few metres that keep clear of each other."""
-    beats: list[Points] = []
-    floor, nodes = network.roads.floor, np.flatnonzero(network.rows)
-    for _ in range(2 * count):
-        start = int(rng.choice(nodes))
-        apart = np.hypot(*(network.roads.nodes_m[nodes] - network.roads.nodes_m[start]).T)
-        goals = nodes[(apart > 2.5) & (apart < 9.0)]
-        if len(beats) == count or not goals.size:
+    every, people = np.ones(len(roads.nodes_m), np.bool_), list[Thing]()
+    nodes = roads.largest(every)
+    least = 0.6 * len(nodes)
+    for _ in range(3 * count):
+        way = _beat(rng, roads, nodes)
+        if len(people) == count or way is None:
             continue
-        way = network.path(start, int(rng.choice(goals)))
-        if floor.sees(way[:-1], way[1:]).all():
-            beats.append(way)
-            floor = _around(floor, [way])
-    return beats
+        left = roads.off(way, _CLEAR_M + _PERSON_M)
+        kept = left.largest(every)
+        if len(kept) > max(least, 0.8 * len(nodes)):
+            roads, nodes = left, kept
+            people.append(_walker(rng, way, duration_s))
+    return people, roads
 
 
-def _around(floor: FreeFloor, beats: list[Points]) -> FreeFloor:
-    """Return the floor that keeps clear of people on their beats."""
-    points = [
-        a + (b - a) * s
-        for way in beats
-        for a, b in pairwise(way)
-        for s in np.linspace(0, 1, 2 + int(8 * np.abs(b - a).max()))
-    ]
-    spots = np.array(points).reshape(-1, 2)
-    return floor.without(np.hstack([spots, spots]), _CLEAR_M + _PERSON_M)
+def _beat(rng: np.random.Generator, roads: RoadMap, nodes: NDArray[np.intp]) -> Points | None:
+    """Return a way of a few metres between two of some nodes that see each other or have one corner between them."""
+    start = int(rng.choice(nodes))
+    apart = np.hypot(*(roads.nodes_m[nodes] - roads.nodes_m[start]).T)
+    goals = nodes[(apart > 2.5) & (apart < 9.0)]
+    if not goals.size:
+        return None
+    goal, corner = int(rng.choice(goals)), int(rng.choice(goals))
+    for rows in ([start, goal], [start, corner], [start, corner, goal]):
+        way = roads.nodes_m[rows]
+        if len(set(rows)) == len(rows) and roads.floor.sees(way[:-1], way[1:]).all():
+            return way
+    return None
 
 
 def _walker(rng: np.random.Generator, beat: Points, duration_s: float) -> Thing:

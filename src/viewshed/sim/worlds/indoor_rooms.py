@@ -14,6 +14,9 @@ from viewshed.sim.worlds.indoor_site import Rect, Site, shrunk
 from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceiling
 
 _LEAST_M, _DOOR_M = 3.0, 1.6
+_OFFICES = ("office", "meeting", "office", "office", "lounge", "office")
+_HOMES = ("living", "bedroom", "kitchen", "study", "bedroom")
+_SMALL = ("bathroom", "store", "office")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,26 +55,22 @@ def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
     if rise is not None:
         site.steps += rise.steps()
         site.reserve(rise.ramp)
-    office = rng.random() < 0.5
-    wishes = [(shrunk(space, 0.07), _use(rng, space, office)) for space in spaces[1:]]
+    wishes = [(shrunk(space, 0.07), use) for space, use in zip(spaces[1:], _uses(rng, spaces[1:]), strict=True)]
     furnish(site, shrunk(spaces[0], 0.07), "hallway", (1, 3))
-    lived = furnish_all(site, wishes, hub, 570)
+    lived = furnish_all(site, wishes, hub, 600)
     site.things.extend(ceiling(inside, top))
     ground = floor(rise, inside, "wood" if rng.random() < 0.6 else "concrete", "grass")
     return inhabited(site, ground, Building("rooms", lived, top, 2), plan)
 
 
-def _use(rng: np.random.Generator, space: Rect, office: bool) -> str:
-    """Return what a room is for, by its size and the house."""
-    small = (space[2] - space[0]) * (space[3] - space[1]) < 16.0
-    if small:
-        return ("bathroom", "store", "office")[int(rng.integers(3))]
-    uses = (
-        ("office", "office", "office", "meeting", "lounge")
-        if office
-        else ("living", "bedroom", "kitchen", "bedroom", "study")
-    )
-    return uses[int(rng.integers(len(uses)))]
+def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:
+    """Return what each room is for, by its size and the house: offices, or apartments with each kind in turn."""
+    turns = _OFFICES if rng.random() < 0.5 else _HOMES
+    first, uses = int(rng.integers(len(turns))), []
+    for k, (x0, y0, x1, y1) in enumerate(spaces):
+        small = (x1 - x0) * (y1 - y0) < 15.0
+        uses.append(_SMALL[k % len(_SMALL)] if small else turns[(first + k) % len(turns)])
+    return uses
 
 
 def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) -> tuple[list[Rect], list[Cut]]:
@@ -84,7 +83,7 @@ def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) 
     while waiting:
         rect = waiting.pop()
         away = np.hypot((rect[0] + rect[2]) / 2 - hub_m[0], (rect[1] + rect[3]) / 2 - hub_m[1])
-        parts = _split(rng, rect, rng.uniform(24.0, 75.0) * (1.0 + (away / 9.0) ** 2), cuts)
+        parts = _split(rng, rect, rng.uniform(24.0, 75.0) * (1.0 + (away / 15.0) ** 2), cuts)
         waiting += parts
         spaces += [] if parts else [rect]
     return spaces, cuts

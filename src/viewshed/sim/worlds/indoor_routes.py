@@ -13,7 +13,7 @@ from viewshed.sim.world import Track
 from viewshed.sim.worlds.indoor_site import Rect
 
 Points = NDArray[np.float64]
-_CELL_M, _BIN_M, _REACH_M = 0.1, 2.4, 4.5
+_CELL_M, _BIN_M, _REACH_M = 0.1, 1.8, 3.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class RoadMap:
 
     @classmethod
     def over(cls, floor: FreeFloor, rng: np.random.Generator, wanted_m: Points) -> RoadMap:
-        """Return a road map with one node in each bin of 2.4 m, if a random point in it is free, and those wanted."""
+        """Return a road map with one node in each bin of 1.8 m, if a random point in it is free, and those wanted."""
         size = np.array(floor.free.shape) * _CELL_M
         bins = np.ceil(size / _BIN_M).astype(int)
         corner = np.stack(np.meshgrid(*map(np.arange, bins), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -90,10 +90,18 @@ class RoadMap:
         seen = floor.sees(nodes[i], nodes[j])
         return cls(floor, nodes, np.column_stack([i[seen], j[seen]]))
 
-    def on(self, floor: FreeFloor) -> RoadMap:
-        """Return what is left of the map on a smaller floor: the same nodes, fewer edges."""
-        seen = floor.sees(self.nodes_m[self.edges[:, 0]], self.nodes_m[self.edges[:, 1]])
-        return RoadMap(floor, self.nodes_m, self.edges[seen])
+    def off(self, way_m: Points, reach_m: float) -> RoadMap:
+        """Return what is left of the map farther than ``reach_m`` from a way (k, 2): the same nodes, fewer edges."""
+        steps = int(np.abs(np.diff(way_m, axis=0)).max() / (2 * _CELL_M)) + 2
+        share = np.linspace(0.0, 1.0, steps)[:, None, None]
+        spots = (way_m[None, :-1] * (1 - share) + way_m[None, 1:] * share).reshape(-1, 2)
+        floor = self.floor.without(np.hstack([spots, spots]), reach_m)
+        ends = self.nodes_m[self.edges]
+        low, high = spots.min(axis=0) - reach_m - _CELL_M, spots.max(axis=0) + reach_m + _CELL_M
+        far = ((ends.min(axis=1) > high) | (ends.max(axis=1) < low)).any(axis=1)
+        near = np.flatnonzero(~far)
+        far[near] = floor.sees(ends[near, 0], ends[near, 1])
+        return RoadMap(floor, self.nodes_m, self.edges[far])
 
     def largest(self, rows: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return the nodes of the largest connected part of the map within ``rows`` (n,)."""

@@ -28,12 +28,15 @@ class Opening:
     Attributes:
         middle_m: where along the wall, in the world's x or y.
         width_m: between the ends of the wall on both sides.
-        kind: one of ``DOORS``, ``window``, or ``pane`` for glass from the floor up.
+        kind: one of ``DOORS``, ``window``, ``pane`` for glass from the floor up, ``gate`` for a wide gap, or
+            ``roller`` for one that is shut.
+        top_m: its upper edge, but for doors.
     """
 
     middle_m: float
     width_m: float
     kind: str = "open"
+    top_m: float = 2.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +91,7 @@ def wall_parts(wall: Wall, top_m: float) -> tuple[Box, ...]:
 
 
 def _filled(wall: Wall, one: Opening, start: float, stop: float, top_m: float) -> Iterator[Box]:
-    head, thick = (DOOR_TOP_M if one.kind in DOORS else min(2.4, top_m - 0.05)), wall.thick_m
+    head, thick = (DOOR_TOP_M if one.kind in DOORS else min(one.top_m, top_m - 0.05)), wall.thick_m
     yield wall.box(start, stop, (head, top_m), wall.material, thick)
     if one.kind in DOORS:
         for edge in (start, stop - _POST_M):
@@ -96,7 +99,9 @@ def _filled(wall: Wall, one: Opening, start: float, stop: float, top_m: float) -
     elif one.kind == "window":
         yield wall.box(start, stop, (-1.0, 0.9), wall.material, thick)
         yield wall.box(start, stop, (0.9, head), "glass", _PANE_M)
-    else:
+    elif one.kind == "roller":
+        yield wall.box(start, stop, (-1.0, head), "metal", 0.06)
+    elif one.kind == "pane":
         yield wall.box(start, stop, (-1.0, 0.08), "metal", 0.08)
         yield wall.box(start, stop, (0.08, head), "glass", _PANE_M)
         for edge in np.linspace(start + 0.025, stop - 0.025, max(2, round((stop - start) / 2.2) + 1)).tolist():
@@ -106,6 +111,7 @@ def _filled(wall: Wall, one: Opening, start: float, stop: float, top_m: float) -
 def build(site: Site, walls: Iterable[Wall], top_m: float) -> None:
     """Add walls up to ``top_m`` metres to a site, hang the doors and keep the doorways free."""
     walls = list(walls)
+    gates = [wall.rect(one, 1.6) for wall in walls for one in wall.openings if one.kind in ("gate", "roller")]
     doors = [(wall, one) for wall in walls for one in wall.openings if one.kind in DOORS]
     zones = np.array([wall.rect(one, wall.thick_m / 2 + _ZONE_M) for wall, one in doors]).reshape(-1, 4)
     for k, (wall, one) in enumerate(doors):
@@ -113,7 +119,7 @@ def build(site: Site, walls: Iterable[Wall], top_m: float) -> None:
         site.doorways.append(Doorway(*middle, wall.along_x))
         if one.kind == "passage" or not _hang(site, wall, one, np.delete(zones, k, axis=0)):
             _threshold(site, wall, one)
-    site.reserve(*((a, b, c, d) for a, b, c, d in zones.tolist()))
+    site.reserve(*gates, *((a, b, c, d) for a, b, c, d in zones.tolist()))
     for wall in walls:
         site.add((Thing("wall", wall_parts(wall, top_m), z_m=0.0),))
 
