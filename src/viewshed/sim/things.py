@@ -62,7 +62,8 @@ def footprint(thing: Thing, t_s: float = 0.0, below_m: float = _OVERHEAD_M) -> N
 def _ends(part: Shape) -> tuple[float, float, float, float]:
     a, b, _ = part.half_sizes_m
     c, s = abs(float(np.cos(part.yaw))), abs(float(np.sin(part.yaw)))
-    along, across = (a * c + b * s, a * s + b * c) if part.yaw else (a, b)
+    mix = np.hypot if isinstance(part, Ellipsoid) else np.add
+    along, across = (float(mix(a * c, b * s)), float(mix(a * s, b * c))) if part.yaw else (a, b)
     return part.x_m - along, part.x_m + along, part.y_m - across, part.y_m + across
 
 
