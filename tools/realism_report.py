@@ -211,7 +211,8 @@ def _verdicts(found: list[Compared]) -> Iterator[list[str]]:
             spread = f"{told.spread:.3g}" if len(one.group.places) > 1 else "–"
             yield [
                 one.group.title, NAMES[name], str(one.count), str(len(one.group.places)),
-                f"{told.distance:.3g}", spread, f"{allowed:.3g}", f"{told.inside_share:.0%}", "within" if good else "**outside**",
+                f"{told.distance:.3g}", spread, f"{allowed:.3g}", f"{told.inside_share:.0%}",
+                "within" if good else "**outside**",
             ]  # fmt: skip
 
 
