@@ -93,7 +93,7 @@ class ScenePlan:
         return self._turn(_Purpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
 
     def chunks(self) -> Iterator[tuple[int, int]]:
-        """Yield the first frame of each shard and the one after its last: whole times, at most 48 frames if they fit."""
+        """Yield the first frame of each shard and the one after its last: whole times, 48 frames if they fit."""
         agents = self.preset.agents
         times = -(-self.frames // agents)
         count = -(-times // max(1, FRAMES_PER_SHARD // agents))

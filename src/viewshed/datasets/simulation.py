@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 
 from viewshed.datasets.archive import Archive, damage_of
@@ -121,13 +121,11 @@ def _made(jobs: Sequence[ShardJob], engine: Engine) -> Iterator[ShardFacts]:
     Raises:
         OSError: one failed; the message is its own.
     """
-    run = engine.run(simulate_shard, jobs)
-    for done in run:
-        if done.result is None:
-            if isinstance(run, Generator):
-                run.close()
-            raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
-        yield done.result
+    with contextlib.closing(engine.run(simulate_shard, jobs)) as run:
+        for done in run:
+            if done.result is None:
+                raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
+            yield done.result
 
 
 def _tidy(store: Store) -> None:

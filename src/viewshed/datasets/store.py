@@ -25,7 +25,7 @@ SCHEMES = ("file", "s3", "gs", "gcs", "abfs", "abfss")
 _DRAFT = re.compile(r"\..+\.[0-9a-f]{12}\.part")  # what viewshed.atomic writes beside a file
 
 _REPAIRS = {
-    r"NO_SUCH_BUCKET|NoSuchBucket|[Bb]ucket.*(not found|does not exist)": "create the bucket first",
+    r"NO_SUCH_BUCKET|NoSuchBucket|no such bucket|[Bb]ucket.*(not found|does not exist)": "create the bucket first",
     r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE|AUTHENTICATION|[Cc]redential|HTTP status 40[13]":
         "give credentials that may read and write there",
     r"NETWORK_CONNECTION|curlCode|[Cc]ould not resolve|[Cc]onnect": "check the network, region and endpoint_override",
@@ -118,9 +118,12 @@ class Store:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
                 write_bytes(path, content)
                 return
-            stream = self._files.open_output_stream(path)
-            stream.write(content)  # an object appears when its stream is closed, so not after a failure
-            stream.close()
+            try:
+                stream = self._files.open_output_stream(path)
+                stream.write(content)  # an object appears when its stream is closed, so not after a failure
+                stream.close()
+            except FileNotFoundError as error:
+                raise OSError(f"{_short(error)}: no such bucket") from error
 
     def names(self) -> list[str]:
         """Return the names of all files, sorted, without what was left half written; [] where the place is not there.
@@ -199,19 +202,23 @@ def _is_draft(name: str) -> bool:
 @contextlib.contextmanager
 def _named(store: Store, name: str) -> Iterator[None]:
     """Give an OSError one line that names the place and, where we know it, the repair; its type and errno stay."""
+    import pyarrow as pa
+
+    where = f"{store.place}/{name}" if name else store.place
     try:
         yield
     except OSError as error:
-        where = f"{store.place}/{name}" if name else store.place
         named = type(error)(f"{where}: {_repair(error, store.folder is not None)}")
         named.errno = error.errno
         raise named from error
+    except pa.ArrowException as error:  # Azure's client has errors of its own
+        raise OSError(f"{where}: {_repair(error, False)}") from error
 
 
-def _repair(error: OSError, local: bool) -> str:
+def _repair(error: Exception, local: bool) -> str:
     if isinstance(error, FileNotFoundError):
         return "no such file"
-    if local:
+    if local and isinstance(error, OSError):
         return _LOCAL_REPAIRS.get(error.errno or 0, _short(error))
     advice = [repair for pattern, repair in _REPAIRS.items() if re.search(pattern, str(error))]
     return "; ".join([_short(error), *advice[:1]])
