@@ -1,6 +1,6 @@
-"""Made-up samples, no part of the simulator decides what is in them; and an S3 server on this machine."""
+"""Made-up samples, no part of the simulator decides what is in them; and object stores on this machine."""
 
-import os
+import contextlib
 import socket
 import subprocess
 import sys
@@ -87,34 +87,55 @@ def _points(rng: np.random.Generator, pose: Rigid) -> Sweep:
 
 @pytest.fixture(scope="session")
 def s3() -> Iterator[str]:
-    """Options of a URI that lead to the server; it has a bucket named ``data``, ``s3://data/FOLDER?OPTIONS``."""
-    pytest.importorskip("moto", reason="moto is not installed: object stores are not tested")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    """Options of a URI that lead to a server; it has a bucket named ``data``, ``s3://data/FOLDER?OPTIONS``."""
+    pytest.importorskip("moto", reason="moto is not installed: S3 is not tested")
     keys = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_EC2_METADATA_DISABLED": "true"}
-    server = subprocess.Popen(
-        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
-        env={**os.environ, **keys}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    with pytest.MonkeyPatch.context() as environment:
+    port = _free_port()
+    with pytest.MonkeyPatch.context() as environment, _server("moto.server", "-H", "127.0.0.1", "-p", port):
         for name, value in keys.items():
             environment.setenv(name, value)
-        _wait_for(port)
         options = f"endpoint_override=127.0.0.1:{port}&scheme=http&region=us-east-1"
         made, _ = fs.FileSystem.from_uri(f"s3://data?{options}&allow_bucket_creation=true")
         made.create_dir("data")
         yield options
-    server.kill()
-    server.wait()
+
+
+@pytest.fixture(scope="session")
+def gs() -> Iterator[str]:
+    """As ``s3``, for ``gs://anonymous@data/FOLDER?OPTIONS``."""
+    pytest.importorskip("gcp_storage_emulator", reason="gcp-storage-emulator is not installed: GCS is not tested")
+    port = _free_port()
+    words = ("start", "--host", "127.0.0.1", "--port", port, "--in-memory", "--default-bucket", "data")
+    with _server("gcp_storage_emulator", *words):
+        yield f"endpoint_override=127.0.0.1:{port}&scheme=http&retry_limit_seconds=3"
+
+
+def _free_port() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return str(free.getsockname()[1])
+
+
+@contextlib.contextmanager
+def _server(module: str, *words: str) -> Iterator[None]:
+    port = int(words[words.index("-p" if "-p" in words else "--port") + 1])
+    server = subprocess.Popen(
+        [sys.executable, "-m", module, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        _wait_for(port)
+        yield
+    finally:
+        server.kill()
+        server.wait()
 
 
 def _wait_for(port: int) -> None:
-    for _ in range(200):
+    for _ in range(400):
         try:
             socket.create_connection(("127.0.0.1", port)).close()
         except OSError:
             time.sleep(0.05)
         else:
             return
-    pytest.fail("the S3 server did not start")
+    pytest.fail("the server did not start")
