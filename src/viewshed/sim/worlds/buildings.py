@@ -170,6 +170,17 @@ def _door(rng: np.random.Generator, front: Front) -> list[Shape]:
     ]
     if rng.random() < 0.5:
         parts.append(Box(at, -0.2, wide, 0.5, 0.16, _SUNK_M, 0.0, "concrete"))
+    return parts + _panes(rng, front)
+
+
+def _panes(rng: np.random.Generator, front: Front) -> list[Shape]:
+    """Return panes before the wall, lit or with blinds behind, in the first floor, and a cornice below them."""
+    count = max(2, round(front.length_m / 4.5))
+    wide, low = rng.uniform(0.9, 1.8), front.ground_m + 0.7
+    parts: list[Shape] = [Box(0.0, -0.03, front.length_m, 0.14, low - 0.6, low - 0.85, 0.0, front.material)]
+    if front.height_m > low + 2.0:
+        at = ((np.arange(count) + 0.5) / count - 0.5) * front.length_m
+        parts += [Box(float(x), -0.02, wide, _PANE_M, low + 1.5, low, 0.0, "glass") for x in at]
     return parts
 
 

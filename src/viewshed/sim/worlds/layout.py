@@ -70,9 +70,9 @@ class Mast:
 
     @property
     def pole(self) -> Thing:
-        """The pole that carries it, 0.3 m behind it and a little taller."""
-        back_x, back_y = self.x_m - 0.3 * np.cos(self.yaw), self.y_m - 0.3 * np.sin(self.yaw)
-        thing = Thing("mast", (Cylinder(0.0, 0.0, 0.09, self.height_m + 0.3, material="metal"),))
+        """The pole that carries it, 0.5 m behind it and a little taller."""
+        back_x, back_y = self.x_m - 0.5 * np.cos(self.yaw), self.y_m - 0.5 * np.sin(self.yaw)
+        thing = Thing("mast", (Cylinder(0.0, 0.0, 0.07, self.height_m + 0.3, material="metal"),))
         return put(thing, float(back_x), float(back_y), self.yaw)
 
     def pose(self, terrain: Terrain) -> Rigid:
