@@ -8,7 +8,15 @@ import pytest
 
 from viewshed.bev import BevGrid
 from viewshed.io import read_sweep
-from viewshed.realism import HEIGHT_EDGES_M, RANGE_EDGES_M, SweepStatistics, agreement, range_noise, sweep_statistics
+from viewshed.realism import (
+    HEIGHT_EDGES_M,
+    RANGE_EDGES_M,
+    SweepStatistics,
+    agreement,
+    range_noise,
+    road_seen,
+    sweep_statistics,
+)
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 
@@ -72,6 +80,16 @@ def test_noise_of_ranges_is_found_on_smooth_surfaces() -> None:
     assert range_noise(noisy) == pytest.approx(0.012, rel=0.05)
     assert range_noise(sweep) < 0.002
     assert np.isnan(range_noise(sweep.select(np.zeros(len(sweep), bool))))
+
+
+def test_road_is_seen_where_its_beams_return() -> None:
+    """Rings meet the ground at 5.6 (-15°), 6.5 (-13°), 7.7 (-11°), 9.5 (-9°), 12.2 (-7°), 17.1 (-5°), 28.6 and 86 m."""
+    sweep = yard()
+    assert sweep.ring is not None
+    gone = (sweep.ring == 4) & (np.arange(len(sweep)) % 2 == 0)
+    found = road_seen([sweep.select(~gone)], MODEL, 1.5)
+    assert found[:7] == pytest.approx([1, 1, 1, 0.5, np.nan, 1, np.nan], abs=0.01, nan_ok=True)
+    assert found[7:9] == pytest.approx([1, np.nan], abs=0.01, nan_ok=True)
 
 
 def test_an_empty_sweep_has_zeros() -> None:

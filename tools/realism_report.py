@@ -9,6 +9,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,13 @@ from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.realism import (
     HEIGHT_EDGES_M,
     RANGE_EDGES_M,
+    ROAD_EDGES_M,
     Agreement,
+    Floats,
     SweepStatistics,
     agreement,
     range_noise,
+    road_seen,
     sweep_statistics,
 )
 from viewshed.report import facts, page, table
@@ -121,12 +125,13 @@ def main() -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """A group, its agreements by statistic, its real sweeps, and range noise in metres, real and simulated."""
+    """A group, its agreements by statistic, its number of real sweeps; noise and road seen, real and simulated."""
 
     group: Group
     agreed: dict[str, Agreement]
     count: int
     noise_m: tuple[float, float]
+    road: tuple[Floats, Floats]
 
 
 def _compared(group: Group, index: list[IndexEntry], given: argparse.Namespace) -> Iterator[Compared]:
@@ -143,7 +148,8 @@ def _compared(group: Group, index: list[IndexEntry], given: argparse.Namespace) 
     names = [name for name in NAMES if group.has_rings or name not in ("rings", "returns")]
     agreed = {name: agreement(name, means, drawn) for name in names}
     sys.stderr.write(f"{group.title}: {len(real)} real, {len(simulated)} simulated\n")
-    yield Compared(group, agreed, len(real), (noise[0], noise[1]))
+    road = [road_seen(sweeps, model, group.height_m) for sweeps in (real, simulated)]
+    yield Compared(group, agreed, len(real), (noise[0], noise[1]), (road[0], road[1]))
 
 
 def _places(group: Group, index: list[IndexEntry]) -> list[list[Sweep]]:
@@ -165,6 +171,7 @@ def _as_measured(group: Group, real: list[Sweep]) -> LidarModel:
 
 
 def _firings(sweep: Sweep) -> int:
+    """Return the columns of a revolution, as in :mod:`viewshed.realism`."""
     beams = recover_beams(sweep)
     return max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
 
@@ -198,6 +205,7 @@ def _parts(found: list[Compared]) -> list[str]:
         _WORDS, "![Simulated against real](realism.png)", "## Distances", table(head, _verdicts(found)), "## Numbers",
         table(("sensor, place", "statistic", "least", "mean", "greatest", "simulated"), _numbers(found)),
         "## Range noise, mm", _NOISE, table(("sensor, place", "real", "simulated"), noise),
+        "## Road seen", _ROAD_SEEN, table(("sensor, place", "", *_bounds(ROAD_EDGES_M)), _roads(found)),
         "## Bins outside", table(("sensor, place", "statistic", "bin", "least", "greatest", "simulated"), _gaps(found)),
     ]  # fmt: skip
 
@@ -224,6 +232,17 @@ def _numbers(found: list[Compared]) -> Iterator[list[str]]:
                 yield [one.group.title, NAMES[name], *(f"{value:.3g}" for value in values)]
 
 
+def _roads(found: list[Compared]) -> Iterator[list[str]]:
+    for one in found:
+        if one.group.grid is ROAD and one.group.has_rings:
+            for side, values in zip(("real", "simulated"), one.road, strict=True):
+                yield [one.group.title, side, *("–" if np.isnan(value) else f"{value:.2f}" for value in values)]
+
+
+def _bounds(edges: tuple[float, ...]) -> list[str]:
+    return [f"{low:g} to {high:g} m" for low, high in pairwise(edges)]
+
+
 def _typical(name: str, found: list[Compared]) -> float:
     """Return the median spread of the groups of several places."""
     yardsticks = [one for one in found if one.group.judged and "carla" not in one.group.sensor]
@@ -239,8 +258,7 @@ def _gaps(found: list[Compared]) -> Iterator[list[str]]:
             for k in np.flatnonzero((told.simulated < told.low) | (told.simulated > told.high)):
                 if one.group.judged:
                     values = (told.low[k], told.high[k], told.simulated[k])
-                    bounds = f"{edges[k]:g} to {edges[k + 1]:g} m"
-                    yield [one.group.title, NAMES[name], bounds, *(f"{value:.3f}" for value in values)]
+                    yield [one.group.title, NAMES[name], _bounds(edges)[k], *(f"{value:.3f}" for value in values)]
 
 
 def _draw(found: list[Compared], path: Path) -> None:
@@ -296,6 +314,10 @@ are not in the sensor's frame, so its rings are not compared; KITTI's end at 80 
 _NOISE = """\
 Standard deviation between neighboring columns on smooth surfaces, 3 to 25 m away, median over the sweeps (see
 `viewshed.realism.range_noise`). Offsets that a beam keeps, which the makers' accuracies include, do not show."""
+
+_ROAD_SEEN = """\
+Share of the beams that see the road, by where level ground would be met: of those that return from the ground or not at
+all (see `viewshed.realism.road_seen`). The lowest beams are hidden by the vehicle itself."""
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.beams import recover_beams
+from viewshed.beams import Beams, recover_beams
 from viewshed.bev import BevGrid
-from viewshed.level import level_sweep
+from viewshed.level import NULL_RANGE_M, level_sweep
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -19,6 +19,11 @@ RANGE_EDGES_M = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, n
 HEIGHT_EDGES_M = (-np.inf, -0.3, 0.3, 1.0, 2.0, 3.0, 5.0, 8.0, np.inf)
 """Heights above local ground at which returns are counted."""
 
+ROAD_EDGES_M = (4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 32.0, 40.0, 85.0)
+"""Ranges at which beams meet level ground."""
+_HORIZON = -0.012
+_EVEN_M = 0.35
+_ROAD = BevGrid(256, 64.0)
 _SMOOTH_M = (3.0, 25.0)
 _SMOOTH_STEP_M = 0.15
 
@@ -86,7 +91,7 @@ def sweep_statistics(sweep: Sweep, grid: BevGrid, model: LidarModel | None = Non
     beams = recover_beams(sweep, model)
     level = level_sweep(sweep, grid)
     ring = beams.ring[level.rows]
-    firings = max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
+    firings = _firings(beams)
     count = max(len(level.rows), 1)
     # Ranges and heights beyond the last edge are counted in the last bin, as the edges are infinite there.
     ranges = np.histogram(level.range_m, RANGE_EDGES_M)[0] / count
@@ -116,6 +121,33 @@ def range_noise(sweep: Sweep, model: LidarModel | None = None) -> float:
     bend = np.abs(before - 2 * here + after)[np.abs(after - before) < _SMOOTH_STEP_M]
     bend = bend[np.isfinite(bend)]
     return float(np.median(bend) / (0.6745 * np.sqrt(6))) if bend.size else float("nan")
+
+
+def road_seen(sweeps: Sequence[Sweep], model: LidarModel, sensor_height_m: float) -> Floats:
+    """Return the share (10,) of beams that see the road, by where level ground is met (:data:`ROAD_EDGES_M`).
+
+    Of the beams of a ring below the horizon that return from within 0.35 m of the ground or do not return at all, over
+    all ``sweeps``; NaN where no ring points. It is what the reach of a sensor's optics is tuned on.
+    """
+    ground, none = np.zeros(len(ROAD_EDGES_M) - 1), np.zeros(len(ROAD_EDGES_M) - 1)
+    downward = model.elevation < _HORIZON
+    at_m = sensor_height_m / np.tan(-model.elevation[downward])
+    for sweep in sweeps:
+        beams, level = recover_beams(sweep, model), level_sweep(sweep, _ROAD)
+        ring = beams.ring[level.rows]
+        near = (np.abs(level.height_m) < _EVEN_M) & (ring >= 0)
+        real = (beams.ring >= 0) & (np.linalg.norm(sweep.points, axis=1) > NULL_RANGE_M)
+        returned = np.bincount(beams.ring[real], minlength=model.rings)[: model.rings]
+        met = np.bincount(ring[near], minlength=model.rings)[: model.rings]
+        missed = np.maximum(_firings(beams) - returned, 0)
+        ground += np.histogram(at_m, ROAD_EDGES_M, weights=met[downward])[0]
+        none += np.histogram(at_m, ROAD_EDGES_M, weights=missed[downward])[0]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(ground / (ground + none))
+
+
+def _firings(beams: Beams) -> int:
+    return max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
 
 
 def agreement(name: str, real: Sequence[SweepStatistics], simulated: Sequence[SweepStatistics]) -> Agreement:

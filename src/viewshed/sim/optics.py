@@ -38,7 +38,7 @@ class Optics:
 OPTICS: dict[str, Optics] = {
     "HDL-32E": Optics(0.005, 80.0, 0.010),
     "HDL-64E": Optics(0.010, 110.0, 0.010),
-    "VLP-16": Optics(0.007, 80.0, 0.010),
+    "VLP-16": Optics(0.007, 70.0, 0.010),
     "VLP-32C": Optics(0.007, 120.0, 0.010),
     "Pandar40P": Optics(0.006, 150.0, 0.010),
     "Pandar64": Optics(0.006, 150.0, 0.010),
@@ -47,10 +47,10 @@ OPTICS: dict[str, Optics] = {
     "OS0-32": Optics(0.009, 22.0, 0.010),
     "OS0-64": Optics(0.009, 22.0, 0.010),
     "OS0-128": Optics(0.009, 22.0, 0.010),
-    "OS1-32": Optics(0.009, 55.0, 0.010),
-    "OS1-32 gradient": Optics(0.009, 55.0, 0.010),
-    "OS1-64": Optics(0.009, 55.0, 0.010),
-    "OS1-128": Optics(0.009, 55.0, 0.010),
+    "OS1-32": Optics(0.009, 45.0, 0.010),
+    "OS1-32 gradient": Optics(0.009, 45.0, 0.010),
+    "OS1-64": Optics(0.009, 45.0, 0.010),
+    "OS1-128": Optics(0.009, 45.0, 0.010),
     "CARLA": Optics(0.0, float("inf"), 0.0),
     "CARLA 256": Optics(0.0, float("inf"), 0.0),
 }
