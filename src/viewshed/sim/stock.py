@@ -25,9 +25,9 @@ def pallet(rng: np.random.Generator) -> Group:
 
 
 def stack(rng: np.random.Generator) -> Group:
-    """Return one to three loaded pallets on each other, as goods that need no rack are stored."""
+    """Return one to three loaded pallets on each other, as goods are stored that need no rack."""
     depth, width, foot = PALLET_M
-    count, high = int(rng.integers(1, 4)), rng.uniform(0.5, 1.1)
+    count, high = int(rng.integers(1, 3)), rng.uniform(0.5, 1.1)
     floors = [k * (high + foot) for k in range(count)]
     decks = [slab(depth, width, z, z + foot - 0.001, "wood") for z in floors]
     body = _load(rng)
@@ -36,8 +36,8 @@ def stack(rng: np.random.Generator) -> Group:
 
 
 def _deck(depth_m: float, width_m: float) -> tuple[Box, ...]:
-    """Return the boards of a pallet and the three runners that keep it off the floor."""
-    runners = tuple(Box(0.0, s * (width_m / 2 - 0.05), depth_m, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 0, 1))
+    """Return the boards of a pallet and the two outer runners that keep it off the floor."""
+    runners = tuple(Box(0.0, s * (width_m / 2 - 0.05), depth_m, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 1))
     return (*runners, slab(depth_m, width_m, 0.1, 0.144, "wood"))
 
 
@@ -67,7 +67,8 @@ def _bay(rng: np.random.Generator, middle_m: float, levels: int, rise_m: float) 
         if rng.random() < 0.55:
             top = 0.144 + rng.uniform(0.4, rise_m - 0.45)
             parts.append(Box(0.0, y, 1.0, 0.82, top, 0.144, 0.0, _load(rng)))
-            parts.append(Box(0.0, y, 1.05, 0.8, 0.143, 0.05, 0.0, "wood"))
+    if parts:
+        parts.append(Box(0.0, middle_m, 1.05, 2.66, 0.143, 0.05, 0.0, "wood"))
     for k in range(1, levels + 1):
         if rng.random() < 0.7:
             wide, slack = _share(rng, BAY_M - 0.2)
@@ -216,7 +217,7 @@ def bistro(rng: np.random.Generator) -> Group:
 def stairs(rng: np.random.Generator, top_m: float) -> Group:
     """Return a flight of stairs that climbs along y from its lowest end to ``top_m``, with a rail at its front."""
     steps = round(top_m / 0.2)
-    rise, tread, wide = top_m / steps, 0.28, rng.uniform(1.6, 2.4)
+    rise, tread, wide = top_m / steps, 0.28, rng.uniform(1.8, 2.4)
     ys = (np.arange(steps) - (steps - 1) / 2) * tread
     treads = [Box(0.0, y, wide, tread, (k + 1) * rise, 0.0 if k < 9 else (k - 3) * rise, 0.0, "concrete")
               for k, y in enumerate(ys.tolist())]  # fmt: skip

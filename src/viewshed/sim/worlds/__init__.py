@@ -8,6 +8,7 @@ import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds.highway import highway
+from viewshed.sim.worlds.indoor import corridors, hall, rooms, warehouse
 from viewshed.sim.worlds.junction import junction
 from viewshed.sim.worlds.parking import parking
 from viewshed.sim.worlds.residential import residential
@@ -22,6 +23,10 @@ WORLDS: dict[str, WorldMaker] = {
     "highway": highway,
     "parking": parking,
     "residential": residential,
+    "rooms": rooms,
+    "corridors": corridors,
+    "hall": hall,
+    "warehouse": warehouse,
 }
 """Every kind of world by name; to add one, write a file and add a line."""
 

@@ -18,10 +18,11 @@ from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceili
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 _WISHES = (
-    (stock.totem, 4, "inside"), (stock.planter, 4, "inside"), (fittings.bench, 3, "inside"), (stock.bistro, 5, "inside"),
-    (stock.queue, 1, "inside"), (furniture.bin_, 4, "inside"), (stock.cart, 1, "inside"), (fittings.talking, 4, "free"),
-    (fittings.standing, 5, "free"), (furniture.plant, 3, "wall"), (fittings.locker, 4, "wall"),
-    (fittings.extinguisher, 3, "wall"), (fittings.mirror, 3, "wall"), (fittings.bench, 3, "wall"),
+    (stock.totem, 5, "inside"), (stock.planter, 5, "inside"), (fittings.bench, 3, "inside"),
+    (stock.bistro, 6, "inside"), (stock.queue, 1, "inside"), (furniture.bin_, 4, "inside"), (stock.cart, 1, "inside"),
+    (fittings.talking, 6, "free"), (fittings.standing, 8, "free"), (furniture.plant, 3, "wall"),
+    (fittings.locker, 4, "wall"), (fittings.extinguisher, 3, "wall"), (fittings.mirror, 3, "wall"),
+    (fittings.bench, 3, "wall"),
 )  # fmt: skip
 
 
@@ -34,9 +35,9 @@ def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
     build(site, [_front(rng, wall, top) if k == front else _back(rng, wall)
                  for k, wall in enumerate(around(inside, 0.35, "concrete"))], top)  # fmt: skip
     site.things.extend(ceiling(inside, top, "concrete"))
-    _pillars(site, inside, top)
     if rng.random() < 0.6:
         _gallery(site, inside, (front + 2) % 4)
+    _pillars(site, inside, top)
     rise = _stage(site, inside) if rng.random() < 0.6 else None
     _seating(site, inside)
     sides = tuple(side for side in range(4) if side != front)
@@ -90,16 +91,15 @@ def _gallery(site: Site, inside: Rect, side: int) -> None:
     slab = Box(0.0 if along_x else middle, middle if along_x else 0.0, *size, level + 0.3, level, 0.0, "concrete")
     rail = Wall(along_x, edge, -half, half).box(-half, half, (level + 0.3, level + 1.35), "glass", 0.02)
     site.add((Thing("gallery", (slab, rail, *posts), z_m=0.0),))
-    site.inside(
-        _beside(inside, side, deep), lambda rng: stock.stairs(rng, level), (0.0 if not along_x else np.pi / 2,), 10
-    )
+    strip = _beside(inside, side, deep)
+    site.inside(strip, lambda rng: stock.stairs(rng, level), (np.pi / 2 if along_x else 0.0,), 0.01)
 
 
 def _beside(inside: Rect, side: int, deep_m: float) -> Rect:
-    """Return the strip of floor in front of a gallery."""
+    """Return the strip of floor in front of a gallery that stairs fill."""
     rect = list(inside)
-    rect[side] += deep_m + 0.2 if side < 2 else -deep_m - 0.2
-    rect[(side + 2) % 4] = rect[side] + (2.8 if side < 2 else -2.8)
+    rect[side] += deep_m + 0.14 if side < 2 else -deep_m - 0.14
+    rect[(side + 2) % 4] = rect[side] + (2.5 if side < 2 else -2.5)
     return rect[0], rect[1], rect[2], rect[3]
 
 
@@ -151,7 +151,7 @@ def _scattered(site: Site, inside: Rect, sides: tuple[int, ...]) -> None:
             if where == "wall":
                 site.against(inside, maker, sides)
             else:
-                site.inside(shrunk(inside, 2.0), maker, _QUARTERS if where == "inside" else ())
+                site.inside(shrunk(inside, 2.0), maker, _QUARTERS if where == "inside" else (), 0.5)
 
 
 def _overhead(site: Site, inside: Rect, top_m: float) -> None:

@@ -71,13 +71,13 @@ def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: f
     every, people = np.ones(len(roads.nodes_m), np.bool_), list[Thing]()
     nodes = roads.largest(every)
     least = 0.6 * len(nodes)
-    for _ in range(3 * count):
+    for _ in range(4 * count):
         way = _beat(rng, roads, nodes)
         if len(people) == count or way is None:
             continue
         left = roads.off(way, _CLEAR_M + _PERSON_M)
         kept = left.largest(every)
-        if len(kept) > max(least, 0.8 * len(nodes)):
+        if len(kept) > max(least, 0.75 * len(nodes)):
             roads, nodes = left, kept
             people.append(_walker(rng, way, duration_s))
     return people, roads

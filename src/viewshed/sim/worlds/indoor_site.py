@@ -71,10 +71,10 @@ class Site:
         self._taken[self._count : self._count + len(rows)] = rows
         self._count += len(rows)
 
-    def put(self, group: Group, rect: Rect | None = None) -> bool:
+    def put(self, group: Group, gap_m: float = _GAP_M) -> bool:
         """Let a group stand where it is if its footprint is clear, and say so."""
-        rect = footprint(group) if rect is None else rect
-        if not self.clear(rect):
+        rect = footprint(group)
+        if not self.clear(rect, gap_m):
             return False
         self.things.extend(group)
         self.reserve(rect)
@@ -99,25 +99,29 @@ class Site:
                 return True
         return False
 
-    def inside(self, room: Rect, maker: Maker, yaws: tuple[float, ...] = (), tries: int = 6) -> bool:
-        """Put a group anywhere in a room, at one of ``yaws`` in radians or at any; say whether there was a place."""
+    def inside(self, room: Rect, maker: Maker, yaws: tuple[float, ...] = (), gap_m: float = 0.2) -> bool:
+        """Put a group anywhere in a room, at one of ``yaws`` or at any, ``gap_m`` from others; say whether it fits."""
         group = maker(self.rng)
         own = footprint(group)
-        for _ in range(tries):
+        for _ in range(8):
             u, v, w = self.rng.random(3).tolist()
             yaw = yaws[int(w * len(yaws))] if yaws else w * 2 * math.pi
             a, b, c, d = turned(own, yaw)
             wide, deep = room[2] - room[0] - (c - a), room[3] - room[1] - (d - b)
             spot = (room[0] - a + u * wide, room[1] - b + v * deep, yaw)
-            if min(wide, deep) > 0 and self._stand(group, own, spot):
+            if min(wide, deep) > 0 and self._stand(group, own, spot, gap_m):
                 return True
         return False
 
-    def _stand(self, group: Group, own: Rect, pose: tuple[float, float, float]) -> bool:
+    def _stand(self, group: Group, own: Rect, pose: tuple[float, float, float], gap_m: float = _GAP_M) -> bool:
         x, y, yaw = pose
         a, b, c, d = turned(own, yaw)
         rect = (x + a, y + b, x + c, y + d)
-        return self.clear(rect) and self.put(placed(group, x, y, yaw), rect)
+        if not self.clear(rect, gap_m):
+            return False
+        self.things.extend(placed(group, x, y, yaw))
+        self.reserve(rect)
+        return True
 
 
 def turned(rect: Rect, yaw: float) -> Rect:

@@ -18,7 +18,7 @@ from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceili
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 _STAGING_M, _CROSS_M = 10.0, 3.2
 _STAGED: tuple[tuple[Maker, int], ...] = (
-    (stock.forklift, 2), (stock.conveyor, 1), (stock.pallet, 12), (stock.cage, 4), (stock.cart, 3),
+    (stock.forklift, 2), (stock.conveyor, 1), (stock.pallet, 8), (stock.cage, 4), (stock.cart, 3),
     (furniture.table, 2), (furniture.boxes, 5), (fittings.standing, 4),
 )  # fmt: skip
 
@@ -78,11 +78,10 @@ def _racks(site: Site, store: Rect, top_m: float) -> float:
     aisle, levels = rng.uniform(2.6, 3.6), int(rng.integers(2, 4)) if top_m > 7.5 else 2
     long = store[3] - store[1] - 2 * _CROSS_M
     bays = int((long - _CROSS_M) / 2 / (stock.BAY_M + 0.1))
-    lone = stock.rack(rng, bays, levels)
     x = store[0] + 0.7
     _rack_row(site, x, store, bays, levels)
     x += 0.6 + aisle
-    for _ in range(int(rng.integers(2, 4)) if len(lone[0].parts) > 14 else 4):
+    for _ in range(min(4, int((store[2] - x - 7.0) / (2.4 + aisle)))):
         _rack_row(site, x + 0.57, store, bays, levels)
         _rack_row(site, x + 0.57 + 1.2, store, bays, levels)
         x += 2.4 + aisle
@@ -105,7 +104,7 @@ def _floor_storage(site: Site, rect: Rect) -> None:
     while x + 2.8 < rect[2]:
         y = rect[1]
         while y + 1.3 < rect[3]:
-            if rng.random() < 0.75:
+            if rng.random() < 0.6:
                 for k in range(int(rng.integers(1, 4))):
                     site.put(placed(stock.stack(rng), x + 0.45 + 0.9 * k, y + 0.65, rng.normal(0.0, 0.015)))
             y += 1.4 if rng.random() < 0.7 else 3.0
