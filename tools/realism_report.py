@@ -103,7 +103,7 @@ GROUPS = (
     Group("street, OS1-128", "os1_128", ("decoded/OS-1-128",), STREETS, 1.94),
     Group("street, OS1-32", "os1_32g", ("decoded/OS-1-32",), STREETS, 1.88),
     Group("campus, OS0-128", "os0_128", ("decoded/OS-0-128",), STREETS, 1.92),
-    Group("rooms, VLP-16", "vlp16", ("einride", "nebula/vlp16.pcd"), ("rooms", "corridor", "hall"), 0.8),
+    Group("rooms, VLP-16", "vlp16", ("einride", "nebula/vlp16.pcd"), ("rooms",), 0.8),
     Group("office, XT32", "xt32", ("nebula/xt32",), ("rooms",), 0.75),
 )
 
@@ -202,7 +202,7 @@ def _parts(found: list[Compared]) -> list[str]:
     )
     noise = [[one.group.title, *(f"{1e3 * value:.1f}" for value in one.noise_m)] for one in found]
     return [
-        _WORDS, "![Simulated against real](realism.png)", "## Distances", table(head, _verdicts(found)), "## Numbers",
+        _WORDS, "![Simulated against real](realism.png)", "## Gaps", _GAPS, "## Distances", table(head, _verdicts(found)), "## Numbers",
         table(("sensor, place", "statistic", "least", "mean", "greatest", "simulated"), _numbers(found)),
         "## Range noise, mm", _NOISE, table(("sensor, place", "real", "simulated"), noise),
         "## Road seen", _ROAD_SEEN, table(("sensor, place", "", *_bounds(ROAD_EDGES_M)), _roads(found)),
@@ -310,6 +310,21 @@ rings whose simulated mean lies between the least and the greatest real place.
 The measurement was tuned on the range noise of every sensor and on how far nuScenes, KITTI, VLP-16 and OS1-128 see the
 road; the mounting of the sensor above its vehicle on nuScenes. Nothing was fitted to a single sweep. PandaSet's files
 are not in the sensor's frame, so its rings are not compared; KITTI's end at 80 m, and so do the simulated ones."""
+
+_GAPS = """\
+What lies outside, or within only because places differ so much, and why:
+
+- **CARLA.** Its car carries the sensor close above a wide roof, which hides the road out to 6 m on all sides; ours stands
+  free. Its towns are more open above the horizon. CARLA's sweeps are a simulator's themselves.
+- **Alley.** Walls 3 to 6 m away on both sides, wet or dark cars: there is no such world in the table.
+- **Campus.** Crowns of trees hang over the road and fill the rings above 20° of an OS0; our trees stand beside it.
+- **Rooms, office.** The real sensors stand on a desk or a platform that hides their lower rings or returns nearer than
+  0.5 m; ours rides on a robot. The desk is no room's fault, so these numbers say little.
+- **Streets and junctions** alone are more closed than those of nuScenes; the mix with highways, lots and gardens is not.
+- **Vehicles beside the sensor.** A few simulated returns lie within 2.5 m outside the vehicle's own box, hardly any real.
+- **Scenes that differ in their asphalt.** One nuScenes junction loses the road at half the distance of the others; all
+  simulated roads are of the same few materials.
+- **Weather** has no real counterpart at hand."""
 
 _NOISE = """\
 Standard deviation between neighboring columns on smooth surfaces, 3 to 25 m away, median over the sweeps (see
