@@ -71,8 +71,8 @@ def test_every_plan_has_its_agents_well_inside_the_world(name: str) -> None:
         for agent, t_s in itertools.product(world.agents, (0.0, duration_s / 2, duration_s)):
             x, y, z = world.world_from_sensor(agent, t_s).translation
             lines_x, lines_y = world.terrain.x_m, world.terrain.y_m
-            assert min(x - lines_x[0], lines_x[-1] - x) > 50.0
-            assert min(y - lines_y[0], lines_y[-1] - y) > 30.0
+            assert min(x - lines_x[0], lines_x[-1] - x) > 59.0
+            assert min(y - lines_y[0], lines_y[-1] - y) > 55.0
             above = z - float(world.terrain.at([[x, y]])[0])
             assert 1.7 < above < 1.95 if agent.carrier is not None else 4.0 <= above <= 8.0
 

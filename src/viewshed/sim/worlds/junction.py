@@ -17,7 +17,7 @@ from viewshed.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flo
 
 _HALF_M, _ROAM_M = 112.0, 50.0
 _CROSSWALK_M = 4.8
-_TURN_CLEARANCE_M = 1.4
+_TURN_CLEARANCE_M, _BEHIND_TURN_M = 1.4, 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,8 @@ def _turning(
         }
         if before and rng.random() < 0.3:
             turned = True
-            out.append(replace(driver, lane=line, speed_mps=min(driver.speed_mps, rng.uniform(3.5, 5.0))))
+            speed, hold = min(driver.speed_mps, rng.uniform(3.5, 5.0)), driver.hold_m - _BEHIND_TURN_M
+            out.append(replace(driver, lane=line, speed_mps=speed, hold_m=hold))
         else:
             out.append(driver)
     return out, turned

@@ -12,7 +12,7 @@ from viewshed.sim.worlds.ground import Ground, Road, relief
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast
 from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
 
-_HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 60.0, 50.0
+_HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
 
 
 def street(rng: np.random.Generator, plan: AgentPlan) -> World:
