@@ -39,8 +39,8 @@ def test_heights_lie_on_the_triangles_that_beams_meet(x: float, y: float) -> Non
 
 
 def test_normals_lean_away_from_the_rise() -> None:
-    normal = Terrain.plane(50.0, (0.1, -0.2)).normal_at(3.0, 4.0)
-    assert normal == pytest.approx(np.array([-0.1, 0.2, 1.0]) / np.sqrt(1.05))
+    normals = Terrain.plane(50.0, (0.1, -0.2)).normals_at([[3.0, 4.0]])
+    assert normals[0] == pytest.approx(np.array([-0.1, 0.2, 1.0]) / np.sqrt(1.05))
 
 
 def test_materials_belong_to_quads() -> None:

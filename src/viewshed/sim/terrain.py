@@ -90,12 +90,12 @@ class Terrain:
         _heights(self.x_m, self.y_m, self.heights_m, self._lookups, flat, out.reshape(-1))
         return out
 
-    def normal_at(self, x_m: float, y_m: float, over_m: float = 1.0) -> NDArray[np.float64]:
-        """Return the unit normal (3,) of the ground around (x, y), by differences over ``over_m`` metres."""
-        d = over_m / 2
-        z = self.at([[x_m + d, y_m], [x_m - d, y_m], [x_m, y_m + d], [x_m, y_m - d]])
-        normal = np.array([-(z[0] - z[1]) / over_m, -(z[2] - z[3]) / over_m, 1.0])
-        return np.asarray(normal / np.linalg.norm(normal))
+    def normals_at(self, xy: FloatArray | ArrayLike, over_m: float = 1.0) -> NDArray[np.float64]:
+        """Return unit normals (…, 3) of the ground around points (…, 2+), by differences over ``over_m`` metres."""
+        steps = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * over_m / 2
+        z = self.at(np.asarray(xy, np.float64)[..., None, :2] + steps)
+        normals = np.stack([z[..., 1] - z[..., 0], z[..., 3] - z[..., 2], np.full(z.shape[:-1], over_m)], axis=-1)
+        return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
     @cached_property
     def _lookups(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

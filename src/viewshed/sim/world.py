@@ -15,7 +15,7 @@ from viewshed.sim.terrain import Terrain
 
 GROUND, NOTHING = -1, -2
 """What a beam met if it was no thing: the ground, or nothing within range."""
-_DT_S = 0.05
+_DT_S, _WHEELBASE_M = 0.05, 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +43,12 @@ class Track:
 
     def at(self, t_s: float) -> tuple[float, float, float]:
         """Return x and y in metres and yaw in radians at ``t_s``."""
-        x, y = np.interp(t_s, self.t_s, self.xy_m[:, 0]), np.interp(t_s, self.t_s, self.xy_m[:, 1])
-        return float(x), float(y), float(np.interp(t_s, self.t_s, self.yaw))
+        x, y, yaw = self.over(np.array([t_s]))[0]
+        return float(x), float(y), float(yaw)
+
+    def over(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, 3) x and y in metres and yaw in radians at times (n,)."""
+        return np.stack([np.interp(t_s, self.t_s, row) for row in (*self.xy_m.T, self.yaw)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +169,8 @@ class World:
 
     def pose_of(self, thing: int, t_s: float) -> Rigid:
         """Return ``world_from_thing`` at ``t_s``."""
-        rotation, origin = self._poses(t_s, np.array([thing]))
-        return Rigid(rotation[0], origin[0])
+        rotation, origin = self._poses(np.array([t_s]), np.array([thing]))
+        return Rigid(rotation[0, 0], origin[0, 0])
 
     def world_from_sensor(self, agent: Agent, t_s: float) -> Rigid:
         """Return the pose of an agent's sensor at ``t_s``."""
@@ -174,18 +178,22 @@ class World:
 
     def snapshot(self, t_s: float) -> Snapshot:
         """Return all solids at ``t_s``, with their velocities."""
-        rest, (kind, thing, material, half) = self._rest, self._parts[:4]
-        center, rotation, velocity = rest[0].copy(), rest[1].copy(), np.zeros((len(kind), 3))
-        moving = np.flatnonzero([one.track is not None for one in self.things])
-        rows = np.flatnonzero(np.isin(thing, moving))
+        (center, rotation), (kind, thing, material, half) = self._rest, self._parts[:4]
+        velocity = np.zeros((len(kind), 3))
+        things, rows, place = self._moving
         if rows.size:
-            place = np.searchsorted(moving, thing[rows])
-            turn, origin = self._poses(t_s, moving)
-            _, before = self._poses(t_s - _DT_S, moving)
-            _, after = self._poses(t_s + _DT_S, moving)
-            center[rows], rotation[rows] = self._placed(rows, turn[place], origin[place])
-            velocity[rows] = ((after - before) / (2 * _DT_S))[place]
+            turn, origin = self._poses(np.array([t_s, t_s - _DT_S, t_s + _DT_S]), things)
+            center, rotation = center.copy(), rotation.copy()
+            center[rows], rotation[rows] = self._placed(rows, turn[0, place], origin[0, place])
+            velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[place]
         return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
+
+    @cached_property
+    def _moving(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Things that move, rows of their solids, and for each row which of the things."""
+        things = np.flatnonzero([thing.track is not None for thing in self.things])
+        rows = np.flatnonzero(np.isin(self._parts[1], things))
+        return things, rows, np.searchsorted(things, self._parts[1][rows])
 
     @cached_property
     def _parts(self) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64],
@@ -203,8 +211,8 @@ class World:
     def _rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Centres and rotations of all solids at time 0."""
         thing = self._parts[1]
-        rotation, origin = self._poses(0.0, np.arange(len(self.things)))
-        return self._placed(np.arange(len(thing)), rotation[thing], origin[thing])
+        rotation, origin = self._poses(np.zeros(1), np.arange(len(self.things)))
+        return self._placed(np.arange(len(thing)), rotation[0, thing], origin[0, thing])
 
     def _placed(
         self, rows: NDArray[np.intp], rotation: NDArray[np.float64], origin: NDArray[np.float64]
@@ -212,33 +220,40 @@ class World:
         center, yaw = self._parts[4][rows], self._parts[5][rows]
         return (rotation @ center[..., None])[..., 0] + origin, rotation @ _turns(yaw)
 
-    def _poses(self, t_s: float, which: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return rotations (k, 3, 3) and origins (k, 3) of some things."""
-        places = np.array([self.things[index].place(t_s) for index in which]).reshape(-1, 3)
-        origin = np.column_stack([places[:, :2], self.terrain.at(places[:, :2])])
-        rotation = _turns(places[:, 2])
-        for k, index in enumerate(which):
-            thing = self.things[index]
-            if thing.z_m is not None:
-                origin[k, 2] = thing.z_m
-            if thing.tilts:
-                rotation[k] = _along(self.terrain.normal_at(places[k, 0], places[k, 1], 3.0), places[k, 2])
+    def _poses(
+        self, t_s: NDArray[np.float64], which: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
+        things = [self.things[index] for index in which]
+        rest = np.array([(thing.x_m, thing.y_m, thing.yaw) for thing in things]).reshape(-1, 3)
+        places = np.tile(rest, (len(t_s), 1, 1))
+        for k, thing in enumerate(things):
+            if thing.track is not None:
+                places[:, k] = thing.track.over(t_s)
+        origin = np.concatenate([places[..., :2], self.terrain.at(places)[..., None]], axis=-1)
+        for k in [k for k, thing in enumerate(things) if thing.z_m is not None]:
+            origin[:, k, 2] = things[k].z_m
+        rotation = _turns(places[..., 2])
+        tilting = [k for k, thing in enumerate(things) if thing.tilts]
+        if tilting:
+            normals = self.terrain.normals_at(places[:, tilting], _WHEELBASE_M)
+            rotation[:, tilting] = _along(normals, places[:, tilting, 2])
         return rotation, origin
 
 
 def _turns(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rotations (k, 3, 3) about z."""
-    turns = np.zeros((len(yaw), 3, 3))
-    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(yaw)
-    turns[:, 1, 0] = np.sin(yaw)
-    turns[:, 0, 1] = -turns[:, 1, 0]
-    turns[:, 2, 2] = 1.0
+    """Return rotations (…, 3, 3) about z."""
+    turns = np.zeros((*yaw.shape, 3, 3))
+    turns[..., 0, 0] = turns[..., 1, 1] = np.cos(yaw)
+    turns[..., 1, 0] = np.sin(yaw)
+    turns[..., 0, 1] = -turns[..., 1, 0]
+    turns[..., 2, 2] = 1.0
     return turns
 
 
-def _along(normal: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-    """Return the rotation that heads along ``yaw`` with z on ``normal``."""
-    forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    forward = forward - (forward @ normal) * normal
-    forward /= np.linalg.norm(forward)
-    return np.column_stack([forward, np.cross(normal, forward), normal])
+def _along(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations (…, 3, 3) that head along ``yaw`` with z on the normals (…, 3)."""
+    forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
+    forward = forward - (forward * normals).sum(axis=-1, keepdims=True) * normals
+    forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
+    return np.stack([forward, np.cross(normals, forward), normals], axis=-1)
