@@ -46,6 +46,16 @@ def test_write_read_list_delete(store: Store) -> None:
     assert store.names() == ["a.json", "a/é 2", "b.parquet"]
 
 
+def test_many_are_deleted_together(store: Store) -> None:
+    for number in range(40):
+        store.write(f"{number}.json", b"{}")
+    store.delete(*(f"{number}.json" for number in range(40) if number != 7))
+    assert store.names() == ["7.json"]
+    store.delete()
+    with pytest.raises(FileNotFoundError, match=r"8\.json: no such file"):
+        store.delete("8.json", "7.json")
+
+
 def test_a_store_elsewhere_is_another(store: Store) -> None:
     store.write("x", b"1")
     assert Store.of(f"{store.uri.partition('?')[0]}er?{store.uri.partition('?')[2]}".rstrip("?")).names() == []

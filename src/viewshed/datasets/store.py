@@ -7,6 +7,7 @@ import errno
 import os
 import re
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 SCHEMES = ("file", "s3", "gs", "gcs", "abfs", "abfss")
 """What a place may begin with, besides a folder's name."""
 
+_REQUESTS = 16  # under way at a time
 _DRAFT = re.compile(r"\..+\.[0-9a-f]{12}\.part")  # what viewshed.atomic writes beside a file
 
 _REPAIRS = {
@@ -142,14 +144,19 @@ class Store:
         with self.open(name) as file:
             return int(file.size())
 
-    def delete(self, name: str) -> None:
-        """Remove a file.
+    def delete(self, *names: str) -> None:
+        """Remove files, several at a time: an object store answers one request in the time of many.
 
         Raises:
-            OSError: it does not exist or cannot be removed.
+            OSError: one does not exist or cannot be removed; others may be gone.
         """
+        paths = {name: self._path(name) for name in names}
+        with ThreadPoolExecutor(_REQUESTS) as pool:
+            list(pool.map(self._delete, paths, paths.values()))
+
+    def _delete(self, name: str, path: str) -> None:
         with _named(self, name):
-            self._files.delete_file(self._path(name))
+            self._files.delete_file(path)
 
     def clear_drafts(self) -> None:
         """Remove what killed writers left half written; nobody else may be writing. Object stores keep no drafts.
@@ -159,9 +166,7 @@ class Store:
         """
         if self.folder is None:
             return
-        for name in self._listed():
-            if _is_draft(name):
-                self.delete(name)
+        self.delete(*(name for name in self._listed() if _is_draft(name)))
 
     def _listed(self) -> list[str]:
         import pyarrow.fs as pafs
