@@ -64,13 +64,13 @@ def _bay(rng: np.random.Generator, middle_m: float, levels: int, rise_m: float) 
     """Return the loads between two frames: one by one on the floor, side by side as one above."""
     parts: list[Shape] = []
     for y in (middle_m - 0.92, middle_m, middle_m + 0.92):
-        if rng.random() < 0.55:
+        if rng.random() < 0.5:
             top = 0.144 + rng.uniform(0.4, rise_m - 0.45)
             parts.append(Box(0.0, y, 1.0, 0.82, top, 0.144, 0.0, _load(rng)))
     if parts:
         parts.append(Box(0.0, middle_m, 1.05, 2.66, 0.143, 0.05, 0.0, "wood"))
     for k in range(1, levels + 1):
-        if rng.random() < 0.7:
+        if rng.random() < 0.6:
             wide, slack = _share(rng, BAY_M - 0.2)
             bottom = k * rise_m + 0.001
             top = bottom + rng.uniform(0.5, rise_m - 0.35)

@@ -68,9 +68,11 @@ def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
         if rng.random() < 0.12:
             site.inside(rect, standing)
     hub = (rng.uniform(-8.0, 8.0), rng.uniform(-8.0, 8.0))
-    furnish_all(site, [(one.inner, _USES[k % len(_USES)]) for k, one in enumerate(offices)], hub, 560)
+    lived = furnish_all(site, [(one.inner, _USES[k % len(_USES)]) for k, one in enumerate(offices)], hub, 520)
     site.things.extend((*ceiling(inside, top), *_ducts(rng, passages, top)))
-    return inhabited(site, floor(rise, inside, "concrete", "grass"), Building("corridors", inside, top, 4), plan)
+    haunts = (*(rect for rect, _ in passages), *lived)
+    building = Building("corridors", inside, top, 4, haunts)
+    return inhabited(site, floor(rise, inside, "concrete", "grass"), building, plan)
 
 
 def _spans(rng: np.random.Generator, half_m: float) -> list[Span]:

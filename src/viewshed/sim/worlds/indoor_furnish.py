@@ -89,11 +89,13 @@ def furnish(site: Site, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2,
                 site.inside(_part(room, where), maker, tuple(np.arange(4) * np.pi / 2) if where == "middle" else ())
 
 
-def furnish_all(site: Site, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int) -> Rect:
+def furnish_all(
+    site: Site, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
+) -> tuple[Rect, ...]:
     """Furnish rooms from the nearest to a hub on; once the building has so many parts, the others are nearly bare.
 
     Returns:
-        The rectangle in metres around the rooms that are fully furnished.
+        The rooms that are fully furnished.
     """
 
     def far(k: int) -> float:
@@ -101,15 +103,13 @@ def furnish_all(site: Site, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[floa
         dx, dy = max(x0 - hub_m[0], 0.0, hub_m[0] - x1), max(y0 - hub_m[1], 0.0, hub_m[1] - y1)
         return float(np.hypot(dx, dy)) + 0.1 * float(np.hypot((x0 + x1) / 2 - hub_m[0], (y0 + y1) / 2 - hub_m[1]))
 
-    lived = [(hub_m[0] - 4.0, hub_m[1] - 4.0, hub_m[0] + 4.0, hub_m[1] + 4.0)]
+    lived: list[Rect] = []
     for k in sorted(range(len(rooms)), key=far):
         room, use = rooms[k]
         bare = site.parts >= parts
         furnish(site, room, "bare" if bare else use)
         lived += [] if bare else [room]
-    edges = np.array(lived)
-    low, high = edges[:, :2].min(axis=0).tolist(), edges[:, 2:].max(axis=0).tolist()
-    return low[0], low[1], high[0], high[1]
+    return tuple(lived)
 
 
 def _part(room: Rect, where: str) -> Rect:

@@ -160,8 +160,10 @@ def _overhead(site: Site, inside: Rect, top_m: float) -> None:
         beam = Box(x, 0.0, 0.3, inside[3] - inside[1], top_m, top_m - 0.5, 0.0, "concrete")
         site.things.append(Thing("beam", (beam,), z_m=0.0))
     for x, y in site.rng.uniform(-12.0, 12.0, (int(site.rng.integers(2, 6)), 2)).tolist():
-        plate = Box(0.0, 0.0, 0.12, site.rng.uniform(1.5, 3.0), 3.3, 2.7, 0.0, "paint")
-        site.things.append(Thing("sign", (plate,), x_m=x, y_m=y, yaw=float(site.rng.choice(_QUARTERS)), z_m=0.0))
+        wide, yaw = site.rng.uniform(1.5, 3.0), float(site.rng.choice(_QUARTERS))
+        if site.clear((x - wide / 2, y - wide / 2, x + wide / 2, y + wide / 2)):
+            plate = Box(0.0, 0.0, 0.12, wide, 3.3, 2.7, 0.0, "paint")
+            site.things.append(Thing("sign", (plate,), x_m=x, y_m=y, yaw=yaw, z_m=0.0))
     site.things.extend(_outside(site.rng, inside))
 
 
@@ -171,8 +173,8 @@ def _outside(rng: np.random.Generator, inside: Rect) -> Iterator[Thing]:
     for x, y, length, width in ((0.0, inside[3] + far, 50.0, 6.0), (0.0, inside[1] - far, 46.0, 6.0),
                                 (inside[2] + far, 0.0, 6.0, 44.0), (inside[0] - far, 0.0, 6.0, 40.0)):  # fmt: skip
         yield Thing("building", (Box(x, y, length, width, rng.uniform(6.0, 15.0), -1.0, 0.0, "brick"),))
-    for x in rng.uniform(inside[0], inside[2], 3).tolist():
-        yield from _out(stock.planter(rng), x, inside, rng)
+    for x in (inside[0] * 0.6, 0.0, inside[2] * 0.6):
+        yield from _out(stock.planter(rng), x + rng.uniform(-2.0, 2.0), inside, rng)
 
 
 def _out(group: Group, at_m: float, inside: Rect, rng: np.random.Generator) -> Group:

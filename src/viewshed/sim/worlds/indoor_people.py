@@ -31,12 +31,14 @@ class Building:
         inside: the floor that may be driven on, in metres.
         ceiling_m: height of the ceiling.
         walkers: how many people walk about.
+        haunts: where robots go, in metres; anywhere if empty.
     """
 
     name: str
     inside: Rect
     ceiling_m: float
     walkers: int
+    haunts: tuple[Rect, ...] = ()
 
 
 def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
@@ -44,7 +46,7 @@ def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan)
     solids = bounds(site.things)
     roads = _roads(site, building, solids, max(1.9, plan.sensor_height_m + 0.2))
     people, roads = _walkers(site.rng, roads, building.walkers, plan.duration_s)
-    robots = [_robot(site.rng, network, plan) for network in _territories(roads, plan.moving)]
+    robots = [_robot(site.rng, network, building.haunts, plan) for network in _territories(roads, plan.moving)]
     hung = _hung(site.rng, roads, solids, building.ceiling_m, plan.roadside)
     mount = Rigid(np.eye(3), np.array([0.0, 0.0, plan.sensor_height_m]))
     agents = [Agent(f"robot_{k}", plan.sensor, mount, k) for k in range(len(robots))]
@@ -120,9 +122,9 @@ def _territories(roads: RoadMap, count: int) -> list[Network]:
     return [Network.of(roads, part) for part in best]
 
 
-def _robot(rng: np.random.Generator, network: Network, plan: AgentPlan) -> Thing:
-    """Return a robot that drives between random places of its network for as long as the plan lasts."""
-    speed, nodes = rng.uniform(0.2, 0.8), np.flatnonzero(network.rows)
+def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...], plan: AgentPlan) -> Thing:
+    """Return a robot that drives between random haunts on its network for as long as the plan lasts."""
+    speed, nodes = rng.uniform(0.2, 0.8), _within(haunts, network)
     at = int(rng.choice(nodes))
     way, left = [network.roads.nodes_m[[at]]], (plan.duration_s + _LEAD_S + 2.0) * speed
     while left > 0 and len(nodes) > 1:
@@ -133,6 +135,15 @@ def _robot(rng: np.random.Generator, network: Network, plan: AgentPlan) -> Thing
         at = goal
     track = follow(np.concatenate(way), speed, rng.uniform(0.5, 1.2), -rng.uniform(1.0, _LEAD_S))
     return drive(Thing("robot", robot_parts(rng, plan.sensor_height_m)), track)
+
+
+def _within(haunts: tuple[Rect, ...], network: Network) -> NDArray[np.intp]:
+    """Return the nodes of a network that lie in one of the haunts; all if fewer than three do."""
+    every = np.flatnonzero(network.rows)
+    x, y = network.roads.nodes_m[every].T
+    inside = np.array([(x > a) & (x < c) & (y > b) & (y < d) for a, b, c, d in haunts]).reshape(-1, len(every))
+    some = every[inside.any(axis=0)]
+    return some if len(some) > 2 else every
 
 
 def robot_parts(rng: np.random.Generator, sensor_height_m: float) -> tuple[Shape, ...]:

@@ -57,10 +57,10 @@ def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
         site.reserve(rise.ramp)
     wishes = [(shrunk(space, 0.07), use) for space, use in zip(spaces[1:], _uses(rng, spaces[1:]), strict=True)]
     furnish(site, shrunk(spaces[0], 0.07), "hallway", (1, 3))
-    lived = furnish_all(site, wishes, hub, 600)
+    lived = furnish_all(site, wishes, hub, 560)
     site.things.extend(ceiling(inside, top))
     ground = floor(rise, inside, "wood" if rng.random() < 0.6 else "concrete", "grass")
-    return inhabited(site, ground, Building("rooms", lived, top, 2), plan)
+    return inhabited(site, ground, Building("rooms", inside, top, 2, (*lived, spaces[0])), plan)
 
 
 def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:

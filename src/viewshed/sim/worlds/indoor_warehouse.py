@@ -81,7 +81,7 @@ def _racks(site: Site, store: Rect, top_m: float) -> float:
     x = store[0] + 0.7
     _rack_row(site, x, store, bays, levels)
     x += 0.6 + aisle
-    for _ in range(min(4, int((store[2] - x - 7.0) / (2.4 + aisle)))):
+    for _ in range(min(3, int((store[2] - x - 7.0) / (2.4 + aisle)))):
         _rack_row(site, x + 0.57, store, bays, levels)
         _rack_row(site, x + 0.57 + 1.2, store, bays, levels)
         x += 2.4 + aisle
@@ -104,7 +104,7 @@ def _floor_storage(site: Site, rect: Rect) -> None:
     while x + 2.8 < rect[2]:
         y = rect[1]
         while y + 1.3 < rect[3]:
-            if rng.random() < 0.6:
+            if rng.random() < 0.4:
                 for k in range(int(rng.integers(1, 4))):
                     site.put(placed(stock.stack(rng), x + 0.45 + 0.9 * k, y + 0.65, rng.normal(0.0, 0.015)))
             y += 1.4 if rng.random() < 0.7 else 3.0
