@@ -22,7 +22,7 @@ from viewshed.plot_worlds import (
     sheet,
     state_view,
 )
-from viewshed.preview import HEADINGS, Shot, _choice, preview_png, row_of
+from viewshed.preview import HEADINGS, Shot, _choice, preview_png, row_of, shot_of
 from viewshed.sim.camera import Lens, photograph, surface_colors, viewpoint
 from viewshed.sim.materials import MATERIALS, material_index
 from viewshed.sim.shapes import Box
@@ -212,11 +212,18 @@ def test_a_preset_shows_each_kind_of_world(preset: str, kinds: int) -> None:
     assert {agent < moving for _, agent in chosen} == ({True, False} if preset.startswith("carla") else {True})
 
 
-def test_the_preview_is_the_same_each_time_and_another_for_another_seed() -> None:
-    one = preview_png("ugv-small", 1)
-    assert one == preview_png("ugv-small", 1)
-    assert one != preview_png("ugv-small", 2)
-    assert len(one) < 1_500_000
+def test_a_row_is_the_same_each_time_and_another_for_another_seed() -> None:
+    one, same, other = (
+        row_of(shot_of(*_choice(replace(preset_named("ugv-small"), seed=seed))[0])).pictures for seed in (1, 1, 2)
+    )
+    assert all((a == b).all() for a, b in zip(one, same, strict=True))
+    assert all((a != b).any() for a, b in zip(one, other, strict=True))
+
+
+def test_the_preview_of_a_preset_is_a_picture_small_enough_for_a_page() -> None:
+    png = preview_png("nuscenes-small", 5)
+    assert imread(io.BytesIO(png)).shape == (110 + 5 * 280, 1799, 4)
+    assert len(png) < 1_500_000
 
 
 def test_an_unknown_preset_is_refused() -> None:

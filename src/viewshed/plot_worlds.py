@@ -18,7 +18,7 @@ from viewshed.bev import BevGrid
 from viewshed.estimate import CellState
 from viewshed.geometry import Rigid
 from viewshed.plot import COLORS, HEIGHTS_M, WORDS
-from viewshed.sim.camera import Colors, Image, surface_colors, to_bytes
+from viewshed.sim.camera import Colors, Image, opened, surface_colors, to_bytes
 from viewshed.sim.materials import MATERIALS
 from viewshed.sim.shapes import BOX
 from viewshed.sim.terrain import Terrain
@@ -28,8 +28,6 @@ from viewshed.truth import Truth
 SIDE = 256
 """Pixels along each side of a view from above."""
 _DPI, _GAP, _TOP, _HEAD, _LEGEND = 100, 7, 44, 24, 66
-CEILING_M = 2.0
-"""Indoors, solids that begin higher than this above the ground are left out of the view from above."""
 DIFFERENCES = {
     "nobody": (0.42, 0.42, 0.47),
     "probe (ours) and first_blocker": (0.62, 0.82, 0.95),
@@ -75,13 +73,13 @@ def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: B
     fine = BevGrid(SIDE, grid.half_extent_m, grid.offset_m)
     xy = (world_from_level @ np.dstack([fine.centers, np.zeros(fine.shape)]))[..., :2]
     image = _ground_colors(world.terrain, xy, fine.cell_m, world_from_level.yaw)
+    snapshot, _ = opened(world, snapshot)
     height_m = snapshot.center_m[:, 2] - world.terrain.at(snapshot.center_m[:, :2])
     half_height = (np.abs(snapshot.rotation[:, 2]) * snapshot.half_m).sum(axis=1)
-    kept = np.flatnonzero(height_m - half_height < (CEILING_M if world.indoor else np.inf))
     colors = surface_colors(world, snapshot.thing, snapshot.material)
     light = 0.75 + 0.35 * np.clip((height_m + half_height) / (3.0 if world.indoor else 12.0), 0, 1)
     opacity = np.where(np.isfinite([MATERIALS[row].per_m for row in snapshot.material]), 0.7, 1.0)
-    for k in kept[np.argsort((height_m + half_height)[kept], kind="stable")]:
+    for k in np.argsort(height_m + half_height, kind="stable"):
         window, inside = _footprint(snapshot, k, xy, fine.cell_m)
         region = image[window]
         region[inside] += opacity[k] * (np.minimum(colors[k] * light[k], 1.0) - region[inside])

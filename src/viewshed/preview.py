@@ -11,7 +11,7 @@ from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulate import ScenePlan, simulate_frame, world_of
 from viewshed.geometry import Rigid
 from viewshed.plot_worlds import Row, differences_view, height_colors, marks, plan_view, points_view, sheet, state_view
-from viewshed.sim.camera import Image, Lens, Photo, photograph, to_bytes, viewpoint
+from viewshed.sim.camera import Image, Lens, Photo, opened, photograph, to_bytes, viewpoint
 from viewshed.sim.world import Snapshot, World
 from viewshed.sweep import Sweep
 from viewshed.truth import Truth
@@ -20,12 +20,12 @@ HEADINGS = (
     "world from above", "camera, with the sweep's returns", "sweep: height above ground", "truth: car",
     "truth: pedestrian", "who says visible, for a car",
 )  # fmt: skip
-_VEHICLE_LENS, _MAST_LENS, _ROBOT_LENS = Lens(-14.0), Lens(-26.0), Lens(-10.0)
+_VEHICLE_LENS, _MAST_LENS, _ROBOT_LENS = Lens(-14.0), Lens(-26.0), Lens(-44.0)
 _RINGS = 40
 _SCENES = 500
 _BEHIND_M = np.array([[-9.0, 0.0, 3.2], [-6.0, 0.0, 2.8], [-4.0, 1.0, 2.2], [-2.0, 0.0, 1.6]])
 _BEHIND_MAST_M = np.array([[-3.0, 0.0, 1.5], [-1.0, 0.0, 0.5]])
-_BEHIND_ROBOT_M = np.array([[-1.8, 0.0, 1.1], [-1.0, 0.0, 0.9], [-0.4, 0.0, 0.8]])
+_ABOVE_ROBOT_M = np.array([[-5.0, 0.0, 6.5]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,10 +70,11 @@ def shot_of(scene: ScenePlan, agent: int) -> Shot:
     time = -(-scene.frames // preset.agents) // 2
     t_s, who = (time + 0.5) * preset.interval_s, world.agents[agent]
     frame = simulate_frame(scene, time * preset.agents + agent)
-    sweep, seen = frame.sweep, frame.truth.visible("car")[frame.known].mean()
+    sweep, target = frame.sweep, "pedestrian" if world.indoor else "car"
+    seen = frame.truth.visible(target)[frame.known].mean()
     title = (
         f"{scene.world_kind}, {scene.conditions} · {who.name}, {who.sensor}, {sweep.sensor_height_m or 0:.1f} m up · "
-        f"{len(sweep)} returns · a car would be seen in {seen:.0%} of the known cells"
+        f"{len(sweep)} returns · a {target} would be seen in {seen:.0%} of the known cells"
     )
     return Shot(world, agent, t_s, sweep, frame.truth, frame.known, title)
 
@@ -113,8 +114,10 @@ def _camera(shot: Shot, snapshot: Snapshot, sensor: Rigid, returns: NDArray[np.f
     mast = shot.world.agents[shot.agent].carrier is None
     ways, lens = (_BEHIND_MAST_M, _MAST_LENS) if mast else (_BEHIND_M, _VEHICLE_LENS)
     if shot.world.indoor:
-        ways, lens = _BEHIND_ROBOT_M, _ROBOT_LENS
+        ways, lens = _ABOVE_ROBOT_M, _ROBOT_LENS
+    snapshot, top_m = opened(shot.world, snapshot)
     shown = returns[_few_rings(shot.sweep)]
+    shown = shown[shown[:, 2] - shot.world.terrain.at(shown) < top_m - 0.1]
     pose = viewpoint(snapshot, sensor.translation + np.array([0.0, 0.0, 0.3]), sensor.yaw, ways)
     photo = photograph(shot.world, snapshot, pose, lens)
     return _with_returns(photo, lens, pose.inverse() @ shown, shown[:, 2] - shot.world.terrain.at(shown))

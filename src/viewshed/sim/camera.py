@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +17,8 @@ from viewshed.sim.world import GROUND, NOTHING, Snapshot, World
 
 Image = NDArray[np.uint8]
 Colors = NDArray[np.float32]
+CEILING_M = 2.0
+"""Indoors, things that begin higher than this above the ground are left out of pictures."""
 _MATERIAL_COLORS = {
     "asphalt": (0.40, 0.41, 0.43), "concrete": (0.70, 0.69, 0.66), "plaster": (0.87, 0.82, 0.72),
     "brick": (0.68, 0.40, 0.31), "paint": (0.75, 0.77, 0.80), "dark_paint": (0.17, 0.18, 0.22),
@@ -100,6 +102,19 @@ def viewpoint(snapshot: Snapshot, eye: NDArray[np.float64], yaw: float, ways_m: 
         if _clear_m(snapshot, eye, step / length) > length + 1.0:
             return Rigid.from_yaw(yaw, eye + step)
     return Rigid.from_yaw(yaw, eye)
+
+
+def opened(world: World, snapshot: Snapshot) -> tuple[Snapshot, float]:
+    """Return the solids of a building without its ceiling and what hangs, and how high one sees then, in metres.
+
+    Things that begin higher than ``CEILING_M`` above the ground are left out; outdoors none is.
+    """
+    bottoms = np.array([min(part.bottom_m for part in thing.parts) for thing in world.things])
+    above = (bottoms >= CEILING_M) & world.indoor
+    kept = ~above[snapshot.thing]
+    arrays = ("kind", "center_m", "rotation", "half_m", "velocity_mps", "material", "thing")
+    lower = replace(snapshot, **{name: getattr(snapshot, name)[kept] for name in arrays})
+    return lower, float(bottoms[above].min(initial=np.inf))
 
 
 def surface_colors(world: World, thing: NDArray[np.int32], material: NDArray[np.uint8]) -> Colors:
