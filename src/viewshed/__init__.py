@@ -11,15 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from viewshed.bev import GRIDS, BevGrid
+    from viewshed.datasets import Archive, Sample
     from viewshed.estimate import CellState, FovEstimate, FovEstimator
     from viewshed.estimators import ESTIMATORS
     from viewshed.geometry import Rigid
     from viewshed.io import read_sweep, write_sweep
     from viewshed.sensors import LidarModel, lidar_model
+    from viewshed.sim.worlds import WORLDS
     from viewshed.sweep import Sweep
+    from viewshed.truth import Truth
     from viewshed.visible import CAR, PEDESTRIAN, Target
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {
     "Rigid": "geometry", "LidarModel": "sensors", "lidar_model": "sensors",
@@ -28,10 +31,12 @@ _HOMES = {
     "Target": "visible", "CAR": "visible", "PEDESTRIAN": "visible",
     "FovEstimate": "estimate", "CellState": "estimate", "FovEstimator": "estimate",
     "ESTIMATORS": "estimators",
+    "WORLDS": "sim.worlds", "Truth": "truth", "Sample": "datasets", "Archive": "datasets",
 }  # fmt: skip
 __all__ = [
-    "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "BevGrid", "CellState", "FovEstimate", "FovEstimator",
-    "LidarModel", "Rigid", "Sweep", "Target", "lidar_model", "read_sweep", "write_sweep",
+    "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "WORLDS", "Archive", "BevGrid", "CellState", "FovEstimate",
+    "FovEstimator", "LidarModel", "Rigid", "Sample", "Sweep", "Target", "Truth", "lidar_model", "read_sweep",
+    "write_sweep",
 ]  # fmt: skip
 
 
