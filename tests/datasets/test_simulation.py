@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from viewshed.datasets import Archive, Store, simulation
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulate import ScenePlan, jobs_of, motion_of, simulate_frame, simulate_shard, world_of
 from viewshed.engines import Done, LocalEngine
+from viewshed.engines.role import J, R
 
 SMALL = ["nuscenes-small", "--sweeps", "100", "--grid", "32x32"]
 """Five shards: four scenes to train on and one to test with, of 20 sweeps each."""
@@ -103,8 +104,9 @@ def test_the_motion_is_that_of_the_pose() -> None:
 class _Backwards:
     """An engine that does the last job first."""
 
-    def run(self, work: Callable, jobs: Sequence) -> Iterator[Done]:  # type: ignore[type-arg]
-        return (Done(index, work(jobs[index]), None) for index in reversed(range(len(jobs))))
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        for index in reversed(range(len(jobs))):
+            yield Done(index, work(jobs[index]), None)
 
 
 def test_the_order_of_the_shards_does_not_matter(whole: Path, tmp_path: Path) -> None:
@@ -149,12 +151,12 @@ def test_what_is_damaged_is_made_anew_and_nothing_else(whole: Path, tmp_path: Pa
         (out / "train-0001-000.parquet.json").write_text("{")
     made: list[str] = []
 
-    class Recorded(LocalEngine):
-        def run(self, work: Callable, jobs: Sequence) -> Iterator[Done]:  # type: ignore[type-arg]
-            made.extend(job.name for job in jobs)
-            return super().run(work, jobs)
+    class Recorded:
+        def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+            made.extend(getattr(job, "name") for job in jobs)  # noqa: B009 - of any job
+            return LocalEngine(1).run(work, jobs)
 
-    simulation.simulate(_small(), Store.of(out), Recorded(1))
+    simulation.simulate(_small(), Store.of(out), Recorded())
     assert _files(out) == _files(whole)
     assert (made == ["train-0001-000.parquet"]) == (damage != "sidecar")
 

@@ -129,7 +129,7 @@ def _simulated(preset: Preset, out: str, engine: str, workers: int) -> Archive:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
                TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(f"{preset.name} into {store.place}", total=preset.sweeps)
+        task = bar.add_task(preset.name, total=preset.sweeps)
         return run(preset, store, runner, lambda shard: bar.advance(task, shard.frames))
 
 
