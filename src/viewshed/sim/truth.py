@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,16 @@ from viewshed.sim.materials import REFLECTIVITY
 from viewshed.sim.scan import Scan
 from viewshed.sim.shapes import Shape
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.truth_bins import GROUND_STOP, NO_STOP, OTHER_STOP, beams_of_bins, see_cells, stop_limits
-from viewshed.sim.truth_kernels import beam_lines, count_cells, mark_stops, slope_bounds, sorted_tiles
+from viewshed.sim.truth_bins import beams_of_bins, see_cells, stop_limits, what_stopped
+from viewshed.sim.truth_kernels import (
+    MANY,
+    beam_lines,
+    count_cells,
+    mark_stops,
+    slope_bounds,
+    sorted_tiles,
+    tile_reaches,
+)
 from viewshed.sim.world import GROUND, Agent, World
 from viewshed.truth import OTHER_DEFINITIONS, Truth
 from viewshed.visible import CAR, PEDESTRIAN, Target
@@ -30,6 +37,7 @@ SURFACE_FROM_M = 0.2
 MAX_BINS = 1080
 """Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
 Mask = NDArray[np.bool_]
+Counts = dict[str, NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,18 +132,20 @@ def _polar(grid: BevGrid) -> NDArray[np.float32]:
     return np.stack([*unit, range_m, azimuth, range_m]).astype(np.float32).reshape(5, -1)
 
 
-def _counts(view: _View, targets: tuple[Target, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _counts(view: _View, targets: tuple[Target, ...]) -> tuple[Counts, Counts]:
     """Return beams that aim and that reach, up to 255 (cells,), by target; two targets at a time."""
     scan, rings = view.scan, view.scan.model.rings
     tiles, starts = sorted_tiles(view.beams, view.azimuth, rings)
-    beams = (tiles, starts, slope_bounds(view.beams[4], view.azimuth, rings))
+    beams = (tiles, tile_reaches(tiles), starts, slope_bounds(view.beams[4], view.azimuth, rings))
     rise = scan.origin_m[..., 2]
     offsets = (view.offset_m, rise.min(), rise.max())
     limits = (np.float32(view.grid.cell_m), np.float32(BELOW_GROUND_M), *offsets, np.float32(scan.model.max_range_m))
-    aimed, reached = {}, {}
+    aimed: Counts = {}
+    reached: Counts = {}
     for k in range(0, len(targets), 2):
         a, b = sorted((targets[k], targets[min(k + 1, len(targets) - 1)]), key=lambda t: -t.width_m)
-        plates = tuple(np.float32(v) for v in (a.width_m / 2, b.width_m / 2, a.height_m, b.height_m))
+        sizes = (a.width_m / 2, b.width_m / 2, a.height_m, b.height_m)
+        plates = (*(np.float32(size) for size in sizes), min(a.min_returns, MANY), min(b.min_returns, MANY))
         out = np.empty((4, view.cells.shape[1]), np.uint8)
         count_cells(beams, view.cells, plates, limits, out)
         aimed |= {a.name: out[0], b.name: out[2]}
@@ -155,7 +165,7 @@ def _surfaces(view: _View, targets: tuple[Target, ...]) -> dict[str, Mask]:
 
 
 def _state(aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, least: int) -> NDArray[np.uint8]:
-    seen, hidden = reached >= min(least, 255), aimed >= min(least, 255)
+    seen, hidden = reached >= min(least, MANY), aimed >= min(least, MANY)
     state = np.where(hidden, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
     state[seen] = CellState.FREE
     state[seen & surface] = CellState.SURFACE
@@ -165,16 +175,12 @@ def _state(aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, 
 def _definitions(view: _View) -> dict[str, Mask]:
     """Return the masks (cells,) of the definitions that others use."""
     scan, bins = view.scan, min(view.scan.model.azimuth_columns, MAX_BINS)
-    thing, met = scan.thing.reshape(-1), np.isfinite(scan.depth_m.reshape(-1))
-    other = met & (thing > GROUND) & (thing != view.own)
-    returns = met & (REFLECTIVITY[scan.material.reshape(-1)] > 0)
-    kind = np.where(met, np.where(other, np.uint8(OTHER_STOP), np.uint8(GROUND_STOP)), np.uint8(NO_STOP))
-    bend, x, y, run = view.beams[[0, 1, 2, 5]]
-    limits = stop_limits(np.stack([x * run - bend * y, y * run + bend * x]), returns, other, bins)
-    table, kinds = beams_of_bins(view.beams, view.azimuth, kind, scan.model.rings, bins)
+    flags = what_stopped(scan.depth_m, scan.thing, scan.material, view.own, REFLECTIVITY)
+    limits = stop_limits(view.beams, flags, bins)
+    table = beams_of_bins(view.beams, view.azimuth, flags, scan.model.rings, bins)
     out = np.empty((3, view.cells.shape[1]), np.bool_)
     shape = (np.float32(CAR.height_m), np.float32(BELOW_GROUND_M), np.float32(view.grid.cell_m))
-    see_cells(limits, table, kinds, view.cells, shape, out)
+    see_cells(limits, table, view.cells, shape, out)
     return dict(zip(OTHER_DEFINITIONS, out, strict=True))
 
 
@@ -188,11 +194,13 @@ def _inside(terrain: Terrain, xy: NDArray[np.float64]) -> Mask:
 def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, view: _View) -> Mask:
     """Return which cells the upright box around a thing's solids touches (cells,)."""
     corners = np.concatenate([_corners(part) for part in parts])
-    half = view.grid.cell_m / 2
-    c, s = np.cos(world_from_thing.yaw), np.sin(world_from_thing.yaw)
-    offset = view.world - world_from_thing.translation[:2]
-    place = np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
-    covered: Mask = ((place >= corners.min(axis=0) - half) & (place <= corners.max(axis=0) + half)).all(axis=1)
+    low, high = corners.min(axis=0) - view.grid.cell_m / 2, corners.max(axis=0) + view.grid.cell_m / 2
+    away = float(np.linalg.norm(world_from_thing.translation - view.scan.world_from_sensor.translation))
+    near = np.flatnonzero(view.cells[2] <= away + np.abs([low, high]).sum())
+    offset = view.world[near] - world_from_thing.translation[:2]
+    place = offset @ Rigid.from_yaw(world_from_thing.yaw).rotation[:2, :2]
+    covered = np.zeros(len(view.world), np.bool_)
+    covered[near] = ((place >= low) & (place <= high)).all(axis=1)
     return covered
 
 

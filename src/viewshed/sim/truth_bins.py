@@ -9,62 +9,67 @@ from numba import njit
 
 from viewshed.angles import atan2
 
-GROUND_STOP, OTHER_STOP, NO_STOP = 0, 1, 2
-"""What a beam of a bin met."""
+BLOCKS, RETURNS, OPEN = 1, 2, 4
+"""What a beam met, as flags: a thing that is not the sensor's own vehicle; what sends light back; nothing."""
 _PI = np.float32(np.pi)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stop_limits(stops: Any, returns: Any, blocks: Any, bins: Any) -> Any:  # pragma: no cover - compiled
-    """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks.
+def what_stopped(depth: Any, thing: Any, material: Any, own: Any, reflectivity: Any) -> Any:  # pragma: no cover
+    """Return the flags (C·R,) uint8 of the beams."""
+    depths, things, materials = depth.reshape(-1), thing.reshape(-1), material.reshape(-1)
+    out = np.empty(depths.size, np.uint8)
+    for n in range(depths.size):
+        blocks = BLOCKS if things[n] >= 0 and things[n] != own else 0
+        returns = RETURNS if reflectivity[materials[n]] > 0 else 0
+        out[n] = blocks + returns if depths[n] < np.inf else OPEN
+    return out
 
-    ``stops`` is (2, C·R) x and y of the stops from the sensor; ``returns`` and ``blocks`` say which ones count.
-    """
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks."""
     out = np.empty((2, bins), np.float32)
     out[0], out[1] = np.float32(-1.0), np.float32(np.inf)
     per_rad = np.float32(bins / (2 * np.pi))
-    for n in range(stops.shape[1]):
-        if returns[n] or blocks[n]:
-            x, y = stops[0, n], stops[1, n]
+    for n in range(flags.size):
+        if flags[n] & (BLOCKS | RETURNS):
+            bend, ux, uy, run = beams[0, n], beams[1, n], beams[2, n], beams[5, n]
+            x, y = ux * run - bend * uy, uy * run + bend * ux
             range_m = np.sqrt(x * x + y * y)
             b = min(max(int((atan2(y, x) + _PI) * per_rad), 0), bins - 1)
-            if returns[n]:
+            if flags[n] & RETURNS:
                 out[0, b] = max(out[0, b], range_m)
-            if blocks[n]:
+            if flags[n] & BLOCKS:
                 out[1, b] = min(out[1, b], range_m)
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def beams_of_bins(beams: Any, azimuth: Any, kind: Any, rings: Any, bins: Any) -> Any:  # pragma: no cover - compiled
-    """Return the farthest-reaching beam of each azimuth bin and ring: slope, rise, run to its stop (bins, R), kind.
+def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Return (bins, R, 4) the farthest-reaching beam of each azimuth bin and ring: slope, rise, run to its stop, flags.
 
-    A bin without a beam of the ring takes the one before it.
+    A bin without a beam of the ring takes that of the bin before it.
     """
-    table = np.empty((3, bins, rings), np.float32)
-    table[2] = np.float32(-1.0)
-    kinds = np.full((bins, rings), GROUND_STOP, np.uint8)
+    table = np.empty((bins, rings, 4), np.float32)
+    table[:, :, 2] = np.float32(-1.0)
     per_rad = np.float32(bins / (2 * np.pi))
     for n in range(azimuth.size):
-        b, ring = min(max(int((azimuth[n] + _PI) * per_rad), 0), bins - 1), n % rings
-        run = np.float32(np.inf) if kind[n] == NO_STOP else beams[5, n]
-        if run > table[2, b, ring]:
-            table[0, b, ring], table[1, b, ring], table[2, b, ring] = beams[4, n], beams[3, n], run
-            kinds[b, ring] = kind[n]
+        b = min(max(int((azimuth[n] + _PI) * per_rad), 0), bins - 1)
+        line = table[b, n % rings]
+        run = np.float32(np.inf) if flags[n] & OPEN else beams[5, n]
+        if run > line[2]:
+            line[0], line[1], line[2], line[3] = beams[4, n], beams[3, n], run, np.float32(flags[n])
     for step in range(1, 2 * bins):
         b = step % bins
         for ring in range(rings):
-            if table[2, b, ring] < 0:
-                for row in range(3):
-                    table[row, b, ring] = table[row, b - 1, ring]
-                kinds[b, ring] = kinds[b - 1, ring]
-    return table, kinds
+            if table[b, ring, 2] < 0:
+                table[b, ring] = table[b - 1, ring]
+    return table
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def see_cells(
-    limits: Any, table: Any, kinds: Any, cells: Any, shape: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def see_cells(limits: Any, table: Any, cells: Any, shape: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out`` (3, cells) bool with farthest, first_blocker and line_of_sight.
 
     ``cells`` is as in ``count_cells``; ``shape`` is height of the column above a cell, tolerance below ground, and the
@@ -78,29 +83,24 @@ def see_cells(
         r, ground = cells[2, n], cells[4, n]
         b = min(max(int((cells[3, n] + _PI) * per_rad), 0), bins - 1)
         out[0, n] = r <= limits[0, b]
-        out[1, n] = r - cell <= limits[1, b] and out[0, n]
-        ring, seen = _seen(table, kinds, (b, ring), (r, ground - below, ground + high, cell))
-        out[2, n] = seen
+        out[1, n] = out[0, n] and r - cell <= limits[1, b]
+        ring, out[2, n] = _seen(table[b], ring, (r, ground - below, ground + high, cell))
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _seen(table: Any, kinds: Any, at: Any, column: Any) -> Any:  # pragma: no cover - compiled
+def _seen(lines: Any, ring: Any, column: Any) -> Any:  # pragma: no cover - compiled
     """Return the first ring above the foot of a column, found from a guess, and whether a line reaches the column."""
-    b, ring = at
     r, foot, top, cell = column
-    rings = table.shape[2]
-    while ring > 0 and table[1, b, ring - 1] + r * table[0, b, ring - 1] >= foot:
+    rings = lines.shape[0]
+    while ring > 0 and lines[ring - 1, 1] + r * lines[ring - 1, 0] >= foot:
         ring -= 1
-    while ring < rings and table[1, b, ring] + r * table[0, b, ring] < foot:
+    while ring < rings and lines[ring, 1] + r * lines[ring, 0] < foot:
         ring += 1
-    k, between = ring, False
-    while k < rings and table[1, b, k] + r * table[0, b, k] <= top:
-        between = True
-        if table[2, b, k] >= r - cell:
-            return ring, True
+    k, between, reached = ring, False, False
+    while not reached and k < rings and lines[k, 1] + r * lines[k, 0] <= top:
+        between, reached = True, lines[k, 2] >= r - cell
         k += 1
-    if between:
-        return ring, False
-    above = ring == rings or table[2, b, ring] >= r - cell
-    under = ring == 0 or kinds[b, ring - 1] != OTHER_STOP or table[2, b, ring - 1] >= r - cell
-    return ring, above and under
+    if not between:
+        above = ring == rings or lines[ring, 2] >= r - cell
+        reached = above and (ring == 0 or int(lines[ring - 1, 3]) & BLOCKS == 0 or lines[ring - 1, 2] >= r - cell)
+    return ring, reached

@@ -9,7 +9,7 @@ from numba import njit
 
 from viewshed.angles import atan2
 
-TILE = 8
+TILE = 16
 """Beams of a ring lie in tiles of so many, sorted by azimuth, and are tested a tile at a time."""
 SECTORS = 256
 """Sectors of azimuth in which the slopes of each ring are bounded."""
@@ -97,73 +97,88 @@ def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cov
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def tile_reaches(tiles: Any) -> Any:  # pragma: no cover - compiled
+    """Return (R, T) how far from the sensor the stops of a tile's beams lie at most."""
+    out = np.empty(tiles.shape[:2], np.float32)
+    for ring in range(tiles.shape[0]):
+        for t in range(tiles.shape[1]):
+            farthest = np.float32(0.0)
+            for k in range(TILE):
+                bend, run = tiles[ring, t, 0, k], tiles[ring, t, 5, k]
+                farthest = max(farthest, np.float32(bend * bend + run * run))
+            out[ring, t] = np.sqrt(farthest)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def count_cells(beams: Any, cells: Any, plates: Any, limits: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out`` (4, cells) with aimed and reached beams of plate a, then of plate b, each up to 255.
 
+    Beams that do not reach are counted as aimed up to the least number that is asked for, perhaps not further.
+
     Args:
-        beams: tiles, places of bins, and bounds of slopes.
+        beams: tiles, their reaches, places of bins, and bounds of slopes.
         cells: (5, cells) unit vector, range, azimuth, and ground from the sensor's height.
-        plates: half widths a and b (a the wider), heights a and b.
+        plates: half widths a and b (a the wider), heights a and b, least aimed a and b.
         limits: cell's side, tolerance below ground, largest horizontal offset of a beam's start, its lowest and
             highest vertical one, and the range from which nothing is counted.
         out: as above.
     """
-    tiles, starts, bounds = beams
-    half_a, half_b, high_a, high_b = plates
+    half_a, half_b, high_a, high_b, least_a, least_b = plates
     cell, below, aside, lowest, highest, max_range = limits
-    wide, tall = half_a + aside, max(high_a, high_b)
+    wide, tall, columns = half_a + aside, max(high_a, high_b), beams[2].shape[0] - 1
     rings, span = np.array([0, -1]), np.empty(2, np.int64)
     for n in range(cells.shape[1]):
         r, ground = cells[2, n], cells[4, n]
-        out[:, n] = 0
-        if r <= aside or r - cell > max_range:
-            continue
-        low, high = ground - below - highest, ground + tall - lowest
-        near, far = r - aside, r + aside + wide
-        slopes = (low / (near if low < 0 else far), high / (far if high < 0 else near))
-        half = _half_window(wide, r)
-        _bins_of(cells[3, n], half, starts.shape[0] - 1, span)
-        _rings_of(bounds, cells[3, n], half, slopes, rings)
-        plate = (cells[0, n], cells[1, n], r, half_a, half_b, ground - below, ground + high_a, ground + high_b, cell)
-        narrow = False
-        for ring in range(rings[0], rings[1] + 1):
-            a, b = _met(tiles, starts, ring, span, plate)
-            out[0, n], out[1, n] = _added(out[0, n], a & 65535), _added(out[1, n], a >> 16)
-            out[2, n], out[3, n] = _added(out[2, n], b & 65535), _added(out[3, n], b >> 16)
-            if out[1, n] == MANY and not narrow:
-                narrow = True
-                _bins_of(cells[3, n], _half_window(half_b + aside, r), starts.shape[0] - 1, span)
-            if narrow and out[3, n] == MANY:
-                break
+        aimed_a, aimed_b, reached_a, reached_b = 0, 0, 0, 0
+        if r > aside and r - cell <= max_range:
+            low, high = ground - below - highest, ground + tall - lowest
+            near, far = r - aside, r + aside + wide
+            slopes = (low / (near if low < 0 else far), high / (far if high < 0 else near))
+            half = _half_window(wide, r)
+            _bins_of(cells[3, n], half, columns, span)
+            _rings_of(beams[3], cells[3, n], half, slopes, rings)
+            heights = (ground - below, ground + high_a, ground + high_b)
+            plate = (cells[0, n], cells[1, n], r, half_a, half_b, heights, cell)
+            for ring in range(rings[0], rings[1] + 1):
+                needed = r - cell if aimed_a >= least_a and aimed_b >= least_b else np.float32(-1.0)
+                a, b = _met(beams, ring, span, plate, needed)
+                if reached_a < MANY <= reached_a + (a >> 16):
+                    _bins_of(cells[3, n], _half_window(half_b + aside, r), columns, span)
+                aimed_a, reached_a = aimed_a + (a & 65535), reached_a + (a >> 16)
+                aimed_b, reached_b = aimed_b + (b & 65535), reached_b + (b >> 16)
+                if reached_a >= MANY and reached_b >= MANY:
+                    break
+        out[0, n], out[1, n] = min(aimed_a, MANY), min(reached_a, MANY)
+        out[2, n], out[3, n] = min(aimed_b, MANY), min(reached_b, MANY)
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _added(count: Any, more: Any) -> Any:  # pragma: no cover - compiled
-    return np.uint8(min(np.int32(count) + more, np.int32(MANY)))
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _met(tiles: Any, starts: Any, ring: Any, span: Any, plate: Any) -> Any:  # pragma: no cover - compiled
+def _met(beams: Any, ring: Any, span: Any, plate: Any, needed: Any) -> Any:  # pragma: no cover - compiled
     """Return aimed + 65536 · reached of both plates, of the ring's beams in the bins of ``span``; see ``_met_in``."""
+    tiles, reaches, starts = beams[0][ring], beams[1][ring], beams[2]
     begin, end = starts[span[0], ring] // TILE, (starts[span[1] + 1, ring] + TILE - 1) // TILE
     if span[0] <= span[1]:
-        return _met_in(tiles[ring], begin, end, plate)
-    a, b = _met_in(tiles[ring], begin, tiles.shape[1], plate)
-    more_a, more_b = _met_in(tiles[ring], 0, min(end, begin), plate)
+        return _met_in(tiles, reaches, (begin, end), plate, needed)
+    a, b = _met_in(tiles, reaches, (begin, tiles.shape[0]), plate, needed)
+    more_a, more_b = _met_in(tiles, reaches, (0, min(end, begin)), plate, needed)
     return a + more_a, b + more_b
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _met_in(tiles: Any, begin: Any, end: Any, plate: Any) -> Any:  # pragma: no cover - compiled
-    """Return aimed + 65536 · reached of both plates, of the beams in some tiles.
+def _met_in(tiles: Any, reaches: Any, which: Any, plate: Any, needed: Any) -> Any:  # pragma: no cover - compiled
+    """Return aimed + 65536 · reached of both plates, of the beams in the tiles that reach as far as ``needed``.
 
-    ``plate`` is the unit vector to the cell, its range, half widths, bottom, tops, and the cell's side. All lengths are
-    scaled by the cosine between beam and line of sight (``forward``), so that nothing is divided.
+    ``plate`` is the unit vector to the cell, its range, half widths, heights of bottom and tops, and the cell's side.
+    All lengths are scaled by the cosine between beam and line of sight (``forward``), so that nothing is divided.
     """
-    cx, cy, r, half_a, half_b, bottom, top_a, top_b, cell = plate
-    a, b = np.int32(0), np.int32(0)
-    for t in range(begin, end):
+    cx, cy, r, half_a, half_b, (bottom, top_a, top_b), cell = plate
+    a, b = 0, 0
+    for t in range(which[0], which[1]):
+        if reaches[t] < needed:
+            continue
         tile = tiles[t]
+        some_a, some_b = np.int32(0), np.int32(0)
         for k in range(TILE):
             bend, ux, uy = tile[0, k], tile[1, k], tile[2, k]
             forward, aside = ux * cx + uy * cy, uy * cx - ux * cy
@@ -173,8 +188,9 @@ def _met_in(tiles: Any, begin: Any, end: Any, plate: Any) -> Any:  # pragma: no 
             hit_a = ahead & (lateral <= half_a * forward) & (height <= top_a * forward)
             hit_b = ahead & (lateral <= half_b * forward) & (height <= top_b * forward)
             worth = np.int32(65537) if tile[5, k] * forward >= run - cell else np.int32(1)
-            a += worth if hit_a else np.int32(0)
-            b += worth if hit_b else np.int32(0)
+            some_a = np.int32(some_a + (worth if hit_a else np.int32(0)))
+            some_b = np.int32(some_b + (worth if hit_b else np.int32(0)))
+        a, b = a + some_a, b + some_b
     return a, b
 
 
