@@ -49,6 +49,7 @@ NAMES = {
     "occupied": "occupied cells",
     "returns": "returns a beam",
 }
+TOWN = ("street", "junction", "residential")
 STREETS = ("street", "junction", "residential", "parking")
 WIDE = ("street", "junction", "residential", "parking", "highway")
 
@@ -95,7 +96,7 @@ _KITTI = (
 _CARLA = ("31_30/ego1", "31_30/ego2", "31_85/ego1", "31_85/ego2", "autopilot/ego1", "autopilot/ego2")
 GROUPS = (
     Group("nuScenes, HDL-32E", "hdl32e", ("1533151603", "1533151612", "1532402927"), WIDE, 1.84, period_s=0.05),
-    Group("KITTI, HDL-64E", "hdl64e", _KITTI, STREETS, 1.73, max_range_m=80.0),
+    Group("KITTI, HDL-64E", "hdl64e", _KITTI, TOWN, 1.73, max_range_m=80.0),
     Group("PandaSet, Pandar64", "pandar64", ("000200", "000500", "000800"), WIDE, 2.07, has_rings=False),
     Group("CARLA, 256 channels", "carla256", _CARLA, WIDE, 1.9, period_s=0.0),
     Group("alley, HDL-32E", "hdl32e", ("outdoor_hdl32_gicp/",), ("street",), 2.0),
@@ -202,7 +203,8 @@ def _parts(found: list[Compared]) -> list[str]:
     )
     noise = [[one.group.title, *(f"{1e3 * value:.1f}" for value in one.noise_m)] for one in found]
     return [
-        _WORDS, "![Simulated against real](realism.png)", "## Gaps", _GAPS, "## Distances", table(head, _verdicts(found)), "## Numbers",
+        _WORDS, "![Simulated against real](realism.png)", "## Gaps", _GAPS,
+        "## Distances", table(head, _verdicts(found)), "## Numbers",
         table(("sensor, place", "statistic", "least", "mean", "greatest", "simulated"), _numbers(found)),
         "## Range noise, mm", _NOISE, table(("sensor, place", "real", "simulated"), noise),
         "## Road seen", _ROAD_SEEN, table(("sensor, place", "", *_bounds(ROAD_EDGES_M)), _roads(found)),
@@ -314,16 +316,19 @@ are not in the sensor's frame, so its rings are not compared; KITTI's end at 80 
 _GAPS = """\
 What lies outside, or within only because places differ so much, and why:
 
-- **CARLA.** Its car carries the sensor close above a wide roof, which hides the road out to 6 m on all sides; ours stands
-  free. Its towns are more open above the horizon. CARLA's sweeps are a simulator's themselves.
-- **Alley.** Walls 3 to 6 m away on both sides, wet or dark cars: there is no such world in the table.
+- **CARLA.** Its car carries the sensor close above a wide roof, which hides the road out to 6 m on all sides; ours
+  stands free. CARLA's sweeps are a simulator's themselves.
+- **Alley.** Walls 3 to 6 m away on both sides, dark cars: there is no such world in the table.
 - **Campus.** Crowns of trees hang over the road and fill the rings above 20° of an OS0; our trees stand beside it.
-- **Rooms, office.** The real sensors stand on a desk or a platform that hides their lower rings or returns nearer than
-  0.5 m; ours rides on a robot. The desk is no room's fault, so these numbers say little.
-- **Streets and junctions** alone are more closed than those of nuScenes; the mix with highways, lots and gardens is not.
-- **Vehicles beside the sensor.** A few simulated returns lie within 2.5 m outside the vehicle's own box, hardly any real.
-- **Scenes that differ in their asphalt.** One nuScenes junction loses the road at half the distance of the others; all
-  simulated roads are of the same few materials.
+- **Rooms, office.** The real sensors stand on a desk or a platform that hides their lower rings, or returns nearer than
+  0.5 m; ours rides on a robot. That is no fault of the rooms, so these numbers say little. The real rooms also have
+  directions without any return, to windows and open doors.
+- **Streets and junctions** alone are more closed than those of nuScenes; the mix with highways, lots and gardens is
+  not.
+- **Vehicles beside the sensor.** A few simulated returns lie within 2.5 m outside the vehicle's own box, hardly any
+  real ones.
+- **Asphalt.** One nuScenes junction loses the road at half the distance of the others; all simulated roads are of the
+  same few materials.
 - **Weather** has no real counterpart at hand."""
 
 _NOISE = """\

@@ -12,7 +12,7 @@ from viewshed.sim.world import Thing
 
 _ABSORBING = 0.05
 _DARK = 0.22
-_SENSOR_CLEARANCE_M = 0.33
+_SENSOR_CLEARANCE_M = 0.25
 
 
 def car(rng: np.random.Generator) -> Thing:
@@ -103,17 +103,17 @@ def motorcycle(rng: np.random.Generator) -> Thing:
 def sensor_car(rng: np.random.Generator, sensor_height_m: float) -> tuple[Thing, float]:
     """Return a vehicle with a mast for a sensor at a height above ground, and how far ahead of its middle that sits.
 
-    Below 1.35 m it is a small delivery robot; above, a car whose roof stays 0.33 m or more below the sensor, as
-    in nuScenes, where the lowest beams pass the roof sideways.
+    Below 1.35 m it is a small delivery robot; above, a car of about 1.5 m whose roof stays 0.25 m or more below
+    the sensor: as in nuScenes and KITTI it hides about half of the lowest rings, fore and aft, and little sideways.
     """
     roof = sensor_height_m - _SENSOR_CLEARANCE_M
     if sensor_height_m < 1.35:
         body = (Box(0.0, 0.0, 0.75, 0.5, roof, 0.4 * roof, 0.0, "paint"), *_axles(0.25, 0.5, 0.4 * roof + 0.02))
         return Thing("robot", body, tilts=True), 0.0
-    tall, long = min(roof, rng.uniform(1.42, 1.68)), rng.uniform(4.1, 4.9)
+    tall, long = min(roof, rng.uniform(1.42, 1.52)), rng.uniform(4.1, 4.9)
     paint = "paint" if rng.random() < 0.8 else "dark_paint"
     parts = _body(long, rng.uniform(1.68, 1.78), tall - 0.07, (0.62, -0.04), paint)
-    ahead = rng.uniform(0.0, 0.45)
+    ahead = rng.uniform(-0.35, -0.1)
     mast = Cylinder(ahead, 0.0, 0.05, sensor_height_m - 0.1, tall - 0.02, "metal")
     rack = Box(0.0, 0.0, 0.9, 1.0, tall, tall - 0.08, 0.0, "metal")
     return Thing("car", (*parts, rack, mast), tilts=True), ahead
