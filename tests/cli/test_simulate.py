@@ -98,3 +98,13 @@ def test_a_later_schema_is_one_line(made: Path, tmp_path: Path, capsys: pytest.C
     code, _, complaint = _run(capsys, "dataset", "info", str(folder))
     assert code == 2
     assert "schema_version must be 1, got 2; read it with the version of viewshed that wrote it" in complaint
+
+
+def test_preview_writes_one_picture_and_no_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viewshed.preview.preview_png", lambda name, seed: f"{name} {seed}".encode())
+    code, said, _ = _run(capsys, "simulate", "carla", "--preview", "--seed", "4", "--out", str(tmp_path / "a.png"))
+    assert (code, said) == (0, f"Look at {tmp_path / 'a.png'}\n")
+    assert (tmp_path / "a.png").read_bytes() == b"carla 4"
+    assert len(list(tmp_path.iterdir())) == 1

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 """Of the columns and of the text in the footer; a reader refuses any other."""
 ZSTD_LEVEL = 1
-"""Level 3 is 1 % smaller and 20 % slower, level 5 another 1 % smaller and three times as slow (docs/datasets.md)."""
+"""Higher levels save little and cost much (docs/results/datasets.md)."""
 REPAIR = "run the command that made the archive again, it writes anew only what is damaged or missing"
 _KEY = "viewshed"
 
