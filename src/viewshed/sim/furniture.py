@@ -135,7 +135,7 @@ def dining(rng: np.random.Generator) -> Group:
     """Return a table with four to six chairs drawn up to it, some pulled out."""
     top = table(rng)
     _, y0, x1, y1 = footprint(top)
-    spots = [(side, y) for side in (-1, 1) for y in np.linspace(y0 + 0.35, y1 - 0.35, 2)]
+    spots = [(side, y) for side in (-1, 1) for y in np.linspace(y0 + 0.27, y1 - 0.27, 2)]
     if rng.random() < 0.4:
         spots += [(0, y0), (0, y1)]
     return (*top, *(one for side, y in spots for one in _drawn_up(rng, side, float(y), x1, chair(rng))))

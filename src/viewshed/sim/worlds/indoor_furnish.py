@@ -72,6 +72,9 @@ FURNISHING: dict[str, tuple[Wish, ...]] = {
 """Rooms by use."""
 
 
+_BARE_PARTS = 75
+
+
 def furnish(site: Site, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2, 3)) -> None:
     """Furnish a room whose walls have the inner faces ``room``; what does not fit is left out.
 
@@ -92,7 +95,7 @@ def furnish(site: Site, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2,
 def furnish_all(
     site: Site, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
 ) -> tuple[Rect, ...]:
-    """Furnish rooms from the nearest to a hub on; once the building has so many parts, the others are nearly bare.
+    """Furnish rooms from the nearest to a hub on; once the building has so many parts, the others are bare or empty.
 
     Returns:
         The rooms that are fully furnished.
@@ -106,9 +109,11 @@ def furnish_all(
     lived: list[Rect] = []
     for k in sorted(range(len(rooms)), key=far):
         room, use = rooms[k]
-        bare = site.parts >= parts
-        furnish(site, room, "bare" if bare else use)
-        lived += [] if bare else [room]
+        over = site.parts - parts
+        if over < 0:
+            lived.append(room)
+        if over < _BARE_PARTS:
+            furnish(site, room, use if over < 0 else "bare")
     return tuple(lived)
 
 

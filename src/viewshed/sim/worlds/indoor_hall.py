@@ -163,6 +163,7 @@ def _overhead(site: Site, inside: Rect, top_m: float) -> None:
         wide, yaw = site.rng.uniform(1.5, 3.0), float(site.rng.choice(_QUARTERS))
         if site.clear((x - wide / 2, y - wide / 2, x + wide / 2, y + wide / 2)):
             plate = Box(0.0, 0.0, 0.12, wide, 3.3, 2.7, 0.0, "paint")
+            site.reserve((x - 1.5, y - 1.5, x + 1.5, y + 1.5))
             site.things.append(Thing("sign", (plate,), x_m=x, y_m=y, yaw=yaw, z_m=0.0))
     site.things.extend(_outside(site.rng, inside))
 

@@ -46,7 +46,10 @@ def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan)
     solids = bounds(site.things)
     roads = _roads(site, building, solids, max(1.9, plan.sensor_height_m + 0.2))
     people, roads = _walkers(site.rng, roads, building.walkers, plan.duration_s)
-    robots = [_robot(site.rng, network, building.haunts, plan) for network in _territories(roads, plan.moving)]
+    robots = [
+        _robot(site.rng, network, building.haunts, plan)
+        for network in _territories(roads, building.haunts, plan.moving)
+    ]
     hung = _hung(site.rng, roads, solids, building.ceiling_m, plan.roadside)
     mount = Rigid(np.eye(3), np.array([0.0, 0.0, plan.sensor_height_m]))
     agents = [Agent(f"robot_{k}", plan.sensor, mount, k) for k in range(len(robots))]
@@ -109,22 +112,26 @@ def _walker(rng: np.random.Generator, beat: Points, duration_s: float) -> Thing:
     return drive(person(rng, walking=True), follow(way, speed, 3.0, -rng.uniform(1.0, _LEAD_S), pause))
 
 
-def _territories(roads: RoadMap, count: int) -> list[Network]:
+def _territories(roads: RoadMap, haunts: tuple[Rect, ...], count: int) -> list[Network]:
     """Return one network for each robot: strips of the building half a metre apart, cut along its better axis."""
     best: list[NDArray[np.intp]] = []
+    sizes: list[int] = []
     every = roads.largest(np.ones(len(roads.nodes_m), np.bool_))
+    liked = _within(haunts, roads.nodes_m, every)
     for axis in (0, 1):
         at = roads.nodes_m[:, axis]
-        edges = np.quantile(at[every], np.linspace(0, 1, count + 1))
+        edges = np.quantile(at[liked], np.linspace(0, 1, count + 1))
         edges[0], edges[-1] = -np.inf, np.inf
         parts = [roads.largest((at > low + _APART_M / 2) & (at < high - _APART_M / 2)) for low, high in pairwise(edges)]
-        best = max(best, parts, key=lambda some: min(map(len, some), default=0))
+        found = sorted(len(np.intersect1d(part, liked)) for part in parts)
+        best, sizes = (parts, found) if found > sizes else (best, sizes)
     return [Network.of(roads, part) for part in best]
 
 
 def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...], plan: AgentPlan) -> Thing:
     """Return a robot that drives between random haunts on its network for as long as the plan lasts."""
-    speed, nodes = rng.uniform(0.2, 0.8), _within(haunts, network)
+    speed = rng.uniform(0.2, 0.8)
+    nodes = _within(haunts, network.roads.nodes_m, np.flatnonzero(network.rows))
     at = int(rng.choice(nodes))
     way, left = [network.roads.nodes_m[[at]]], (plan.duration_s + _LEAD_S + 2.0) * speed
     while left > 0 and len(nodes) > 1:
@@ -137,13 +144,12 @@ def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...],
     return drive(Thing("robot", robot_parts(rng, plan.sensor_height_m)), track)
 
 
-def _within(haunts: tuple[Rect, ...], network: Network) -> NDArray[np.intp]:
-    """Return the nodes of a network that lie in one of the haunts; all if fewer than three do."""
-    every = np.flatnonzero(network.rows)
-    x, y = network.roads.nodes_m[every].T
-    inside = np.array([(x > a) & (x < c) & (y > b) & (y < d) for a, b, c, d in haunts]).reshape(-1, len(every))
-    some = every[inside.any(axis=0)]
-    return some if len(some) > 2 else every
+def _within(haunts: tuple[Rect, ...], nodes_m: Points, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return those of some nodes that lie in one of the haunts; all if fewer than three do."""
+    x, y = nodes_m[rows].T
+    inside = np.array([(x > a) & (x < c) & (y > b) & (y < d) for a, b, c, d in haunts]).reshape(-1, len(rows))
+    some = rows[inside.any(axis=0)]
+    return some if len(some) > 2 else rows
 
 
 def robot_parts(rng: np.random.Generator, sensor_height_m: float) -> tuple[Shape, ...]:

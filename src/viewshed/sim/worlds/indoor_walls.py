@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sim.fittings import DOOR_TOP_M, door
-from viewshed.sim.furniture import Group, footprint, placed
+from viewshed.sim.furniture import Group, bounds, footprint, placed
 from viewshed.sim.shapes import Box
 from viewshed.sim.world import Thing
 from viewshed.sim.worlds.indoor_site import Doorway, Rect, Site
@@ -112,20 +112,24 @@ def build(site: Site, walls: Iterable[Wall], top_m: float) -> None:
     """Add walls up to ``top_m`` metres to a site, hang the doors and keep the doorways free."""
     walls = list(walls)
     gates = [wall.rect(one, 1.6) for wall in walls for one in wall.openings if one.kind in ("gate", "roller")]
-    doors = [(wall, one) for wall in walls for one in wall.openings if one.kind in DOORS]
-    zones = np.array([wall.rect(one, wall.thick_m / 2 + _ZONE_M) for wall, one in doors]).reshape(-1, 4)
-    for k, (wall, one) in enumerate(doors):
+    panes = [wall.rect(one, 0.15) for wall in walls for one in wall.openings if one.kind == "pane"]
+    doors = [(k, wall, one) for k, wall in enumerate(walls) for one in wall.openings if one.kind in DOORS]
+    zones = np.array([wall.rect(one, wall.thick_m / 2 + _ZONE_M) for _, wall, one in doors]).reshape(-1, 4)
+    shells = [Thing("wall", wall_parts(wall, top_m), z_m=0.0) for wall in walls]
+    solids = [bounds((shell,))[:, :4] for shell in shells]
+    for row, (k, wall, one) in enumerate(doors):
         middle = (one.middle_m, wall.at_m) if wall.along_x else (wall.at_m, one.middle_m)
         site.doorways.append(Doorway(*middle, wall.along_x))
-        if one.kind == "passage" or not _hang(site, wall, one, np.delete(zones, k, axis=0)):
+        others = np.concatenate([zones[:row], zones[row + 1 :], *solids[:k], *solids[k + 1 :]])
+        if one.kind == "passage" or not _hang(site, wall, one, others):
             _threshold(site, wall, one)
-    site.reserve(*gates, *((a, b, c, d) for a, b, c, d in zones.tolist()))
-    for wall in walls:
-        site.add((Thing("wall", wall_parts(wall, top_m), z_m=0.0),))
+    site.reserve(*gates, *panes, *((a, b, c, d) for a, b, c, d in zones.tolist()))
+    for shell in shells:
+        site.add((shell,))
 
 
 def _hang(site: Site, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
-    """Hang the leaf of a door so that it stands in no other doorway and hits no other leaf, if that can be."""
+    """Hang the leaf of a door so that it stands in no other doorway and hits no other leaf or wall, if that can be."""
     angle = {"open": site.rng.uniform(1.35, 1.6), "ajar": site.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
     first = int(site.rng.integers(4))
     for k in range(4):
@@ -157,7 +161,7 @@ def _threshold(site: Site, wall: Wall, one: Opening) -> None:
         site.things.append(Thing("threshold", (strip,)))
 
 
-def around(rect: Rect, thick_m: float, material: str = "brick") -> list[Wall]:
+def around(rect: Rect, thick_m: float, material: str = "plaster") -> list[Wall]:
     """Return four outer walls whose inner faces are the sides of ``rect``: lowest x, lowest y, highest x, highest y."""
     x0, y0, x1, y1 = rect
     h = thick_m / 2

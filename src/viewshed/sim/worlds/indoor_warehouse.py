@@ -16,7 +16,7 @@ from viewshed.sim.worlds.indoor_site import Rect, Site, shrunk
 from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceiling
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-_STAGING_M, _CROSS_M = 10.0, 3.2
+_STAGING_M, _CROSS_M, _MOST_PARTS = 10.0, 3.2, 560
 _STAGED: tuple[tuple[Maker, int], ...] = (
     (stock.forklift, 2), (stock.conveyor, 1), (stock.pallet, 8), (stock.cage, 4), (stock.cart, 3),
     (furniture.table, 2), (furniture.boxes, 5), (fittings.standing, 4),
@@ -104,7 +104,7 @@ def _floor_storage(site: Site, rect: Rect) -> None:
     while x + 2.8 < rect[2]:
         y = rect[1]
         while y + 1.3 < rect[3]:
-            if rng.random() < 0.4:
+            if rng.random() < 0.4 and site.parts < _MOST_PARTS:
                 for k in range(int(rng.integers(1, 4))):
                     site.put(placed(stock.stack(rng), x + 0.45 + 0.9 * k, y + 0.65, rng.normal(0.0, 0.015)))
             y += 1.4 if rng.random() < 0.7 else 3.0
