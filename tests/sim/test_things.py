@@ -97,7 +97,7 @@ def test_about_one_car_in_twenty_returns_no_light_and_some_are_dark() -> None:
 def test_a_sensor_stands_free_above_its_car(high: float) -> None:
     for seed in range(10):
         thing, ahead = sensor_car(np.random.default_rng(seed), high)
-        assert 0.0 <= ahead < 0.5
+        assert -0.36 < ahead <= 0.0
         assert top(thing) <= high - 0.09
         assert thing.kind == ("robot" if high < 1.35 else "car")
 
