@@ -58,7 +58,7 @@ def test_motion_is_undone_in_world_axes() -> None:
     assert sweep.time_s[k] == pytest.approx(time_s, abs=1e-6)
 
 
-@pytest.mark.parametrize("motion", [STILL, MOTION])
+@pytest.mark.parametrize("motion", [STILL, MOTION, Motion((9.0, -2.0, 0.5), 0.0, 0.1)])
 def test_firing_starts_and_points_where_the_returns_are(motion: Motion) -> None:
     one = image(motion)
     start, direction, time_s = firing(MODEL, motion, POSE)

@@ -50,6 +50,8 @@ def column_poses(model: LidarModel, motion: Motion, world_from_sensor: Rigid) ->
     time_s = phase * np.float32(motion.period_s)
     rotation = world_from_sensor.rotation
     shift_m = np.outer(time_s, np.asarray(motion.velocity_mps) @ rotation).astype(np.float32)
+    if motion.yaw_rate == 0.0:
+        return _at_rest(len(phase))[0], _frozen(shift_m), _frozen(time_s)
     angle = time_s.astype(np.float64) * motion.yaw_rate
     turns = np.zeros((len(angle), 3, 3))
     turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angle)
