@@ -63,7 +63,7 @@ def test_truth_and_placed_probes_say_the_same(target: Target) -> None:
     assert 0.1 < (probes.met >= target.min_returns).mean() < 0.9
     assert probes.agree.mean() >= 0.985
     different = np.flatnonzero(~probes.agree)
-    assert all(reason(setting, probes.boxes.select([k]), target) in REASONS[:3] for k in different)
+    assert all(reason(setting, probes.boxes.select(np.array([k])), target) in REASONS[:3] for k in different)
 
 
 def test_a_truth_of_a_mirrored_scene_does_not_agree() -> None:
@@ -129,7 +129,7 @@ def test_probes_of_one_cast_never_share_a_beam() -> None:
     rows = apart(setting.scan, boxes, 30)
     assert 5 < len(rows) <= 30
     together = meets(setting, boxes.select(rows))
-    alone = [int(meets(setting, boxes.select([row]))[0]) for row in rows]
+    alone = [int(meets(setting, boxes.select(np.array([row])))[0]) for row in rows]
     assert together.tolist() == alone
 
 
