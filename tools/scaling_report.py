@@ -94,7 +94,8 @@ _PLAN = f"""\
 
 Assumed, not measured: the time goes down with the number of cores; cores elsewhere are as fast as these; a machine
 moves {LINK_BYTES_PER_S / 1e9:g} GB/s to and from its store. *Making* is simulation with the truth of both targets,
-written; a core makes what a core of this machine makes when all are busy. *Reading* is one pass in order, points and
+written; a core makes what a core of this machine makes when all are busy, and waits {REQUEST_S:g} s for the store to
+take each shard. *Memory* is a worker's peak on every core. *Reading* is one pass in order, points and
 truth made. *Estimating* is `shadow_map` over sweeps in memory. *Link* is the share of a machine's link that the writing
 takes. *Driver* is the share of what one Ray driver was seen to hand out that the making needs: from about half on, run
 the parts of the data set (below) as programs of their own."""
@@ -202,7 +203,8 @@ def measured_table(measured: Measured) -> str:
 
 def plan(measured: Measured, name: str, sweeps: int) -> str:
     """Return the hours and loads of one data set for each fleet, as a section."""
-    per_core = measured.made_per_s_all / measured.cores
+    shard_s = measured.shard_frames * measured.cores / measured.made_per_s_all + REQUEST_S
+    per_core = measured.shard_frames / shard_s
     rows = []
     for machines, cores in FLEETS[name]:
         total = machines * cores
@@ -211,11 +213,12 @@ def plan(measured: Measured, name: str, sweeps: int) -> str:
             f"{machines} × {cores} cores",
             _duration(sweeps / rate), _duration(sweeps / measured.read_per_s / total),
             _duration(sweeps / measured.estimate_per_s / total),
+            _bytes(cores * measured.peak_bytes),
             f"{rate / machines * measured.sample_bytes / LINK_BYTES_PER_S:.1%}",
             f"{rate / measured.shard_frames / measured.engines['ray'][1]:.1%}",
         ))  # fmt: skip
     size = f"{sweeps:,} sweeps, {_bytes(sweeps * measured.sample_bytes)}"
-    header = ("machines", "making", "reading", "estimating", "link", "driver")
+    header = ("machines", "making", "reading", "estimating", "memory of each", "link", "driver")
     return f"### {name[0].upper()}{name[1:]}: {size}\n\n{table(header, rows)}"
 
 
