@@ -55,7 +55,7 @@ def test_motion_is_undone_in_world_axes() -> None:
     expected = POSE.inverse() @ (at @ local[None, :])
     assert sweep.points[k] == pytest.approx(expected[0], abs=2e-4)
     assert sweep.time_s is not None
-    assert sweep.time_s[k] == pytest.approx(time_s, abs=1e-6)
+    assert sweep.time_s[k] == pytest.approx(time_s + MOTION.period_s / 2, abs=1e-6)
 
 
 @pytest.mark.parametrize("motion", [STILL, MOTION, Motion((9.0, -2.0, 0.5), 0.0, 0.1)])

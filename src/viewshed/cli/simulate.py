@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +23,7 @@ def simulate(
         str | None, typer.Option(help="Folder or URI (s3://bucket/data); its own name if not given.")
     ] = None,
     sweeps: Annotated[int | None, typer.Option(help="Number of sweeps; the preset's own if not given.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; one a core if not given.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
     engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     grid: Annotated[str | None, typer.Option(help="Grid of the truth: a name, or CELLSxHALF_EXTENT_M.")] = None,
@@ -40,8 +39,7 @@ def simulate(
     if preview:
         _preview(chosen, out)
         return
-    count = workers if workers is not None else os.cpu_count() or 1
-    archive = _simulated(chosen, out or preset, engine, count)
+    archive = _simulated(chosen, out or preset, engine, workers)
     typer.echo(_summary(archive))
 
 
@@ -110,7 +108,7 @@ def _preview(preset: Preset, out: str | None) -> None:
     typer.echo(f"Look at {path.resolve()}")
 
 
-def _simulated(preset: Preset, out: str, engine: str, workers: int) -> Archive:
+def _simulated(preset: Preset, out: str, engine: str, workers: int | None) -> Archive:
     from rich.console import Console
     from rich.progress import (
         BarColumn,

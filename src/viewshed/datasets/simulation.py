@@ -129,9 +129,7 @@ def _made(jobs: Sequence[ShardJob], engine: Engine) -> Iterator[ShardFacts]:
 
 
 def _tidy(store: Store) -> None:
-    for name in store.names():
-        if name.endswith(f".parquet{SIDECAR}"):
-            store.delete(name)
+    store.delete(*(name for name in store.names() if name.endswith(f".parquet{SIDECAR}")))
 
 
 def _tell(progress: Callable[[ShardFacts], None] | None, shard: ShardFacts) -> None:

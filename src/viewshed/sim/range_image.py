@@ -52,7 +52,10 @@ class RangeImage:
             raise ValueError(f"step_m must lie in (0, 1), got {self.step_m}")
 
     def sweep(self) -> Sweep:
-        """Return the sweep: points in the sensor's reference frame (motion undone), firing order, ring and time."""
+        """Return the sweep: points in the sensor's reference frame (motion undone), firing order, ring and time.
+
+        Times begin with the revolution, half a period before the reference pose and ``t_ns``.
+        """
         start_m, direction, _ = still_firing(self.model)
         turn, shift_m, time_s = column_poses(self.model, self.motion, self.world_from_sensor)
         points, intensity, ring, time_s = _returns(
@@ -62,7 +65,7 @@ class RangeImage:
             points=points,
             intensity=intensity,
             ring=ring,
-            time_s=time_s,
+            time_s=time_s + np.float32(self.motion.period_s / 2),
             t_ns=self.t_ns,
             sensor_height_m=self.sensor_height_m,
             world_from_sensor=self.world_from_sensor,

@@ -87,9 +87,12 @@ class Mast:
 
 
 def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Mast:
-    """Return a mast of 4 to 8 m at (x, y) that looks at a point 5 to 20° down, a little rolled."""
+    """Return a mast of 4 to 8 m at (x, y) that looks toward a point, 1 to 8° down and a little rolled.
+
+    The roadside table ends at the horizon: tilted further, such a sensor would be blind beyond 40 m ahead.
+    """
     yaw = np.arctan2(toward_m[1] - y_m, toward_m[0] - x_m) + rng.normal(0.0, 0.15)
-    pitch, roll = np.deg2rad(rng.uniform(5.0, 20.0)), np.deg2rad(np.clip(rng.normal(0.0, 1.2), -4, 4))
+    pitch, roll = np.deg2rad(rng.uniform(1.0, 8.0)), np.deg2rad(np.clip(rng.normal(0.0, 1.2), -4, 4))
     return Mast(x_m, y_m, rng.uniform(4.0, 8.0), float(yaw), float(pitch), float(roll))
 
 
