@@ -175,6 +175,8 @@ def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
     ground = floor(rise, (-9.0, -9.0, 9.0, 9.0), "wood")
     points = [[0.0, 2.5], [3.0, 2.5], [4.5, 2.5], [3.0, 4.0], [7.9, 1.2], [8.1, 1.2], [5.0, 5.1]]
     assert np.allclose(ground.at(points), [0.0, 0.1, 0.2, 0.2, 0.2, 0.0, 0.0], atol=1e-6)
+    assert rise.way()[0] == pytest.approx((1.4, 2.5))
+    assert np.allclose(ground.at(rise.way()), [0.0, 0.02, 0.1, 0.18, 0.2], atol=1e-6)
     edges = shapely.MultiLineString([((a, b), (c, d)) for a, b, c, d in rise.steps()])
     assert edges.distance(shapely.Point(2.0, 2.5)) == pytest.approx(0.5)
     assert edges.distance(shapely.Point(2.0, 4.0)) == 0.0
@@ -193,3 +195,19 @@ def test_a_line_through_something_is_not_free() -> None:
     start = np.array([[0.0, 0.5], [0.0, 2.0], [0.0, 0.5]])
     stop = np.array([[3.0, 0.5], [3.0, 1.6], [0.6, 2.0]])
     assert lane.sees(start, stop).tolist() == [False, True, True]
+
+
+def test_a_sensor_below_any_robot_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"sensor_height_m must be at least 0\.3 indoors, got 0\.1; raise it"):
+        make("hall", 0, AgentPlan(sensor_height_m=0.1))
+
+
+def test_robots_drive_up_ramps() -> None:
+    climbed = set()
+    for name, seed in ((name, seed) for name in NAMES for seed in range(8)):
+        world = make(name, seed, AgentPlan(moving=1, sensor="vlp16", sensor_height_m=0.5, duration_s=200.0))
+        heights = world.terrain.at([world.things[0].place(t)[:2] for t in np.arange(0.0, 200.0, 0.5)])
+        if heights.max() > 0.06:
+            climbed.add(name)
+            assert np.abs(np.diff(heights)).max() < 0.08
+    assert len(climbed) >= 3

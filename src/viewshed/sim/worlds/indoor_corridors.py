@@ -11,11 +11,11 @@ import numpy as np
 from viewshed.sim.fittings import standing
 from viewshed.sim.shapes import Box
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.indoor_floor import Rise, floor
+from viewshed.sim.worlds.indoor_floor import Rise, floor, lay, raised_room
 from viewshed.sim.worlds.indoor_furnish import furnish, furnish_all
 from viewshed.sim.worlds.indoor_people import Building, inhabited
 from viewshed.sim.worlds.indoor_site import Rect, Site
-from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceiling
+from viewshed.sim.worlds.indoor_walls import DOORS, Opening, Wall, around, build, ceiling
 
 _THICK_M, _NICHE_M = 0.12, 0.9
 _USES = ("office", "office", "meeting", "office", "store", "lounge")
@@ -55,12 +55,15 @@ def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
     offices, walls = _offices(rng, xs, ys)
     walls += _outer(rng, inside, xs, ys)
     niches: list[tuple[Rect, int]] = []
+    entries: list[tuple[Office, int]] = []
     for office in offices:
-        walls += _faces(rng, office, niches)
+        entries.append((office, office.free[int(rng.integers(len(office.free)))]))
+        walls += _faces(rng, *entries[-1], niches)
+    rise = _raised(rng, walls, entries) if rng.random() < 0.5 else None
     passages = _passages(xs, ys)
     build(site, [*walls, *_fire_doors(rng, passages)], top)
-    rise = _ramp(rng, passages, inside) if rng.random() < 0.5 else None
-    site.steps += rise.steps() if rise else []
+    if rise is not None:
+        lay(site, rise)
     for rect, side in niches:
         furnish(site, rect, "niche", (side,))
     for rect, sides in passages:
@@ -70,7 +73,7 @@ def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
     hub = (rng.uniform(-8.0, 8.0), rng.uniform(-8.0, 8.0))
     lived = furnish_all(site, [(one.inner, _USES[k % len(_USES)]) for k, one in enumerate(offices)], hub, 520)
     site.things.extend((*ceiling(inside, top), *_ducts(rng, passages, top)))
-    haunts = (*(rect for rect, _ in passages), *lived)
+    haunts = (*(rect for rect, _ in passages), *lived, *((rise.rect,) * 3 if rise else ()))
     building = Building("corridors", inside, top, 4, haunts)
     return inhabited(site, floor(rise, inside, "concrete", "grass"), building, plan)
 
@@ -119,14 +122,15 @@ def _outer(rng: np.random.Generator, inside: Rect, xs: list[Span], ys: list[Span
     return walls
 
 
-def _faces(rng: np.random.Generator, office: Office, niches: list[tuple[Rect, int]]) -> list[Wall]:
-    """Return the walls of an office toward corridors: one with a door, some of glass, some with a niche."""
-    walls, entry = [], office.free[int(rng.integers(len(office.free)))]
+def _faces(rng: np.random.Generator, office: Office, entry: int, niches: list[tuple[Rect, int]]) -> list[Wall]:
+    """Return the walls of an office toward corridors: ``entry`` with a door, some of glass, some with a niche."""
+    walls = []
     for side in office.free:
         face, chance = office.face(side), rng.random()
         middle, length = (face.start_m + face.stop_m) / 2, face.stop_m - face.start_m
         if side == entry:
-            walls.append(replace(face, openings=_entry(rng, face, chance < 0.35)))
+            door, *panes = _entry(rng, face, chance < 0.35)
+            walls.append(replace(face, openings=(replace(door, swing=1 if side < 2 else -1), *panes)))
         elif chance < 0.25:
             walls.append(replace(face, openings=(Opening(middle, length - 1.0, "pane"),)))
         elif chance < 0.6 and length > 4.0:
@@ -179,12 +183,17 @@ def _fire_doors(rng: np.random.Generator, passages: Iterable[tuple[Rect, tuple[i
     return walls
 
 
-def _ramp(rng: np.random.Generator, passages: list[tuple[Rect, tuple[int, int]]], inside: Rect) -> Rise | None:
-    """Return a stretch of a corridor whose floor rises over a ramp and ends in a step."""
-    rect, sides = passages[int(rng.integers(len(passages)))]
-    long = min(2.5, (rect[2] - rect[0] if sides[0] else rect[3] - rect[1]) / 2)
-    ramp = (rect[0], rect[1], rect[0] + long, rect[3]) if sides[0] else (rect[0], rect[1], rect[2], rect[1] + long)
-    return Rise(rect, rng.uniform(0.06, 0.16), ramp, 0 if sides[0] else 1)
+def _raised(rng: np.random.Generator, walls: list[Wall], entries: list[tuple[Office, int]]) -> Rise | None:
+    """Return an office with a raised floor, as over cables, and take its door off its hinges."""
+    office, side = entries[int(rng.integers(len(entries)))]
+    face = office.face(side)
+    for k, wall in enumerate(walls):
+        doors = [one for one in wall.openings if one.kind in DOORS]
+        if doors and (wall.along_x, wall.at_m, wall.start_m) == (face.along_x, face.at_m, face.start_m):
+            panes = [one for one in wall.openings if one.kind not in DOORS]
+            walls[k] = replace(wall, openings=(replace(doors[0], kind="passage"), *panes))
+            return raised_room(office.rect, side, (doors[0].middle_m, doors[0].width_m), rng.uniform(0.1, 0.25))
+    return None
 
 
 def _ducts(rng: np.random.Generator, passages: Iterable[tuple[Rect, tuple[int, int]]], top_m: float) -> list[Thing]:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from viewshed.sim.materials import material_index
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.worlds.indoor_site import Rect
+from viewshed.sim.worlds.indoor_site import Rect, Site
 
 _EDGE_M = 0.01
-_HALF_M = 60.0
+_HALF_M, _SLOPE = 60.0, 0.09
 Heights = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
@@ -45,6 +45,39 @@ class Rise:
             at = sides[self.side][0]
             split = [(at, y0, at, b), (at, d, at, y1), (a, b, c, b), (a, d, c, d)]
         return [*sides[: self.side], *sides[self.side + 1 :], *split]
+
+    def way(self) -> list[tuple[float, float]]:
+        """Return points (x, y) in metres up the ramp: before it, three on it, behind it."""
+        a, b, c, d = self.ramp
+        long = (d - b) if self.side % 2 else (c - a)
+        ahead = [-0.6, 0.1 * long, 0.5 * long, 0.9 * long, long + 0.6]
+        if self.side % 2:
+            return [((a + c) / 2, b + u if self.side == 1 else d - u) for u in ahead]
+        return [(a + u if self.side == 0 else c - u, (b + d) / 2) for u in ahead]
+
+
+def raised_room(rect: Rect, side: int, door_m: tuple[float, float], height_m: float) -> Rise:
+    """Return a room that lies higher, with a ramp behind a door in one of its sides.
+
+    Args:
+        rect: the room, in metres.
+        side: which wall has the door, as in :class:`Rise`.
+        door_m: middle and width of the door along that wall.
+        height_m: how much higher.
+    """
+    low, high = door_m[0] - door_m[1] / 2, door_m[0] + door_m[1] / 2
+    x0, y0, x1, y1 = rect
+    long = min(height_m / _SLOPE, (y1 - y0 if side % 2 else x1 - x0) - 1.2)
+    ramp = ((x0, low, x0 + long, high), (low, y0, high, y0 + long),
+            (x1 - long, low, x1, high), (low, y1 - long, high, y1))[side]  # fmt: skip
+    return Rise(rect, height_m, ramp, side)
+
+
+def lay(site: Site, rise: Rise) -> None:
+    """Note a raised floor on a site: its steps, its ramp, and room to turn at both ends of that."""
+    site.steps += rise.steps()
+    site.spots += rise.way()
+    site.reserve(rise.ramp, *((x - 0.5, y - 0.5, x + 0.5, y + 0.5) for x, y in (rise.way()[0], rise.way()[-1])))
 
 
 def floor(rise: Rise | None, inside: Rect, material: str, outside: str = "asphalt") -> Terrain:

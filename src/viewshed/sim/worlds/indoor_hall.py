@@ -11,7 +11,7 @@ from viewshed.sim import fittings, furniture, stock
 from viewshed.sim.furniture import Group, placed
 from viewshed.sim.shapes import Box, Cylinder
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.indoor_floor import Rise, floor
+from viewshed.sim.worlds.indoor_floor import Rise, floor, lay
 from viewshed.sim.worlds.indoor_people import Building, inhabited
 from viewshed.sim.worlds.indoor_site import Rect, Site, shrunk
 from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceiling
@@ -37,8 +37,8 @@ def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
     site.things.extend(ceiling(inside, top, "concrete"))
     if rng.random() < 0.6:
         _gallery(site, inside, (front + 2) % 4)
+    rise = _stage(site, inside) if rng.random() < 0.5 else None
     _pillars(site, inside, top)
-    rise = _stage(site, inside) if rng.random() < 0.6 else None
     _seating(site, inside)
     sides = tuple(side for side in range(4) if side != front)
     for maker, count, sides_ in ((stock.reception, 1, None), (stock.stall, 3, None), (stock.stall, 3, sides)):
@@ -46,7 +46,8 @@ def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
             site.against(inside, maker, sides_) if sides_ else site.inside(shrunk(inside, 4.0), maker, _QUARTERS)
     _scattered(site, inside, sides)
     _overhead(site, inside, top)
-    return inhabited(site, floor(rise, inside, "concrete"), Building("hall", inside, top, 7), plan)
+    building = Building("hall", inside, top, 7, (inside,) * 3 + ((rise.rect,) if rise else ()))
+    return inhabited(site, floor(rise, inside, "concrete"), building, plan)
 
 
 def _front(rng: np.random.Generator, wall: Wall, top_m: float) -> Wall:
@@ -116,7 +117,7 @@ def _stage(site: Site, inside: Rect) -> Rise | None:
         if site.clear(rect, 0.4):
             ramp = (x, y + 0.3, x + min(height / 0.1, wide - 1.5), y + 1.8)
             rise = Rise(rect, height, ramp, 0)
-            site.reserve((ramp[0] - 1.5, ramp[1], ramp[2] + 0.7, ramp[3]))
+            lay(site, rise)
             rails = Wall(True, y + deep - 0.1, x + 0.2, x + wide - 0.2).box(
                 x + 0.2, x + wide - 0.2, (0.0, 1.0), "glass", 0.02
             )
@@ -124,7 +125,6 @@ def _stage(site: Site, inside: Rect) -> Rise | None:
             for _ in range(3):
                 site.inside(shrunk(rect, 0.4), stock.bistro)
             site.reserve(*((a - 0.3, b - 0.3, c + 0.3, d + 0.3) for a, b, c, d in rise.steps()))
-            site.steps += rise.steps()
             return rise
     return None
 

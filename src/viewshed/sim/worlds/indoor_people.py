@@ -19,7 +19,7 @@ from viewshed.sim.worlds.indoor_site import Rect, Site
 
 ROBOT_RADIUS_M = 0.18
 _CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.3, 0.5
-_LEAD_S = 12.0
+_LEAD_S, _LOWEST_M = 12.0, 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,13 @@ class Building:
 
 
 def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
-    """Return the world of a finished building with robots, walking people and sensors below its ceiling."""
+    """Return the world of a finished building with robots, walking people and sensors below its ceiling.
+
+    Raises:
+        ValueError: the plan's sensor is too low for a robot to fit below it.
+    """
+    if plan.sensor_height_m < _LOWEST_M:
+        raise ValueError(f"sensor_height_m must be at least {_LOWEST_M} indoors, got {plan.sensor_height_m}; raise it")
     solids = bounds(site.things)
     roads = _roads(site, building, solids, max(1.9, plan.sensor_height_m + 0.2))
     people, roads = _walkers(site.rng, roads, building.walkers, plan.duration_s)
@@ -68,7 +74,7 @@ def _roads(site: Site, building: Building, solids: NDArray[np.float64], below_m:
         for off in (-0.9, 0.0, 0.9)
     ]
     floor = open_floor(building.inside).without(near, _CLEAR_M)
-    return RoadMap.over(floor, site.rng, np.array(doors).reshape(-1, 2))
+    return RoadMap.over(floor, site.rng, np.array([*doors, *site.spots]).reshape(-1, 2))
 
 
 def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: float) -> tuple[list[Thing], RoadMap]:
@@ -132,16 +138,27 @@ def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...],
     """Return a robot that drives between random haunts on its network for as long as the plan lasts."""
     speed = rng.uniform(0.2, 0.8)
     nodes = _within(haunts, network.roads.nodes_m, np.flatnonzero(network.rows))
-    at = int(rng.choice(nodes))
+    at = _goal(rng, haunts, network.roads.nodes_m, nodes)
     way, left = [network.roads.nodes_m[[at]]], (plan.duration_s + _LEAD_S + 2.0) * speed
     while left > 0 and len(nodes) > 1:
-        goal = int(rng.choice(nodes[nodes != at]))
+        goal = _goal(rng, haunts, network.roads.nodes_m, nodes[nodes != at])
         leg = network.path(at, goal)
         left -= float(np.hypot(*np.diff(leg, axis=0).T).sum())
         way.append(leg[1:])
         at = goal
     track = follow(np.concatenate(way), speed, rng.uniform(0.5, 1.2), -rng.uniform(1.0, _LEAD_S))
     return drive(Thing("robot", robot_parts(rng, plan.sensor_height_m)), track)
+
+
+def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: Points, rows: NDArray[np.intp]) -> int:
+    """Return one of some nodes: any of those in the first haunt, in random order, that has one."""
+    x, y = nodes_m[rows].T
+    for k in rng.permutation(len(haunts)).tolist():
+        a, b, c, d = haunts[k]
+        inside = rows[(x > a) & (x < c) & (y > b) & (y < d)]
+        if inside.size:
+            return int(rng.choice(inside))
+    return int(rng.choice(rows))
 
 
 def _within(haunts: tuple[Rect, ...], nodes_m: Points, rows: NDArray[np.intp]) -> NDArray[np.intp]:

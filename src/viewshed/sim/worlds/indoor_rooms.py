@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
-from viewshed.sim.worlds.indoor_floor import Rise, floor
+from viewshed.sim.worlds.indoor_floor import Rise, floor, lay, raised_room
 from viewshed.sim.worlds.indoor_furnish import furnish, furnish_all
 from viewshed.sim.worlds.indoor_people import Building, inhabited
 from viewshed.sim.worlds.indoor_site import Rect, Site, shrunk
-from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceiling
+from viewshed.sim.worlds.indoor_walls import DOORS, Opening, Wall, around, build, ceiling
 
 _LEAST_M, _DOOR_M = 3.0, 1.6
 _OFFICES = ("office", "meeting", "office", "office", "lounge", "office")
@@ -48,19 +48,20 @@ def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
     hub = (rng.uniform(-8.0, 8.0), rng.uniform(-6.0, 6.0))
     spaces, cuts = _layout(rng, inside, hub)
     doors = _doors(rng, _stretches(spaces, cuts))
-    rise = _raised(rng, spaces, doors, cuts) if rng.random() < 0.5 else None
+    rise = _raised(rng, spaces, doors) if rng.random() < 0.5 else None
     walls = [_inner(rng, cut, [d for d in doors if d[0].cut == k], rise) for k, cut in enumerate(cuts)]
     outer = [_with_windows(rng, wall, spaces) for wall in around(inside, 0.3)]
     build(site, [*walls, *outer], top)
     if rise is not None:
-        site.steps += rise.steps()
-        site.reserve(rise.ramp)
+        lay(site, rise)
     wishes = [(shrunk(space, 0.07), use) for space, use in zip(spaces[1:], _uses(rng, spaces[1:]), strict=True)]
     furnish(site, shrunk(spaces[0], 0.07), "hallway", (1, 3))
     lived = furnish_all(site, wishes, hub, 560)
     site.things.extend(ceiling(inside, top))
     ground = floor(rise, inside, "wood" if rng.random() < 0.6 else "concrete", "grass")
-    return inhabited(site, ground, Building("rooms", inside, top, 2, (*lived, spaces[0])), plan)
+    return inhabited(
+        site, ground, Building("rooms", inside, top, 2, (*lived, spaces[0], *((rise.rect,) if rise else ()))), plan
+    )
 
 
 def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:
@@ -136,30 +137,23 @@ def _doors(rng: np.random.Generator, stretches: list[Shared]) -> list[tuple[Shar
 
 
 def _door(rng: np.random.Generator, one: Shared, needed: bool) -> Opening:
-    width = rng.uniform(1.0, 1.15) if rng.random() < 0.8 else min(1.6, one.stop_m - one.start_m - 0.4)
+    width = rng.uniform(1.0, 1.2) if rng.random() < 0.8 else min(1.6, one.stop_m - one.start_m - 0.4)
     slack = (one.stop_m - one.start_m - width) / 2 - 0.15
     middle = (one.start_m + one.stop_m) / 2 + rng.uniform(-slack, slack)
-    chances = (0.68, 0.1, 0.04, 0.18) if needed else (0.3, 0.25, 0.4, 0.05)
-    return Opening(middle, width, ("open", "ajar", "shut", "passage")[int(rng.choice(4, p=chances))])
+    chances = (0.76, 0.06, 0.02, 0.16) if needed else (0.3, 0.25, 0.4, 0.05)
+    kind = DOORS[int(rng.choice(4, p=chances))]
+    return Opening(middle, width, kind, swing=int(one.low == 0) - int(one.high == 0))
 
 
-def _raised(
-    rng: np.random.Generator, spaces: list[Rect], doors: list[tuple[Shared, Opening]], cuts: list[Cut]
-) -> Rise | None:
-    """Return a room that lies a step higher, with a ramp behind one of its doors."""
+def _raised(rng: np.random.Generator, spaces: list[Rect], doors: list[tuple[Shared, Opening]]) -> Rise | None:
+    """Return a room off the hallway that lies a step higher, with a ramp behind its door."""
     fit = [d for d in doors if d[0].low == 0 or d[0].high == 0]
     if not fit:
         return None
     one, opening = fit[int(rng.integers(len(fit)))]
     up = one.low == 0
-    x0, y0, x1, y1 = spaces[one.high if up else one.low]
-    height = rng.uniform(0.08, 0.2)
-    long = min(height / 0.09, y1 - y0 - 1.0)
-    half = opening.width_m / 2
-    ramp = (opening.middle_m - half, y0, opening.middle_m + half, y0 + long)
-    if not up:
-        ramp = (ramp[0], y1 - long, ramp[2], y1)
-    return Rise((x0, y0, x1, y1), height, ramp, 1 if up else 3)
+    door = (opening.middle_m, opening.width_m)
+    return raised_room(spaces[one.high if up else one.low], 1 if up else 3, door, rng.uniform(0.08, 0.2))
 
 
 def _inner(rng: np.random.Generator, cut: Cut, doors: list[tuple[Shared, Opening]], rise: Rise | None) -> Wall:

@@ -36,12 +36,14 @@ class Site:
         things: what stands, hangs or walks in it.
         doorways: openings that one can walk through.
         steps: edges of the floor that a robot cannot cross.
+        spots: points that a robot should be able to reach.
     """
 
     rng: np.random.Generator
     things: list[Thing] = field(default_factory=list)
     doorways: list[Doorway] = field(default_factory=list)
     steps: list[Rect] = field(default_factory=list)
+    spots: list[tuple[float, float]] = field(default_factory=list)
     _taken: NDArray[np.float64] = field(default_factory=lambda: np.empty((_ROOM, 4)))
     _count: int = 0
 

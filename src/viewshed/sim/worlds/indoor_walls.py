@@ -31,12 +31,14 @@ class Opening:
         kind: one of ``DOORS``, ``window``, ``pane`` for glass from the floor up, ``gate`` for a wide gap, or
             ``roller`` for one that is shut.
         top_m: its upper edge, but for doors.
+        swing: side to which a door opens: 1 the higher x or y, -1 the lower, 0 either.
     """
 
     middle_m: float
     width_m: float
     kind: str = "open"
     top_m: float = 2.4
+    swing: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +132,11 @@ def build(site: Site, walls: Iterable[Wall], top_m: float) -> None:
 
 def _hang(site: Site, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
     """Hang the leaf of a door so that it stands in no other doorway and hits no other leaf or wall, if that can be."""
-    angle = {"open": site.rng.uniform(1.35, 1.6), "ajar": site.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
-    first = int(site.rng.integers(4))
-    for k in range(4):
-        leaf = _leaf(wall, one, angle, (first + k) % 4)
+    angle = {"open": site.rng.uniform(1.5, 1.9), "ajar": site.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
+    for way in site.rng.permutation(4).tolist():
+        if one.swing == (-1 if way % 2 else 1):
+            continue
+        leaf = _leaf(wall, one, angle, way)
         x0, y0, x1, y1 = footprint(leaf)
         apart = (others[:, 0] >= x1) | (others[:, 2] <= x0) | (others[:, 1] >= y1) | (others[:, 3] <= y0)
         if apart.all() and site.clear((x0, y0, x1, y1)):

@@ -10,7 +10,7 @@ from viewshed.sim import fittings, furniture, stock
 from viewshed.sim.furniture import Maker, placed
 from viewshed.sim.shapes import Box
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.indoor_floor import Rise, floor
+from viewshed.sim.worlds.indoor_floor import Rise, floor, lay
 from viewshed.sim.worlds.indoor_people import Building, inhabited
 from viewshed.sim.worlds.indoor_site import Rect, Site, shrunk
 from viewshed.sim.worlds.indoor_walls import Opening, Wall, around, build, ceiling
@@ -45,7 +45,8 @@ def warehouse(rng: np.random.Generator, plan: AgentPlan) -> World:
             site.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not fittings.standing else ())
     _along_walls(site, inside, gates)
     _roof(site, inside, top)
-    return inhabited(site, floor(rise, inside, "concrete"), Building("warehouse", inside, top, 3), plan)
+    building = Building("warehouse", inside, top, 3, (store, staging, staging) + ((rise.rect,) if rise else ()))
+    return inhabited(site, floor(rise, inside, "concrete"), building, plan)
 
 
 def _with_gates(rng: np.random.Generator, wall: Wall) -> Wall:
@@ -75,13 +76,13 @@ def _zones(inside: Rect, gates: int) -> tuple[Rect, Rect]:
 def _racks(site: Site, store: Rect, top_m: float) -> float:
     """Add racks back to back along y with a cross aisle, and return the x where they end."""
     rng = site.rng
-    aisle, levels = rng.uniform(2.6, 3.6), int(rng.integers(2, 4)) if top_m > 7.5 else 2
+    aisle, levels = rng.uniform(2.6, 3.6), int(rng.integers(2, 4)) if top_m > 8.8 else 2
     long = store[3] - store[1] - 2 * _CROSS_M
     bays = int((long - _CROSS_M) / 2 / (stock.BAY_M + 0.1))
     x = store[0] + 0.7
     _rack_row(site, x, store, bays, levels)
     x += 0.6 + aisle
-    for _ in range(min(3, int((store[2] - x - 7.0) / (2.4 + aisle)))):
+    for _ in range(min(5 - levels, int((store[2] - x - 7.0) / (2.4 + aisle)))):
         _rack_row(site, x + 0.57, store, bays, levels)
         _rack_row(site, x + 0.57 + 1.2, store, bays, levels)
         x += 2.4 + aisle
@@ -119,8 +120,7 @@ def _dock(site: Site, staging: Rect, gates: int) -> Rise | None:
     y = staging[3] - deep if gates == 3 else staging[1]
     rect = (x, y, x + long, y + deep)
     rise = Rise(rect, height, (x, y, x + height / 0.08, y + deep), 0)
-    site.reserve((x - 1.0, y, x + height / 0.08 + 1.0, y + deep))
-    site.steps += rise.steps()
+    lay(site, rise)
     site.reserve(*((a - 0.3, b - 0.3, c + 0.3, d + 0.3) for a, b, c, d in rise.steps()))
     return rise
 
