@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 
-_T = TypeVar("_T")
+_A = TypeVar("_A")
+_R = TypeVar("_R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,15 +151,17 @@ def each_sweep(
     for problem in source.damage() if on_damage is not None else ():
         on_damage("", problem)
     for scene in source.scenes() if scenes is None else scenes:
-        for ref in _tried(lambda name=scene: source.refs(name), scene, on_damage) or ():
-            sweep = _tried(lambda wanted=ref: source.read(wanted), scene, on_damage)
+        for ref in _tried(source.refs, scene, scene, on_damage) or ():
+            sweep = _tried(source.read, ref, scene, on_damage)
             if sweep is not None:
                 yield ref, sweep
 
 
-def _tried(action: Callable[[], _T], scene: str, on_damage: Callable[[str, str], None] | None) -> _T | None:
+def _tried(
+    action: Callable[[_A], _R], argument: _A, scene: str, on_damage: Callable[[str, str], None] | None
+) -> _R | None:
     try:
-        return action()
+        return action(argument)
     except (ValueError, OSError) as error:
         if on_damage is None:
             raise
