@@ -1,4 +1,4 @@
-"""``viewshed evaluate``: figures on real data that no estimator made."""
+"""``viewshed evaluate``: figures against truth that no estimator made."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from viewshed.cli.evaluate_truth import truth
+
 if TYPE_CHECKING:
     from viewshed.crossview import CrossViewRow
     from viewshed.estimate import FovEstimator
     from viewshed.sweep import Sweep
 
-evaluate_app = typer.Typer(help="Figures on real data that no estimator made.")
+evaluate_app = typer.Typer(help="Figures against truth that no estimator made.")
+evaluate_app.command()(truth)
 _ALL = "all"
 _INTRODUCTION = """\
 Two posed sweeps A and B of a static scene: what B sees tells what A must have seen or missed. *over* is the share of
@@ -35,7 +38,7 @@ the exact mask with is the metric's own error."""
 
 @evaluate_app.callback()
 def evaluate() -> None:
-    """Figures on real data that no estimator made."""
+    """Figures against truth that no estimator made."""
 
 
 @evaluate_app.command()

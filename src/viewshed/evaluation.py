@@ -1,0 +1,201 @@
+"""Estimates against exact truth: pooled over samples, by range, and without the cells that are a matter of one beam."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid, polar_of_cells
+from viewshed.datasets.sample import Sample
+from viewshed.estimate import THRESHOLD, FovEstimator
+from viewshed.sweep import Sweep
+from viewshed.truth import OTHER_DEFINITIONS
+from viewshed.visible import Target
+
+ALL = "all"
+CLEAR = "clear"
+"""Names of the parts of a grid that are always told: every known cell; those not next to the threshold."""
+Mask = NDArray[np.bool_]
+Form = Callable[[Sweep], Sweep]
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """How many cells of two masks agree, over any number of samples.
+
+    Attributes:
+        both: cells that both call visible.
+        over: cells that only the estimate calls visible.
+        under: cells that only the truth calls visible.
+        neither: cells that none calls visible.
+        area_m2: of all of them together.
+        samples: how many samples.
+
+    >>> tally = Tally(6, 2, 2, 10, area_m2=5.0)
+    >>> tally.precision, tally.recall, tally.f1, tally.iou, tally.over_m2
+    (0.75, 0.75, 0.75, 0.6, 0.5)
+    """
+
+    both: int = 0
+    over: int = 0
+    under: int = 0
+    neither: int = 0
+    area_m2: float = 0.0
+    samples: int = 1
+
+    @classmethod
+    def of(cls, claimed: Mask, true: Mask, among: Mask, cell_area_m2: float) -> Tally:
+        """Return the tally of two masks over the cells ``among``."""
+        cells, claims, trues = int(among.sum()), int((claimed & among).sum()), int((true & among).sum())
+        both = int((claimed & true & among).sum())
+        return cls(both, claims - both, trues - both, cells - claims - trues + both, cells * cell_area_m2)
+
+    def __add__(self, other: Tally) -> Tally:
+        """Return both together."""
+        return Tally(
+            self.both + other.both, self.over + other.over, self.under + other.under, self.neither + other.neither,
+            self.area_m2 + other.area_m2, self.samples + other.samples,
+        )  # fmt: skip
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.both + self.over + self.under + self.neither
+
+    @property
+    def precision(self) -> float:
+        """Share of the claimed cells that are visible; NaN where none is claimed."""
+        return _ratio(self.both, self.both + self.over)
+
+    @property
+    def recall(self) -> float:
+        """Share of the visible cells that are claimed; NaN where none is visible."""
+        return _ratio(self.both, self.both + self.under)
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall; NaN where nothing is claimed and nothing visible."""
+        return _ratio(2 * self.both, 2 * self.both + self.over + self.under)
+
+    @property
+    def iou(self) -> float:
+        """Cells that both call visible over those that any does; NaN where none does."""
+        return _ratio(self.both, self.both + self.over + self.under)
+
+    @property
+    def over_m2(self) -> float:
+        """Area of a sample, on average, that is claimed and not visible."""
+        return self.over * _ratio(self.area_m2, self.cells) / self.samples
+
+    @property
+    def under_m2(self) -> float:
+        """Area of a sample, on average, that is visible and not claimed."""
+        return self.under * _ratio(self.area_m2, self.cells) / self.samples
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Contest:
+    """Who is compared, and how.
+
+    Attributes:
+        estimators: by name, what makes one for a grid.
+        target: what would have to be seen.
+        forms: by name, in which form the estimators are given the sweep.
+        bands: edges of the range bands, as shares of half the grid's side.
+        threshold: probability from which an estimate calls a cell visible.
+    """
+
+    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]
+    target: Target
+    forms: Mapping[str, Form]
+    bands: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.415)
+    threshold: float = THRESHOLD
+
+
+Scores = dict[tuple[str, str, str], Tally]
+"""By estimator, form of the sweep, and part of the grid."""
+
+
+def evaluate_truth(samples: Iterable[Sample], contest: Contest) -> Scores:
+    """Return the tallies of every estimator over the samples, pooled; one that cannot use a sweep claims nothing.
+
+    Args:
+        samples: with truth for the contest's target.
+        contest: who is compared.
+    """
+    scores: Scores = defaultdict(lambda: Tally(samples=0))
+    made: dict[tuple[str, BevGrid], FovEstimator] = {}
+    for sample in samples:
+        grid, true = sample.truth.grid, sample.truth.visible(contest.target)
+        parts = _parts(sample, contest)
+        for form, change in contest.forms.items():
+            sweep = change(sample.sweep)
+            for name, make in contest.estimators.items():
+                if (name, grid) not in made:
+                    made[name, grid] = make(grid)
+                claimed = made[name, grid].estimate(sweep).visible(contest.threshold)
+                for part, among in parts.items():
+                    scores[name, form, part] += Tally.of(claimed, true, among, grid.cell_area_m2)
+    return dict(scores)
+
+
+def compare_definitions(samples: Iterable[Sample], contest: Contest) -> Scores:
+    """Return the tallies of the other definitions of visible against ``probe``, ours; the form is empty."""
+    scores: Scores = defaultdict(lambda: Tally(samples=0))
+    for sample in samples:
+        true, parts = sample.truth.visible(contest.target), _parts(sample, contest)
+        for name in OTHER_DEFINITIONS:
+            if name in sample.truth.definitions:
+                for part, among in parts.items():
+                    tally = Tally.of(sample.truth.definitions[name], true, among, sample.truth.grid.cell_area_m2)
+                    scores[name, "", part] += tally
+    return dict(scores)
+
+
+def _parts(sample: Sample, contest: Contest) -> dict[str, Mask]:
+    """Return the parts of the grid by name: all that is known, clear of the threshold, and range bands."""
+    target, grid = contest.target, sample.truth.grid
+    gap = np.abs(sample.truth.expected_returns[target.name].astype(np.int16) - min(target.min_returns, 255))
+    range_m, _ = polar_of_cells(grid)
+    parts = {ALL: sample.known, CLEAR: sample.known & (gap > max(1, target.min_returns // 2))}
+    for low, high in pairwise(edge * grid.half_extent_m for edge in contest.bands):
+        parts[f"{low:g} to {high:.3g} m"] = sample.known & (range_m >= low) & (range_m < high)
+    return parts
+
+
+def as_measured(sweep: Sweep) -> Sweep:
+    """Return the sweep as it is: ring, time and sensor known."""
+    return sweep
+
+
+def unorganised(sweep: Sweep) -> Sweep:
+    """Return the sweep without ring, firing azimuth and time; the sensor is known."""
+    return sweep.replace(ring=None, azimuth=None, time_s=None)
+
+
+def unorganised_no_sensor(sweep: Sweep) -> Sweep:
+    """Return the sweep without ring, firing azimuth, time and sensor."""
+    return unorganised(sweep).replace(model=None)
+
+
+def bare_points(sweep: Sweep) -> Sweep:
+    """Return the points alone: no sensor, mounting height, attitude or pose either."""
+    return Sweep(sweep.points)
+
+
+FORMS: dict[str, Form] = {
+    "rings known": as_measured,
+    "unorganised": unorganised,
+    "unorganised, no sensor": unorganised_no_sensor,
+    "bare points": bare_points,
+}
+"""In which form a sweep may be given, by name."""
