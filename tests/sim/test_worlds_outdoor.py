@@ -94,7 +94,7 @@ def test_masts_look_down_and_cars_drive_forward(name: str) -> None:
     for agent in world.agents:
         ahead = world.world_from_sensor(agent, 0.0).rotation[:, 0]
         if agent.carrier is None:
-            assert 4.9 < np.rad2deg(np.arcsin(-ahead[2])) < 20.1
+            assert 0.9 < np.rad2deg(np.arcsin(-ahead[2])) < 8.1
         else:
             moved = np.subtract(world.things[agent.carrier].place(0.5)[:2], world.things[agent.carrier].place(0.0)[:2])
             assert moved @ ahead[:2] >= 0.0
@@ -117,8 +117,8 @@ def test_sizes_stay_where_casting_is_fast(name: str) -> None:
         assert 2 * world.terrain.material.size <= 2500
         parts.append(len(world.snapshot(0.0).kind))
         moving.append(sum(thing.track is not None for thing in world.things))
-    assert 250 < np.mean(parts) < 900
-    assert max(parts) < 1100
+    assert 250 < np.mean(parts) < 1000
+    assert max(parts) < 1200
     assert max(moving) <= 40
 
 

@@ -48,8 +48,10 @@ MATERIALS: tuple[Material, ...] = (
     Material("mesh", 0.30, per_m=6.0),
     Material("glass", 0.0, per_m=18.0),
     Material("absorber", 0.0),
+    Material("cabin", 0.2, per_m=2.0),
 )
-"""A beam that stops in glass is mirrored away and gives no return; panes are about 2 cm thick, so two in three pass."""
+"""A beam that stops in glass is mirrored away and gives no return; panes are about 2 cm thick, so two in three pass. A
+cabin is the inside of a car behind its windows: seats some way in, and now and then out at the other side."""
 
 _INDEX = {material.name: index for index, material in enumerate(MATERIALS)}
 REFLECTIVITY: NDArray[np.float32] = np.array([material.reflectivity for material in MATERIALS], np.float32)

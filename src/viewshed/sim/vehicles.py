@@ -13,6 +13,7 @@ from viewshed.sim.world import Thing
 _ABSORBING = 0.05
 _DARK = 0.22
 _SENSOR_CLEARANCE_M = 0.25
+_ROOF_M = 0.08
 
 
 def car(rng: np.random.Generator) -> Thing:
@@ -178,13 +179,14 @@ def _pickup(rng: np.random.Generator) -> Thing:
 
 
 def _body(long: float, wide: float, tall: float, cabin: tuple[float, float], paint: str) -> tuple[Box, ...]:
-    """Lower body, cabin in two steps for the slant of the screens, two axles; ``cabin``: its share and middle."""
+    """Lower body, windows in two steps for the slant of the screens, roof, axles; ``cabin``: its share and middle."""
     belt, share, middle = 0.58 * tall, cabin[0] * long, cabin[1] * long
     step = (belt + 0.5 * (tall - belt), wide - 0.18, wide - 0.34)
     return (
         Box(0.0, 0.0, long, wide, belt, 0.14 * tall, 0.0, paint),
-        Box(middle, 0.0, share, step[1], step[0], belt, 0.0, paint),
-        Box(middle - 0.02 * long, 0.0, 0.74 * share, step[2], tall, step[0], 0.0, paint),
+        Box(middle, 0.0, share, step[1], step[0], belt, 0.0, "cabin"),
+        Box(middle - 0.02 * long, 0.0, 0.74 * share, step[2], tall - _ROOF_M, step[0], 0.0, "cabin"),
+        Box(middle - 0.02 * long, 0.0, 0.74 * share, step[2], tall, tall - _ROOF_M, 0.0, paint),
         *_axles(0.3 * long, wide, 0.62),
     )
 
