@@ -142,7 +142,7 @@ def test_ceiling_sensors_hang_high_and_look_down() -> None:
     for agent in world.agents[2:]:
         assert agent.carrier is None
         assert agent.mount.translation[2] > 2.0
-        assert -np.sin(0.55) < agent.mount.rotation[2, 0] < -np.sin(0.1)
+        assert -np.sin(0.26) < agent.mount.rotation[2, 0] < -np.sin(0.04)
 
 
 def test_a_doorway_is_a_gap_below_a_lintel_with_posts_at_both_ends() -> None:
@@ -197,9 +197,13 @@ def test_a_line_through_something_is_not_free() -> None:
     assert lane.sees(start, stop).tolist() == [False, True, True]
 
 
-def test_a_sensor_below_any_robot_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"sensor_height_m must be at least 0\.3 indoors, got 0\.1; raise it"):
-        make("hall", 0, AgentPlan(sensor_height_m=0.1))
+@pytest.mark.parametrize("height_m", [0.1, 2.4])
+def test_robots_that_are_too_low_or_too_tall_are_refused(height_m: float) -> None:
+    with pytest.raises(
+        ValueError, match=rf"sensor_height_m must lie in \[0\.3, 1\.85\] indoors, got {height_m}; change"
+    ):
+        make("rooms", 0, AgentPlan(sensor_height_m=height_m))
+    assert len(make("rooms", 0, AgentPlan(moving=0, roadside=2, sensor_height_m=height_m)).agents) == 2
 
 
 def test_robots_drive_up_ramps() -> None:

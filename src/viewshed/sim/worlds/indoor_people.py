@@ -19,7 +19,7 @@ from viewshed.sim.worlds.indoor_site import Rect, Site
 
 ROBOT_RADIUS_M = 0.18
 _CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.3, 0.5
-_LEAD_S, _LOWEST_M = 12.0, 0.3
+_LEAD_S, _SENSOR_M = 12.0, (0.3, 1.85)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +45,13 @@ def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan)
     """Return the world of a finished building with robots, walking people and sensors below its ceiling.
 
     Raises:
-        ValueError: the plan's sensor is too low for a robot to fit below it.
+        ValueError: a robot with the plan's sensor is too low to be one, or too tall for doors.
     """
-    if plan.sensor_height_m < _LOWEST_M:
-        raise ValueError(f"sensor_height_m must be at least {_LOWEST_M} indoors, got {plan.sensor_height_m}; raise it")
+    low, high = _SENSOR_M
+    if plan.moving and not low <= plan.sensor_height_m <= high:
+        raise ValueError(f"sensor_height_m must lie in [{low}, {high}] indoors, got {plan.sensor_height_m}; change it")
     solids = bounds(site.things)
-    roads = _roads(site, building, solids, max(1.9, plan.sensor_height_m + 0.2))
+    roads = _roads(site, building, solids, max(1.9, min(plan.sensor_height_m, high) + 0.15))
     people, roads = _walkers(site.rng, roads, building.walkers, plan.duration_s)
     robots = [
         _robot(site.rng, network, building.haunts, plan)
@@ -195,7 +196,7 @@ def _hung(
         spots = np.column_stack([roads.nodes_m, np.full(len(roads.nodes_m), z)])[_hangs_free(roads.nodes_m, solids, z)]
         some = spots[rng.integers(len(spots), size=8)]
         gaps = [min([float(np.linalg.norm(spot - pose.translation)) for pose in poses], default=0.0) for spot in some]
-        tilt, yaw = rng.uniform(0.15, 0.5), rng.uniform(-np.pi, np.pi)
+        tilt, yaw = rng.uniform(0.05, 0.25), rng.uniform(-np.pi, np.pi)
         c, s = np.cos(tilt), np.sin(tilt)
         down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
         poses.append(Rigid(Rigid.from_yaw(yaw).rotation @ down, some[int(np.argmax(gaps))]))
