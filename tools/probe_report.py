@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.bev import GRIDS
-from viewshed.datasets.simulate import motion_of
 from viewshed.report import facts, page, table
 from viewshed.sensors import lidar_model
 from viewshed.sim.caster import cast_world
+from viewshed.sim.observe import motion_of
 from viewshed.sim.probes import Probes, Setting, place, reason
 from viewshed.sim.truth import exact_truth
 from viewshed.sim.world import AgentPlan

@@ -18,9 +18,10 @@ import pytest
 
 from viewshed.datasets import Archive, Store, simulation
 from viewshed.datasets.presets import Preset, preset_named
-from viewshed.datasets.simulate import ScenePlan, jobs_of, motion_of, simulate_frame, simulate_shard, world_of
+from viewshed.datasets.simulate import ScenePlan, jobs_of, simulate_frame, simulate_shard, world_of
 from viewshed.engines import Done, LocalEngine
 from viewshed.engines.role import J, R
+from viewshed.sim.observe import motion_of
 
 SMALL = ["nuscenes-small", "--sweeps", "100", "--grid", "32x32"]
 """Five shards: four scenes to train on and one to test with, of 20 sweeps each."""

@@ -15,14 +15,9 @@ from viewshed.datasets.frame import Frame
 from viewshed.datasets.presets import Preset
 from viewshed.datasets.shard import ShardFacts, write_frames
 from viewshed.datasets.store import Store
-from viewshed.geometry import Rigid
-from viewshed.sensors import lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.measure import measure
-from viewshed.sim.scan import Motion
-from viewshed.sim.truth import exact_truth
+from viewshed.sim.observe import Setting, observe
 from viewshed.sim.weather import CONDITIONS
-from viewshed.sim.world import Agent, Snapshot, World
+from viewshed.sim.world import World
 from viewshed.sim.worlds import WORLDS
 
 FRAMES_PER_SHARD = 48
@@ -35,11 +30,10 @@ _BRONZE = (13**0.5 - 3) / 2
 
 class _Purpose(IntEnum):
     WORLD = 0
-    CAST = 1
-    MEASURE = 2
-    WORLD_KIND = 3
-    CONDITIONS = 4
-    SENSOR = 5
+    OBSERVATION = 1
+    WORLD_KIND = 2
+    CONDITIONS = 3
+    SENSOR = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,21 +149,12 @@ def simulate_shard(job: ShardJob) -> ShardFacts:
 
 def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
     """Return one frame of a scene: range image, truth and where it is known."""
-    world, (time, number) = world_of(scene), divmod(frame, scene.preset.agents)
-    t_s, agent = (time + 0.5) * scene.preset.interval_s, world.agents[number]
-    pose = world.world_from_sensor(agent, t_s)
-    motion = motion_of(world, agent, t_s, scene.preset.revolution_s)
-    seed = int(scene.seed(_Purpose.CAST, frame).generate_state(1)[0])
-    scan = cast_world(_snapshot(world, t_s), lidar_model(agent.sensor), pose, motion, seed)
-    image = measure(
-        scan,
-        CONDITIONS[scene.conditions],
-        np.random.Generator(np.random.PCG64(scene.seed(_Purpose.MEASURE, frame))),
-        sensor_height_m=float(pose.translation[2] - world.terrain.at(pose.translation[None])[0]),
-        t_ns=round(t_s * 1e9),
-        agent=agent.name,
-    )
-    return Frame(image, *exact_truth(scan, world, scene.preset.grid, agent=agent))
+    preset, world = scene.preset, world_of(scene)
+    time, number = divmod(frame, preset.agents)
+    setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
+    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_Purpose.OBSERVATION, frame)
+    seen = observe(world, world.agents[number], t_s, setting, seed)
+    return Frame(seen.image, seen.truth, seen.known)
 
 
 @lru_cache(maxsize=2)
@@ -184,18 +169,3 @@ def world_of(scene: ScenePlan) -> World:
     if len(world.agents) != scene.preset.agents:
         raise ValueError(f"{scene.name} must have {scene.preset.agents} agents, got {len(world.agents)}")
     return world
-
-
-def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion:
-    """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
-    if period_s == 0.0 or agent.carrier is None:
-        return Motion(period_s=period_s)
-    before, after = (world.world_from_sensor(agent, t_s + sign * period_s / 2) for sign in (-1, 1))
-    vx, vy, vz = (float(value) for value in (after.translation - before.translation) / period_s)
-    turned = Rigid(after.rotation @ before.rotation.T, np.zeros(3)).yaw
-    return Motion((vx, vy, vz), turned / period_s, period_s)
-
-
-@lru_cache(maxsize=1)
-def _snapshot(world: World, t_s: float) -> Snapshot:
-    return world.snapshot(t_s)

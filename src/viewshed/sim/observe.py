@@ -1,0 +1,95 @@
+"""One sample from a world: what an agent's sensor meets, what it stores of that, and what it could have seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid
+from viewshed.geometry import Rigid
+from viewshed.sensors import lidar_model
+from viewshed.sim.caster import cast_world
+from viewshed.sim.measure import measure
+from viewshed.sim.range_image import RangeImage
+from viewshed.sim.scan import Motion, Scan
+from viewshed.sim.truth import exact_truth
+from viewshed.sim.weather import CONDITIONS, Conditions
+from viewshed.sim.world import Agent, Snapshot, World
+from viewshed.truth import Truth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """One revolution of one agent's sensor.
+
+    Attributes:
+        scan: what every beam met, without noise.
+        image: what the sensor stored; ``image.sweep()`` is the sweep.
+        truth: what it could have seen.
+        known: (cells, cells) bool, where that is known.
+    """
+
+    scan: Scan
+    image: RangeImage
+    truth: Truth
+    known: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How a world is observed.
+
+    Attributes:
+        grid: of the truth.
+        conditions: weather and faults.
+        revolution_s: duration of a sweep; 0 lets all beams fire at once.
+    """
+
+    grid: BevGrid
+    conditions: Conditions = CONDITIONS["clear"]
+    revolution_s: float = 0.1
+
+
+def observe(world: World, agent: Agent, t_s: float, setting: Setting, seed: np.random.SeedSequence) -> Observation:
+    """Return what ``agent`` observes in the revolution about ``t_s``; the same seed, the same bytes.
+
+    Args:
+        world: that it is in.
+        agent: one of the world's.
+        t_s: time in seconds.
+        setting: grid, weather, duration of the revolution.
+        seed: of free paths in volumes and of the measurement's noise.
+    """
+    for_paths, for_noise = seed.spawn(2)
+    pose = world.world_from_sensor(agent, t_s)
+    motion = motion_of(world, agent, t_s, setting.revolution_s)
+    paths = int(for_paths.generate_state(1)[0])
+    scan = cast_world(_snapshot(world, t_s), lidar_model(agent.sensor), pose, motion, paths)
+    image = measure(
+        scan,
+        setting.conditions,
+        np.random.Generator(np.random.PCG64(for_noise)),
+        sensor_height_m=float(pose.translation[2] - world.terrain.at(pose.translation[None])[0]),
+        t_ns=round(t_s * 1e9),
+        agent=agent.name,
+    )
+    return Observation(scan, image, *exact_truth(scan, world, setting.grid, agent=agent))
+
+
+def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion:
+    """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
+    if period_s == 0.0 or agent.carrier is None:
+        return Motion(period_s=period_s)
+    before, after = (world.world_from_sensor(agent, t_s + sign * period_s / 2) for sign in (-1, 1))
+    vx, vy, vz = (float(value) for value in (after.translation - before.translation) / period_s)
+    turned = Rigid(after.rotation @ before.rotation.T, np.zeros(3)).yaw
+    return Motion((vx, vy, vz), turned / period_s, period_s)
+
+
+@lru_cache(maxsize=1)
+def _snapshot(world: World, t_s: float) -> Snapshot:
+    """Return the snapshot that all agents of a world share at one time."""
+    return world.snapshot(t_s)
