@@ -1,28 +1,72 @@
-"""``viewshed demo``: the main job on the sample that travels with the package."""
+"""``viewshed demo``: a simulated junction, what its sensor saw, and what it could have seen."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import options
 from viewshed.cli.estimate import Run
-from viewshed.cli.options import Reading
+
+if TYPE_CHECKING:
+    from viewshed.bev import BevGrid
+    from viewshed.estimate import FovEstimate
+    from viewshed.sim.observe import Observation
+
+SEED, TIME_S = 20, 5.0
 
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(help="Of the junction and all in it.", min=0)] = SEED,
 ) -> None:
-    """Estimate what the sensor saw in the embedded sample, and say where the picture is.
+    """Simulate a junction, estimate what a sensor in it sees, and compare with the exact truth.
+
+    Writes demo.png (the estimate), demo_truth.png (estimate and truth side by side), GeoJSON and NPZ.
 
     Example: viewshed demo --out demo
     """
-    from viewshed.samples import junction_path
+    from viewshed.atomic import write_bytes
 
     out.mkdir(parents=True, exist_ok=True)
-    sweep = Reading().sweep(junction_path())
-    estimator = options.make_estimator("shadow_map", options.parse_grid("road"), "car")
+    grid = options.parse_grid("road")
+    estimator = options.make_estimator("shadow_map", grid, "car")
+    seen = _junction(seed, grid)
+    sweep = seen.image.sweep()
     typer.echo(Run(estimator, options.parse_threshold(None, "sound"), out).one(sweep, "demo"))
+    picture, line = _beside_truth(estimator.estimate(sweep), seen)
+    write_bytes(out / "demo_truth.png", picture)
+    typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")
     typer.echo(f"Look at {(out / 'demo.png').resolve()}")
+
+
+def _junction(seed: int, grid: BevGrid) -> Observation:
+    import numpy as np
+
+    from viewshed.sim.observe import Setting, observe
+    from viewshed.sim.world import AgentPlan
+    from viewshed.sim.worlds import WORLDS
+
+    world = WORLDS["junction"](np.random.default_rng(seed), AgentPlan())
+    return observe(world, world.agents[0], TIME_S, Setting(grid), np.random.SeedSequence(seed))
+
+
+def _beside_truth(found: FovEstimate, seen: Observation) -> tuple[bytes, str]:
+    """Return a PNG of estimate and truth, and precision and recall of the estimate in one line."""
+    import numpy as np
+
+    from viewshed.estimate import FovEstimate
+    from viewshed.evaluation import Tally
+    from viewshed.plot import Panel, comparison
+
+    name, true = found.target.name, seen.truth.visible(found.target)
+    exact = FovEstimate(found.grid, true.astype(np.float32), seen.truth.state[name], method="exact truth")
+    tally = Tally.of(found.visible(), true, seen.known, found.grid.cell_area_m2)
+    scores = [f"{value:.3f}" for value in (tally.precision, tally.recall, tally.f1)]
+    panels = [Panel(found, found.method), Panel(exact, "exact truth")]
+    rows = [[found.method, f"{found.area_m2():.0f}", *scores], ["exact truth", f"{exact.area_m2():.0f}", "", "", ""]]
+    header = ["", "visible, m²", "precision", "recall", "F1"]
+    line = "against the exact truth: precision {}, recall {}, F1 {}".format(*scores)
+    return comparison(panels, rows, header), line
