@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from viewshed.datasets import carla
 from viewshed.datasets.source import SourceKind, SweepSource
 
-SOURCES: dict[str, SourceKind] = {}
+SOURCES: dict[str, SourceKind] = {
+    "carla": SourceKind(carla.LAYOUT, carla.is_recording, carla.CarlaRecording.open),
+}
 """Name → how to recognize and open it; the first that fits is taken."""
 
 
