@@ -90,6 +90,20 @@ def recover_beams(sweep: Sweep, model: LidarModel | None = None) -> Beams:
     )
 
 
+def told_beams(sweep: Sweep) -> Beams:
+    """Return the beams of ``sweep`` where its rings are told, not guessed from elevations alone.
+
+    Raises:
+        ValueError: the sweep has no rings, and neither the order of its points nor a sensor's table tells them.
+    """
+    beams = recover_beams(sweep)
+    if beams.source == "elevation bins":
+        raise ValueError(
+            "the sweep must have rings, got none that can be told; give its ring column or name its sensor"
+        )
+    return beams
+
+
 def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
     """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
 

@@ -59,7 +59,7 @@ def measure(
     step_m = step_of(model)
     measured(
         (scan.depth_m, scan.cos_incidence, scan.material, scan.thing),
-        (REFLECTIVITY, _facing(), _thresholds(), *_air(optics, conditions, model.max_range_m)),
+        (REFLECTIVITY, _facing(), _thresholds(), *air(optics, conditions, model.max_range_m)),
         _alive(model, conditions, int(seed)),
         _numbers(model, optics, conditions, step_m),
         seed,
@@ -82,7 +82,7 @@ def detection_probability(signal: Floats) -> Floats:
 
 def _numbers(model: LidarModel, optics: Optics, conditions: Conditions, step_m: float) -> tuple[np.float32, ...]:
     missing = 1 - (1 - optics.missing_share) * (1 - conditions.missing_share)
-    particle_m = _particle_reach_m(optics, conditions, model.max_range_m) if conditions.particles_per_m > 0 else 0.0
+    particle_m = particle_reach_m(optics, conditions, model.max_range_m) if conditions.particles_per_m > 0 else 0.0
     numbers = (
         min(optics.reach_m, _ENDLESS_M) ** 2 / 0.1, optics.sigma_m * conditions.noise, 1 / step_m, conditions.wet,
         65536 * missing, 65536 * conditions.mixed_share, model.min_range_m, model.max_range_m, particle_m**2,
@@ -111,7 +111,7 @@ def _thresholds() -> Floats:
 
 
 @lru_cache(maxsize=64)
-def _air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[Floats, Floats]:
+def air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[Floats, Floats]:
     """Return the share of light that comes back through the air by range, and the range of a particle by luck.
 
     Particles that are detected are met at a rate of n exp(-(r / reach)² exp(2 α r)) a metre: sizes are exponential and
@@ -119,7 +119,7 @@ def _air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[Fl
     """
     range_m = np.linspace(0.0, max_range_m, _AIR)
     loss = np.exp(-2 * conditions.extinction_per_m * range_m)
-    reach_m = _particle_reach_m(optics, conditions, max_range_m)
+    reach_m = particle_reach_m(optics, conditions, max_range_m)
     with np.errstate(over="ignore", under="ignore"):
         rate = conditions.particles_per_m * np.exp(-((range_m / reach_m) ** 2) / np.maximum(loss, 1e-30))
     met = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(range_m))])
@@ -129,7 +129,8 @@ def _air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[Fl
     return np.append(loss, loss[-1]).astype(np.float32), np.append(particle, np.inf).astype(np.float32)
 
 
-def _particle_reach_m(optics: Optics, conditions: Conditions, max_range_m: float) -> float:
+def particle_reach_m(optics: Optics, conditions: Conditions, max_range_m: float) -> float:
+    """Return the range in metres at which a particle of mean size is only just detected."""
     return conditions.particle_reach * min(optics.reach_m, max_range_m)
 
 
