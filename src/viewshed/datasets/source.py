@@ -47,7 +47,8 @@ class ObjectBox:
     """One annotated object.
 
     Attributes:
-        world_from_box: pose of the box's frame: origin at its center, x along its heading, y left, z up.
+        world_from_box: pose of the box's frame: origin at its center, x along its heading, y left, z up. Where the
+            sweep has no pose, its sensor's frame stands for the world.
         size_m: its length (x), width (y) and height (z), metres.
         category: what it is, in the recording's own words.
         track: the same for one object over time, or None.
@@ -148,8 +149,9 @@ def each_sweep(
         ValueError: something is damaged, and nobody is told of it.
         OSError: a file cannot be read, and nobody is told of it.
     """
-    for problem in source.damage() if on_damage is not None else ():
-        on_damage("", problem)
+    if on_damage is not None:
+        for problem in source.damage():
+            on_damage("", problem)
     for scene in source.scenes() if scenes is None else scenes:
         for ref in _tried(source.refs, scene, scene, on_damage) or ():
             sweep = _tried(source.read, ref, scene, on_damage)
