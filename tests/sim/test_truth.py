@@ -102,3 +102,126 @@ def test_counts_are_those_of_every_beam_tested_by_itself(name: str, target: Targ
     assert (found <= high)[far].all()
     assert (low == high).mean() > 0.9
     assert 0 < (found > 0).mean() < 1
+
+
+FLAT = Terrain.plane(60.0)
+EVEN = LidarModel("even", np.deg2rad(np.arange(-20.0, 1.0)), azimuth_columns=720, max_range_m=50.0)
+ROAD = BevGrid(120, 30.0)
+
+
+def _look(world: World, grid: BevGrid = ROAD, yaw: float = 0.0) -> Scan:
+    return cast_world(world.snapshot(0.0), EVEN, Rigid.from_yaw(yaw, (0.0, 0.0, 2.0)))
+
+
+def _at(array: NDArray[Any], x: float, y: float, grid: BevGrid = ROAD) -> Any:
+    return array[tuple(grid.index(np.array([x, y]))[0])]
+
+
+def test_returns_of_a_car_on_an_empty_plane_counted_by_hand() -> None:
+    """At (10.25, 0.25): columns within ± 0.9 m of the line of sight, rings that pass between the ground and 1.5 m."""
+    truth, known = exact_truth(_look(World("flat", FLAT)), FLAT, ROAD)
+    r = np.hypot(10.25, 0.25)
+    azimuth = np.deg2rad(np.arange(720) * 0.5 - 179.75) - np.arctan2(0.25, 10.25)
+    columns = (np.abs(azimuth) < 1) & (np.abs(r * np.tan(azimuth)) <= 0.9)
+    heights = 2.0 + r / np.cos(azimuth[columns])[:, None] * np.tan(np.deg2rad(np.arange(-20.0, 1.0)))[None]
+    by_hand = int(((heights >= -BELOW_GROUND_M) & (heights <= 1.5)).sum())
+    assert _at(truth.expected_returns["car"], 10.25, 0.25) == by_hand > 50
+    assert known.all()
+
+
+def test_states_of_cells_before_on_and_behind_a_wall_and_out_of_range() -> None:
+    wall = World("wall", FLAT, (Thing("wall", (Box(0, 0, 1.0, 8, 3),), 12.0, 4.0),))
+    truth, _ = exact_truth(_look(wall), wall, BevGrid(220, 55.0))
+    grid = truth.grid
+    names = {
+        name: CellState(_at(truth.state["car"], *xy, grid)).name
+        for name, xy in {
+            "before": (8.0, 3.0), "on": (11.6, 2.0), "behind": (16.0, 3.0), "aside": (16.0, -12.0), "far": (-54.0, 0.1),
+            "below the rings": (0.6, 0.6),
+        }.items()
+    }  # fmt: skip
+    assert names == {
+        "before": "FREE", "on": "SURFACE", "behind": "HIDDEN", "aside": "FREE", "far": "UNKNOWN",
+        "below the rings": "UNKNOWN",
+    }  # fmt: skip
+    assert _at(truth.state["car"], 16.0, -3.0, grid) == CellState.FREE
+
+
+def test_other_definitions_by_hand() -> None:
+    """A wall 1 m high at x = 12 in front, glass at y = 6 on the left, a roof at 3 m on the right, nothing behind."""
+    things = (
+        Thing("low", (Box(0, 0, 0.5, 8, 1.0),), 12.0, 0.0),
+        Thing("pane", (Box(0, 0, 8, 1.0, 4, material="absorber"),), 0, 6.5),
+        Thing("roof", (Box(0, 0, 1.0, 6, 3.2, bottom_m=3.0),), 0.0, -8.0),
+    )  # fmt: skip
+    world = World("made", FLAT, things)
+    truth, _ = exact_truth(_look(world), world, ROAD)
+    masks = truth.definitions
+    ahead, far_left, left = (20.0, 0.5), (0.3, 10.0), (0.3, 5.0)
+    assert [_at(masks[name], *ahead) for name in ("farthest", "first_blocker", "line_of_sight")] == [True, False, True]
+    assert [_at(masks[name], *far_left) for name in ("farthest", "first_blocker", "line_of_sight")] == [False] * 3
+    assert [_at(masks[name], *left) for name in ("farthest", "first_blocker", "line_of_sight")] == [True, True, True]
+    assert [_at(masks[name], 0.3, -20.0) for name in ("farthest", "line_of_sight")] == [True, True]
+    assert _at(masks["first_blocker"], 11.8, 0.5)
+
+
+def test_gaps_between_rings_do_not_block_a_line_of_sight() -> None:
+    sparse = LidarModel("sparse", np.deg2rad([-15.0, 2.0]), azimuth_columns=720, max_range_m=50.0)
+    scan = cast_world(World("flat", FLAT).snapshot(0.0), sparse, Rigid.from_yaw(0.0, (0.0, 0.0, 2.0)))
+    truth, _ = exact_truth(scan, FLAT, ROAD)
+    assert _at(truth.expected_returns["car"], 20.0, 0.3) == 0
+    assert _at(truth.state["car"], 20.0, 0.3) == CellState.UNKNOWN
+    assert _at(truth.definitions["line_of_sight"], 20.0, 0.3)
+
+
+def test_the_own_vehicle_is_not_known_and_blocks_no_bin() -> None:
+    """Hood ahead of a sensor that sits 0.5 m behind the middle of its car, which heads along 0.6 rad."""
+    car = Thing("car", (Box(0, 0, 4.4, 1.8, 1.3), Box(-0.4, 0, 2.0, 1.6, 1.4, bottom_m=1.3)), 3.0, -2.0, 0.6)
+    world = World("own", FLAT, (BOXES[0], car))
+    agent = Agent("a", "even", Rigid.from_yaw(0.0, (-0.5, 0.0, 1.9)), carrier=1)
+    scan = cast_world(world.snapshot(0.0), EVEN, world.world_from_sensor(agent, 0.0))
+    truth, known = exact_truth(scan, world, ROAD, agent=agent)
+    away = np.abs(ROAD.centers - [0.5, 0.0])
+    np.testing.assert_array_equal(known, ~((away[..., 0] <= 2.2 + 0.25) & (away[..., 1] <= 0.9 + 0.25)))
+    strangers, _ = exact_truth(scan, world, ROAD)
+    first = [one.definitions["first_blocker"] for one in (truth, strangers)]
+    assert [bool(_at(mask, 7.0, 0.3)) for mask in first] == [True, False]
+    np.testing.assert_array_equal(truth.expected_returns["car"], strangers.expected_returns["car"])
+
+
+def test_beyond_the_terrain_and_where_the_sensor_drives_nothing_is_known() -> None:
+    scan = _scan("moving, offsets")
+    grid = BevGrid(100, 100.0)
+    _, known = exact_truth(scan, HILLS, grid)
+    place = Rigid.from_yaw(0.8, (1.0, 2.0, 0.0)) @ np.concatenate([grid.centers, np.zeros((100, 100, 1))], axis=-1)
+    inside = (np.abs(place[..., 0]) <= 60) & (place[..., 1] >= -50) & (place[..., 1] <= 70)
+    np.testing.assert_array_equal(known, inside)
+    _, near = exact_truth(scan, HILLS, BevGrid(40, 1.0))
+    moved = np.hypot(scan.origin_m[..., 0], scan.origin_m[..., 1]).max()
+    assert moved > 0.2
+    np.testing.assert_array_equal(near, np.hypot(*np.moveaxis(BevGrid(40, 1.0).centers, -1, 0)) > moved)
+
+
+def test_the_truth_is_near_the_interpolated_count_of_the_estimators() -> None:
+    scan = _look(World("wall", FLAT, (Thing("wall", (Box(0, 0, 1.0, 8, 3),), 12.0, 4.0, 0.3),)))
+    truth, _ = exact_truth(scan, FLAT, ROAD)
+    depth = np.minimum(scan.depth_m, 50.0)
+    stop = (scan.direction * depth[..., None]).reshape(-1, 3)
+    range_m = np.hypot(stop[:, 0], stop[:, 1])
+    beams = Beams(np.arctan2(stop[:, 1], stop[:, 0]), (stop[:, 2] / range_m).astype(np.float32), range_m)
+    counts, _ = expected_returns(beams, 2.0, Ground.flat(60.0), ROAD, CAR)
+    same = (counts >= 5) == truth.visible(CAR)
+    assert same.mean() > 0.985
+    assert ((counts[:, ::-1] >= 5) == truth.visible(CAR)).mean() < 0.95
+
+
+def test_order_and_number_of_targets_do_not_matter() -> None:
+    scan = _scan("still")
+    other = replace(CAR, name="van", width_m=2.1, height_m=2.4)
+    three, _ = exact_truth(scan, WORLD, BevGrid(40, 20.0), (PEDESTRIAN, other, CAR))
+    for target in (CAR, PEDESTRIAN, other):
+        alone, _ = exact_truth(scan, WORLD, BevGrid(40, 20.0), (target,))
+        np.testing.assert_array_equal(alone.expected_returns[target.name], three.expected_returns[target.name])
+        np.testing.assert_array_equal(alone.state[target.name], three.state[target.name])
+    with pytest.raises(ValueError, match="targets must be at least one, got none"):
+        exact_truth(scan, WORLD, BevGrid(40, 20.0), ())

@@ -207,6 +207,6 @@ def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, view: _View) -> 
 def _corners(part: Shape) -> NDArray[np.float64]:
     """Return x and y (4, 2) of the corners of a solid's footprint, in the frame of its thing."""
     length, width = part.half_sizes_m[:2]
-    turn = Rigid.from_yaw(part.yaw).rotation[:2, :2]
+    c, s = np.cos(part.yaw), np.sin(part.yaw)
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    return np.asarray((signs * [length, width]) @ turn.T + [part.x_m, part.y_m])
+    return np.asarray((signs * [length, width]) @ np.array([[c, s], [-s, c]]) + [part.x_m, part.y_m])

@@ -54,17 +54,20 @@ def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -
     table = np.empty((bins, rings, 4), np.float32)
     table[:, :, 2] = np.float32(-1.0)
     per_rad = np.float32(bins / (2 * np.pi))
+    ring = 0
     for n in range(azimuth.size):
         b = min(max(int((azimuth[n] + _PI) * per_rad), 0), bins - 1)
-        line = table[b, n % rings]
         run = np.float32(np.inf) if flags[n] & OPEN else beams[5, n]
-        if run > line[2]:
-            line[0], line[1], line[2], line[3] = beams[4, n], beams[3, n], run, np.float32(flags[n])
+        if run > table[b, ring, 2]:
+            table[b, ring, 0], table[b, ring, 1] = beams[4, n], beams[3, n]
+            table[b, ring, 2], table[b, ring, 3] = run, np.float32(flags[n])
+        ring = ring + 1 if ring < rings - 1 else 0
     for step in range(1, 2 * bins):
         b = step % bins
-        for ring in range(rings):
-            if table[b, ring, 2] < 0:
-                table[b, ring] = table[b - 1, ring]
+        for other in range(rings):
+            if table[b, other, 2] < 0:
+                for k in range(4):
+                    table[b, other, k] = table[b - 1, other, k]
     return table
 
 

@@ -57,21 +57,24 @@ def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cov
     per_rad = np.float32(columns / (2 * np.pi))
     starts = np.zeros((columns + 1, rings), np.int32)
     bins = np.empty(azimuth.size, np.int32)
+    ring = 0
     for n in range(azimuth.size):
         bins[n] = min(max(int((azimuth[n] + _PI) * per_rad), 0), columns - 1)
-        starts[bins[n] + 1, n % rings] += 1
+        starts[bins[n] + 1, ring] += 1
+        ring = ring + 1 if ring < rings - 1 else 0
     for b in range(columns):
-        for ring in range(rings):
-            starts[b + 1, ring] += starts[b, ring]
+        for k in range(rings):
+            starts[b + 1, k] += starts[b, k]
     free = starts[:columns].copy()
     tiles = np.empty((rings, (columns + TILE - 1) // TILE, 6, TILE), np.float32)
     tiles[:, -1] = np.float32(np.nan)
+    ring = 0
     for n in range(azimuth.size):
-        ring = n % rings
         place = free[bins[n], ring]
         free[bins[n], ring] = place + 1
         for row in range(6):
             tiles[ring, place // TILE, row, place % TILE] = beams[row, n]
+        ring = ring + 1 if ring < rings - 1 else 0
     return tiles, starts
 
 
@@ -84,14 +87,16 @@ def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cov
     per_rad = np.float32(SECTORS / (2 * np.pi))
     high = np.full((SECTORS, rings), np.float32(-np.inf))
     low = np.full((SECTORS, rings), np.float32(np.inf))
+    ring = 0
     for n in range(azimuth.size):
-        sector, ring = min(max(int((azimuth[n] + _PI) * per_rad), 0), SECTORS - 1), n % rings
+        sector = min(max(int((azimuth[n] + _PI) * per_rad), 0), SECTORS - 1)
         high[sector, ring] = max(high[sector, ring], slope[n])
         low[sector, ring] = min(low[sector, ring], slope[n])
+        ring = ring + 1 if ring < rings - 1 else 0
     for sector in range(SECTORS):
-        for ring in range(1, rings):
-            high[sector, ring] = max(high[sector, ring], high[sector, ring - 1])
-            back = rings - 1 - ring
+        for k in range(1, rings):
+            high[sector, k] = max(high[sector, k], high[sector, k - 1])
+            back = rings - 1 - k
             low[sector, back] = min(low[sector, back], low[sector, back + 1])
     return high, low
 
@@ -214,7 +219,7 @@ def _bins_of(azimuth: Any, half: Any, columns: Any, span: Any) -> None:  # pragm
         span[1] = last - columns if last >= columns else last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _rings_of(bounds: Any, azimuth: Any, half: Any, slopes: Any, span: Any) -> None:  # pragma: no cover - compiled
     """Move ``span`` to the first and last ring that may have slopes between two limits, from where it was."""
     high, low = bounds
