@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from viewshed.datasets import carla, nuscenes
+from viewshed.datasets import carla, nuscenes, opv2v
 from viewshed.datasets.source import SourceKind, SweepSource
 
 SOURCES: dict[str, SourceKind] = {
     "nuscenes": SourceKind(nuscenes.LAYOUT, nuscenes.is_nuscenes, nuscenes.open_nuscenes),
     "carla": SourceKind(carla.LAYOUT, carla.is_recording, carla.CarlaRecording.open),
+    "opv2v": SourceKind(opv2v.LAYOUT, opv2v.is_opv2v, opv2v.Opv2v.open),
 }
 """Name → how to recognize and open it; the first that fits is taken."""
 
