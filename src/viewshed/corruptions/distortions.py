@@ -85,9 +85,10 @@ class Miscalibration:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with a wrong attitude, and a wrong rotation of its pose; the points are as measured."""
-        error = _tilt(float(rng.uniform(-np.pi, np.pi)), np.deg2rad(self.tilt_deg))
         known, pose = sweep.known_attitude, sweep.world_from_sensor
         level_from_sensor = np.eye(3) if known is None else rotation_from_quaternion(known)
+        tilt = _tilt(float(rng.uniform(-np.pi, np.pi)), np.deg2rad(self.tilt_deg))
+        error = level_from_sensor.T @ tilt @ level_from_sensor
         return sweep.replace(
             attitude=attitude_of(level_from_sensor @ error),
             world_from_sensor=None if pose is None else Rigid(pose.rotation @ error, pose.translation),
