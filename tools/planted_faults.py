@@ -42,8 +42,8 @@ def read_faults(path: Path) -> list[Fault]:
 
 
 def copy_project(to: Path) -> None:
-    """Copy package, tests, tools and settings; compiled code comes along with the times of its sources."""
-    for name in ("src", "tests", "tools"):
+    """Copy package, tests, tools, pages and settings; compiled code comes along with the times of its sources."""
+    for name in ("src", "tests", "tools", "docs"):
         shutil.copytree(ROOT / name, to / name)
     shutil.copy2(ROOT / "pyproject.toml", to / "pyproject.toml")
 

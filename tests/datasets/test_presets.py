@@ -121,3 +121,11 @@ def test_an_unknown_preset_names_those_that_exist() -> None:
         preset_named("kitti")
     with pytest.raises(ValueError, match="sweeps must be at least 2, one for each split, got 1"):
         preset_named("ugv").scaled(1)
+
+
+def test_no_two_frames_share_their_luck() -> None:
+    """Agents, times, scenes and splits all draw anew."""
+    preset = preset_named("carla-small")
+    plans = [ScenePlan(preset, split, number) for split in (0, 1) for number in range(preset.scenes[split])]
+    states = [tuple(plan.seed(1, frame).generate_state(2)) for plan in plans for frame in range(25)]
+    assert len(set(states)) == len(states)
