@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from viewshed.datasets import carla, nuscenes, opv2v
+from viewshed.datasets import carla, kitti, nuscenes, opv2v
 from viewshed.datasets.source import SourceKind, SweepSource
 
 SOURCES: dict[str, SourceKind] = {
     "nuscenes": SourceKind(nuscenes.LAYOUT, nuscenes.is_nuscenes, nuscenes.open_nuscenes),
+    "kitti_raw": SourceKind(kitti.RAW_LAYOUT, kitti.is_raw, kitti.KittiRaw),
+    "kitti_odometry": SourceKind(kitti.ODOMETRY_LAYOUT, kitti.is_odometry, kitti.KittiOdometry),
+    "kitti_object": SourceKind(kitti.OBJECT_LAYOUT, kitti.is_object, kitti.KittiObject),
     "carla": SourceKind(carla.LAYOUT, carla.is_recording, carla.CarlaRecording.open),
     "opv2v": SourceKind(opv2v.LAYOUT, opv2v.is_opv2v, opv2v.Opv2v.open),
 }
@@ -27,7 +30,7 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSourc
         ValueError: there is no such kind, the layout is not known, or the recording is damaged.
         OSError: it cannot be read.
     """
-    path = Path(place)
+    path = Path(place).absolute()  # the folder above is told by it, also that of "."
     if kind != "auto" and kind not in SOURCES:
         raise ValueError(f"kind must be auto or one of {', '.join(SOURCES)}, got {kind!r}")
     if not path.exists():
