@@ -5,6 +5,7 @@ Source: https://mcap.dev/spec. Every length is checked against what is there.
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -22,12 +23,16 @@ class Message:
 
     Attributes:
         topic: what it belongs to.
+        kind: its type, as ROS 2 writes it.
+        encoding: ``cdr`` or ``ros1``.
         t_ns: when it was recorded, nanoseconds.
         where: how :meth:`McapFile.message` finds it again.
         raw: its bytes.
     """
 
     topic: str
+    kind: str
+    encoding: str
     t_ns: int
     where: str
     raw: bytes
@@ -45,7 +50,8 @@ class McapFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file: BinaryIO = path.open("rb")
+        self._file: BinaryIO = io.BytesIO()
+        self._file = path.open("rb")
         self._size = path.stat().st_size
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, str]] = {}
@@ -54,17 +60,20 @@ class McapFile:
             self.close()
             raise ValueError("is no MCAP file: its first bytes are others")
 
+    def __del__(self) -> None:
+        self.close()
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
     @property
-    def types(self) -> dict[str, tuple[str, str]]:
-        """Topic → (type of its messages, their encoding), of the channels that were met so far."""
-        return {topic: (kind, encoding) for topic, kind, encoding in self._channels.values()}
+    def types(self) -> dict[str, str]:
+        """Topic → type of its messages, of the channels that were met so far."""
+        return {topic: kind for topic, kind, _ in self._channels.values()}
 
-    def messages(self, kinds: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield the messages in the order of the file, of some types or all.
+    def messages(self, kinds: Collection[str]) -> Iterator[Message]:
+        """Yield the messages of some types, in the order of the file.
 
         Raises:
             ValueError: the file is damaged or cut off there; the messages before have been yielded.
@@ -109,6 +118,7 @@ class McapFile:
             if opcode in (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK):
                 yield opcode, at + 9, self._file.read(length)
             at += 9 + length
+        raise ValueError("is cut off: its end is missing")
 
     def _record_at(self, start: int) -> bytes:
         self._file.seek(start - 8)
@@ -117,7 +127,7 @@ class McapFile:
             raise ValueError(f"is cut off: a record at byte {start} has {length} bytes")
         return self._file.read(length)
 
-    def _take(self, opcode: int, record: bytes, where: str, kinds: Collection[str] | None) -> Iterator[Message]:
+    def _take(self, opcode: int, record: bytes, where: str, kinds: Collection[str]) -> Iterator[Message]:
         try:
             if opcode == _SCHEMA:
                 self._schemas[struct.unpack_from("<H", record)[0]] = _text(record, 2)[0]
@@ -125,9 +135,9 @@ class McapFile:
                 self._take_channel(record)
             elif opcode == _MESSAGE:
                 number, _, t_ns = struct.unpack_from("<HIQ", record)
-                topic, kind, _ = self._channels[number]
-                if kinds is None or kind in kinds:
-                    yield Message(topic, t_ns, where, record[22:])
+                topic, kind, encoding = self._channels[number]
+                if kind in kinds:
+                    yield Message(topic, kind, encoding, t_ns, where, record[22:])
         except (struct.error, KeyError) as error:
             raise ValueError(f"is damaged: the record at {where} does not hold what it should: {error!r}") from error
 

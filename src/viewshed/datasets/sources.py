@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from viewshed.datasets import carla, kitti, nuscenes, opv2v
+from viewshed.datasets import bags, carla, kitti, nuscenes, opv2v
 from viewshed.datasets.source import SourceKind, SweepSource
 
 SOURCES: dict[str, SourceKind] = {
@@ -15,6 +15,7 @@ SOURCES: dict[str, SourceKind] = {
     "kitti_object": SourceKind(kitti.OBJECT_LAYOUT, kitti.is_object, kitti.KittiObject),
     "carla": SourceKind(carla.LAYOUT, carla.is_recording, carla.CarlaRecording.open),
     "opv2v": SourceKind(opv2v.LAYOUT, opv2v.is_opv2v, opv2v.Opv2v.open),
+    "bag": SourceKind(bags.LAYOUT, bags.is_bag, bags.BagRecording.open),
 }
 """Name → how to recognize and open it; the first that fits is taken."""
 

@@ -126,17 +126,18 @@ class TransformBuffer:
         from_target = self._up(downs[: downs.index(common)], t_ns)
         return None if from_source is None or from_target is None else from_target.inverse() @ from_source
 
-    def world_of(self, frame: str) -> str:
-        """Return the frame among :data:`WORLDS` that ``frame`` hangs from.
+    def world_of(self, frame: str, worlds: Iterable[str] = WORLDS) -> str:
+        """Return the first frame among ``worlds`` that ``frame`` hangs from.
 
         Raises:
             ValueError: there is none; the message names the frames that exist.
         """
         chain = self._chain(frame.lstrip("/"))
-        found = next((world for world in WORLDS if world in chain), None)
+        worlds = tuple(worlds)
+        found = next((world for world in worlds if world in chain), None)
         if found is None:
             known = ", ".join(self.frames()) or "none"
-            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(WORLDS)}; frames that exist: {known}")
+            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {known}")
         return found
 
     def _up(self, frames: list[str], t_ns: int) -> Rigid | None:
