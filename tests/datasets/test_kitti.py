@@ -1,6 +1,7 @@
 """KITTI's trees, written here with poses that are known, come back as what was written."""
 
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -114,6 +115,17 @@ def test_a_drive_comes_back_with_poses_and_times(up: int, drive: Path) -> None:
         _same(sweep.world_from_sensor, pose, 1e-6)
         assert source.boxes(ref) is None
     assert source.damage() == ()
+
+
+def test_times_do_not_depend_on_where_the_computer_is(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    times = [ref.t_ns for ref in open_source(drive).refs(DRIVE)]
+    monkeypatch.setenv("TZ", "America/St_Johns")
+    time.tzset()
+    try:
+        assert [ref.t_ns for ref in open_source(drive).refs(DRIVE)] == times
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_distances_on_the_map_are_those_of_the_sphere(tmp_path: Path) -> None:

@@ -202,6 +202,10 @@ def _change(table: str, row: int, key: str, value: Any) -> Callable[[Tables], ob
     return lambda tables: tables[table][row].update({key: value})
 
 
+def _shift_a_number(tables: Tables) -> None:
+    tables["ego_pose"][1] |= {"rotation": [1.0, 0.0, 0.0], "translation": [0.0, 1.0, 2.0, 3.0]}
+
+
 @pytest.mark.parametrize(
     ("damage", "line"),
     [
@@ -227,6 +231,7 @@ def _change(table: str, row: int, key: str, value: Any) -> Callable[[Tables], ob
         (_change("sample", 1, "scene_token", "x"), r"^\|.*sample.json: row 'sa1' names no row of scene.json, 'x'"),
         (_change("ego_pose", 1, "rotation", [0.0, 0.0, 0.0, 0.0]), r"597590.*ego_pose.json, row 'sd1': .*norm 1"),
         (_change("ego_pose", 1, "rotation", [1.0, 0.0]), r"597590.*ego_pose.json, row 'sd1': .* finite"),
+        (_shift_a_number, r"597590.*ego_pose.json, row 'sd1': .* finite"),
         (_change("ego_pose", 1, "translation", ["a", 0, 0]), r"597590.*ego_pose.json, row 'sd1': .* finite"),
         (_change("ego_pose", 1, "translation", 5), r"^\|.*ego_pose.json: row 1 must have a list as 'translation'"),
         (_change("ego_pose", 1, "token", ["list"]), r"597590.*ego_pose.json has no row 'sd1'"),
@@ -321,6 +326,17 @@ def test_rows_are_those_of_the_json_library_whatever_the_blocks(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(json_rows_module, "_BLOCK_BYTES", block)
         assert list(json_rows(place)) == rows
+
+
+@pytest.mark.parametrize("text", ["[,{}]", "[{},,{}]", "[{}", "[{},", "[{}]]", '[{"a": 1} {"b": 2]', "", " "])
+@pytest.mark.parametrize("block", [1, 3, 1000])
+def test_what_is_no_list_is_refused_whatever_the_blocks(
+    text: str, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(json_rows_module, "_BLOCK_BYTES", block)
+    (tmp_path / "rows.json").write_text(text)
+    with pytest.raises(ValueError, match=r"rows\.json: (must be a JSON list of objects|the file is empty)"):
+        list(json_rows(tmp_path / "rows.json"))
 
 
 def _gap_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
