@@ -1,4 +1,4 @@
-"""The command line: ``viewshed estimate | info | compare | export | demo | evaluate | simulate | dataset``."""
+"""The command line: ``viewshed estimate | info | compare | export | demo | evaluate | simulate | dataset | record``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
 from viewshed.cli.info import info
 from viewshed.cli.options import BAD_INPUTS, one_line
+from viewshed.cli.record import record_app
 from viewshed.cli.simulate import dataset_app, simulate
 
 BAD_INPUT = 2
@@ -26,6 +27,7 @@ for _command in (estimate, info, compare, export, demo, simulate):
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")
+app.add_typer(record_app, name="record")
 
 
 def _version(asked: bool) -> None:
