@@ -47,7 +47,7 @@ def assembled(sweep: Sweep, removed: Mask, made: Made, wedge: Wedge | None, rng:
     neighbor on the beams. Intensities are drawn from those of the sweep.
     """
     source, key = _neighbors(sweep, made)
-    order = np.lexsort((made.ring, made.column, key))
+    order = np.argsort(key, kind="stable")
     kept = np.flatnonzero(~removed)
     index = np.insert(kept, np.searchsorted(kept, key[order]), len(sweep) + order)
     columns = {"points": made.points} | _columns(sweep, made, source, rng)

@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.attacks.checks import require, require_azimuth, require_budget
 from viewshed.attacks.rays import rays_in
 from viewshed.attacks.scatter import wedge_around
-from viewshed.attacks.scene import Box, ahead, chord_m, drawn_azimuth, ground_at, level_rays
+from viewshed.attacks.scene import Box, ahead, chord_m, ground_at, level_rays, open_azimuth
 from viewshed.attacks.spoofer import AS_MEASURED, LEAVE, Spoofer, nearest_first
 from viewshed.attacks.tampering import Tampered, Wedge
 from viewshed.sweep import Sweep
@@ -18,6 +18,8 @@ CAR_M = (4.2, 1.8, 1.5)
 """Length, width and height of a ghost car."""
 _WALL_M = (0.3, 3.0)
 _ROOM = 1.05
+_BEYOND = 1.2
+"""Ghosts stand where some beam goes farther than this multiple of their range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,7 @@ class GhostCar:
     Attributes:
         budget: most beams, those nearest to its middle; None for all that would meet it.
         range_m: horizontal range of its middle.
-        azimuth: of its middle in the sensor's frame; None draws one.
+        azimuth: of its middle in the sensor's frame; None draws one where the view is open.
         heading: yaw against the line of sight; 0 shows its rear.
         size_m: length, width, height.
         spoofer: how well the beams are won.
@@ -52,7 +54,7 @@ class GhostCar:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth = drawn_azimuth(self.azimuth, rng)
+        azimuth = open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
         x, y, level_azimuth = ahead(sweep, azimuth, self.range_m)
         box = Box((x, y), level_azimuth + self.heading, self.size_m, ground_at(sweep, x, y))
         radius_m = _ROOM * float(np.hypot(*self.size_m[:2])) / 2
@@ -67,7 +69,7 @@ class GhostWall:
         budget: most beams, those nearest to its middle; None for all that would meet it.
         sector_deg: width of the sector.
         range_m: horizontal range of the wall in the middle of the sector.
-        azimuth: of its middle in the sensor's frame; None draws one.
+        azimuth: of its middle in the sensor's frame; None draws one where the view is open.
         height_m: of the wall.
         spoofer: how well the beams are won.
     """
@@ -88,7 +90,8 @@ class GhostWall:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = Wedge(drawn_azimuth(self.azimuth, rng), np.deg2rad(self.sector_deg))
+        azimuth = open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
+        wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
         x, y, level_azimuth = ahead(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
         wide = 2 * self.range_m * np.tan(wedge.width / 2) * _ROOM + 1.0
         box = Box((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))

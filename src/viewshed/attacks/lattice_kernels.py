@@ -1,4 +1,4 @@
-"""Compiled loops of :mod:`viewshed.attacks.lattice`: pixels, beams without a return, neighbors in a sweep's order."""
+"""Compiled loops of :mod:`viewshed.attacks.lattice`: pixels, empty beams, neighbors in a sweep's order, rays."""
 
 from __future__ import annotations
 
@@ -103,10 +103,47 @@ def _in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    """Rows are stored from column 0 on: what lies on the other side of that seam is no neighbor."""
     columns = rows.shape[1]
-    for away in range(columns // 2 + 1):
+    for away in range(columns):
         if c - away >= 0 and rows[r, c - away] >= 0:
             return rows[r, c - away], away
         if c + away < columns and rows[r, c + away] >= 0:
             return rows[r, c + away], -away
     return -1, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def returned(points: Any, row: Any, pixels: Any, origin_m: Any, poses: Any) -> Any:  # pragma: no cover - compiled
+    """Return starts (K, 3), unit directions (K, 3) and depths (K,) of the beams of returns; ring -1 has no height."""
+    ring, column = pixels
+    up, shift_m = poses
+    start, way, depth_m = np.empty((row.shape[0], 3)), np.empty((row.shape[0], 3)), np.empty(row.shape[0])
+    for k in range(row.shape[0]):
+        c, lift, square = column[k], origin_m[ring[k]] if ring[k] >= 0 else 0.0, 0.0
+        for axis in range(3):
+            start[k, axis] = shift_m[c, axis] + up[c, axis] * lift
+            way[k, axis] = points[row[k], axis] - start[k, axis]
+            square += way[k, axis] ** 2
+        depth_m[k] = np.sqrt(square)
+        for axis in range(3):
+            way[k, axis] /= max(depth_m[k], 1e-9)
+    return start, way, depth_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fired(pixels: Any, shape: Any, azimuth: Any, poses: Any) -> Any:  # pragma: no cover - compiled
+    """Return starts (K, 3) and unit directions (K, 3) of the beams of some pixels."""
+    ring, column = pixels
+    elevation, offset, origin_m = shape
+    turn, shift_m = poses
+    start, way = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
+    flat, upward = np.cos(elevation), np.sin(elevation)
+    for k in range(ring.shape[0]):
+        r, c = ring[k], column[k]
+        angle = azimuth[c] + offset[r]
+        x, y, z = flat[r] * np.cos(angle), flat[r] * np.sin(angle), upward[r]
+        for axis in range(3):
+            start[k, axis] = shift_m[c, axis] + turn[c, axis, 2] * origin_m[r]
+            way[k, axis] = turn[c, axis, 0] * x + turn[c, axis, 1] * y + turn[c, axis, 2] * z
+    return start, way

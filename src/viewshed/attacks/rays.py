@@ -54,9 +54,11 @@ def within(points: NDArray[Any], wedge: Wedge) -> Mask:
     """Return which points (K, 3) lie in the wedge, clear of its edges by more than rounding can move them."""
     if wedge.width >= 2 * np.pi:
         return np.ones(len(points), np.bool_)
-    narrow = Wedge(wedge.azimuth, max(wedge.width - 2 * _EDGE, _EDGE))
-    xy = points[:, :2].astype(np.float64)
-    return narrow.holds(np.arctan2(xy[:, 1], xy[:, 0]))
+    x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+    range_m = np.sqrt(x * x + y * y)
+    forward = x * np.cos(wedge.azimuth) + y * np.sin(wedge.azimuth)
+    inside: Mask = (forward >= np.cos(max(wedge.width / 2 - _EDGE, 0.0)) * range_m) & (range_m > 0)
+    return inside
 
 
 def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
@@ -79,21 +81,17 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
 
 
 def _returned(sweep: Sweep, lattice: Lattice | None, row: NDArray[np.intp]) -> Rays:
-    if lattice is None:
-        unknown = np.full(len(row), -1)
-        ring, column, start_m = unknown, unknown, np.zeros((len(row), 3))
-    else:
+    if lattice is not None:
         ring, column = lattice.ring[row].astype(np.intp), lattice.firing.column[row].astype(np.intp)
-        start_m = lattice.starts_m(ring, column)
-    reach = sweep.points[row] - start_m
+        return Rays(row, ring, column, *lattice.of_returns(sweep.points, row))
+    unknown, reach = np.full(len(row), -1), sweep.points[row].astype(np.float64)
     depth_m = np.sqrt((reach * reach).sum(axis=1))
-    return Rays(row, ring, column, start_m, reach / np.maximum(depth_m, 1e-9)[:, None], depth_m)
+    return Rays(row, unknown, unknown, np.zeros((len(row), 3)), reach / np.maximum(depth_m, 1e-9)[:, None], depth_m)
 
 
 def _missing(lattice: Lattice, wedge: Wedge) -> Rays:
     ring, column = np.nonzero(lattice.empty)
-    direction = lattice.directions(ring, column)
-    keep = within(direction, wedge)
-    ring, column = ring[keep], column[keep]
+    start_m, direction = lattice.of_pixels(ring, column)
     none = np.full(len(ring), -1)
-    return Rays(none, ring, column, lattice.starts_m(ring, column), direction[keep], np.full(len(ring), np.inf))
+    missing = Rays(none, ring, column, start_m, direction, np.full(len(ring), np.inf))
+    return missing if wedge.width >= 2 * np.pi else missing.select(within(direction, wedge))

@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from viewshed.attacks.assembly import added
 from viewshed.attacks.checks import require, require_azimuth, require_budget, require_one_of
 from viewshed.attacks.rays import rays_in
-from viewshed.attacks.scene import Box, ahead, chord_m, drawn_azimuth, ground_at, level_rays, scene_of, to_sensor
+from viewshed.attacks.scene import (
+    Box,
+    ahead,
+    chord_m,
+    drawn_azimuth,
+    ground_at,
+    level_rays,
+    open_azimuth,
+    scene_of,
+    to_sensor,
+)
 from viewshed.attacks.spoofer import AS_MEASURED, LEAVE, Spoofer, some_of
 from viewshed.attacks.tampering import Tampered, Wedge
 from viewshed.sweep import Sweep
@@ -57,11 +67,11 @@ class Uniform:
             xy = rng.uniform(-half, half, (self.budget, 2))
             return added(sweep, _standing(sweep, xy, rng), rng)
         rays = rays_in(sweep, ANYWHERE, empty=True)
+        rays = rays.select(some_of(np.ones(len(rays), np.bool_), self.budget, rng))
         _, way = level_rays(sweep, rays)
         range_m = half * np.sqrt(rng.random(len(rays)))
         depth_m = range_m / np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-6)
-        chosen = some_of(np.ones(len(rays), np.bool_), self.budget, rng)
-        return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), ANYWHERE, rng)
+        return self.spoofer.spoof(sweep, rays, depth_m, ANYWHERE, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +129,7 @@ class WedgeCluster:
         sector_deg: width of the wedge.
         range_m: where the object is to be.
         mode: ``beam_constrained`` or ``free_form``.
-        azimuth: middle of the wedge in the sensor's frame; None draws one.
+        azimuth: middle of the wedge in the sensor's frame; None draws one where the view is open.
         spoofer: of the mode on beams.
     """
 
@@ -139,7 +149,8 @@ class WedgeCluster:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = Wedge(drawn_azimuth(self.azimuth, rng), np.deg2rad(self.sector_deg))
+        azimuth = open_azimuth(sweep, self.range_m, rng) if self.azimuth is None else self.azimuth
+        wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
         x, y, level_azimuth = ahead(sweep, wedge.azimuth, self.range_m)
         if self.mode == "free_form":
             azimuth = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width

@@ -76,6 +76,16 @@ def drawn_azimuth(azimuth: float | None, rng: np.random.Generator) -> float:
     return float(rng.uniform(-np.pi, np.pi)) if azimuth is None else azimuth
 
 
+def open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
+    """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
+    level = scene_of(sweep)
+    rows = level.rows[level.range_m > range_m]
+    if len(rows) == 0:
+        return drawn_azimuth(None, rng)
+    x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
+    return float(np.arctan2(y, x))
+
+
 def level_rays(sweep: Sweep, rays: Rays) -> tuple[Floats, Floats]:
     """Return starts (K, 3) in metres and directions (K, 3) in the level frame, the ground below the sensor at z = 0."""
     to_level = scene_of(sweep).level_from_sensor

@@ -77,10 +77,10 @@ def _instead(sweep: Sweep, earlier: Sweep) -> Tampered:
 
 def _earlier_m(earlier: Sweep, lattice: Lattice | None, rays: Rays) -> NDArray[np.float64]:
     """Return the depth (K,) that each ray had in the earlier sweep, by ring and firing azimuth."""
-    before = rays_in(earlier, ANYWHERE, empty=True)
     known = lattice_of(earlier)
     if lattice is None or known is None:
         return np.full(len(rays), NO_RETURN)
+    before = rays_in(earlier, ANYWHERE)
     if len(known.elevation) != len(lattice.elevation):
         raise ValueError(
             f"the earlier sweep must be of the same sensor with {len(lattice.elevation)} rings, got "
