@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 _LEAF = 16
-_ROOM = 192
+_ROOM = 96
+_MANY = 48
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -24,19 +25,21 @@ def mean_distances(points: Any, k: int) -> Any:  # pragma: no cover - compiled
         depth += 1
     order, sorted_points, boxes = _build(points, depth)
     means = np.empty(count, np.float64)
-    room = np.empty(max(_ROOM, 2 * k), np.float32)
+    room = np.empty(k + _ROOM, np.float32)
     near, stack = np.empty(1 << depth, np.int64), np.empty(2 * depth + 2, np.int64)
     reach = np.full(count, np.inf, np.float32)
     for leaf in range(1 << depth):
         start, end = (count * leaf) >> depth, (count * (leaf + 1)) >> depth
-        leaves = _near_leaves(sorted_points, boxes, reach, (leaf, start, end, depth), (near, stack))
+        leaves = _near_leaves(sorted_points, boxes, (reach, start), (leaf, start, end, depth), (near, stack))
         for n in range(start, end):
+            if n == start + 1 and leaves > _MANY:
+                leaves = _near_leaves(sorted_points, boxes, (reach, n), (leaf, start, end, depth), (near, stack))
             bound = _bound(sorted_points, reach, n, n)
-            held = _gather(sorted_points, boxes, (n, k, depth), bound, room, near[:leaves])
-            reach[n] = np.sqrt(_keep_smallest(room, held, k))
+            held = _gather(sorted_points, boxes, (n, k + 1, depth), bound, room, near[:leaves])
+            reach[n] = np.sqrt(_keep_smallest(room, held, k + 1))
             total = 0.0
-            for j in range(k):
-                total += np.sqrt(np.float64(room[j]))
+            for j in range(k + 1):
+                total += np.sqrt(room[j])
             means[order[n]] = total / k
     return means
 
@@ -51,13 +54,17 @@ def _bound(points: Any, reach: Any, known: Any, n: Any) -> Any:  # pragma: no co
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_leaves(points: Any, boxes: Any, reach: Any, rows: Any, out: Any) -> Any:  # pragma: no cover - compiled
-    """Fill ``out[0]`` with the leaves that may hold neighbors of ``points[start:end]``, and return how many."""
+def _near_leaves(points: Any, boxes: Any, reaches: Any, rows: Any, out: Any) -> Any:  # pragma: no cover - compiled
+    """Fill ``out[0]`` with the leaves that may hold neighbors of ``points[start:end]``, and return how many.
+
+    ``reaches`` are the reaches of the points, and before which row they are known.
+    """
     leaf, start, end, depth = rows
+    reach, known = reaches
     near, stack = out
     bound = np.float32(0.0)
     for n in range(start, end):
-        bound = max(bound, _bound(points, reach, start, n))
+        bound = max(bound, _bound(points, reach, known, n))
     first_leaf = (1 << depth) - 1
     own = boxes[first_leaf + leaf]
     found, used = 0, 1
@@ -133,23 +140,21 @@ def _halve(values: Any, order: Any, start: int, end: int, middle: int) -> None: 
 def _gather(
     points: Any, boxes: Any, query: Any, bound: Any, room: Any, leaves: Any
 ) -> Any:  # pragma: no cover - compiled
-    """Fill ``room`` with squared distances that hold the k smallest, and return how many."""
+    """Fill ``room`` with squared distances that hold the k smallest, that to itself among them, and return how many."""
     n, k, depth = query
     count, held = points.shape[0], 0
     first_leaf = (1 << depth) - 1
     for leaf in leaves:
         if _box_distance2(boxes[first_leaf + leaf], points[n]) > bound:
             continue
+        if held + _LEAF + 1 > len(room):  # halves may differ by one
+            bound = min(bound, _keep_smallest(room, held, k))
+            held = k
+            if bound == 0:
+                return k
         for m in range((count * leaf) >> depth, (count * (leaf + 1)) >> depth):
-            apart = _distance2(points, m, n)
-            if apart <= bound and m != n:
-                if held == len(room):
-                    bound = min(bound, _keep_smallest(room, held, k))
-                    held = k
-                    if bound == 0:
-                        return k
-                room[held] = apart
-                held += 1
+            room[held] = _distance2(points, m, n)
+            held += room[held] <= bound
     return held
 
 
