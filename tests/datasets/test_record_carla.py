@@ -50,7 +50,7 @@ class Transform:
         yaw = np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]])
         pitch = np.array([[np.cos(p), 0, -np.sin(p)], [0, 1, 0], [np.sin(p), 0, np.cos(p)]])
         roll = np.array([[1, 0, 0], [0, np.cos(r), np.sin(r)], [0, -np.sin(r), np.cos(r)]])
-        return yaw @ pitch @ roll
+        return np.asarray(yaw @ pitch @ roll)
 
     def get_right_vector(self) -> Vector:
         return Vector(*self.matrix()[:, 1])
