@@ -153,9 +153,9 @@ class WedgeCluster:
         wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
         x, y, level_azimuth = ahead(sweep, wedge.azimuth, self.range_m)
         if self.mode == "free_form":
-            azimuth = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width
+            around = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width
             range_m = rng.normal(self.range_m, self.spoofer.point_sigma_m, self.budget)
-            xy = range_m[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+            xy = range_m[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
             return added(sweep, _standing(sweep, xy, rng), rng)
         rays = rays_in(sweep, wedge, empty=True)
         start, way = level_rays(sweep, rays)
