@@ -54,7 +54,7 @@ vehicle itself are left out. `empty_sector` drops nothing; the number of its fal
 What [defenses](../defenses.md) are for, and which parameters they have here."""
 TIME = f"""## Time
 
-Median (10th to 90th percentile) on simulated sweeps of a junction; `temporal` with {PAST} earlier sweeps, made before."""
+Median (10th to 90th percentile) on simulated sweeps of a junction; `temporal` has {PAST} earlier sweeps."""
 
 
 class Clean(NamedTuple):

@@ -12,7 +12,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "defenses.md"
 
 def parameters_table() -> str:
     """The table as the page must have it."""
-    rows = []
+    rows: list[list[str]] = []
     for name, make in DEFENSES.items():
         defense = make()
         assert is_dataclass(defense)
