@@ -1,113 +1,183 @@
-"""Beams without a return: which ones a sweep lacks, where they aimed, and how far their neighbors went."""
+"""Beams without a return: which ones a sweep lacks, where they aimed, and how far each of them is likely to have gone.
+
+The beams are the pixels of a range image, ring by azimuth column. A pixel without a return is missing, unless one
+within four columns of its ring holds two: then the azimuth only jittered.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import missing_hints as hints
+from viewshed import missing_kernels as kernels
 from viewshed.beams import recover_beams
-from viewshed.level import LevelSweep
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep
 from viewshed.visible import Beams
 
 FILL_COLUMNS = 16
 """A gap is filled from returns in the same ring at most this many columns away."""
+EXPECTED_SHARE = 0.9
+"""Where a larger share of the ground gives returns, a beam without one did not meet the ground."""
+STEEP = 4.0
+"""Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return."""
+REACH_SHARE = 0.001
+"""A sweep sees obstacles as far as all but this share of its returns."""
+_SECTORS = 128
+_RANGES_M = np.geomspace(1.0, 128.0, 113)
+_FULL_RING = (0.9, 1.05)
 
-JITTER_COLUMNS = 4
-"""A point may lie this many columns from the firing that it belongs to."""
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Image:
+    """Pixels (rings, columns) of a sweep.
+
+    Attributes:
+        guessed: the rings are no beams of a sensor, but bins of elevation.
+        tangent: (rings,) tangent of each ring's elevation.
+        rise_m: (rings,) height of each ring's beams above the sensor's origin at range 0.
+        phase: (rings,) where in a column its firings lie, in columns.
+        counts: returns in each pixel, up to 255.
+        depth_m: horizontal range of the nearest one that the level sweep kept, +inf for none.
+        obstacle_m: the same among those on obstacles.
+        ground_tally: returns from ground in each bin of range.
+        obstacle_tally: returns from obstacles in each metre of range.
+    """
+
+    guessed: bool
+    tangent: Doubles
+    rise_m: Doubles
+    phase: Floats
+    counts: NDArray[np.uint8]
+    depth_m: Floats
+    obstacle_m: Floats
+    ground_tally: NDArray[np.int64]
+    obstacle_tally: NDArray[np.int64]
+
+    @property
+    def columns(self) -> int:
+        """Columns of a revolution."""
+        return int(self.counts.shape[1])
 
 
 def missing_beams(level: LevelSweep, *, fill: bool) -> Beams:
     """Return the beams that did not return, in the ``level`` frame.
 
-    A pixel (ring, column) without a point is a missing beam, unless one within four columns of its ring holds two:
-    then the azimuth only jittered. Without ``fill`` the depth is +inf; with it, that of the nearer of the two
-    neighbors in the ring within 16 columns, and beams without such neighbors are left out.
+    Without ``fill`` the depth is +inf; with it, that of the nearer of the two neighbors in the ring within 16 columns,
+    and beams without such neighbors are left out.
     """
-    beams = recover_beams(level.sweep)
-    column, middle = _aligned_columns(level.sweep.points, beams.columns)
-    sensor_range = np.linalg.norm(level.sweep.points, axis=1).astype(np.float32)
-    depth = np.full((len(beams.elevation), beams.columns), np.inf, np.float32)
-    counts = np.zeros(depth.shape, np.int32)
-    _fill_pixels(beams.ring, column, sensor_range, depth, counts)
-    rows, columns, ranges = _missing(counts, depth, FILL_COLUMNS if fill else 0)
-    azimuth = (columns + middle) * (2 * np.pi / beams.columns) - np.pi
-    elevation = beams.elevation[rows]
-    directions = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
-    )
-    x, y, z = (directions @ level.level_from_sensor.rotation.T).T
-    flat = np.maximum(np.hypot(x, y), 1e-6)
-    depth_m = np.where(np.isfinite(ranges), ranges * flat, np.inf)
-    return Beams(np.arctan2(y, x).astype(np.float32), (z / flat).astype(np.float32), depth_m.astype(np.float32))
+    image = _image(level)
+    pixels, ends_m, steps = kernels.find_missing(image.counts, image.depth_m, False)
+    azimuth, slope = _aims(level, image, pixels)
+    if not fill:
+        return Beams(azimuth, slope, np.full(len(pixels), np.inf, np.float32))
+    depth_m = np.where(steps <= FILL_COLUMNS, ends_m, np.float32(np.inf)).min(axis=1, initial=np.float32(np.inf))
+    keep = depth_m < np.inf
+    return Beams(azimuth[keep], slope[keep], depth_m[keep])
 
 
-def _aligned_columns(points: NDArray[np.float32], columns: int) -> tuple[NDArray[np.int64], float]:
-    """Return each point's column (N,) and where in a column firings lie: at its middle, not at its edge.
+def explained_beams(level: LevelSweep, top_m: float) -> Beams:
+    """Return the beams without a return that their surroundings explain, and how far each went, in ``level``.
 
-    The circular mean of the azimuths' remainders tells the sensor's phase, so that a firing just at an edge does not
-    fall into either column by chance.
+    1. A gap narrower than 1.5 m between two returns of like range, in a ring, or in a column between two returns from
+       obstacles: as far as the nearer of the two.
+    2. A beam that aims above the ground, or at ground from which few beams return (by range, learned from the sweep):
+       as far as that ground, but no farther than an obstacle beside it in its ring or next above it, nor than a beam
+       of the same gap stopped by rule 1 within 1.5 m, nor than the sweep sees obstacles at all.
+    3. All others are left out: those at ground that should have returned, and beams above one of them (something that
+       swallows light, glass, an attack); rings and columns without any return (dead, dropped).
+
+    Beams that pass above targets of height ``top_m`` wherever they stand are left out, too. A cloud without a ring
+    column and without a model has none: nothing tells which beams it lacks.
     """
-    position = (np.arctan2(points[:, 1], points[:, 0]).astype(np.float64) / (2 * np.pi) + 0.5) * columns
-    phase = float(np.angle(np.exp(2j * np.pi * position).sum()) / (2 * np.pi)) if len(points) else 0.5
-    phase = round(phase, 6)  # the rest depends on the order of the points
-    return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
+    unorganised = level.sweep.ring is None and level.sweep.model is None
+    image = None if unorganised else _image(level)
+    if image is None or image.guessed:
+        return Beams(*np.zeros((3, 0), np.float32))
+    pixels, ends_m, steps = kernels.find_missing(image.counts, image.depth_m, True)
+    azimuth, slope = _aims(level, image, pixels)
+    between_m = hints.narrow(ends_m, steps, image.columns)
+    hints.enclose(pixels, image.obstacle_m, image.counts, image.tangent, between_m)
+    bound_m = hints.bounds(pixels, image.obstacle_m)
+    hints.spread(pixels, between_m, bound_m, image.columns)
+    rise_m = image.rise_m[pixels[:, 0]].astype(np.float32)
+    profile = _profile(level)
+    told = between_m, bound_m, hints.meet(azimuth, slope, rise_m, profile, _RANGES_M)
+    near_m = np.float32(STEEP * level.sensor_height_m)
+    share = hints.shares(image.ground_tally, told, near_m)
+    limits = EXPECTED_SHARE, _reach_m(image.obstacle_tally, len(level.rows))
+    depth_m = hints.explain(pixels, told, share, limits, image.counts)
+    slope += rise_m / np.maximum(depth_m, near_m)
+    keep = np.isfinite(depth_m) & (slope <= _highest(profile, top_m)[_sectors(azimuth)])
+    return Beams(azimuth[keep], slope[keep], depth_m[keep])
 
 
-@njit(cache=True, nogil=True)
-def _fill_pixels(ring: Any, column: Any, range_m: Any, depth: Any, counts: Any) -> None:  # pragma: no cover
-    for n in range(ring.shape[0]):
-        if ring[n] >= 0:
-            r, c = ring[n], column[n]
-            counts[r, c] += 1
-            depth[r, c] = min(depth[r, c], range_m[n])
+def _image(level: LevelSweep) -> _Image:
+    """Return the range image: by a ring column and a model if they fit each other, else by recovered beams."""
+    sweep, model = level.sweep, level.sweep.model
+    if sweep.ring is not None and model is not None and len(sweep):
+        placed = kernels.place(sweep.points, sweep.ring, model.azimuth_columns, model.rings)
+        if _FULL_RING[0] <= placed[3] / model.azimuth_columns <= _FULL_RING[1]:
+            return _filled(level, sweep.ring, placed, (False, np.tan(model.elevation), model.origin_m))
+    beams = recover_beams(sweep)
+    placed = kernels.place(sweep.points, beams.ring, beams.columns, beams.rings)
+    lines = beams.source == "elevation bins", np.tan(beams.elevation), np.zeros(beams.rings)
+    return _filled(level, beams.ring, placed, lines)
 
 
-@njit(cache=True, nogil=True)
-def _missing(counts: Any, depth: Any, reach: int) -> Any:  # pragma: no cover - compiled
-    rings = counts.shape[0]
-    rows, cols = np.empty(counts.size, np.int64), np.empty(counts.size, np.int64)
-    ranges = np.empty(counts.size, np.float32)
-    found = 0
-    for r in range(rings):
-        empty = _empty_columns(counts[r])
-        for c in empty:
-            nearest = min(_nearest(depth[r], c, -1, reach), _nearest(depth[r], c, 1, reach))
-            if reach == 0 or nearest < np.inf:
-                rows[found], cols[found], ranges[found] = r, c, nearest
-                found += 1
-    return rows[:found], cols[:found], ranges[:found]
+def _filled(
+    level: LevelSweep,
+    ring: NDArray[np.int16],
+    placed: Any,
+    lines: tuple[bool, NDArray[np.float64], NDArray[np.float64]],
+) -> _Image:
+    """Return the range image of returns that have a ring and a column."""
+    column, phase, counts, _ = placed
+    images = np.full(counts.shape, np.inf, np.float32), np.full(counts.shape, np.inf, np.float32)
+    tallies = np.zeros(kernels.SHARE_BINS, np.int64), np.zeros(512, np.int64)
+    limits = np.float32(OBSTACLE_HEIGHTS_M[0]), np.float32(STEEP * level.sensor_height_m)
+    kernels.put((ring, column), (level.rows, level.range_m, level.height_m), limits, images, tallies)
+    return _Image(*lines, phase, counts, *images, *tallies)
 
 
-@njit(cache=True, nogil=True)
-def _empty_columns(counts: Any) -> Any:  # pragma: no cover - compiled
-    """Columns of one ring without a point, less one for each double within ``JITTER_COLUMNS`` before or after it."""
-    columns = counts.shape[0]
-    empty = np.empty(columns, np.int64)
-    found, spare, spare_at = 0, 0, -columns
-    for c in range(columns):
-        if c - spare_at > JITTER_COLUMNS:
-            spare = 0
-        for _ in range(counts[c] - 1):
-            if found > 0 and c - empty[found - 1] <= JITTER_COLUMNS:
-                found -= 1
-            else:
-                spare, spare_at = spare + 1, c
-        if counts[c] == 0 and spare > 0:
-            spare -= 1
-        elif counts[c] == 0:
-            empty[found] = c
-            found += 1
-    return empty[:found]
+def _aims(level: LevelSweep, image: _Image, pixels: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Return azimuth (M,) and slope (M,) of beams in ``level``, seen from the sensor."""
+    rotation = level.level_from_sensor.rotation
+    azimuth, slope = kernels.aim(pixels, image.tangent, image.phase, rotation, image.columns)
+    return azimuth, slope
 
 
-@njit(cache=True, nogil=True)
-def _nearest(depth: Any, c: int, side: int, reach: int) -> Any:  # pragma: no cover - compiled
-    """Depth of the first return from column ``c`` to one side, within ``reach`` columns; inf where there is none."""
-    for step in range(1, reach + 1):
-        d = depth[(c + side * step) % depth.shape[0]]
-        if d < np.inf:
-            return d
-    return np.float32(np.inf)
+def _profile(level: LevelSweep) -> Floats:
+    """Return the slope from the sensor to the ground (sectors, ranges)."""
+    slope = (level.ground.at(_lattice()) - np.float32(level.sensor_height_m)) / _RANGES_M.astype(np.float32)
+    return slope.astype(np.float32, copy=False)
+
+
+def _highest(profile: Floats, top_m: float) -> Floats:
+    """Return the steepest slope (sectors,) from the sensor to the top of a target, wherever it stands."""
+    highest: Floats = (profile + (top_m / _RANGES_M).astype(np.float32)).max(axis=1)
+    return highest
+
+
+def _sectors(azimuth: Floats) -> NDArray[np.intp]:
+    return ((azimuth + np.float32(np.pi)) * np.float32(_SECTORS / (2 * np.pi))).astype(np.intp).clip(0, _SECTORS - 1)
+
+
+@lru_cache(maxsize=1)
+def _lattice() -> Floats:
+    """Return x and y (sectors, ranges, 2) of the places where the ground is looked up."""
+    azimuth = (np.arange(_SECTORS) + 0.5) * (2 * np.pi / _SECTORS) - np.pi
+    return np.stack([np.outer(np.cos(azimuth), _RANGES_M), np.outer(np.sin(azimuth), _RANGES_M)], -1).astype(np.float32)
+
+
+def _reach_m(obstacles: NDArray[np.int64], returns: int) -> float:
+    """Return the range beyond which lie as many returns on obstacles as ``REACH_SHARE`` of all returns."""
+    beyond = np.cumsum(obstacles[::-1])[::-1]
+    return float(np.count_nonzero(beyond > REACH_SHARE * returns))

@@ -125,5 +125,5 @@ def _with_ground(level: LevelSweep, reference: LevelSweep) -> LevelSweep:
 
 
 def test_unknown_rules_are_refused() -> None:
-    with pytest.raises(ValueError, match="no_return must be one of unknown, max_range, fill, got 'open'"):
+    with pytest.raises(ValueError, match="no_return must be one of explained, unknown, max_range, fill, got 'open'"):
         ShadowMap(GRID, no_return="open")  # type: ignore[arg-type]

@@ -2,7 +2,7 @@ import numpy as np
 
 from viewshed import CAR, BevGrid, CellState, FovEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
+from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.estimators.vote import VoteOfFive
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -13,7 +13,8 @@ SWEEP = cast(MODEL, Scene((Box(9, 2, 0.5, 6, 2), Box(7, -5, 4, 2, 0.8), Box(-12,
 
 
 def test_three_of_five_decide() -> None:
-    voters: list[FovEstimator] = [ShadowMap(GRID, CAR, rule) for rule in NO_RETURN_RULES]
+    rules: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
+    voters: list[FovEstimator] = [ShadowMap(GRID, CAR, rule) for rule in rules]
     blockers: list[FovEstimator] = [FirstBlocker(GRID, CAR, limit_farthest=limit) for limit in (True, False)]
     votes = sum(v.estimate(SWEEP).visible().astype(int) for v in (*voters, *blockers))
     estimate = VoteOfFive(GRID).estimate(SWEEP)

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.missing import missing_beams
+from viewshed.missing import explained_beams, missing_beams
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Beams, Target, expected_returns, probability_of_visible
 
-NoReturn = Literal["unknown", "max_range", "fill"]
-NO_RETURN_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
+NoReturn = Literal["explained", "unknown", "max_range", "fill"]
+NO_RETURN_RULES: tuple[NoReturn, ...] = ("explained", "unknown", "max_range", "fill")
+"""The default first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class ShadowMap:
 
     grid: BevGrid
     target: Target = CAR
-    no_return: NoReturn = "unknown"
+    no_return: NoReturn = "explained"
 
     def __post_init__(self) -> None:
         if self.no_return not in NO_RETURN_RULES:
@@ -48,7 +49,7 @@ class ShadowMap:
 
     def estimate_level(self, level: LevelSweep) -> FovEstimate:
         """Return the estimate for a sweep that is already levelled."""
-        beams = _with_missing(level, self.no_return)
+        beams = _with_missing(level, self.no_return, self.target)
         returns, aimed = expected_returns(beams, level.sensor_height_m, level.ground, self.grid, self.target)
         prob = probability_of_visible(returns, self.target.min_returns)
         state = _state(prob, probability_of_visible(aimed, self.target.min_returns), level.obstacle_cells(self.grid))
@@ -64,11 +65,14 @@ class ShadowMap:
         )
 
 
-def _with_missing(level: LevelSweep, rule: NoReturn) -> Beams:
+def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
     beams = level.beams()
     if rule == "unknown" or len(level.sweep) == 0:
         return beams
-    missing = missing_beams(level, fill=rule == "fill")
+    if rule == "explained":
+        missing = explained_beams(level, target.height_m)
+    else:
+        missing = missing_beams(level, fill=rule == "fill")
     return Beams(
         np.concatenate([beams.azimuth, missing.azimuth]),
         np.concatenate([beams.slope, missing.slope]),

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
+from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Target
 
 MAJORITY = 3
+VOTE_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
+"""What a missing return means to the three shadow maps that vote."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,7 @@ class VoteOfFive:
 
     def estimate_level(self, level: LevelSweep) -> FovEstimate:
         """Return the estimate for a sweep that is already levelled."""
-        shadow = [ShadowMap(self.grid, self.target, rule).estimate_level(level) for rule in NO_RETURN_RULES]
+        shadow = [ShadowMap(self.grid, self.target, rule).estimate_level(level) for rule in VOTE_RULES]
         blockers = [
             FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate_level(level) for limit in (True, False)
         ]
