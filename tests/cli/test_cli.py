@@ -225,7 +225,7 @@ def test_without_a_command_the_help_is_shown_and_version_is_told() -> None:
         (["info", "x.bin", "--wat"], "No such option: --wat"),
         (["estimate", "x.bin", "--threshold", "much"], "--threshold"),
         (["estimate"], "name at least one FILE, or an --index"),
-        (["estimate", "."], "is a folder"),
+        (["estimate", "."], "no recording found here"),
         (["info", "nowhere.bin"], "nowhere.bin: No such file"),
         (["compare", "nowhere.bin"], "nowhere.bin: No such file"),
         (["export", "nowhere.bin"], "nowhere.bin: No such file"),
@@ -293,7 +293,7 @@ def test_progress_goes_to_the_terminal_and_lines_to_the_pipe(kitti_like: Path, t
     process = start("estimate", kitti_like, kitti_like, "--out", tmp_path, stderr=slave)
     out, _ = process.communicate(timeout=60)
     os.close(slave)
-    shown = os.read(master, 100_000).decode()
+    shown = os.read(master, 100_000).decode(errors="replace")
     os.close(master)
     assert process.returncode == 0
     assert len(out.splitlines()) == 2
@@ -387,3 +387,22 @@ def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
     upside_down.tofile(tmp_path / "x.bin")
     done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
     assert "or --file-frame if the file's z points down" in done.stdout
+
+
+@pytest.mark.parametrize("damaged", [1, 2])
+def test_a_recording_is_taken_like_a_file_and_what_is_damaged_costs_a_line(
+    kitti_like: Path, tmp_path: Path, damaged: int
+) -> None:
+    """A KITTI object tree of three sweeps, the last one or two cut off in the middle of a point."""
+    folder = tmp_path / "kitti" / "training" / "velodyne"
+    folder.mkdir(parents=True)
+    for k in range(3):
+        content = kitti_like.read_bytes()
+        (folder / f"{k:06}.bin").write_bytes(content[:1001] if k >= 3 - damaged else content)
+    done = run("estimate", tmp_path / "kitti", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3 - damaged
+    lines = done.stderr.splitlines()
+    assert len(lines) == damaged + 1
+    assert "000002.bin" in lines[-2]
+    assert f"{3 - damaged} sweeps read, {damaged} problems" in lines[-1]

@@ -88,7 +88,7 @@ BAD = {
     "cut.ply.gz": (SAMPLES["ply gzipped"].content[:-12], "the gzip content is damaged or cut off"),
     "twice.ply.gz": (gzip.compress(SAMPLES["ply gzipped"].content), "is gzipped twice"),
     "cut.feather": (SAMPLES["argoverse2 lz4"].content[:400], "feather content is damaged or cut off"),
-    "bag.db3": (b"SQLite format 3\x00" + bytes(100), "is a ROS 2 bag .* not read yet"),
+    "bag.db3": (b"SQLite format 3\x00" + bytes(100), "is a ROS 2 bag .*open_source"),
     "new.pcap": (b"\x0a\x0d\x0d\x0a" + bytes(100), "is a pcapng capture"),
     "none.pcap": (files.pcap([files.ip_packet(files.udp_packet(b"abc"))]), "holds no Velodyne packets; if it is an O"),
     "cut.pcap": (SAMPLES["velodyne pcap"].content[:900], "packet capture is cut off"),

@@ -26,7 +26,9 @@ _RESULTS = (".png", ".geojson", ".npz")
 
 
 def estimate(
-    files: Annotated[list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps, in any known format.")] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
+    ] = None,
     method: Annotated[
         str | None, typer.Option(help="Estimator; shadow_map if not given. See docs/estimators.md.")
     ] = None,
@@ -136,7 +138,12 @@ def _json(content: object) -> bytes:
 
 def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
     """Yield each sweep with the name of its results: the file's, or numbered ones where it holds several."""
-    first, second = next(sweeps), next(sweeps, None)
+    first = next(sweeps)
+    try:
+        second = next(sweeps, None)
+    except BAD_INPUTS:
+        yield first, name
+        raise
     if second is None:
         yield first, name
         return

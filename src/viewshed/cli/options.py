@@ -33,6 +33,7 @@ AUTO = "auto"
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 """What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 _ROOM_M = 20.0
+_BAGS = (".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +64,44 @@ class Reading:
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
 
+        if self.format == AUTO and (path.is_dir() or path.suffix.lower() in _BAGS):
+            return self._recorded(path)
         return read_sweeps(
             path, format=self.format, file_frame=self.file_frame,
             sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
         )  # fmt: skip
+
+    def _recorded(self, path: Path) -> Iterator[Sweep]:
+        """Yield the sweeps of a recording; what cannot be read costs one line each and an error at the end."""
+        from viewshed.datasets.source import each_sweep
+        from viewshed.datasets.sources import open_source
+
+        if self.file_frame is not None:
+            raise ValueError("--file-frame does not go with a recording, which knows its own axes")
+        problems: list[str] = []
+        found = 0
+        for _, sweep in each_sweep(open_source(path), on_damage=lambda scene, line: _told(problems, line)):
+            found += 1
+            yield self._overridden(sweep)
+        if problems or not found:
+            raise ValueError(f"{path}: {found} sweeps read, {len(problems)} problems")
 
     def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
         from viewshed.io import read_indexed
 
         if self.format != AUTO or self.file_frame is not None:
             raise ValueError("--format and --file-frame do not go with --index, which names the axes of its files")
+        yield self._overridden(read_indexed(entry))
+
+    def _overridden(self, sweep: Sweep) -> Sweep:
+        """Return the sweep with the height and attitude that the options give."""
         given = {"sensor_height_m": self.height_m, "attitude": parse_numbers("attitude", self.attitude, 4)}
-        yield read_indexed(entry).replace(**{name: value for name, value in given.items() if value is not None})
+        return sweep.replace(**{name: value for name, value in given.items() if value is not None})
+
+
+def _told(problems: list[str], line: str) -> None:
+    problems.append(line)
+    typer.echo(f"viewshed: {line}", err=True)
 
 
 def with_inferred_sensor(sweep: Sweep) -> Sweep:

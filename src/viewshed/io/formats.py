@@ -59,9 +59,9 @@ FORMATS: dict[str, Format] = {
 """Name → format. To add one: write a module with a reader, add a line."""
 
 _NOT_READ = {
-    b"SQLite format 3": "is a ROS 2 bag (SQLite); bags are not read yet: convert the sweep to PCD",
-    b"#ROSBAG V": "is a ROS 1 bag; bags are not read yet: convert the sweep to PCD",
-    b"\x89MCAP0\r\n": "is an MCAP bag; bags are not read yet: convert the sweep to PCD",
+    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.datasets.sources.open_source",
+    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.datasets.sources.open_source",
+    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.datasets.sources.open_source",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
