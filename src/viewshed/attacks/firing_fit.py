@@ -6,11 +6,12 @@ velocity and a constant turn about the world's vertical which puts the returns o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.attacks.firing_kernels import beside
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -22,7 +23,8 @@ ON_BEAM_M = 0.002
 """Three quarters of the returns must lie this near to the table's beams, or the table does not tell where they are."""
 _SAMPLED = 1500
 _FEWEST = 50
-_ROUNDS = 4
+_LIMITS_M = (3.0, 0.05, 0.05)
+"""Rounds of the fit: returns farther beside their beams than this do not count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +48,12 @@ class Firing:
 
 def at_rest(columns: int) -> tuple[Floats, Floats]:
     """Return rotations (C, 3, 3) and positions (C, 3) of a sensor that does not move."""
-    return np.broadcast_to(np.eye(3), (columns, 3, 3)), np.zeros((columns, 3))
+    return np.tile(np.eye(3), (columns, 1, 1)), np.zeros((columns, 3))
+
+
+def even_azimuths(columns: int, phase: float) -> Floats:
+    """Return (columns,) float64 azimuths in radians, the first at -π and ``phase`` steps."""
+    return (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
 
 
 def fitted(sweep: Sweep, model: LidarModel) -> Firing | None:
@@ -55,26 +62,7 @@ def fitted(sweep: Sweep, model: LidarModel) -> Firing | None:
         return None
     time_s = sweep.time_s
     moving = time_s is not None and float(time_s.max()) > float(time_s.min())
-    firing = _in_motion(sweep, model) if moving else _still(sweep, model)
-    if firing is None:
-        return None
-    rows = _sample(len(sweep))
-    off_m = np.linalg.norm(_misses(sweep, model, firing, rows)[0], axis=1)
-    return firing if float(np.quantile(off_m, 0.75)) < ON_BEAM_M else None
-
-
-def directions(azimuth: Floats, elevation: Floats) -> Floats:
-    """Return unit vectors (K, 3) at azimuths (K,) and elevations (K,) in radians.
-
-    >>> directions(np.array([np.pi / 2]), np.array([0.0])).round(6).tolist()
-    [[0.0, 1.0, 0.0]]
-    """
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
-
-
-def _sample(count: int) -> NDArray[np.intp]:
-    return np.arange(0, count, max(count // _SAMPLED, 1))
+    return _in_motion(sweep, model) if moving else _still(sweep, model)
 
 
 def _still(sweep: Sweep, model: LidarModel) -> Firing | None:
@@ -82,19 +70,12 @@ def _still(sweep: Sweep, model: LidarModel) -> Firing | None:
     ring, columns = _rings(sweep), model.azimuth_columns
     azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]).astype(np.float64)
     position = (azimuth - model.azimuth_offset[ring] + np.pi) / model.azimuth_step
-    phase = float(np.angle(np.exp(2j * np.pi * position[_sample(len(sweep))]).sum())) / (2 * np.pi) % 1.0
+    phase = float(np.angle(np.exp(2j * np.pi * position[_sample(sweep)]).sum())) / (2 * np.pi) % 1.0
     column = np.rint(position - phase).astype(np.int32) % columns
     time_s = None if sweep.time_s is None else np.full(columns, sweep.time_s[0], np.float32)
-    return Firing(column, even_azimuths(columns, phase), *at_rest(columns), time_s)
-
-
-def even_azimuths(columns: int, phase: float) -> Floats:
-    """Return (columns,) float64 azimuths in radians, the first at -π and ``phase`` steps."""
-    return (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
-
-
-def _rings(sweep: Sweep) -> NDArray[np.int16]:
-    return np.zeros(len(sweep), np.int16) if sweep.ring is None else sweep.ring
+    firing = Firing(column, even_azimuths(columns, phase), *at_rest(columns), time_s)
+    off_m, *_ = _beside(sweep, model, firing, np.zeros(4), np.inf)
+    return firing if np.quantile(off_m, 0.75) < ON_BEAM_M else None
 
 
 def _in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
@@ -104,35 +85,66 @@ def _in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
         return None
     columns = np.arange(model.azimuth_columns)
     position = sweep.time_s.astype(np.float64) / step_s
-    first = float(np.median(position % 1.0))
+    first = float(np.median(position[_sample(sweep)] % 1.0))
     column = np.rint(position - first).astype(np.int32)
     if column.min() < 0 or column.max() >= len(columns) or np.abs(position - first - column).max() > 0.2:
         return None
-    azimuth = even_azimuths(len(columns), 0.5)
-    firing = Firing(column, azimuth, *at_rest(len(columns)), ((columns + first) * step_s).astype(np.float32))
-    motion, axis = np.zeros(4), _vertical(sweep)
-    for round_ in range(_ROUNDS):
-        motion = motion + _correction(sweep, model, firing, axis, 3.0 if round_ == 0 else 0.05)
-        firing = _moved(firing, motion, axis)
-    return firing
+    time_s = ((columns + first) * step_s).astype(np.float32)
+    firing = Firing(column, even_azimuths(len(columns), 0.5), *at_rest(len(columns)), time_s)
+    motion = np.zeros(4)
+    for limit_m in _LIMITS_M:
+        _, matrix, right, used = _beside(sweep, model, firing, motion, limit_m)
+        if used < _FEWEST:
+            return None
+        motion = motion + np.linalg.lstsq(matrix, right, rcond=None)[0]
+    off_m, *_ = _beside(sweep, model, firing, motion, np.inf)
+    return _moved(firing, motion, _vertical(sweep)) if np.quantile(off_m, 0.75) < ON_BEAM_M else None
+
+
+def _sample(sweep: Sweep) -> slice:
+    return slice(None, None, max(len(sweep) // _SAMPLED, 1))
+
+
+def _rings(sweep: Sweep) -> NDArray[np.int16]:
+    return np.zeros(len(sweep), np.int16) if sweep.ring is None else sweep.ring
+
+
+def _beside(
+    sweep: Sweep, model: LidarModel, firing: Firing, motion: Floats, limit_m: float
+) -> tuple[Floats, Floats, Floats, int]:
+    rows = _sample(sweep)
+    returns = sweep.points[rows], _rings(sweep)[rows], firing.column[rows]
+    beams = firing.azimuth, _since_middle_s(firing), model.elevation, model.azimuth_offset, model.origin_m
+    found: tuple[Floats, Floats, Floats, int] = beside(returns, beams, motion, _vertical(sweep), limit_m)
+    return found
 
 
 def _column_time_s(sweep: Sweep, columns: int) -> float | None:
     """Return the time between two columns, or None where the times do not tell."""
-    times = np.unique(sweep.time_s if sweep.time_s is not None else ()).astype(np.float64)
-    if len(sweep) < _FEWEST or not 8 <= len(times) <= columns:
+    time_s = np.zeros(0) if sweep.time_s is None else sweep.time_s.astype(np.float64)
+    gaps = np.diff(time_s)
+    if len(gaps) and gaps.min() < 0:
+        gaps = np.diff(np.unique(time_s))
+    gaps = gaps[gaps > 0]
+    if len(sweep) < _FEWEST or not 8 <= len(gaps) + 1 <= columns:
         return None
-    gaps = np.diff(times)
     return float(gaps.sum() / np.rint(gaps / gaps.min()).sum())
 
 
 def _vertical(sweep: Sweep) -> Floats:
     """Return the world's vertical (3,) in the sensor's frame."""
     if sweep.world_from_sensor is not None:
-        vertical: Floats = sweep.world_from_sensor.rotation[2]
-        return vertical
+        return np.array(sweep.world_from_sensor.rotation[2])
     attitude = sweep.known_attitude
-    return np.array([0.0, 0.0, 1.0]) if attitude is None else rotation_from_quaternion(attitude)[2]
+    return np.array([0.0, 0.0, 1.0] if attitude is None else rotation_from_quaternion(attitude)[2])
+
+
+def _since_middle_s(firing: Firing) -> Floats:
+    if firing.time_s is None:
+        return np.zeros(len(firing.azimuth))
+    since_s: Floats = firing.time_s.astype(np.float64)
+    since_s -= since_s.mean()
+    return since_s
 
 
 def _moved(firing: Firing, motion: Floats, axis: Floats) -> Firing:
@@ -145,38 +157,4 @@ def _moved(firing: Firing, motion: Floats, axis: Floats) -> Firing:
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turn = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1 - np.cos(angle))[:, None, None] * (cross @ cross)
-    return Firing(firing.column, firing.azimuth, turn, np.outer(since_s, motion[:3]), firing.time_s)
-
-
-def _since_middle_s(firing: Firing) -> Floats:
-    if firing.time_s is None:
-        return np.zeros(len(firing.azimuth))
-    since_s: Floats = firing.time_s.astype(np.float64)
-    since_s -= since_s.mean()
-    return since_s
-
-
-def _misses(sweep: Sweep, model: LidarModel, firing: Firing, rows: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
-    """Return how far returns (n,) lie beside their beams (n, 3), the beams' directions, and points from the sensor."""
-    column, ring = firing.column[rows], _rings(sweep)[rows]
-    turn = firing.turn[column]
-    aimed = directions(firing.azimuth[column] + model.azimuth_offset[ring], model.elevation[ring])
-    way = np.einsum("nij,nj->ni", turn, aimed)
-    arm = sweep.points[rows] - firing.shift_m[column]
-    reach = arm - turn[:, :, 2] * model.origin_m[ring][:, None]
-    beside: Floats = reach - (reach * way).sum(axis=1)[:, None] * way
-    return beside, way, arm.astype(np.float64)
-
-
-def _correction(sweep: Sweep, model: LidarModel, firing: Firing, axis: Floats, limit_m: float) -> Floats:
-    """Return the change (4,) of velocity and turn rate that brings the returns nearest to their beams."""
-    rows = _sample(len(sweep))
-    miss, way, arm = _misses(sweep, model, firing, rows)
-    used = np.linalg.norm(miss, axis=1) < limit_m
-    if used.sum() < _FEWEST:
-        return np.zeros(4)
-    miss, way, arm, since_s = miss[used], way[used], arm[used], _since_middle_s(firing)[firing.column[rows[used]]]
-    across = np.eye(3) - way[:, :, None] * way[:, None, :]
-    columns = np.concatenate([np.broadcast_to(np.eye(3), across.shape), np.cross(axis, arm)[:, :, None]], axis=2)
-    slopes = (across @ columns * since_s[:, None, None]).reshape(-1, 4)
-    return np.asarray(np.linalg.lstsq(slopes, miss.reshape(-1), rcond=None)[0], np.float64)
+    return replace(firing, turn=turn, shift_m=np.outer(since_s, motion[:3]))

@@ -64,9 +64,9 @@ class Spoofer:
         aimed = np.flatnonzero(~np.isnan(wanted_m))
         aimed = aimed[self.wins(sweep, len(aimed), rng)]
         rays, depth_m = rays.select(aimed), self._noisy(sweep, wanted_m[aimed], rng)
-        points, low_m, high_m = np.zeros((len(rays), 3), np.float32), *limits_m(sweep)
+        low_m, high_m = limits_m(sweep)
         reported = (depth_m >= low_m) & (depth_m <= high_m)
-        points[reported] = rays.select(reported).at(depth_m[reported])
+        points = rays.at(np.where(reported, depth_m, 0.0))
         stays = ~reported | within(points, wedge)
         if not stays.any():
             return untouched(sweep, wedge)
