@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
@@ -12,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed.datasets.frame import Frame
+from viewshed.datasets.making import write_beside
 from viewshed.datasets.presets import Preset
 from viewshed.datasets.shard import ShardFacts, write_frames
 from viewshed.datasets.store import Store
@@ -21,8 +21,6 @@ from viewshed.sim.world import World
 from viewshed.sim.worlds import WORLDS
 
 FRAMES_PER_SHARD = 48
-SIDECAR = ".json"
-"""Ending of the file beside a finished shard that tells its checksum, until the manifest does."""
 _GOLDEN = (5**0.5 - 1) / 2
 _SILVER = 2**0.5 - 1
 _BRONZE = (13**0.5 - 3) / 2
@@ -142,9 +140,7 @@ def simulate_shard(job: ShardJob) -> ShardFacts:
         OSError: a file cannot be written.
     """
     frames = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
-    facts = write_frames(job.store, job.name, (job.scene.name, job.scene.split_name), frames)
-    job.store.write(job.name + SIDECAR, json.dumps(facts.to_json()).encode())
-    return facts
+    return write_beside(job.store, write_frames(job.store, job.name, (job.scene.name, job.scene.split_name), frames))
 
 
 def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
