@@ -1,4 +1,4 @@
-"""The command line: ``viewshed estimate | info | compare | export | demo | evaluate | simulate | dataset | record``."""
+"""The command line: ``viewshed estimate``, ``simulate``, ``attack`` and more; each is one file."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import typer
 
 from viewshed import __version__
+from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
 from viewshed.cli.estimate import estimate
@@ -23,7 +24,7 @@ INTERRUPTED = 130
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for _command in (estimate, info, compare, export, demo, simulate):
+for _command in (estimate, info, compare, export, demo, simulate, attack, corrupt):
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")
@@ -62,6 +63,10 @@ def main(arguments: list[str] | None = None) -> None:
     except BAD_INPUTS as error:
         _complain(one_line(error))
     except (KeyboardInterrupt, typer.Abort):
+        sys.exit(INTERRUPTED)
+    except SystemError as error:  # how an interrupt leaves compiled code
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
         sys.exit(INTERRUPTED)
 
 
