@@ -1,0 +1,208 @@
+"""The label of one sweep: what it could have seen, told afterwards from the sweep and those around it in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from viewshed.bev import GRIDS, BevGrid, polar_of_cells
+from viewshed.estimate import CellState
+from viewshed.labels.count import Lines, cells_of, count_targets, lines_of
+from viewshed.labels.ground_map import Lows, Patch, lows_of, patch_of
+from viewshed.labels.image import BeamImage, beam_image
+from viewshed.labels.motion import Drift
+from viewshed.labels.stop_kernels import SURFACE
+from viewshed.labels.stops import Stops, stops_of
+from viewshed.level import EGO_BOX_M, EGO_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.sim.truth_bins import BLOCKS, RETURNS, stop_limits
+from viewshed.sim.truth_kernels import mark_stops
+from viewshed.sweep import Sweep
+from viewshed.truth import Truth
+from viewshed.visible import CAR, PEDESTRIAN, Target
+
+Definition = Literal["probe", "farthest", "first_blocker"]
+DEFINITIONS: tuple[Definition, ...] = ("probe", "farthest", "first_blocker")
+"""For which of them a label can say where it is known; it holds the masks of all."""
+TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
+MAX_BINS = 1080
+"""Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
+SURFACE_FROM_M = 0.2
+MANY_BEAMS = 50
+"""A target that more beams reach is seen whatever the ground and the missing beams."""
+GROUND_M, GROUND_PER_M, GROUND_MOST_M = 0.03, 0.03, 0.4
+"""The ground may be wrong by so much where it was seen, more for each metre from there, and at most by so much."""
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """How sweeps are labelled.
+
+    Attributes:
+        grid: where the cells are.
+        definition: what ``known`` is about.
+        target: what would have to be seen, for ``probe``.
+        neighbors: sweeps before and after one that help to label it, at most; 0 labels each sweep by itself.
+        node_m: side of the nodes on which ground is kept.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    grid: BevGrid = GRIDS["road"]
+    definition: Definition = "probe"
+    target: str = "car"
+    neighbors: int = 20
+
+    def __post_init__(self) -> None:
+        if self.definition not in DEFINITIONS:
+            raise ValueError(f"definition must be one of {', '.join(DEFINITIONS)}, got {self.definition!r}")
+        if self.target not in {target.name for target in TARGETS}:
+            raise ValueError(f"target must be one of {', '.join(t.name for t in TARGETS)}, got {self.target!r}")
+        if not 0 <= self.neighbors <= 1000:
+            raise ValueError(f"neighbors must lie in [0, 1000], got {self.neighbors}")
+
+    @property
+    def node_m(self) -> float:
+        """Side of the nodes on which ground is kept: 1 m on roads."""
+        return self.grid.half_extent_m / 64
+
+
+def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
+    """Return the lowest returns of ``sweep`` in the world, or in its own ``level`` frame if it has no pose."""
+    return _lows(level_sweep(sweep, rules.grid), rules)
+
+
+def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules) -> tuple[Truth, Mask]:
+    """Return the label of a sweep and where it is trusted (cells, cells).
+
+    The probe is counted on every beam of the sensor's pattern, over the ground of all sweeps around. It is trusted
+    where the count is on the same side of the target's least number of returns whatever became of the missing beams
+    and whether the ground is a little higher or lower.
+
+    Args:
+        sweep: a benign one.
+        drift: how the sensor moved within it.
+        around: lows of the sweeps around it, in the same world; its own are added.
+        rules: how.
+    """
+    level = level_sweep(sweep, rules.grid)
+    image = beam_image(sweep, level.level_from_sensor.rotation, drift)
+    patch = patch_of(level, (*around, _lows(level, rules)), rules.grid.half_extent_m, rules.node_m)
+    return _Labelling(rules, image, patch, stops_of(image, patch), _has_vehicle(level)).result()
+
+
+def _lows(level: LevelSweep, rules: Rules) -> Lows:
+    pose = level.world_from_level
+    points = level.points.astype(np.float64) if pose is None else pose @ level.points
+    return lows_of(points, rules.node_m)
+
+
+def _has_vehicle(level: LevelSweep) -> bool:
+    return EGO_HEIGHTS_M[0] <= level.sensor_height_m <= EGO_HEIGHTS_M[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Labelling:
+    """One sweep on its way to its label.
+
+    Attributes:
+        rules: how it is labelled.
+        image: its beams.
+        patch: the ground about it.
+        stops: where its beams ended.
+        has_vehicle: whether a vehicle is assumed below the sensor.
+    """
+
+    rules: Rules
+    image: BeamImage
+    patch: Patch
+    stops: Stops
+    has_vehicle: bool
+
+    def result(self) -> tuple[Truth, Mask]:
+        """Return the label and where it is trusted."""
+        grid = self.rules.grid
+        ground = self.patch.at(grid.centers.reshape(-1, 2))
+        lines = lines_of(self.image, self.stops.best_m)
+        counts = count_targets(lines, cells_of(grid, ground), grid.cell_m, TARGETS)
+        reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
+        surface = self._surface(lines, ground)
+        state = {target.name: self._state(*counts[target.name], surface[target.name], target) for target in TARGETS}
+        definitions, returned = self._definitions(lines)
+        known = self._sure(reached, ground) if self.rules.definition == "probe" else returned
+        return Truth(grid, reached, state, definitions), known & ~self._own()
+
+    def _state(
+        self, aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, target: Target
+    ) -> NDArray[np.uint8]:
+        state = np.where(aimed >= target.min_returns, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
+        state[reached >= target.min_returns] = CellState.FREE
+        state[(reached >= target.min_returns) & surface] = CellState.SURFACE
+        return state.reshape(self.rules.grid.shape)
+
+    def _surface(self, lines: Lines, ground: Floats) -> dict[str, Mask]:
+        """Return by target the cells (cells²,) with a stop on a thing between 0.2 m and its top above the ground."""
+        grid = self.rules.grid
+        tops = np.array([target.height_m for target in TARGETS], np.float32)
+        out = np.zeros((len(TARGETS), ground.size), np.bool_)
+        lattice = (np.float32(grid.origin_m[0]), np.float32(grid.origin_m[1]), np.float32(1 / grid.cell_m), grid.cells)
+        mark_stops(lines.lines, self._things().reshape(-1), ground, (lattice, np.float32(SURFACE_FROM_M), tops), out)
+        return {target.name: out[k] for k, target in enumerate(TARGETS)}
+
+    def _things(self) -> Mask:
+        """Return which beams (C, R) ended on a thing that is not the own vehicle."""
+        things: Mask = self.stops.thing | (self.stops.kind == SURFACE)
+        if not self.has_vehicle:
+            return things
+        end = self.image.origin_m[..., :2] + self.image.direction[..., :2] * self.stops.best_m[..., None]
+        own = np.asarray((np.abs(end) < EGO_BOX_M).all(axis=-1))
+        return things & ~own
+
+    def _definitions(self, lines: Lines) -> tuple[dict[str, Mask], Mask]:
+        """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return."""
+        grid = self.rules.grid
+        bins = min(self.image.pixels.shape[0], MAX_BINS)
+        flags = np.where(self._things(), np.uint8(BLOCKS), np.uint8(0)) + np.where(
+            self.image.returned, np.uint8(RETURNS), np.uint8(0)
+        )
+        farthest, blocker = stop_limits(lines.lines, flags.reshape(-1), bins)
+        range_m, azimuth = polar_of_cells(grid)
+        place = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
+        inside = range_m <= farthest[place]
+        before = inside & (range_m - np.float32(grid.cell_m) <= blocker[place])
+        return {"farthest": inside, "first_blocker": before}, farthest[place] >= 0
+
+    def _sure(self, reached: dict[str, NDArray[np.uint8]], ground: Floats) -> Mask:
+        """Return where (cells, cells) the probe does not hang on missing beams or on the ground."""
+        rules, grid = self.rules, self.rules.grid
+        target = next(one for one in TARGETS if one.name == rules.target)
+        doubtful = np.flatnonzero(reached[target.name].reshape(-1) <= max(MANY_BEAMS, 4 * target.min_returns))
+        seen = self.patch.seen(grid.centers.reshape(-1, 2)).reshape(grid.shape)
+        away = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
+        wrong = np.minimum(GROUND_M + GROUND_PER_M * away, GROUND_MOST_M).astype(np.float32).reshape(-1)
+        verdicts = []
+        for depth in (self.stops.least_m, self.stops.most_m):
+            lines = lines_of(self.image, depth)
+            for height in (ground - wrong, ground + wrong):
+                cells = np.ascontiguousarray(cells_of(grid, height)[:, doubtful])
+                verdicts.append(count_targets(lines, cells, grid.cell_m, TARGETS)[target.name][1] >= target.min_returns)
+        sure = np.ones(ground.size, np.bool_)
+        best = reached[target.name].reshape(-1)[doubtful] >= target.min_returns
+        sure[doubtful] = np.all([verdict == best for verdict in verdicts], axis=0)
+        return sure.reshape(grid.shape)
+
+    def _own(self) -> Mask:
+        """Return the cells (cells, cells) of the own vehicle, and those nearer than the sensor moved."""
+        grid = self.rules.grid
+        moved = np.sqrt((self.image.origin_m[..., :2] ** 2).sum(axis=-1).max())
+        own: Mask = polar_of_cells(grid)[0] <= moved
+        if self.has_vehicle:
+            own = own | (np.abs(grid.centers) < np.add(EGO_BOX_M, grid.cell_m / 2)).all(axis=-1)
+        return own

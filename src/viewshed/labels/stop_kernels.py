@@ -1,0 +1,152 @@
+"""Loops of :mod:`viewshed.labels.stops`: beams to the ground, and what became of those that did not return."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+OPEN, SURFACE, SWALLOWED = 1, 2, 3
+"""What became of a missing beam: nothing stood before the ground or the maximum range; the surface that its neighbors
+met; something, nobody knows where."""
+_NONE = np.float32(-1.0)
+_GROUND = np.float32(-2.0)
+_UP_AND_DOWN = 3
+_FAR = np.float32(1e9)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cast_to_ground(beams: Any, ground: Any, frame: Any, out: Any, thing: Any) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` (C, R) with metres to the ground and ``thing`` (C, R) with whether a return stands above it.
+
+    A missing beam is followed to the ground, up to the maximum range; a return keeps its depth. ``beams`` are starts,
+    directions and depths. ``ground`` (n, n) is z from the sensor; ``frame`` is half the side of its lattice, x and y of
+    its middle from the sensor, cosine and sine of the sensor's yaw in its axes, the maximum range, and the height from
+    which a return is one of a thing. Off the lattice there is no ground, and every return is a thing's.
+    """
+    origin, direction, depth = beams
+    half, middle_x, middle_y, c, s, reach, low_m = frame
+    n = ground.shape[0]
+    per_m, last = np.float32(n / (2.0 * half)), np.float32(n - 1.001)
+    node = np.float32(1.0) / per_m
+    for column in range(out.shape[0]):
+        for ring in range(out.shape[1]):
+            o, d = origin[column, ring], direction[column, ring]
+            x, y = c * o[0] - s * o[1] - middle_x, s * o[0] + c * o[1] - middle_y
+            dx, dy = c * d[0] - s * d[1], s * d[0] + c * d[1]
+            flat = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-3))
+            before, height = np.float32(0.0), np.float32(0.0)
+            end, t = reach, depth[column, ring]
+            returned = t > 0
+            thing[column, ring] = returned
+            while t < reach or returned:
+                u, v = (x + dx * t + half) * per_m - np.float32(0.5), (y + dy * t + half) * per_m - np.float32(0.5)
+                if u < 0 or v < 0 or u >= last or v >= last:
+                    break
+                i, j = int(u), int(v)
+                fu, fv = u - np.float32(i), v - np.float32(j)
+                near = ground[i, j] + (ground[i, j + 1] - ground[i, j]) * fv
+                far = ground[i + 1, j] + (ground[i + 1, j + 1] - ground[i + 1, j]) * fv
+                above = o[2] + d[2] * t - near - (far - near) * fu
+                if returned:
+                    thing[column, ring] = above > low_m
+                    break
+                if above <= 0:
+                    end = before + (t - before) * (height / (height - above)) if height > 0 else t
+                    break
+                before, height = t, above
+                t += max(np.float32(0.4) * node, min(np.float32(2.0) * above, np.float32(3.0) * node)) / flat
+            out[column, ring] = depth[column, ring] if returned else min(end, reach)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_ground(
+    depth: Any, to_ground: Any, thing: Any, frame: Any, counts: Any
+) -> None:  # pragma: no cover - compiled
+    """Add to ``counts`` (bands, sectors, 2) the beams that met the ground, and those that are missing, by its range.
+
+    ``frame`` is the nearest and the farthest range that count, and the width of a band.
+    """
+    near, reach, band_m = frame
+    columns, rings = depth.shape
+    bands, sectors = counts.shape[:2]
+    for c in range(columns):
+        sector = c * sectors // columns
+        for r in range(rings):
+            g = to_ground[c, r]
+            if near < g < reach:
+                band = min(int(g / band_m), bands - 1)
+                if depth[c, r] <= 0:
+                    counts[band, sector, 1] += 1
+                elif not thing[c, r]:
+                    counts[band, sector, 0] += 1
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _side(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+    """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
+    columns = depth.shape[0]
+    for step in range(1, columns // 8):
+        k = (c + side * step) % columns
+        if depth[k, r] > 0:
+            return (depth[k, r] if thing[k, r] else _GROUND), step
+    return _NONE, columns
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _rise(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+    """Return what the next return of the column met, up to three rings away (depth, or ground or none)."""
+    for step in range(1, _UP_AND_DOWN + 1):
+        k = r + side * step
+        if 0 <= k < depth.shape[1] and depth[c, k] > 0:
+            return depth[c, k] if thing[c, k] else _GROUND
+    return _NONE
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
+    middle = np.float32(0.5) * (a + b)
+    return (a > 0) & (b > 0) & (abs(a - b) < np.float32(0.1) * middle + np.float32(1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def explain(beams: Any, seen_share: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Fill ``out``: best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8.
+
+    ``beams`` are depths, metres to the ground and whether a return is a thing's, (C, R) each; ``seen_share`` (bands,)
+    is how often ground at a range returns; ``frame`` is the maximum range, the width of a band, the share from which
+    ground is sure to return, and the widest gap in a surface in metres.
+    """
+    depth, to_ground, thing = beams
+    depths, kinds = out
+    reach, band_m, sure, gap_m = frame
+    columns, rings = depth.shape
+    step = np.float32(2 * np.pi / columns)
+    for c in range(columns):
+        for r in range(rings):
+            if depth[c, r] > 0:
+                depths[0, c, r] = depths[1, c, r] = depths[2, c, r] = depth[c, r]
+                kinds[c, r] = 0
+                continue
+            g = to_ground[c, r]
+            left, gap_left = _side(depth, thing, c, r, 1)
+            right, gap_right = _side(depth, thing, c, r, -1)
+            up, down = _rise(depth, thing, c, r, 1), _rise(depth, thing, c, r, -1)
+            wide = np.float32(0.5) * (left + right)
+            across = _one_surface(left, right) & ((gap_left + gap_right) * step * wide < gap_m)
+            along = _one_surface(up, down)
+            near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
+            near = min(near, left if left > 0 and gap_left * step * left < gap_m else _FAR)
+            near = min(near, right if right > 0 and gap_right * step * right < gap_m else _FAR)
+            alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
+            expected = g < reach and seen_share[min(int(g / band_m), seen_share.shape[0] - 1)] > sure
+            best, least, most, kind = g, min(near, g), g, OPEN
+            if across or along:
+                best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR)
+                best = min(best, g)
+                least, most, kind = best, best, SURFACE
+            elif expected and not alone:
+                best = least = near if near < g else np.float32(0.0)
+                kind = SWALLOWED
+            depths[0, c, r], depths[1, c, r], depths[2, c, r], kinds[c, r] = best, least, most, kind
