@@ -1,19 +1,22 @@
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
 from viewshed.level import level_sweep
-from viewshed.missing import missing_beams
+from viewshed.missing import explained_beams, missing_beams
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
+from viewshed.visible import Beams
 
 MODEL = LidarModel("test", np.deg2rad(np.linspace(-20, -2, 16)), azimuth_columns=360, max_range_m=200.0)
 SWEEP = cast(MODEL, Scene((Box(15, 4, 1, 8, 3),)), 1.8)
 GRID = BevGrid(64, 32.0)
+Mask = NDArray[np.bool_]
 
 
-def _without(kept: np.ndarray) -> Sweep:
-    return SWEEP.select(kept)
+def _without(kept: Mask, sweep: Sweep = SWEEP) -> Sweep:
+    return sweep.select(kept)
 
 
 def test_a_full_sweep_misses_nothing() -> None:
@@ -54,3 +57,135 @@ def test_a_gap_wider_than_the_neighbors_reach_stays_open() -> None:
 def test_almost_nothing_is_no_failure(count: int) -> None:
     level = level_sweep(SWEEP.select(np.arange(count)), GRID)
     assert missing_beams(level, fill=True).azimuth.dtype == np.float32
+
+
+STREET = Scene((Box(15, 4, 1, 8, 3), Box(-25, -3, 1, 70, 9), Box(9, -12, 3, 2, 1.5), Box(58, 9, 1, 90, 9)))
+"""A wall at x = 14.5, houses at x = -24.5 and x = 57.5, and something low at the right."""
+FULL = cast(MODEL, STREET, 1.8)
+LAST = 1.8 / -np.tan(MODEL.elevation[15])
+"""Range at which the highest ring meets the ground: 51.5 m."""
+
+
+def _azimuth(sweep: Sweep) -> NDArray[np.float32]:
+    azimuth: NDArray[np.float32] = np.arctan2(sweep.points[:, 1], sweep.points[:, 0])
+    return azimuth
+
+
+def _explained(sweep: Sweep) -> Beams:
+    return explained_beams(level_sweep(sweep, GRID), 1.5)
+
+
+def _of(beams: Beams, ring: int) -> Mask:
+    return np.asarray(np.abs(beams.slope - np.tan(MODEL.elevation[ring])) < 2e-3)
+
+
+def _on_ground(sweep: Sweep) -> Mask:
+    return np.asarray(sweep.points[:, 2] < -1.79)
+
+
+def _grazing() -> Mask:
+    """Which returns are kept where the ground of the highest ring hardly returns."""
+    assert FULL.ring is not None
+    luck = np.random.default_rng(1).random(len(FULL))
+    return np.asarray(~((FULL.ring == 15) & _on_ground(FULL) & (luck > 0.1)))
+
+
+def test_beams_at_ground_that_hardly_returns_went_as_far_as_that_ground() -> None:
+    lost = ~_grazing()
+    beams = _explained(_without(~lost, FULL))
+    open_ = np.abs(beams.azimuth + 1.4) < 0.2
+    assert _of(beams, 15).sum() > 0.8 * lost.sum()
+    assert np.allclose(beams.depth_m[open_], LAST, rtol=0.03)
+
+
+def test_beams_at_ground_that_returns_elsewhere_are_not_explained() -> None:
+    wedge = (np.abs(_azimuth(FULL) + 2.1) < 0.2) & _on_ground(FULL) & (np.hypot(*FULL.points[:, :2].T) > 8)
+    beams = _explained(_without(~wedge, FULL))
+    assert not (np.abs(beams.azimuth + 2.1) < 0.15).any()
+
+
+def test_beams_above_a_thing_that_swallows_light_are_not_explained() -> None:
+    absorbed = (np.abs(_azimuth(FULL) + 0.93) < 0.13) & ~_on_ground(FULL) & (FULL.points[:, 0] < 11)
+    assert absorbed.sum() > 50
+    beams = _explained(_without(_grazing() & ~absorbed, FULL))
+    above = np.abs(beams.azimuth + 0.93) < 0.1
+    aside = np.abs(beams.azimuth + 1.4) < 0.1
+    assert aside.sum() > 8
+    assert not above.any()
+
+
+@pytest.mark.parametrize("ring", [4, 9, 15])
+def test_a_dead_ring_says_nothing(ring: int) -> None:
+    assert FULL.ring is not None
+    beams = _explained(_without(FULL.ring != ring, FULL))
+    assert not _of(beams, ring).any()
+
+
+def test_a_dropped_sector_says_nothing() -> None:
+    beams = _explained(_without(_grazing() & ~(np.abs(_azimuth(FULL) + 1.2) < 0.2), FULL))
+    assert _of(beams, 15).sum() > 100
+    assert not (np.abs(beams.azimuth + 1.2) < 0.18).any()
+
+
+def test_a_hole_in_a_wall_is_wall() -> None:
+    assert FULL.ring is not None
+    hole = (np.abs(_azimuth(FULL) - 0.2) < 0.026) & (FULL.ring >= 11) & (FULL.ring <= 13)
+    beams = _explained(_without(~hole, FULL))
+    at_wall = np.abs(beams.azimuth - 0.2) < 0.04
+    assert at_wall.sum() == hole.sum() >= 8
+    assert np.allclose(beams.depth_m[at_wall] * np.cos(beams.azimuth[at_wall]), 14.5, atol=0.3)
+
+
+def test_a_wide_patch_between_obstacles_above_and_below_is_obstacle() -> None:
+    assert FULL.ring is not None
+    patch = (np.abs(_azimuth(FULL) - 0.2) < 0.09) & ((FULL.ring == 13) | (FULL.ring == 14))
+    beams = _explained(_without(~patch, FULL))
+    at_wall = np.abs(beams.azimuth - 0.2) < 0.1
+    assert at_wall.sum() == patch.sum() >= 20
+    assert (beams.depth_m[at_wall] < 15.5).all()
+
+
+def test_beside_an_obstacle_a_beam_went_no_farther() -> None:
+    kept = _grazing()
+    beams = _explained(_without(kept, FULL))
+    left_edge = np.arctan2(8.0, 14.5)
+    beside = _of(beams, 15) & (np.abs(beams.azimuth - left_edge - 0.5 * MODEL.azimuth_step) < 0.6 * MODEL.azimuth_step)
+    far = _of(beams, 15) & (np.abs(beams.azimuth - left_edge - 6 * MODEL.azimuth_step) < 3 * MODEL.azimuth_step)
+    assert beside.any()
+    assert (beams.depth_m[beside] < 17.5).all()
+    assert (beams.depth_m[far] > 45).all()
+
+
+def test_nothing_is_said_about_ranges_without_returns() -> None:
+    fog = np.hypot(*FULL.points[:, :2].T) < 30
+    thinned = fog & ((np.hypot(*FULL.points[:, :2].T) < 20) | (np.random.default_rng(2).random(len(FULL)) < 0.4))
+    beams = _explained(_without(thinned, FULL))
+    assert len(beams.depth_m) > 100
+    assert beams.depth_m.max() <= 31
+
+
+def test_without_rings_the_beam_table_tells_and_without_both_nothing_does() -> None:
+    sweep = _without(_grazing(), FULL)
+    known, table, none = (
+        _explained(s) for s in (sweep, sweep.replace(ring=None), sweep.replace(ring=None, model=None))
+    )
+    assert abs(len(table.depth_m) - len(known.depth_m)) < 0.05 * len(known.depth_m)
+    assert len(none.depth_m) == 0
+
+
+def test_targets_that_beams_pass_above_need_no_beams() -> None:
+    level = level_sweep(_without(_grazing(), FULL), GRID)
+    low, tall = (explained_beams(level, top_m) for top_m in (0.1, 1.5))
+    assert len(low.slope) <= len(tall.slope)
+    assert tall.slope.max() < 0
+
+
+def test_a_model_with_other_columns_than_the_sweep_is_not_taken_at_its_word() -> None:
+    sweep = _without(_grazing(), FULL)
+    double = LidarModel("double", MODEL.elevation, azimuth_columns=720, max_range_m=200.0)
+    assert len(_explained(sweep.replace(model=double)).depth_m) < 1.1 * len(_explained(sweep).depth_m)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_almost_nothing_explains_nothing(count: int) -> None:
+    assert len(_explained(SWEEP.select(np.arange(count))).depth_m) == 0

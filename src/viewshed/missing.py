@@ -26,7 +26,7 @@ EXPECTED_SHARE = 0.9
 STEEP = 4.0
 """Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return."""
 REACH_SHARE = 0.001
-"""A sweep sees obstacles as far as all but this share of its returns."""
+"""Nothing is said about ranges beyond which lies only this share of the returns: fog, rain."""
 _SECTORS = 128
 _RANGES_M = np.geomspace(1.0, 128.0, 113)
 _FULL_RING = (0.9, 1.05)
@@ -47,8 +47,8 @@ class _Image:
         counts: returns in each pixel, up to 255.
         depth_m: horizontal range of the nearest one that the level sweep kept, +inf for none.
         obstacle_m: the same among those on obstacles.
-        ground_tally: returns from ground in each bin of range.
-        obstacle_tally: returns from obstacles in each metre of range.
+        ground_tally: returns from ground in each sector and bin of range.
+        metre_tally: returns in each metre of range.
     """
 
     guessed: bool
@@ -59,7 +59,7 @@ class _Image:
     depth_m: Floats
     obstacle_m: Floats
     ground_tally: NDArray[np.int64]
-    obstacle_tally: NDArray[np.int64]
+    metre_tally: NDArray[np.int64]
 
     @property
     def columns(self) -> int:
@@ -90,7 +90,7 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
        obstacles: as far as the nearer of the two.
     2. A beam that aims above the ground, or at ground from which few beams return (by range, learned from the sweep):
        as far as that ground, but no farther than an obstacle beside it in its ring or next above it, nor than a beam
-       of the same gap stopped by rule 1 within 1.5 m, nor than the sweep sees obstacles at all.
+       of the same gap stopped by rule 1 within 1.5 m, nor than the sweep has returns at all.
     3. All others are left out: those at ground that should have returned, and beams above one of them (something that
        swallows light, glass, an attack); rings and columns without any return (dead, dropped).
 
@@ -103,20 +103,27 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
         return Beams(*np.zeros((3, 0), np.float32))
     pixels, ends_m, steps = kernels.find_missing(image.counts, image.depth_m, True)
     azimuth, slope = _aims(level, image, pixels)
-    between_m = hints.narrow(ends_m, steps, image.columns)
-    hints.enclose(pixels, image.obstacle_m, image.counts, image.tangent, between_m)
-    bound_m = hints.bounds(pixels, image.obstacle_m)
-    hints.spread(pixels, between_m, bound_m, image.columns)
-    rise_m = image.rise_m[pixels[:, 0]].astype(np.float32)
-    profile = _profile(level)
+    rise_m, profile = image.rise_m[pixels[:, 0]].astype(np.float32), _profile(level)
+    between_m, bound_m = _obstructions(image, pixels, ends_m, steps)
     told = between_m, bound_m, hints.meet(azimuth, slope, rise_m, profile, _RANGES_M)
     near_m = np.float32(STEEP * level.sensor_height_m)
-    share = hints.shares(image.ground_tally, told, near_m)
-    limits = EXPECTED_SHARE, _reach_m(image.obstacle_tally, len(level.rows))
+    share = hints.shares(image.ground_tally, pixels, told, near_m, image.columns)
+    limits = EXPECTED_SHARE, near_m, _reach_m(image.metre_tally)
     depth_m = hints.explain(pixels, told, share, limits, image.counts)
     slope += rise_m / np.maximum(depth_m, near_m)
     keep = np.isfinite(depth_m) & (slope <= _highest(profile, top_m)[_sectors(azimuth)])
     return Beams(azimuth[keep], slope[keep], depth_m[keep])
+
+
+def _obstructions(
+    image: _Image, pixels: NDArray[np.int32], ends_m: Floats, steps: NDArray[np.int32]
+) -> tuple[Floats, Floats]:
+    """Return where beams in narrow gaps ended (M,), NaN for others, and the nearest obstacle around each beam (M,)."""
+    between_m = hints.narrow(ends_m, steps, image.columns)
+    hints.enclose(pixels, image.obstacle_m, image.counts, image.tangent, between_m)
+    bound_m = hints.bounds(pixels, image.obstacle_m)
+    hints.spread(pixels, between_m, bound_m, image.columns)
+    return between_m, bound_m
 
 
 def _image(level: LevelSweep) -> _Image:
@@ -141,7 +148,7 @@ def _filled(
     """Return the range image of returns that have a ring and a column."""
     column, phase, counts, _ = placed
     images = np.full(counts.shape, np.inf, np.float32), np.full(counts.shape, np.inf, np.float32)
-    tallies = np.zeros(kernels.SHARE_BINS, np.int64), np.zeros(512, np.int64)
+    tallies = np.zeros((kernels.SHARE_SECTORS, kernels.SHARE_BINS), np.int64), np.zeros(512, np.int64)
     limits = np.float32(OBSTACLE_HEIGHTS_M[0]), np.float32(STEEP * level.sensor_height_m)
     kernels.put((ring, column), (level.rows, level.range_m, level.height_m), limits, images, tallies)
     return _Image(*lines, phase, counts, *images, *tallies)
@@ -177,7 +184,7 @@ def _lattice() -> Floats:
     return np.stack([np.outer(np.cos(azimuth), _RANGES_M), np.outer(np.sin(azimuth), _RANGES_M)], -1).astype(np.float32)
 
 
-def _reach_m(obstacles: NDArray[np.int64], returns: int) -> float:
-    """Return the range beyond which lie as many returns on obstacles as ``REACH_SHARE`` of all returns."""
-    beyond = np.cumsum(obstacles[::-1])[::-1]
-    return float(np.count_nonzero(beyond > REACH_SHARE * returns))
+def _reach_m(metre_tally: NDArray[np.int64]) -> float:
+    """Return the range beyond which lies ``REACH_SHARE`` of the returns."""
+    beyond = np.cumsum(metre_tally[::-1])[::-1]
+    return float(np.count_nonzero(beyond > REACH_SHARE * beyond[0]))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from viewshed.missing_kernels import SHARE_BIN_M, SHARE_BINS
+from viewshed.missing_kernels import SHARE_BIN_M, SHARE_BINS, SHARE_SECTORS
 
 GAP_M = 1.5
 """A gap between two returns that is narrower than this, measured at the nearer one, lies on what the two lie on ..."""
@@ -15,6 +15,8 @@ LIKE = 1.25
 """... if the ratio of their ranges is below this."""
 PRIOR_BEAMS = 20
 """The share of a bin starts from that of the bin before, as if so many beams had told it."""
+WEIGHTY = 0.02
+"""Nearer ground returns at least as often as that of a bin with this share of all returns from ground."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -122,39 +124,61 @@ def _next(counts: Any, r: Any, c: Any, step: Any) -> Any:  # pragma: no cover - 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shares(ground: Any, hints: Any, near_m: Any) -> Any:  # pragma: no cover - compiled
-    """Return the share of the beams at ground that return, in each bin of range; 1 nearer than ``near_m``."""
-    between, bound, met = hints
-    lost = np.zeros(SHARE_BINS, np.int64)
+def shares(ground: Any, pixels: Any, told: Any, near_m: Any, columns: int) -> Any:  # pragma: no cover - compiled
+    """Return the share of the beams at ground that return, in each bin of range: the median over the sectors."""
+    between, bound, met = told
+    lost = np.zeros_like(ground)
     for n in range(met.shape[0]):
         if np.isnan(between[n]) and bound[n] > met[n] - 1.0 and near_m < met[n] < np.inf:
-            lost[min(int(met[n] / SHARE_BIN_M), SHARE_BINS - 1)] += 1
+            lost[pixels[n, 1] * SHARE_SECTORS // columns, min(int(met[n] / SHARE_BIN_M), SHARE_BINS - 1)] += 1
     share = np.empty(SHARE_BINS)
     before = 1.0
     for k in range(SHARE_BINS):
-        before = (ground[k] + PRIOR_BEAMS * before) / (ground[k] + lost[k] + PRIOR_BEAMS)
+        beams = ground[:, k].sum() + lost[:, k].sum()
+        before = (beams * _median(ground[:, k], lost[:, k]) + PRIOR_BEAMS * before) / (beams + PRIOR_BEAMS)
         share[k] = before
+    farther, enough = 0.0, WEIGHTY * ground.sum()
+    for k in range(SHARE_BINS - 1, -1, -1):
+        if ground[:, k].sum() > enough:
+            farther = max(farther, share[k])
+        share[k] = max(share[k], farther)
     return share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def explain(pixels: Any, hints: Any, share: Any, limits: Any, counts: Any) -> Any:  # pragma: no cover - compiled
+def _median(ground: Any, lost: Any) -> Any:  # pragma: no cover - compiled
+    """Return the median of the sectors' shares, weighted with their beams; 0 without any."""
+    beams = ground + lost
+    share = ground / np.maximum(beams, 1)
+    seen, half = 0, beams.sum() / 2
+    for s in np.argsort(share):
+        seen += beams[s]
+        if seen > half:
+            return share[s]
+    return 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def explain(pixels: Any, told: Any, share: Any, limits: Any, counts: Any) -> Any:  # pragma: no cover - compiled
     """Return how far each beam went (M,), NaN where nothing explains it. ``pixels`` ascend by ring.
 
-    ``hints``: nearer end of a narrow gap (NaN for none), nearest obstacle around, range at which it would meet ground.
-    ``limits``: the share from which on a return is expected, and the farthest range that anything is said about.
+    ``told``: nearer end of a narrow gap (NaN for none), nearest obstacle around, range at which it would meet ground.
+    ``limits``: the share from which on a return is expected, the range up to which it always is, and the farthest range
+    that anything is said about.
     """
-    between, bound, met = hints
-    expected, reach_m = limits
+    between, bound, met = told
+    expected, near_m, reach_m = limits
     below = _ring_below(counts)
-    dark_at = np.full(counts.shape[1], -1, np.int64)
+    dark_at = np.full(counts.shape[1], -2, np.int64)
     depth = np.full(pixels.shape[0], np.nan, np.float32)
     for n in range(pixels.shape[0]):
         r, c = pixels[n, 0], pixels[n, 1]
-        dark = below[r] >= 0 and dark_at[c] == below[r]
+        lost = met[n] == np.inf
+        if near_m < met[n] < np.inf:
+            lost = share[min(int(met[n] / SHARE_BIN_M), SHARE_BINS - 1)] < expected
         if between[n] == between[n]:
             depth[n] = between[n]
-        elif not dark and (met[n] == np.inf or share[min(int(met[n] / SHARE_BIN_M), SHARE_BINS - 1)] < expected):
+        elif lost and dark_at[c] != below[r]:
             depth[n] = min(met[n], bound[n], reach_m)
         else:
             dark_at[c] = r

@@ -14,7 +14,9 @@ JITTER_COLUMNS = 4
 SHARE_BIN_M = 2.5
 """The share of ground that returns is learned in bins of this width ..."""
 SHARE_BINS = 52
-"""... of this number; the last one holds everything beyond."""
+"""... of this number; the last one holds everything beyond ..."""
+SHARE_SECTORS = 24
+"""... and in so many sectors of azimuth, so that one thing that swallows light does not decide."""
 _PHASES = 16
 _BLOCK = 2048
 
@@ -82,23 +84,23 @@ def put(pixel: Any, points: Any, limits: Any, images: Any, tallies: Any) -> None
     """Lower the images (rings, columns) of depth and of obstacles to the ranges of points, and tally those.
 
     ``points``: row in the sweep, range and height. ``limits``: height from which on they are obstacles, and range from
-    which on ground is tallied, by bins; obstacles are by metres.
+    which on ground is tallied, by sectors and bins of range; all returns are tallied by metres.
     """
     ring, column = pixel
     rows, range_m, height_m = points
     low_m, near_m = limits
     depth, obstacle = images
-    ground_tally, obstacle_tally = tallies
-    per_bin = np.float32(1.0 / SHARE_BIN_M)
+    ground_tally, metre_tally = tallies
+    last = metre_tally.shape[0] - 1
+    per_bin, per_column = np.float32(1.0 / SHARE_BIN_M), np.float32(SHARE_SECTORS / depth.shape[1])
     for k in range(rows.shape[0]):
         n, d = rows[k], range_m[k]
         r, c = ring[n], column[n]
         high = height_m[k] > low_m
-        if high:
-            obstacle_tally[min(int(d), obstacle_tally.shape[0] - 1)] += 1
-        elif d > near_m:
-            ground_tally[min(int(d * per_bin), SHARE_BINS - 1)] += 1
+        metre_tally[min(int(d), last)] += 1
         if c >= 0:
+            if not high and d > near_m:
+                ground_tally[int(c * per_column), min(int(d * per_bin), SHARE_BINS - 1)] += 1
             depth[r, c] = min(depth[r, c], d)
             if high:
                 obstacle[r, c] = min(obstacle[r, c], d)

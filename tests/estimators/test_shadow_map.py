@@ -7,7 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Sweep, Target
-from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.datasets.presets import preset_named
+from viewshed.datasets.simulate import ScenePlan, simulate_frame
+from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Cylinder, Scene, cast, depth_image
@@ -91,9 +93,48 @@ def _absorber() -> Sweep:
 def test_what_a_missing_return_means_is_the_stated_rule() -> None:
     sweep = _absorber()
     behind = np.array([[20.0, 3.0]])
-    prob = {rule: ShadowMap(GRID, no_return=rule).estimate(sweep).at(behind)[0] for rule in ("unknown", "max_range")}
+    prob = {rule: ShadowMap(GRID, no_return=rule).estimate(sweep).at(behind)[0] for rule in NO_RETURN_RULES}
     assert prob["unknown"] < 0.5
+    assert prob["explained"] < 0.5
     assert prob["max_range"] > 0.9
+    assert ShadowMap(GRID).no_return == "explained"
+
+
+@pytest.mark.parametrize("glass", [0.3, 0.6, 0.9])
+def test_a_front_of_glass_opens_no_corridor(glass: float) -> None:
+    sweep = cast(MODEL, SCENE, HEIGHT_M)
+    wall = (np.abs(sweep.points[:, 0] - 11.75) < 0.05) & (sweep.points[:, 1] > -4) & (sweep.points[:, 1] < 10)
+    mirrored = wall & (np.random.default_rng(8).random(len(sweep)) < glass)
+    behind = GRID.centers[(GRID.centers[..., 0] > 13) & (np.abs(GRID.centers[..., 1] - 3) < 3)]
+    claimed = {
+        rule: float((ShadowMap(GRID, no_return=rule).estimate(sweep.select(~mirrored)).at(behind) >= 0.5).mean())
+        for rule in NO_RETURN_RULES
+    }
+    assert claimed["max_range"] > 0.9
+    assert claimed["explained"] <= claimed["unknown"] + 0.01 < 0.02
+
+
+def test_a_dead_ring_adds_nothing_to_what_returned() -> None:
+    sweep = cast(MODEL, SCENE, HEIGHT_M)
+    assert sweep.ring is not None
+    dead = sweep.select(sweep.ring != 20)
+    explained, unknown = (ShadowMap(GRID, CAR, rule).estimate(dead) for rule in ("explained", "unknown"))
+    assert np.abs(explained.visible_prob - unknown.visible_prob).max() < 0.05
+
+
+def test_explained_beams_see_far_more_of_simulated_streets_than_returns_alone() -> None:
+    preset = replace(preset_named("nuscenes-small"), conditions=("clear",), condition_weights=(1.0,), seed=4)
+    tally = {rule: np.zeros(3) for rule in ("explained", "unknown")}
+    for scene in range(4):
+        frame = simulate_frame(ScenePlan(preset, 0, scene), 3)
+        true, known = frame.truth.visible("car"), frame.known
+        for rule, sums in tally.items():
+            claimed = ShadowMap(frame.truth.grid, CAR, rule).estimate(frame.sweep).visible()  # type: ignore[arg-type]
+            sums += [(claimed & true & known).sum(), (claimed & ~true & known).sum(), (~claimed & true & known).sum()]
+    f1 = {rule: 2 * both / (2 * both + over + under) for rule, (both, over, under) in tally.items()}
+    assert f1["explained"] > f1["unknown"] + 0.04
+    assert f1["explained"] > 0.88
+    assert tally["explained"][0] / tally["explained"][:2].sum() > 0.93
 
 
 def test_fill_takes_the_nearer_neighbor() -> None:
