@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from viewshed.datasets import packing
 from viewshed.datasets.layout import Layout, Sensors
 from viewshed.datasets.sample import Sample
+from viewshed.datasets.touched import Touched
 from viewshed.geometry import Rigid
 from viewshed.sim.range_image import RangeImage
 from viewshed.sim.scan import Motion
@@ -20,9 +21,11 @@ from viewshed.truth import Truth
 
 BLOBS = ("ranges", "intensity", "points", "returns", "states", "masks")
 """The binary columns; ``about`` comes before them."""
+TOUCHED = "touched"
+"""One more binary column, last, in archives of attacked sweeps; a reader that does not know it may pass over it."""
 Row = tuple[str, packing.Buffer | None, packing.Buffer | None, packing.Buffer | None,
-            packing.Buffer, packing.Buffer, packing.Buffer]  # fmt: skip
-"""``about`` and the columns of :data:`BLOBS`."""
+            packing.Buffer, packing.Buffer, packing.Buffer, packing.Buffer | None]  # fmt: skip
+"""``about``, the columns of :data:`BLOBS`, and :data:`TOUCHED`."""
 _COLUMNS: dict[str, type[np.generic]] = {
     "intensity": np.float32, "ring": np.int16, "azimuth": np.float32, "time_s": np.float32,
 }  # fmt: skip
@@ -36,11 +39,24 @@ class Frame:
         measured: the range image, or the sweep where there is no range image.
         truth: see :class:`Sample`.
         known: see :class:`Sample`.
+        touched: what an attacker did to the sweep, or None where nobody says.
+
+    Raises:
+        ValueError: ``touched`` does not fit the sweep.
     """
 
     measured: RangeImage | Sweep
     truth: Truth
     known: NDArray[np.bool_]
+    touched: Touched | None = None
+
+    def __post_init__(self) -> None:
+        if self.touched is None:
+            return
+        image = self.measured
+        rows = len(image) if isinstance(image, Sweep) else int(np.count_nonzero(image.steps))
+        if len(self.touched.added) != rows:
+            raise ValueError(f"touched must be of {rows} rows, got {len(self.touched.added)}")
 
     @classmethod
     def of(cls, sample: Sample) -> Frame:
@@ -73,7 +89,10 @@ class Frame:
         returns = b"".join(self.truth.expected_returns[name].tobytes() for name in layout.targets)
         states = packing.pack_states(np.array([self.truth.state[name] for name in layout.targets], np.uint8))
         masks = np.stack([*(self.truth.definitions[name] for name in layout.definitions), self.known])
-        return json.dumps(about, ensure_ascii=False), *packed, returns, states, packing.pack_masks(masks)
+        touched = None if self.touched is None else self.touched.packed()
+        if self.touched is not None:
+            about |= {TOUCHED: self.touched.about()}
+        return json.dumps(about, ensure_ascii=False), *packed, returns, states, packing.pack_masks(masks), touched
 
     @classmethod
     def from_row(cls, row: Row, layout: Layout, sensors: Sensors) -> Frame:
@@ -82,13 +101,14 @@ class Frame:
         Raises:
             ValueError: the columns do not fit the layout or each other.
         """
-        about, ranges, intensity, points, returns, states, masks = row
+        about, ranges, intensity, points, returns, states, masks, raw = row
         try:
             said = json.loads(about)
             measured = _image(said, ranges, intensity, sensors) if points is None else _sweep(said, points, sensors)
+            touched = None if raw is None else Touched.unpacked(said[TOUCHED], raw)
         except (KeyError, TypeError, IndexError, AttributeError) as error:
             raise ValueError(f"about must describe the frame: {error!r}") from error
-        return cls(measured, *_truth(layout, returns, states, masks))
+        return cls(measured, *_truth(layout, returns, states, masks), touched)
 
 
 def same_sweep(one: Sweep, other: Sweep) -> bool:

@@ -7,9 +7,10 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from viewshed.datasets.frame import BLOBS, Frame
+from viewshed.datasets.frame import BLOBS, TOUCHED, Frame
 from viewshed.datasets.layout import Layout, Sensors
 from viewshed.datasets.sample import Sample
 from viewshed.datasets.store import Store
@@ -138,7 +139,7 @@ def write_shard(store: Store, name: str, samples: Iterable[Sample]) -> ShardFact
     first = next(iterator, None)
     if first is None:
         raise ValueError(f"{name} must have at least one frame; leave empty shards out")
-    frames = (_checked(sample, first) for sample in _chained(first, iterator))
+    frames = (_checked(sample, first) for sample in chain([first], iterator))
     return write_frames(store, name, (first.scene, first.split), frames)
 
 
@@ -155,11 +156,6 @@ def write_frames(store: Store, name: str, place: tuple[str, str], frames: Iterab
     return ShardFacts(name, *place, count, len(content), digest)
 
 
-def _chained(first: Sample, rest: Iterator[Sample]) -> Iterator[Sample]:
-    yield first
-    yield from rest
-
-
 def _checked(sample: Sample, first: Sample) -> Frame:
     if (sample.scene, sample.split) != (first.scene, first.split):
         raise ValueError(
@@ -173,28 +169,32 @@ def _encoded(place: tuple[str, str], frames: Iterable[Frame]) -> tuple[bytes, in
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    sink, layout, sensors, count = pa.BufferOutputStream(), None, Sensors(), 0
-    schema = _schema()
+    iterator = iter(frames)
+    first = next(iterator, None)
+    if first is None:
+        raise ValueError("a shard must have at least one frame; leave empty shards out")
+    sink, layout, sensors, count = pa.BufferOutputStream(), Layout.of(first.truth), Sensors(), 0
+    schema = _schema(first.touched is not None)
     writer = pq.ParquetWriter(
         sink, schema, compression="zstd", compression_level=ZSTD_LEVEL,
         use_dictionary=False, write_statistics=False, write_page_checksum=True, store_schema=False,
     )  # fmt: skip
-    for count, frame in enumerate(frames, 1):  # noqa: B007
-        layout = layout or Layout.of(frame.truth)
+    for count, frame in enumerate(chain([first], iterator), 1):  # noqa: B007
+        if (frame.touched is None) != (first.touched is None):
+            raise ValueError("all frames of a shard must say what was touched, or none")
         row = frame.row(layout, sensors)
-        columns = [pa.array([value], kind.type) for value, kind in zip(row, schema, strict=True)]
+        columns = [pa.array([value], kind.type) for value, kind in zip(row, schema, strict=False)]
         writer.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
-    if layout is None:
-        raise ValueError("a shard must have at least one frame; leave empty shards out")
     writer.add_key_value_metadata({_KEY: Footer(*place, layout, sensors).text()})
     writer.close()
     return sink.getvalue().to_pybytes(), count
 
 
-def _schema() -> pa.Schema:
+def _schema(touched: bool) -> pa.Schema:
     import pyarrow as pa
 
-    return pa.schema([("about", pa.string()), *((name, pa.binary()) for name in BLOBS)])
+    names = (*BLOBS, TOUCHED) if touched else BLOBS
+    return pa.schema([("about", pa.string()), *((name, pa.binary()) for name in names)])
 
 
 def _footer_table(metadata: pq.FileMetaData) -> Any:
@@ -246,7 +246,8 @@ class Shard:
         with damage(self.name):
             batch = self._file.read_row_group(index, use_threads=False)
             about, *blobs = (batch.column(name)[0] for name in ("about", *BLOBS))
-            row = (about.as_py(), *(blob.as_buffer() for blob in blobs))
+            touched = batch.column(TOUCHED)[0].as_buffer() if TOUCHED in batch.column_names else None
+            row = (about.as_py(), *(blob.as_buffer() for blob in blobs), touched)
             return Frame.from_row(row, self.footer.layout, self.footer.sensors)
 
     def close(self) -> None:

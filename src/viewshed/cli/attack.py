@@ -1,0 +1,190 @@
+"""``viewshed attack`` and ``viewshed corrupt``: a data set, a recording or a file, with its sweeps tampered with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import options
+from viewshed.cli.options import AUTO, Reading
+from viewshed.cli.outputs import refuse_inputs
+
+if TYPE_CHECKING:
+    from viewshed.datasets import Archive
+    from viewshed.datasets.attacked import Sweeps
+    from viewshed.datasets.making import Made
+    from viewshed.datasets.spoiling import Spoiling
+
+Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, a recording, or files.")]
+Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one file also a file (attacked.npz).")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
+Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
+EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
+_MANIFEST = "manifest.json"
+_BAGS = (".bag", ".mcap", ".db3")
+
+
+def attack(
+    sources: Sources,
+    attack: Annotated[str, typer.Option(help="Name of an attack, or paper for the paper's mixture.")],
+    out: Out,
+    budget: Annotated[str | None, typer.Option(help="Most returns, or full; the attack's own if not given.")] = None,
+    mode: Annotated[str | None, typer.Option(help="free_form or beam_constrained, where an attack has both.")] = None,
+    seed: Seed = 0,
+    split: Split = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    workers: Workers = None,
+    engine: EngineName = "local",
+) -> None:
+    """Attack every sweep of a data set, with a record of what was touched; truth stays as it was.
+
+    A sweep that cannot be attacked costs one line on standard error and is left out; the exit code is then 2. Stopped
+    runs go on where they were; the same bytes for any --workers.
+
+    Example: viewshed attack sweeps --attack far_wall --budget 150 --out attacked
+    """
+    from viewshed.datasets.spoiling import AttackPlan
+
+    AttackPlan(attack, _budget(budget, attack), mode)
+    sweeps = _opened(sources, split, grid, sensor)
+    plan = AttackPlan(attack, _budget(budget, attack), mode, float(sweeps.layout.grid.half_extent_m))
+    _run(sweeps, plan, _Where(sources, out, seed), engine, workers)
+
+
+def corrupt(
+    sources: Sources,
+    corruption: Annotated[str, typer.Option(help="Name of a corruption.")],
+    out: Out,
+    severity: Annotated[int, typer.Option(help="From 1, mild, to 5.")] = 3,
+    seed: Seed = 0,
+    split: Split = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    workers: Workers = None,
+    engine: EngineName = "local",
+) -> None:
+    """Corrupt every sweep of a data set as weather and faults do; truth stays as it was. Else as attack.
+
+    Example: viewshed corrupt sweeps --corruption fog --severity 4 --out foggy
+    """
+    from viewshed.datasets.spoiling import CorruptionPlan
+
+    plan = CorruptionPlan(corruption, severity)
+    _run(_opened(sources, split, grid, sensor), plan, _Where(sources, out, seed), engine, workers)
+
+
+class _Where:
+    """From where, to where, with which seed."""
+
+    def __init__(self, sources: Sequence[str], out: str, seed: int) -> None:
+        if seed < 0:
+            raise ValueError(f"seed must not be negative, got {seed}")
+        self.inputs = [Path(source) for source in sources if "://" not in source]
+        self.out, self.seed = out, seed
+        single = len(self.inputs) == 1 and self.inputs[0].is_file()
+        self.file = Path(out) if single and "://" not in out and _is_sweep_file(out) else None
+
+
+def _is_sweep_file(out: str) -> bool:
+    from viewshed.io import FORMATS
+
+    written = tuple(suffix for form in FORMATS.values() if form.write is not None for suffix in form.suffixes)
+    return out.lower().removesuffix(".gz").endswith(written)
+
+
+def _budget(text: str | None, attack: str) -> int | None:
+    """Return a budget from text; ``full`` is every beam of the wedge.
+
+    >>> _budget("150", "far_wall")
+    150
+    """
+    from viewshed.attacks import FREE_FORM, FULL_WEDGE
+
+    if text is None or text.isdecimal():
+        return None if text is None else int(text)
+    if text != "full":
+        raise ValueError(f"budget must be a whole number of returns or full, got {text!r}")
+    if attack in FREE_FORM:
+        raise ValueError(f"budget must be a number for {attack}: free points have no wedge to fill, got full")
+    return FULL_WEDGE
+
+
+def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -> Sweeps:
+    from viewshed.datasets import Archive
+    from viewshed.datasets.attacked import of_archive, of_files, of_recording
+
+    first, wanted = Path(sources[0]), options.parse_grid(grid)
+    if len(sources) == 1 and ("://" in sources[0] or (first / _MANIFEST).is_file()):
+        return of_archive(Archive.open(sources[0]), split)
+    if split is not None:
+        raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")
+    if len(sources) == 1 and (first.is_dir() or first.suffix.lower() in _BAGS):
+        return of_recording(str(first.absolute()), wanted)
+    for path in map(Path, sources):
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such file; name one data set, one recording, or files")
+    return of_files([Path(source) for source in sources], Reading(sensor).sweeps, wanted)
+
+
+def _run(sweeps: Sweeps, plan: Spoiling, where: _Where, engine: str, workers: int | None) -> None:
+    failed = list(sweeps.problems)
+    for problem in failed:
+        typer.echo(f"viewshed: {problem}", err=True)
+    if where.file is not None:
+        _to_file(sweeps, plan, where)
+    else:
+        typer.echo(_summary(_to_archive(sweeps, plan, where, (engine, workers), failed), sweeps.count))
+    if failed:
+        raise typer.Exit(2)
+
+
+def _to_archive(
+    sweeps: Sweeps, plan: Spoiling, where: _Where, runs_on: tuple[str, int | None], failed: list[str]
+) -> Archive:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from viewshed.datasets.attacked import spoil
+    from viewshed.datasets.store import Store
+    from viewshed.engines import engine_named
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
+               TimeRemainingColumn())  # fmt: skip
+    runner = engine_named(*runs_on)
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(plan.name, total=sweeps.count)
+
+        def tell(made: Made) -> None:
+            bar.advance(task, 0 if made.facts is None else made.facts.frames)
+            failed.extend(made.problems)
+
+        archive = spoil(sweeps, plan, Store.of(where.out), runner, where.seed, tell)
+    for problem in failed[len(sweeps.problems) :]:
+        typer.echo(f"viewshed: {problem}", err=True)
+    return archive
+
+
+def _to_file(sweeps: Sweeps, plan: Spoiling, where: _Where) -> None:
+    from viewshed.atomic import write_bytes
+    from viewshed.datasets.attacked import spoiled_sweep
+    from viewshed.io import write_sweep
+
+    if where.file is None or sweeps.count != 1:
+        raise ValueError(f"{where.out} holds one sweep, the source has {sweeps.count}; name a folder as --out")
+    record = where.file.with_name(f"{where.file.name}.touched.json")
+    refuse_inputs((where.file, record), where.inputs)
+    sweep, told = spoiled_sweep(sweeps, plan, where.seed)
+    where.file.parent.mkdir(parents=True, exist_ok=True)
+    write_sweep(sweep, where.file)
+    write_bytes(record, told.encode())
+    typer.echo(f"{where.file}: {len(sweep)} returns; what was touched is in {record.name}")
+
+
+def _summary(archive: Archive, count: int) -> str:
+    size = sum(shard.bytes for shard in archive.shards)
+    return f"{archive.store.place}: {len(archive)} of {count} sweeps, {len(archive.shards)} shards, {size / 1e6:.1f} MB"
