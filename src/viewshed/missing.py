@@ -101,9 +101,12 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
     image = None if unorganised else _image(level)
     if image is None or image.guessed:
         return Beams(*np.zeros((3, 0), np.float32))
-    pixels, ends_m, steps = kernels.find_missing(image.counts, image.depth_m, True)
+    profile = _profile(level)
+    highest = _highest(profile, top_m)
+    rings = _rings_below(float(highest.max()), image, level.level_from_sensor.rotation)
+    pixels, ends_m, steps = kernels.find_missing(image.counts[:rings], image.depth_m, True)
     azimuth, slope = _aims(level, image, pixels)
-    rise_m, profile = image.rise_m[pixels[:, 0]].astype(np.float32), _profile(level)
+    rise_m = image.rise_m[pixels[:, 0]].astype(np.float32)
     between_m, bound_m = _obstructions(image, pixels, ends_m, steps)
     told = between_m, bound_m, hints.meet(azimuth, slope, rise_m, profile, _RANGES_M)
     near_m = np.float32(STEEP * level.sensor_height_m)
@@ -111,7 +114,7 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
     limits = EXPECTED_SHARE, near_m, _reach_m(image.metre_tally)
     depth_m = hints.explain(pixels, told, share, limits, image.counts)
     slope += rise_m / np.maximum(depth_m, near_m)
-    keep = np.isfinite(depth_m) & (slope <= _highest(profile, top_m)[_sectors(azimuth)])
+    keep = np.isfinite(depth_m) & (slope <= highest[_sectors(azimuth)])
     return Beams(azimuth[keep], slope[keep], depth_m[keep])
 
 
@@ -171,6 +174,13 @@ def _highest(profile: Floats, top_m: float) -> Floats:
     """Return the steepest slope (sectors,) from the sensor to the top of a target, wherever it stands."""
     highest: Floats = (profile + (top_m / _RANGES_M).astype(np.float32)).max(axis=1)
     return highest
+
+
+def _rings_below(slope: float, image: _Image, rotation: Doubles) -> int:
+    """Return how many rings, from the lowest and at least one, may have a beam below ``slope`` in ``level``."""
+    tilt = np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))
+    below = np.flatnonzero(np.arctan(image.tangent) - tilt <= np.arctan(slope))
+    return int(below[-1]) + 1 if below.size else 1
 
 
 def _sectors(azimuth: Floats) -> NDArray[np.intp]:

@@ -24,15 +24,17 @@ NO_RETURN_RULES: tuple[NoReturn, ...] = ("explained", "unknown", "max_range", "f
 class ShadowMap:
     """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as the lamp).
 
-    Counts the beams that would have met a target in the cell and whose measured depth reaches it. The probability
-    is that of at least ``min_returns`` returns when their number is Poisson with that mean.
+    Counts the beams that would have met a target in the cell and whose depth reaches it. The probability is that of
+    at least ``min_returns`` returns when their number is Poisson with that mean.
 
-    ``no_return`` says what a beam without a return means: ``unknown`` (it does not count; sound), ``max_range``
-    (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it went as far
-    as the nearer of its neighbors in the ring).
+    ``no_return`` says what a beam without a return means: ``explained`` (it went as far as its surroundings tell, and
+    does not count where they do not, see :func:`viewshed.missing.explained_beams`), ``unknown`` (it does not count),
+    ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
+    went as far as the nearer of its neighbors in the ring).
 
     Limits: trusts each measured depth, so that removed or far-spoofed returns open false corridors; needs the local
-    ground within about 0.3 m; sparse far rings make it say UNKNOWN.
+    ground within about 0.3 m. More obstacles never add visibility where no beam is explained; with ``explained`` the
+    share of ground that returns is learned from the whole sweep, and obstacles elsewhere change it.
     """
 
     grid: BevGrid
@@ -83,7 +85,7 @@ def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
 def _state(
     prob: NDArray[np.float32], aimed_prob: NDArray[np.float32], obstacle: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """HIDDEN where enough returned beams aim at the cell and end before it, UNKNOWN where they do not suffice."""
+    """HIDDEN where enough beams that count aim at the cell and end before it, UNKNOWN where they do not suffice."""
     visible = prob >= THRESHOLD
     state = np.where(aimed_prob >= THRESHOLD, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
     state[visible] = CellState.FREE
