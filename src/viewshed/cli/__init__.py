@@ -15,6 +15,7 @@ from viewshed.cli.estimate import estimate
 from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
 from viewshed.cli.info import info
+from viewshed.cli.label import label
 from viewshed.cli.options import BAD_INPUTS, one_line
 from viewshed.cli.record import record_app
 from viewshed.cli.simulate import dataset_app, simulate
@@ -24,7 +25,7 @@ INTERRUPTED = 130
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for _command in (estimate, info, compare, export, demo, simulate, attack, corrupt):
+for _command in (estimate, info, compare, export, demo, simulate, label, attack, corrupt):
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")
@@ -65,9 +66,15 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
     except SystemError as error:  # how an interrupt leaves compiled code
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+        if not _from_interrupt(error):
             raise
         sys.exit(INTERRUPTED)
+
+
+def _from_interrupt(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _complain(message: str) -> None:
