@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.geometry import Rigid
 from viewshed.ground import Ground, estimate_ground
 from viewshed.level import LevelSweep
 
@@ -69,22 +70,24 @@ class Patch:
         return np.asarray(turned - self.center_m, np.float32)
 
 
-def lows_of(points: NDArray[np.float64], node_m: float) -> Lows:
-    """Return the lowest of points (N, 3), in world coordinates, in nodes of side ``node_m``.
+def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float, reach_m: float) -> Lows:
+    """Return the lowest of points (N, 3), at most ``reach_m`` from their origin, in nodes of the world.
 
-    >>> lows_of(np.array([[0.2, 1.2, 5.0], [0.3, 1.3, 4.0]]), 1.0).points[0, :, 2].tolist()
-    [4.0, 5.0]
+    >>> lows_of(np.array([[0.2, 1.2, 5.0], [0.3, 1.3, 4.0]], np.float32), Rigid.identity(), 1.0, 9.0).points[0, :, 2]
+    array([4., 5.])
     """
-    if not len(points):
-        return Lows(np.zeros((0, 2), np.int32), np.zeros((0, 2, 3)), np.zeros(0))
-    corner = np.floor(points[:, :2].min(axis=0) / node_m).astype(np.int64)
-    shape = np.floor(points[:, :2].max(axis=0) / node_m).astype(np.int64) - corner + 1
-    rows = np.full((int(shape.prod()), 3), -1, np.int32)
-    _lowest(points, corner, shape, node_m, rows)
+    middle = np.floor(world_from_points.translation[:2] / node_m).astype(np.int64)
+    count = 2 * int(np.ceil(reach_m / node_m)) + 1
+    corner = middle - count // 2
+    rows = np.full((count * count, 3), -1, np.int32)
+    world = np.empty((len(points), 3))
+    frame = (world_from_points.as_matrix()[:3], corner, np.float32(reach_m), node_m)
+    _lowest(points, frame, count, world, rows)
     used = np.flatnonzero(rows[:, 0] >= 0)
-    node = np.stack([used // shape[1], used % shape[1]], axis=-1) + corner
-    found = points[rows[used]]
-    found[rows[used] < 0] = np.nan
+    found = np.full((len(used), 3, 3), np.nan)
+    some = rows[used] >= 0
+    found[some] = world[rows[used][some]]
+    node = np.stack([used // count, used % count], axis=-1) + corner
     return Lows(node.astype(np.int32), found[:, :2], found[:, 2, 2])
 
 
@@ -136,19 +139,34 @@ def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:  
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lowest(points: Any, corner: Any, shape: Any, node_m: Any, rows: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``rows`` (nodes, 3) with the rows of the lowest, the second-lowest and the highest point of each node."""
+def _lowest(points: Any, frame: Any, count: Any, world: Any, rows: Any) -> None:  # pragma: no cover - compiled
+    """Fill ``rows`` (nodes, 3) with the rows of the lowest, the second-lowest and the highest point of each node.
+
+    ``frame`` is the transform to the world (3, 4), the first node, how far points count, and the side of a node. Points
+    that count get their place in ``world``.
+    """
+    transform, corner, reach, node_m = frame
     for k in range(points.shape[0]):
-        i, j = int(np.floor(points[k, 0] / node_m)) - corner[0], int(np.floor(points[k, 1] / node_m)) - corner[1]
-        node, z = i * shape[1] + j, points[k, 2]
-        first, second = rows[node, 0], rows[node, 1]
-        if first < 0 or z < points[first, 2]:
-            rows[node, 0], rows[node, 1] = k, first
-        elif second < 0 or z < points[second, 2]:
-            rows[node, 1] = k
-        if first >= 0:
-            top = rows[node, 2] if rows[node, 2] >= 0 else first
-            rows[node, 2] = k if z > points[top, 2] else top
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        if x * x + y * y >= reach * reach:
+            continue
+        for axis in range(3):
+            row = transform[axis]
+            world[k, axis] = row[0] * x + row[1] * y + row[2] * z + row[3]
+        i, j = int(np.floor(world[k, 0] / node_m)) - corner[0], int(np.floor(world[k, 1] / node_m)) - corner[1]
+        if i >= 0 and j >= 0 and i < count and j < count:
+            _note(rows[i * count + j], k, world)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _note(node: Any, k: Any, world: Any) -> None:  # pragma: no cover - compiled
+    first, second, z = node[0], node[1], world[k, 2]
+    if first >= 0 and (node[2] < 0 or z > world[node[2], 2]):
+        node[2] = k if z > world[first, 2] or node[2] >= 0 else first
+    if first < 0 or z < world[first, 2]:
+        node[0], node[1] = k, first
+    elif second < 0 or z < world[second, 2]:
+        node[1] = k
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

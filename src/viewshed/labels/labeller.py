@@ -12,6 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from viewshed.bev import GRIDS, BevGrid, polar_of_cells
 from viewshed.estimate import CellState
+from viewshed.geometry import Rigid
 from viewshed.labels.count import Lines, cells_of, count_targets, lines_of
 from viewshed.labels.ground_map import Lows, Patch, lows_of, patch_of
 from viewshed.labels.image import BeamImage, beam_image
@@ -36,6 +37,8 @@ MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""
 GROUND_M, GROUND_PER_M, GROUND_MOST_M = 0.03, 0.03, 0.4
 """The ground may be wrong by so much where it was seen, more for each metre from there, and at most by so much."""
+LOWS_REACH = 1.5
+"""Returns help to find the ground up to so far from the sensor, in half sides of the grid."""
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 
@@ -99,9 +102,8 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules
 
 
 def _lows(level: LevelSweep, rules: Rules) -> Lows:
-    pose = level.world_from_level
-    points = level.points.astype(np.float64) if pose is None else pose @ level.points
-    return lows_of(points, rules.node_m)
+    pose = level.world_from_level or Rigid.identity()
+    return lows_of(level.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
 
 def _has_vehicle(level: LevelSweep) -> bool:
@@ -133,9 +135,10 @@ class _Labelling:
         lines = lines_of(self.image, self.stops.best_m)
         counts = count_targets(lines, cells_of(grid, ground), grid.cell_m, TARGETS)
         reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
-        surface = self._surface(lines, ground)
+        things = self._things()
+        surface = self._surface(lines, ground, things)
         state = {target.name: self._state(*counts[target.name], surface[target.name], target) for target in TARGETS}
-        definitions, returned = self._definitions(lines)
+        definitions, returned = self._definitions(lines, things)
         known = self._sure(reached, ground) if self.rules.definition == "probe" else returned
         return Truth(grid, reached, state, definitions), known & ~self._own()
 
@@ -147,13 +150,13 @@ class _Labelling:
         state[(reached >= target.min_returns) & surface] = CellState.SURFACE
         return state.reshape(self.rules.grid.shape)
 
-    def _surface(self, lines: Lines, ground: Floats) -> dict[str, Mask]:
+    def _surface(self, lines: Lines, ground: Floats, things: Mask) -> dict[str, Mask]:
         """Return by target the cells (cells²,) with a stop on a thing between 0.2 m and its top above the ground."""
         grid = self.rules.grid
         tops = np.array([target.height_m for target in TARGETS], np.float32)
         out = np.zeros((len(TARGETS), ground.size), np.bool_)
         lattice = (np.float32(grid.origin_m[0]), np.float32(grid.origin_m[1]), np.float32(1 / grid.cell_m), grid.cells)
-        mark_stops(lines.lines, self._things().reshape(-1), ground, (lattice, np.float32(SURFACE_FROM_M), tops), out)
+        mark_stops(lines.lines, things.reshape(-1), ground, (lattice, np.float32(SURFACE_FROM_M), tops), out)
         return {target.name: out[k] for k, target in enumerate(TARGETS)}
 
     def _things(self) -> Mask:
@@ -165,11 +168,11 @@ class _Labelling:
         own = np.asarray((np.abs(end) < EGO_BOX_M).all(axis=-1))
         return things & ~own
 
-    def _definitions(self, lines: Lines) -> tuple[dict[str, Mask], Mask]:
+    def _definitions(self, lines: Lines, things: Mask) -> tuple[dict[str, Mask], Mask]:
         """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return."""
         grid = self.rules.grid
         bins = min(self.image.pixels.shape[0], MAX_BINS)
-        flags = np.where(self._things(), np.uint8(BLOCKS), np.uint8(0)) + np.where(
+        flags = np.where(things, np.uint8(BLOCKS), np.uint8(0)) + np.where(
             self.image.returned, np.uint8(RETURNS), np.uint8(0)
         )
         farthest, blocker = stop_limits(lines.lines, flags.reshape(-1), bins)

@@ -125,7 +125,7 @@ def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
 
 def jobs_of(origin: Origin, rules: Rules, store: Store) -> tuple[list[LabelJob], tuple[str, ...]]:
     """Return the shards of a recording's labels, in order, and one line for each thing that is damaged."""
-    source = origin.open()
+    source = opened(origin)
     jobs: list[LabelJob] = []
     problems = list(source.damage())
     for number, scene in enumerate(source.scenes()):
@@ -155,14 +155,14 @@ def label_shard(job: LabelJob) -> Made:
     first = next(frames, None)
     if first is None:
         return Made(None, tuple(problems))
-    place = (job.scene, _split(_opened(job.origin), job.scene))
+    place = (job.scene, _split(opened(job.origin), job.scene))
     facts = write_frames(job.store, job.name, place, _chained(first, frames))
     return Made(write_beside(job.store, facts), tuple(problems))
 
 
 def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
     """Yield the labelled frames of a job; what cannot be read is told in one line of ``problems``."""
-    source = _opened(job.origin)
+    source = opened(job.origin)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
     wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
     reader = _Reader(source, job.origin)
@@ -193,8 +193,8 @@ def _split(source: SweepSource, scene: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def _opened(origin: Origin) -> SweepSource:
-    """Return the recording, opened once by each process."""
+def opened(origin: Origin) -> SweepSource:
+    """Return the recording, opened once by each process; errors as :meth:`Origin.open`."""
     return origin.open()
 
 

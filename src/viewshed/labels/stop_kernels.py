@@ -83,6 +83,17 @@ def count_ground(
                     counts[band, sector, 0] += 1
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def lost_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Set ``out`` (C,) where no beam of a column and of those next to it returned: they were not fired, or not kept."""
+    columns = depth.shape[0]
+    for c in range(columns):
+        out[c] = True
+        for near in (c - 1, c, (c + 1) % columns):
+            for r in range(depth.shape[1]):
+                out[c] &= depth[near, r] <= 0
+
+
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _side(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
     """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
@@ -114,11 +125,11 @@ def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
 def explain(beams: Any, seen_share: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out``: best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8.
 
-    ``beams`` are depths, metres to the ground and whether a return is a thing's, (C, R) each; ``seen_share`` (bands,)
-    is how often ground at a range returns; ``frame`` is the maximum range, the width of a band, the share from which
-    ground is sure to return, and the widest gap in a surface in metres.
+    ``beams`` are depths, metres to the ground and whether a return is a thing's, (C, R) each, and whether a column was
+    lost (C,); ``seen_share`` (bands,) is how often ground at a range returns; ``frame`` is the maximum range, the width
+    of a band, the share from which ground is sure to return, and the widest gap in a surface in metres.
     """
-    depth, to_ground, thing = beams
+    depth, to_ground, thing, lost = beams
     depths, kinds = out
     reach, band_m, sure, gap_m = frame
     columns, rings = depth.shape
@@ -137,12 +148,14 @@ def explain(beams: Any, seen_share: Any, frame: Any, out: Any) -> None:  # pragm
             across = _one_surface(left, right) & ((gap_left + gap_right) * step * wide < gap_m)
             along = _one_surface(up, down)
             near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
-            near = min(near, left if left > 0 and gap_left * step * left < gap_m else _FAR)
-            near = min(near, right if right > 0 and gap_right * step * right < gap_m else _FAR)
+            near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
+            nowhere = (left == _NONE) & (right == _NONE)
             alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
             expected = g < reach and seen_share[min(int(g / band_m), seen_share.shape[0] - 1)] > sure
-            best, least, most, kind = g, min(near, g), g, OPEN
-            if across or along:
+            best, least, most, kind = g, np.float32(0.0) if nowhere else min(near, g), g, OPEN
+            if lost[c]:
+                best, least, kind = np.float32(0.0), np.float32(0.0), SWALLOWED
+            elif across or along:
                 best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR)
                 best = min(best, g)
                 least, most, kind = best, best, SURFACE

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed.labels.ground_map import Patch
 from viewshed.labels.image import BeamImage
-from viewshed.labels.stop_kernels import cast_to_ground, count_ground, explain
+from viewshed.labels.stop_kernels import cast_to_ground, count_ground, explain, lost_columns
 from viewshed.level import OBSTACLE_HEIGHTS_M
 
 Floats = NDArray[np.float32]
@@ -48,8 +48,8 @@ def stops_of(image: BeamImage, patch: Patch) -> Stops:
 
     - ended on the surface that its neighbors met, if those left and right of it in its ring (a gap of at most 5 m), or
       above and below it, met one surface: a window, a black car;
-    - was swallowed, nobody knows where, if it aims at ground so near that ground there always returns, and its
-      neighbors are not all ground;
+    - was swallowed, nobody knows where, if its column and those beside it are empty, or if it aims at ground so near
+      that ground there always returns, and its neighbors are not all ground;
     - else met nothing before the ground or the maximum range; at least it went as far as the things next to it.
     """
     reach = np.float32(image.max_range_m)
@@ -64,7 +64,9 @@ def stops_of(image: BeamImage, patch: Patch) -> Stops:
     kinds = np.empty(to_ground.shape, np.uint8)
     limits = (reach, band, np.float32(SURE), np.float32(GAP_M))
     seen = _seen_share((image.depth_m, to_ground, thing), reach, band)
-    explain((image.depth_m, to_ground, thing), seen, limits, (depths, kinds))
+    lost = np.empty(len(to_ground), np.bool_)
+    lost_columns(image.depth_m, lost)
+    explain((image.depth_m, to_ground, thing, lost), seen, limits, (depths, kinds))
     return Stops(depths[0], depths[1], depths[2], thing, kinds)
 
 

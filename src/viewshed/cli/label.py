@@ -1,0 +1,101 @@
+"""``viewshed label``: what each sweep of a benign recording could have seen, as a data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import options
+from viewshed.cli.options import AUTO
+
+if TYPE_CHECKING:
+    from viewshed.datasets import Archive
+    from viewshed.datasets.making import Made
+    from viewshed.labels import Origin, Rules
+
+
+def label(
+    source: Annotated[
+        str | None, typer.Argument(metavar="SRC", help="A recording or a data set; not needed with --index.")
+    ] = None,
+    out: Annotated[str, typer.Option(help="Folder or URI of the data set of labels.")] = "labels",
+    definition: Annotated[
+        str, typer.Option(help="Where labels are marked as known: for probe, farthest or first_blocker.")
+    ] = "probe",
+    target: options.TargetName = "car",
+    neighbors: Annotated[
+        int, typer.Option(min=0, help="Sweeps before and after that help, where poses exist; 0 for none.")
+    ] = 20,
+    grid: Annotated[
+        str | None, typer.Option(help="A name, or CELLSxHALF_EXTENT_M; road, or that of SRC, if not given.")
+    ] = None,
+    index: options.Index = None,
+    kind: Annotated[str, typer.Option(help="auto, archive, or a layout: nuscenes, kitti, carla, …")] = AUTO,
+    sensor: options.SensorName = AUTO,
+    every: Annotated[bool, typer.Option("--every", help="Label sweeps between keyframes as well.")] = False,
+    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
+    engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
+) -> None:
+    """Label benign sweeps with what the sensor could have seen, using those before and after where poses exist.
+
+    A sweep that cannot be read costs one line on standard error and is left out; the exit code is then 2. Stopped runs
+    go on where they were; the same bytes for any --workers.
+
+    Example: viewshed label /data/nuscenes --definition probe --out labels
+    """
+    from viewshed.labels import Origin
+
+    origin = Origin(*_place(source, index, kind), sensor, every)
+    rules = _rules(origin, grid, definition, target, neighbors)
+    archive, problems = _labelled(origin, rules, out, engine, workers)
+    size = sum(shard.bytes for shard in archive.shards)
+    typer.echo(f"{archive.store.place}: {len(archive)} labels in {len(archive.scenes)} scene(s), {size / 1e6:.1f} MB")
+    if problems:
+        raise typer.Exit(2)
+
+
+def _place(source: str | None, index: Path | None, kind: str) -> tuple[str, str]:
+    if (source is None) == (index is None):
+        raise ValueError("name a recording SRC or an --index, one of them")
+    if index is not None:
+        return str(index), "index"
+    return str(source), kind
+
+
+def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> Rules:
+    from typing import cast
+
+    from viewshed.datasets.archive_source import ArchiveSource
+    from viewshed.labels import Rules
+    from viewshed.labels.labeller import Definition
+    from viewshed.labels.run import opened
+
+    source = opened(origin)
+    if grid is None and isinstance(source, ArchiveSource):
+        cells = source.archive.manifest.layout.grid
+    else:
+        cells = options.parse_grid(grid or "road")
+    return Rules(cells, cast(Definition, definition), target, neighbors)
+
+
+def _labelled(origin: Origin, rules: Rules, out: str, engine: str, workers: int | None) -> tuple[Archive, list[str]]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from viewshed.datasets.store import Store
+    from viewshed.engines import engine_named
+    from viewshed.labels import label as run
+
+    problems: list[str] = []
+
+    def told(made: Made) -> None:
+        problems.extend(made.problems)
+        for problem in made.problems:
+            typer.echo(f"viewshed: {problem}", err=True)
+        bar.advance(task, made.facts.frames if made.facts else 0)
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("sweeps", total=None)
+        return run(origin, rules, Store.of(out), engine_named(engine, workers), told), problems
