@@ -1,8 +1,8 @@
 """Local ground: heights above it decide what is an obstacle and which beams would meet a target.
 
-Three steps on a coarse lattice: the second-lowest return of each node, a robust plane through the near nodes,
-and a walk outwards from the sensor that carries height and slope and accepts a node only where the step is
-plausible, so that it follows hills and does not climb walls.
+Four steps on a coarse lattice: the second-lowest return of each node, a robust plane through the near nodes, a
+walk outwards from the sensor that carries height and slope and accepts a node only where the step is plausible, so
+that it follows hills and does not climb walls, and a smooth surface through what then fits it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import FloatArray
 from viewshed.planes import MIN_HEIGHT_M, near_plane
+from viewshed.surface import FLAT_M, smooth_ground
 
 NODES = 64
 """Lattice nodes per side."""
@@ -28,6 +29,10 @@ EVEN_SLOPE = 0.3
 """Steepest even ground (17°)."""
 EVEN_STEP_M = 0.5
 """Even ground may lie this far from what the nodes nearer to the sensor predict."""
+SURE_STEP_M = 0.2
+"""Even ground this near to what was predicted is ground beyond doubt."""
+NEAR_SHARE = 0.16
+"""Within this share of the lattice's side from the sensor, ground once taken for ground stays it."""
 MIN_SUPPORT = 0.22
 """A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level."""
 
@@ -74,19 +79,23 @@ class Ground:
         return Ground(heights, self.half_extent_m, self.seen, (a, b, c + by_m), self.support)
 
 
-def estimate_ground(lows_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None) -> Ground:
+def estimate_ground(
+    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
+) -> Ground:
     """Return the ground, z from the sensor, from a low point of each node.
 
     Args:
         lows_m: (n, n, 3) float32 the second-lowest point of each node (the lowest where it is alone, so that one
             return below the ground does not count); +inf where there is none.
+        rise_m: (n, n) float32 from that point up to the highest return of the node.
         half_extent_m: half the side of the lattice in metres.
         sensor_height_m: known mounting height, or None.
     """
     node_m = 2.0 * half_extent_m / lows_m.shape[0]
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
     plane, support = near_plane(lows_m, known)
-    heights, seen = _walk(lows_m, np.float32(node_m), plane, _order(lows_m.shape[0]))
+    begin = _walk(lows_m, rise_m < FLAT_M, np.float32(node_m), plane, _order(lows_m.shape[0]))
+    heights, seen = smooth_ground(lows_m, rise_m, begin, plane, half_extent_m)
     middle = lows_m.shape[0] // 2
     if support < MIN_SUPPORT or (sensor_height_m is None and heights[middle, middle] > -MIN_HEIGHT_M):
         return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
@@ -124,18 +133,20 @@ def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no cover - compiled
+def _walk(lows: Any, flat: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no cover - compiled
     """Carry height and slope outwards; accept a low only within a step that ground can take.
 
     The step may be larger where a node and its neighbors lie on one plane: a street that begins to climb, and not
-    the side of a car.
+    the side of a car. It must be smaller where the node's returns are not flat. Returns the heights, and the nodes
+    that are ground beyond doubt: accepted, and even with a small step or near the sensor.
     """
     n = lows.shape[0]
     height = np.zeros((n, n), np.float32)
     slope = np.zeros((n, n, 2), np.float32)
     weight = np.zeros((n, n), np.float32)
-    seen = np.zeros((n, n), np.bool_)
+    sure = np.zeros((n, n), np.bool_)
     even, grade = _even(lows)
+    near2 = (NEAR_SHARE * n * node_m) ** 2
     for k in range(order.shape[0]):
         i, j = order[k, 0], order[k, 1]
         x, y = (i + 0.5 - n / 2) * node_m, (j + 0.5 - n / 2) * node_m
@@ -149,20 +160,20 @@ def _walk(lows: Any, node_m: Any, plane: Any, order: Any) -> Any:  # pragma: no 
             height[i, j] = lows[i, j, 2] - a * (lows[i, j, 0] - x) - b * (lows[i, j, 1] - y)
             slope[i, j, 0], slope[i, j, 1] = 0.5 * (sx + a), 0.5 * (sy + b)
             weight[i, j] = 1.0
-            seen[i, j] = True
-        elif abs(step) < 0.10 + 0.05 * min(node_m, 2.5) + 0.10 * (1.0 - support):
+            sure[i, j] = abs(step) < SURE_STEP_M or x * x + y * y < near2
+        elif abs(step) < 0.10 + (0.05 * min(node_m, 2.5) if flat[i, j] else 0.0) + 0.10 * (1.0 - support):
             length2 = mx * mx + my * my + 0.25 * node_m * node_m
             height[i, j] = z + 0.7 * step
             slope[i, j, 0] = sx + 0.25 * step * mx / length2
             slope[i, j, 1] = sy + 0.25 * step * my / length2
             weight[i, j] = 1.0
-            seen[i, j] = True
+            sure[i, j] = x * x + y * y < near2
         else:
             height[i, j] = z
             slope[i, j, 0] = 0.9 * sx + 0.1 * plane[0]
             slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
             weight[i, j] = max(0.8 * support, 0.05)
-    return _smooth(height, seen), seen
+    return height, sure
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -211,41 +222,23 @@ def _one_plane(points: Any) -> Any:  # pragma: no cover - compiled
     return True, a, b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _carried(height: Any, slope: Any, weight: Any, i: int, j: int, node_m: Any) -> Any:  # pragma: no cover - compiled
     """Weight, height, slope (x, y) and mean step (x, y) that the nodes nearer to the sensor carry to (i, j)."""
     n = height.shape[0]
-    total, z, sx, sy, mx, my = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for p in range(max(i - 2, 0), min(i + 3, n)):
-        for q in range(max(j - 2, 0), min(j + 3, n)):
+    none, half = np.float32(0.0), np.float32(0.5)
+    total, z, sx, sy, mx, my = none, none, none, none, none, none
+    for p in range(max(i - 1, 0), min(i + 2, n)):
+        for q in range(max(j - 1, 0), min(j + 2, n)):
             w = weight[p, q]
             if w > 0.0:
-                dx, dy = (i - p) * node_m, (j - q) * node_m
-                w /= (i - p) * (i - p) + (j - q) * (j - q)
+                w *= half if p != i and q != j else np.float32(1.0)
+                dx, dy = np.float32(i - p) * node_m, np.float32(j - q) * node_m
                 z += w * (height[p, q] + slope[p, q, 0] * dx + slope[p, q, 1] * dy)
                 sx += w * slope[p, q, 0]
                 sy += w * slope[p, q, 1]
                 mx += w * dx
                 my += w * dy
                 total += w
-    per = 1.0 / total if total > 0.0 else 0.0
+    per = np.float32(1.0) / total if total > none else none
     return total, z * per, sx * per, sy * per, mx * per, my * per
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _smooth(height: Any, seen: Any) -> Any:  # pragma: no cover - compiled
-    """Average each node with its eight neighbours; nodes that rest on returns weigh four times as much."""
-    n = height.shape[0]
-    out = np.empty_like(height)
-    for i in range(n):
-        for j in range(n):
-            total, z = 0.0, 0.0
-            for p in range(max(i - 1, 0), min(i + 2, n)):
-                for q in range(max(j - 1, 0), min(j + 2, n)):
-                    w = 4.0 if seen[p, q] else 1.0
-                    if p == i and q == j:
-                        w *= 4.0
-                    total += w
-                    z += w * height[p, q]
-            out[i, j] = z / total
-    return out

@@ -130,15 +130,9 @@ def _attitude_and_ground(sweep: Sweep, grid: BevGrid) -> tuple[NDArray[np.float6
 
 def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64]) -> Ground:
     half = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
-    lows = np.full((NODES, NODES, 2), np.inf, np.float32)
-    rows = np.zeros((NODES, NODES, 2), np.int32)
     limits = np.array(_range_limits(sweep), np.float32)
-    _lows(sweep.points, rotation.astype(np.float32), limits, np.float32(half), lows, rows)
-    rank = np.isfinite(lows[..., 1]).astype(np.intp)[..., None]
-    some = np.isfinite(lows[..., 0])
-    points = np.full((NODES, NODES, 3), np.inf, np.float32)
-    points[some] = sweep.points[np.take_along_axis(rows, rank, axis=-1)[some, 0]] @ rotation.T
-    return estimate_ground(points, half, sweep.sensor_height_m)
+    lows, rise = _lows(sweep.points, rotation.astype(np.float32), limits, np.float32(half), NODES)
+    return estimate_ground(lows, rise, half, sweep.sensor_height_m)
 
 
 def _tilted_normal(sweep: Sweep, ground: Ground) -> NDArray[np.float64] | None:
@@ -162,23 +156,42 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lows(
-    points: Any, rotation: Any, limits: Any, half: Any, lows: Any, rows: Any
-) -> None:  # pragma: no cover - compiled
-    """Keep the two lowest z of each node, ascending, and the rows that they come from."""
-    lowest, origin = lows.reshape(-1, 2), rows.reshape(-1, 2)
+def _lows(points: Any, rotation: Any, limits: Any, half: Any, side: int) -> Any:  # pragma: no cover - compiled
+    """Return each node's second-lowest point (or the only one), turned, and the height from it up to the highest."""
+    lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
+    highest = np.full(side * side, -np.inf, np.float32)
     nodes, heights = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.float32)
     for start in range(0, points.shape[0], _BLOCK):
         part = points[start : start + _BLOCK]
-        _nodes(part, rotation, limits, (half, np.float32(lows.shape[0])), nodes, heights)
+        _nodes(part, rotation, limits, (half, np.float32(side)), nodes, heights)
         for n in range(part.shape[0]):
             node, z, k = nodes[n], heights[n], start + n
-            if node >= 0 and _before(points, k, z, origin[node, 1], lowest[node, 1]):
+            if node < 0:
+                continue
+            highest[node] = max(highest[node], z)
+            if _before(points, k, z, origin[node, 1], lowest[node, 1]):
                 rank = 1
                 if _before(points, k, z, origin[node, 0], lowest[node, 0]):
                     lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
                     rank = 0
                 lowest[node, rank], origin[node, rank] = z, k
+    return _turned(points, rotation, lowest, origin, highest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turned(points: Any, rotation: Any, lowest: Any, origin: Any, highest: Any) -> Any:  # pragma: no cover - compiled
+    side = int(np.sqrt(highest.shape[0]))
+    lows, rise = np.full((side, side, 3), np.inf, np.float32), np.zeros((side, side), np.float32)
+    for node in range(highest.shape[0]):
+        rank = 1 if np.isfinite(lowest[node, 1]) else 0
+        if np.isfinite(lowest[node, rank]):
+            i, j, k = node // side, node % side, origin[node, rank]
+            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+            lows[i, j, 0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
+            lows[i, j, 1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
+            lows[i, j, 2] = lowest[node, rank]
+            rise[i, j] = highest[node] - lowest[node, rank]
+    return lows, rise
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
