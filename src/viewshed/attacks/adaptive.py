@@ -1,0 +1,116 @@
+"""Attackers who adapt to what the victim runs, by asking it (family 16) or by its gradient (family 15)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.attacks.assembly import untouched
+from viewshed.attacks.checks import require, require_azimuth, require_budget, require_one_of
+from viewshed.attacks.far_wall import aimed
+from viewshed.attacks.objectives import Objective, Value
+from viewshed.attacks.plans import BeamPlans, FreePlans
+from viewshed.attacks.scatter import MODES, MOST_FREE, Mode
+from viewshed.attacks.search import Genome, evolution, random_search
+from viewshed.attacks.spoofer import AS_MEASURED, Spoofer
+from viewshed.attacks.tampering import Tampered, Wedge
+from viewshed.sweep import Sweep
+
+Method = Literal["evolution", "random"]
+METHODS: tuple[Method, ...] = ("evolution", "random")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Searched:
+    """What an attacker found.
+
+    Attributes:
+        tampered: the attacked sweep, with noise that the attacker could not know, and what was done to it.
+        value: what the plan was worth to the attacker while planning.
+        history: (P,) what each plan that was tried was worth, the first is doing nothing.
+        queries: how often the victim was asked.
+    """
+
+    tampered: Tampered
+    value: float
+    history: NDArray[np.float64]
+    queries: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlackBox:
+    """Searches for the plan that is worth most, by asking the victim what it makes of attacked sweeps.
+
+    Plans are tried with range noise and lost beams as the spoofer has them, drawn once; the attack itself meets other
+    noise. A plan that is worth no more than doing nothing is not carried out.
+
+    Attributes:
+        objective: what the attacker wants.
+        budget: most returns; None for every beam of the wedge.
+        queries: most questions to the victim.
+        sector_deg: width of the wedge.
+        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle.
+        aim_m: obstacles nearer than this are aimed at.
+        mode: ``beam_constrained`` or ``free_form``.
+        method: ``evolution`` or ``random``.
+        samples: draws of the noise over which a plan's worth is averaged; each is a question.
+        spoofer: how well the beams are won.
+    """
+
+    objective: Objective
+    budget: int | None = 150
+    queries: int = 200
+    sector_deg: float = 30.0
+    azimuth: float | None = None
+    aim_m: float = 25.0
+    mode: Mode = "beam_constrained"
+    method: Method = "evolution"
+    samples: int = 1
+    spoofer: Spoofer = AS_MEASURED
+
+    def __post_init__(self) -> None:
+        require_budget(self.budget)
+        require_azimuth(self.azimuth)
+        require("queries", self.queries, 1, 10_000_000)
+        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require("aim_m", self.aim_m, 0.5, 1000.0)
+        require("samples", self.samples, 1, 1000)
+        require_one_of("mode", self.mode, MODES)
+        require_one_of("method", self.method, METHODS)
+        if self.mode == "free_form" and (self.budget is None or self.budget > MOST_FREE):
+            raise ValueError(f"budget must lie in [0, {MOST_FREE}] for free points, got {self.budget}")
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        return self.search(sweep, rng).tampered
+
+    def search(self, sweep: Sweep, rng: np.random.Generator) -> Searched:
+        """Return the attacked sweep with what it is worth and what it cost to find."""
+        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        value_of = self.objective.on(sweep, wedge)
+        nothing, seed = value_of(sweep), int(rng.integers(2**62))
+        plans = self._plans(sweep, wedge)
+        most = max(0, (self.queries - 2) // self.samples)
+        search = evolution if self.method == "evolution" else random_search
+        best = search(plans, lambda genome: self._worth(plans, genome, value_of, seed), most, rng)
+        history = np.append(nothing, best.history)
+        asked = 2 + len(best.history) * self.samples
+        if best.genome is None or best.value <= nothing:
+            return Searched(untouched(sweep, wedge), nothing, history, asked)
+        return Searched(plans.tampered(best.genome, rng), best.value, history, asked)
+
+    def _plans(self, sweep: Sweep, wedge: Wedge) -> BeamPlans | FreePlans:
+        if self.mode == "free_form":
+            return FreePlans(sweep, wedge, self.budget or 0)
+        return BeamPlans.of(sweep, wedge, self.budget, self.spoofer)
+
+    def _worth(self, plans: BeamPlans | FreePlans, genome: Genome, value_of: Value, seed: int) -> float:
+        """Return what a plan is worth over draws of the noise that are the same for every plan."""
+        values = []
+        for sample in range(self.samples):
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, sample])))
+            values.append(value_of(plans.tampered(genome, rng).sweep))
+        return float(np.mean(values))
