@@ -56,8 +56,8 @@ def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> No
     turned = points[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32)
     before, after = (POLAR[name].estimate_level(make_level(p)) for p in (points, turned))
     assert before.visible().any()
-    assert (np.rot90(before.visible_prob) != after.visible_prob).mean() <= (0.002 if name == "continuous" else 0)
-    assert (np.rot90(before.state) != after.state).mean() <= (0.05 if name == "continuous" else 0)
+    assert (np.rot90(before.visible_prob) != after.visible_prob).mean() <= 0.002  # a range may equal a cell's
+    assert (np.rot90(before.state) != after.state).mean() <= (0.05 if name == "continuous" else 0.002)
 
 
 @pytest.mark.parametrize(
