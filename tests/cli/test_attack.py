@@ -9,6 +9,7 @@ import pytest
 
 from viewshed import Archive, Sweep, read_sweep, write_sweep
 from viewshed.cli import main
+from viewshed.estimators import ContinuousRayTrace
 
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -81,11 +82,27 @@ def test_a_cloud_without_rings_is_left_out_and_the_rest_goes_on(
     )
 
 
+def test_an_attacker_who_adapts_asks_the_victim(
+    clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["attack", str(clean), "--split", "test", "--attack", "adaptive_over_claim", "--victim", "continuous"]
+    code, _, _ = _run(capsys, *words, "--budget", "40", "--workers", "1", "--out", str(tmp_path / "out"))
+    made = Archive.open(tmp_path / "out")
+    victim = ContinuousRayTrace(made[0].truth.grid)
+    before = victim.estimate(Archive.open(clean).split("test")[0].sweep).area_m2()
+    assert code == 0
+    assert victim.estimate(made[0].sweep).area_m2() > before
+    assert made.manifest.recipe["config"]["victim"] == "continuous"
+
+
 @pytest.mark.parametrize(("words", "message"), [
     (["--attack", "far_wal"], "attack must be one of uniform, .*, paper, got 'far_wal'"),
     (["--attack", "uniform", "--budget", "full"], "budget must be a number for uniform"),
     (["--attack", "relay", "--budget", "ten"], "budget must be a whole number of returns or full, got 'ten'"),
     (["--attack", "relay", "--mode", "free_form"], "leave mode out"),
+    (["--attack", "relay", "--victim", "shadow_map"], "--victim goes with adaptive_over_claim"),
+    (["--attack", "adaptive_over_claim", "--victim", "oracle"], "method must be one of continuous, .*, got 'oracle'"),
+    (["--attack", "adaptive_over_claim_free", "--budget", "full"], "for free points, got 1000000000"),
     (["--attack", "relay", "--split", "val"], "split must be one of train, test, got 'val'"),
     (["--attack", "relay", "--seed", "-1"], "seed must not be negative, got -1"),
     (["--attack", "relay", "--engine", "slurm"], "engine must be one of local, ray"),

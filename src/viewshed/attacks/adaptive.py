@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -11,12 +13,14 @@ from numpy.typing import NDArray
 from viewshed.attacks.assembly import untouched
 from viewshed.attacks.checks import require, require_azimuth, require_budget, require_one_of
 from viewshed.attacks.far_wall import aimed
-from viewshed.attacks.objectives import Objective, Value
+from viewshed.attacks.objectives import Objective, OverClaim, UnderClaim, Value
 from viewshed.attacks.plans import BeamPlans, FreePlans
 from viewshed.attacks.scatter import MODES, MOST_FREE, Mode
 from viewshed.attacks.search import Genome, evolution, random_search
 from viewshed.attacks.spoofer import AS_MEASURED, Spoofer
-from viewshed.attacks.tampering import Tampered, Wedge
+from viewshed.attacks.table import NOTHING, AttackFactory, Knowledge
+from viewshed.attacks.tampering import Attack, Tampered, Wedge
+from viewshed.estimate import FovEstimator
 from viewshed.sweep import Sweep
 
 Method = Literal["evolution", "random"]
@@ -114,3 +118,22 @@ class BlackBox:
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, sample])))
             values.append(value_of(plans.tampered(genome, rng).sweep))
         return float(np.mean(values))
+
+
+def _black_box(
+    aim: Callable[[FovEstimator], Objective], mode: Mode, budget: int | None = None, knowledge: Knowledge = NOTHING
+) -> Attack:
+    if knowledge.estimator is None:
+        raise ValueError("an attacker who adapts needs a victim, got none; give Knowledge(estimator=…)")
+    return BlackBox(
+        aim(knowledge.estimator), 150 if budget is None else budget, aim_m=25.0 * knowledge.scale, mode=mode
+    )
+
+
+ADAPTIVE: dict[str, AttackFactory] = {
+    "adaptive_over_claim": partial(_black_box, OverClaim, "beam_constrained"),
+    "adaptive_under_claim": partial(_black_box, UnderClaim, "beam_constrained"),
+    "adaptive_over_claim_free": partial(_black_box, OverClaim, "free_form"),
+    "adaptive_under_claim_free": partial(_black_box, UnderClaim, "free_form"),
+}
+"""Attackers of family 16 by name, as ``ATTACKS``; they need ``Knowledge(estimator=…)`` and ask it 200 times a sweep."""

@@ -13,10 +13,11 @@ from viewshed.cli.options import AUTO, Reading
 from viewshed.cli.outputs import refuse_inputs
 
 if TYPE_CHECKING:
+    from viewshed.bev import BevGrid
     from viewshed.datasets import Archive
     from viewshed.datasets.attacked import Sweeps
     from viewshed.datasets.making import Made
-    from viewshed.datasets.spoiling import Spoiling
+    from viewshed.datasets.spoiling import AttackPlan, Spoiling
 
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, a recording, or files.")]
 Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one file also a file (attacked.npz).")]
@@ -34,6 +35,9 @@ def attack(
     out: Out,
     budget: Annotated[str | None, typer.Option(help="Most returns, or full; the attack's own if not given.")] = None,
     mode: Annotated[str | None, typer.Option(help="free_form or beam_constrained, where an attack has both.")] = None,
+    victim: Annotated[
+        str | None, typer.Option(help="Estimator that an attacker who adapts asks; shadow_map if not given.")
+    ] = None,
     seed: Seed = 0,
     split: Split = None,
     grid: options.GridName = "road",
@@ -48,12 +52,23 @@ def attack(
 
     Example: viewshed attack sweeps --attack far_wall --budget 150 --out attacked
     """
+    _attack_plan(attack, budget, mode, victim, options.parse_grid(grid))  # refuses what cannot be before SRC is read
+    sweeps = _opened(sources, split, grid, sensor)
+    plan = _attack_plan(attack, budget, mode, victim, sweeps.layout.grid)
+    _run(sweeps, plan, _Where(sources, out, seed), engine, workers)
+
+
+def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str | None, grid: BevGrid) -> AttackPlan:
+    from viewshed.attacks.adaptive import ADAPTIVE
     from viewshed.datasets.spoiling import AttackPlan
 
-    AttackPlan(attack, _budget(budget, attack), mode)
-    sweeps = _opened(sources, split, grid, sensor)
-    plan = AttackPlan(attack, _budget(budget, attack), mode, float(sweeps.layout.grid.half_extent_m))
-    _run(sweeps, plan, _Where(sources, out, seed), engine, workers)
+    half_m, returns = float(grid.half_extent_m), _budget(budget, attack)
+    if attack not in ADAPTIVE:
+        if victim is not None:
+            raise ValueError(f"--victim goes with {', '.join(ADAPTIVE)}, got {attack}")
+        return AttackPlan(attack, returns, mode, half_m)
+    name = victim or "shadow_map"
+    return AttackPlan(attack, returns, mode, half_m, name, options.make_estimator(name, grid, "car"))
 
 
 def corrupt(

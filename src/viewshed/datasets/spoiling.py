@@ -9,14 +9,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from viewshed.attacks import ATTACKS, EARLIER, PAPER_ATTACK, PAPER_INDOOR_ATTACK, Attack, Knowledge
+from viewshed.attacks.adaptive import ADAPTIVE
 from viewshed.corruptions import CORRUPTIONS
 from viewshed.datasets.touched import Touched
+from viewshed.estimate import FovEstimator
 from viewshed.sweep import Sweep
 
 History = Callable[[], tuple[Sweep, ...]]
 """Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
 PAPER = "paper"
 _LASTING = EARLIER | {"coherent_phantom"}
+_FACTORIES = ATTACKS | ADAPTIVE
 _ROOM_M = 20.0
 
 
@@ -51,10 +54,12 @@ class AttackPlan:
     """An attack on every sweep of a data set.
 
     Attributes:
-        attack: a name of ``ATTACKS``, or ``paper`` for the paper's mixture.
+        attack: a name of ``ATTACKS`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture.
         budget: most returns; None is the attack's own.
         mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
         half_extent_m: half the side of the victim's grid.
+        victim: name of the estimator that an attacker who adapts asks.
+        estimator: that estimator.
 
     Raises:
         ValueError: there is no such attack, or it has no such budget or mode.
@@ -64,10 +69,12 @@ class AttackPlan:
     budget: int | None = None
     mode: str | None = None
     half_extent_m: float = 64.0
+    victim: str | None = None
+    estimator: FovEstimator | None = None
 
     def __post_init__(self) -> None:
-        if self.attack != PAPER and self.attack not in ATTACKS:
-            raise ValueError(f"attack must be one of {', '.join((*ATTACKS, PAPER))}, got {self.attack!r}")
+        if self.attack != PAPER and self.attack not in _FACTORIES:
+            raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
         self._made((Sweep(np.zeros((0, 3), np.float32)),))
 
     def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
@@ -92,14 +99,14 @@ class AttackPlan:
 
     def config(self) -> dict[str, Any]:
         """Return all its parameters, as plain values."""
-        return asdict(self)
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "estimator"}
 
     def _made(self, earlier: tuple[Sweep, ...]) -> Attack:
         if self.attack == PAPER:
             if self.budget is not None or self.mode is not None:
                 raise ValueError("attack paper draws its own points; leave budget and mode out")
             return PAPER_INDOOR_ATTACK if self.half_extent_m <= _ROOM_M else PAPER_ATTACK
-        attack: Any = ATTACKS[self.attack](self.budget, Knowledge(earlier, None, self.half_extent_m))
+        attack: Any = _FACTORIES[self.attack](self.budget, Knowledge(earlier, self.estimator, self.half_extent_m))
         if self.mode is None:
             return attack  # type: ignore[no-any-return]
         if "mode" not in {field.name for field in fields(attack)}:
