@@ -59,7 +59,7 @@ class BeamPlans:
         return cls(sweep, wedge, budget, spoofer, rays, _features(rays, wedge, obstacle), obstacle)
 
     def draw(self, number: int, rng: np.random.Generator) -> Genome:
-        """Return a random plan; the first few are guesses: a fan of far returns, far walls, removal."""
+        """Return a random plan; the first few are guesses: a fan of far returns, far walls, removal, near walls."""
         f, k = _F, len(self.rays)
         genome = np.concatenate([rng.normal(0.0, 1.0, 3 * f + 4), rng.normal(0.0, 0.3, 2 * k)])
         genome[_GONE] -= 2.5  # removal is the exception
@@ -129,9 +129,11 @@ _GUESSES: tuple[dict[int, float], ...] = (
     {4: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 4.0},
     {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _GONE: 5.0},
     {4: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
+    {_MIDDLE: -3.0, _STREET: -1.0, _WALL: -2.5},
+    {_SPREAD: 3.0, _STREET: -1.0, _WALL: -2.5},
 )
 """The first plans: a fan of far returns; a far wall in the middle and one spread over columns; removal in the middle;
-far walls and removal that take the columns with the fewest obstacles first."""
+far walls and removal that take the columns with the fewest obstacles first; near walls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
