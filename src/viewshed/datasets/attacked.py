@@ -151,7 +151,7 @@ def of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
                 count += 1
         except (ValueError, OSError) as error:
             problems.append(str(error))
-        told.append([file.name, count])
+        told.append([file.name, count, file.stat().st_size if file.is_file() else 0])
         parts += _chunks(FileScene(file.absolute(), count, read, grid), count, file.name, number)
     return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(told)}, tuple(problems))
 
