@@ -127,6 +127,12 @@ def test_a_dropped_sector_says_nothing() -> None:
     assert not (np.abs(beams.azimuth + 1.2) < 0.18).any()
 
 
+def test_a_narrow_sector_without_any_return_says_nothing_either() -> None:
+    """Between returns of the same wall, but lost in every ring at once: a packet, not a hole."""
+    beams = _explained(_without(~(np.abs(_azimuth(FULL) - 0.2) < 0.026), FULL))
+    assert not (np.abs(beams.azimuth - 0.2) < 0.024).any()
+
+
 def test_a_hole_in_a_wall_is_wall() -> None:
     assert FULL.ring is not None
     hole = (np.abs(_azimuth(FULL) - 0.2) < 0.026) & (FULL.ring >= 11) & (FULL.ring <= 13)
