@@ -18,6 +18,7 @@ from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.options import BAD_INPUTS, one_line
 from viewshed.cli.record import record_app
+from viewshed.cli.report import report_app
 from viewshed.cli.simulate import dataset_app, simulate
 
 BAD_INPUT = 2
@@ -30,6 +31,7 @@ for _command in (estimate, info, compare, export, demo, simulate, label, attack,
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")
 app.add_typer(record_app, name="record")
+app.add_typer(report_app, name="report")
 
 
 def _version(asked: bool) -> None:

@@ -1,0 +1,72 @@
+"""``viewshed report vulnerability``: it runs, goes on, writes its pages, and refuses with one line."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from viewshed.cli import main
+
+
+def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stop:
+        main(["report", "vulnerability", *words])
+    told = capsys.readouterr()
+    return int(stop.value.code or 0), told.out, told.err
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "study"
+    with pytest.raises(SystemExit) as stop:
+        main(["report", "vulnerability", "--preset", "tiny", "--out", str(out), "--workers", "1"])
+    assert not stop.value.code
+    return out
+
+
+def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None:
+    page = (made / "vulnerability.md").read_text("utf-8")
+    figures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)
+    assert len(figures) == 6
+    assert all((made / figure).read_bytes().startswith(b"\x89PNG") for figure in figures)
+    assert "- jobs: 8 of 8" in page
+    whole = (made / "index.html").read_text("utf-8")
+    assert whole.count("<img ") == len(figures)
+    assert 'src="http' not in whole
+    assert "Not finished" not in page
+
+
+def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
+    """Far points stretch what the farthest return decides, and leave the nearest obstacle where it is."""
+    page = (made / "vulnerability.md").read_text("utf-8")
+    table = page.split("### Verdicts, ugv")[1].split("##")[0]
+    header, uniform = (re.search(rf"^\| {word} ?\|.*$", table, re.MULTILINE) for word in ("", "uniform"))
+    assert header is not None
+    assert uniform is not None
+    verdicts = dict(zip(*([cell.strip() for cell in row[0].split("|")] for row in (header, uniform)), strict=True))
+    assert verdicts["quantized"].startswith("over")
+    assert verdicts["first_blocker"] == "yes"
+
+
+def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (made / "results.jsonl").read_bytes()
+    page = tmp_path / "page.md"
+    code, said, progress = _run(
+        capsys, "--preset", "tiny", "--out", str(made), "--workers", "1", "--page", str(page)
+    )  # fmt: skip
+    assert code == 0
+    assert f"Markdown in {page}" in said
+    assert "8/8" in progress
+    assert (made / "results.jsonl").read_bytes() == before
+    assert (tmp_path / "vulnerability_scenes.png").exists()
+
+
+def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, complaint = _run(capsys, "--preset", "nonsense", "--out", str(tmp_path))
+    assert (code, complaint) == (2, "viewshed: preset must be one of full, small, tiny, got 'nonsense'\n")
+    code, _, complaint = _run(capsys, "--preset", "small", "--out", str(made), "--no-run")
+    assert code == 2
+    assert "must hold this study, got results of another study; choose another folder" in complaint
+    code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(tmp_path / "new"), "--no-run")
+    assert code == 2
+    assert complaint.endswith("must hold results, got none; run without --no-run\n")
