@@ -1,4 +1,4 @@
-"""An archive as a recording: its sweeps, and nothing of its truth."""
+"""An archive as a recording: whoever reads it as one gets its sweeps, and nothing of its truth."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 from viewshed.datasets.archive import Archive
 from viewshed.datasets.manifest import MANIFEST
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.shard import ShardFacts, damage
 from viewshed.datasets.source import ObjectBox, SweepRef
 from viewshed.sim.range_image import RangeImage
@@ -83,11 +84,18 @@ class ArchiveSource:
 
     def measured(self, ref: SweepRef) -> RangeImage | Sweep:
         """Return a sweep as it is stored: the range image where there is one; errors as :meth:`read`."""
+        return self.archive.frame(self._place(ref))[0].measured
+
+    def sample(self, ref: SweepRef) -> Sample:
+        """Return a sweep with its truth, to compare with; errors as :meth:`read`."""
+        return self.archive[self._place(ref)]
+
+    def _place(self, ref: SweepRef) -> int:
         name, _, frame = ref.key.rpartition(":")
         start = 0
         for facts in self.archive.shards:
             if facts.name == name and frame.isdigit() and int(frame) < facts.frames:
-                return self.archive.frame(start + int(frame))[0].measured
+                return start + int(frame)
             start += facts.frames
         raise ValueError(f"ref must be one of {self.archive.store.place}, got {ref.key!r}")
 

@@ -14,6 +14,8 @@ _NONE = np.float32(-1.0)
 _GROUND = np.float32(-2.0)
 _UP_AND_DOWN = 3
 _FAR = np.float32(1e9)
+_UNEVEN_M, _SHORT_M, _SHORT_SHARE = np.float32(0.08), np.float32(0.5), np.float32(0.1)
+"""A return is a thing's, too, that lies so high and ends so far before level ground."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -23,7 +25,7 @@ def cast_to_ground(beams: Any, ground: Any, frame: Any, out: Any, thing: Any) ->
     A missing beam is followed to the ground, up to the maximum range; a return keeps its depth. ``beams`` are starts,
     directions and depths. ``ground`` (n, n) is z from the sensor; ``frame`` is half the side of its lattice, x and y of
     its middle from the sensor, cosine and sine of the sensor's yaw in its axes, the maximum range, and the height from
-    which a return is one of a thing. Off the lattice there is no ground, and every return is a thing's.
+    which a return is one of a thing whatever its beam. Off the lattice there is no ground: every return is a thing's.
     """
     origin, direction, depth = beams
     half, middle_x, middle_y, c, s, reach, low_m = frame
@@ -50,7 +52,8 @@ def cast_to_ground(beams: Any, ground: Any, frame: Any, out: Any, thing: Any) ->
                 far = ground[i + 1, j] + (ground[i + 1, j + 1] - ground[i + 1, j]) * fv
                 above = o[2] + d[2] * t - near - (far - near) * fu
                 if returned:
-                    thing[column, ring] = above > low_m
+                    short = above > _UNEVEN_M and above > -d[2] * max(_SHORT_M, _SHORT_SHARE * t)
+                    thing[column, ring] = above > low_m or short
                     break
                 if above <= 0:
                     end = before + (t - before) * (height / (height - above)) if height > 0 else t
@@ -115,6 +118,30 @@ def _rise(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: 
     return _NONE
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def drop_lonely(depth: Any, thing: Any, far_m: Any, out: Any) -> Any:  # pragma: no cover - compiled
+    """Fill ``out`` (C, R) with the depths, 0 for returns in the air up to ``far_m`` that fewer than three others share.
+
+    Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not. Returns how many.
+    """
+    columns, rings = depth.shape
+    lonely = 0
+    for c in range(columns):
+        for r in range(rings):
+            d = depth[c, r]
+            out[c, r] = d
+            if not thing[c, r] or d > far_m:
+                continue
+            near, shared = np.float32(0.3) + np.float32(0.03) * d, 0
+            for k in range(max(r - 2, 0), min(r + 3, rings)):
+                for step in range(-2, 3):
+                    shared += abs(depth[(c + step) % columns, k] - d) < near
+            if shared < 4:
+                out[c, r] = np.float32(0.0)
+                lonely += 1
+    return lonely
+
+
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
     middle = np.float32(0.5) * (a + b)
@@ -122,44 +149,50 @@ def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def explain(beams: Any, seen_share: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
+def explain(beams: Any, shares: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out``: best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8.
 
     ``beams`` are depths, metres to the ground and whether a return is a thing's, (C, R) each, and whether a column was
-    lost (C,); ``seen_share`` (bands,) is how often ground at a range returns; ``frame`` is the maximum range, the width
-    of a band, the share from which ground is sure to return, and the widest gap in a surface in metres.
+    lost (C,); ``shares`` are how often ground at a range returns (bands,) and how often a ring does (R,); ``frame`` is
+    the maximum and the minimum range, the width of a band, the share from which a return is sure, and the widest gap
+    in a surface in metres, likely and sure.
     """
-    depth, to_ground, thing, lost = beams
+    depth = beams[0]
     depths, kinds = out
-    reach, band_m, sure, gap_m = frame
-    columns, rings = depth.shape
-    step = np.float32(2 * np.pi / columns)
-    for c in range(columns):
-        for r in range(rings):
-            if depth[c, r] > 0:
-                depths[0, c, r] = depths[1, c, r] = depths[2, c, r] = depth[c, r]
-                kinds[c, r] = 0
-                continue
-            g = to_ground[c, r]
-            left, gap_left = _side(depth, thing, c, r, 1)
-            right, gap_right = _side(depth, thing, c, r, -1)
-            up, down = _rise(depth, thing, c, r, 1), _rise(depth, thing, c, r, -1)
-            wide = np.float32(0.5) * (left + right)
-            across = _one_surface(left, right) & ((gap_left + gap_right) * step * wide < gap_m)
-            along = _one_surface(up, down)
-            near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
-            near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
-            nowhere = (left == _NONE) & (right == _NONE)
-            alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
-            expected = g < reach and seen_share[min(int(g / band_m), seen_share.shape[0] - 1)] > sure
-            best, least, most, kind = g, np.float32(0.0) if nowhere else min(near, g), g, OPEN
-            if lost[c]:
-                best, least, kind = np.float32(0.0), np.float32(0.0), SWALLOWED
-            elif across or along:
-                best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR)
-                best = min(best, g)
-                least, most, kind = best, best, SURFACE
-            elif expected and not alone:
-                best = least = near if near < g else np.float32(0.0)
-                kind = SWALLOWED
-            depths[0, c, r], depths[1, c, r], depths[2, c, r], kinds[c, r] = best, least, most, kind
+    for c in range(depth.shape[0]):
+        for r in range(depth.shape[1]):
+            ends = (depth[c, r], depth[c, r], depth[c, r], 0)
+            if depth[c, r] <= 0:
+                ends = _missing(beams, shares, frame, c, r)
+            depths[0, c, r], depths[1, c, r], depths[2, c, r], kinds[c, r] = ends
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _missing(beams: Any, shares: Any, frame: Any, c: Any, r: Any) -> Any:  # pragma: no cover - compiled
+    """Return best, least and most depth of a missing beam, and what became of it."""
+    depth, to_ground, thing, lost = beams
+    reach, nearest, band_m, sure, gap_m, sure_gap_m = frame
+    none, g = np.float32(0.0), to_ground[c, r]
+    left, gap_left = _side(depth, thing, c, r, 1)
+    right, gap_right = _side(depth, thing, c, r, -1)
+    up, down = _rise(depth, thing, c, r, 1), _rise(depth, thing, c, r, -1)
+    near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
+    near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
+    if lost[c] or near < np.float32(1.5) * nearest + np.float32(0.1):
+        return none, none, g, SWALLOWED
+    wide = np.float32(0.5) * (left + right)
+    gap = np.float32((gap_left + gap_right) * (2 * np.pi / depth.shape[0])) * wide
+    across, along = _one_surface(left, right) & (gap < gap_m), _one_surface(up, down)
+    if across or along:
+        best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR, g)
+        certain = across and gap < sure_gap_m
+        return best, best, best if certain else g, SURFACE
+    if left > 0 and right > 0 and shares[1][r] > sure:
+        return min(wide, g), min(near, g), g, SURFACE
+    alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
+    expected = g < reach and shares[0][min(int(g / band_m), shares[0].shape[0] - 1)] > sure
+    if expected and not alone:
+        best = near if near < g else none
+        return best, best, g, SWALLOWED
+    nowhere = (left == _NONE) & (right == _NONE)
+    return g, none if nowhere else min(near, g), g, OPEN

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed.labels.ground_map import Patch
 from viewshed.labels.image import BeamImage
-from viewshed.labels.stop_kernels import cast_to_ground, count_ground, explain, lost_columns
+from viewshed.labels.stop_kernels import cast_to_ground, count_ground, drop_lonely, explain, lost_columns
 from viewshed.level import OBSTACLE_HEIGHTS_M
 
 Floats = NDArray[np.float32]
@@ -18,6 +18,11 @@ SURE = 0.85
 """Share of returns from which on ground at a range is sure to return; a beam that does not was swallowed."""
 GAP_M = 5.0
 """A surface goes on behind missing beams over a gap of at most this: a shop window, a black car."""
+SURE_GAP_M = 0.6
+"""Over a gap of at most this it surely does; a wider one may be a window that beams pass."""
+LONELY_M = 35.0
+LONELY_SHARE = 0.06
+"""Returns in the air up to 35 m that no others share are drops or flakes if they are so many, and count as missing."""
 _BANDS, _SECTORS, _ENOUGH = 20, 32, 8
 _QUANTILE = 0.8
 
@@ -59,14 +64,19 @@ def stops_of(image: BeamImage, patch: Patch) -> Stops:
     frame = tuple(np.array(numbers, np.float32))
     beams = (image.origin_m, image.direction, image.depth_m)
     cast_to_ground(beams, patch.ground.heights_m, frame, to_ground, thing)
+    depth, lost = np.empty_like(to_ground), np.empty(len(to_ground), np.bool_)
+    lonely = drop_lonely(image.depth_m, thing, np.float32(LONELY_M), depth)
+    if lonely < LONELY_SHARE * np.count_nonzero(thing):
+        depth = image.depth_m
+    else:
+        cast_to_ground((*beams[:2], depth), patch.ground.heights_m, frame, to_ground, thing)
+    lost_columns(depth, lost)
     band = np.float32(max(image.max_range_m / _BANDS, 1e-3))
-    depths = np.empty((3, *to_ground.shape), np.float32)
-    kinds = np.empty(to_ground.shape, np.uint8)
-    limits = (reach, band, np.float32(SURE), np.float32(GAP_M))
-    seen = _seen_share((image.depth_m, to_ground, thing), reach, band)
-    lost = np.empty(len(to_ground), np.bool_)
-    lost_columns(image.depth_m, lost)
-    explain((image.depth_m, to_ground, thing, lost), seen, limits, (depths, kinds))
+    shares = (_seen_share((depth, to_ground, thing), reach, band), np.asarray((depth > 0).mean(axis=0), np.float32))
+    depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)
+    nearest = 0.0 if image.model is None else image.model.min_range_m
+    limits = tuple(np.array([reach, nearest, band, SURE, GAP_M, SURE_GAP_M], np.float32))
+    explain((depth, to_ground, thing, lost), shares, limits, (depths, kinds))
     return Stops(depths[0], depths[1], depths[2], thing, kinds)
 
 
