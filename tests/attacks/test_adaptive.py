@@ -171,7 +171,7 @@ def test_samples_are_questions_too(flat_scene: Any) -> None:
 
 def test_a_cloud_without_beams_can_only_have_its_returns_moved() -> None:
     rng = np.random.default_rng(4)
-    sweep = Sweep(rng.normal(0, 12, (500, 3)), sensor_height_m=1.8)
+    sweep = Sweep(rng.normal(0, 12, (500, 3)).astype(np.float32), sensor_height_m=1.8)
     plans = BeamPlans.of(sweep, Wedge(0.3, 1.0), 30, EXACT)
     assert (plans.rays.row >= 0).all()
     tampered = plans.tampered(plans.draw(0, rng), rng)

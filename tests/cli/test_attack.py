@@ -9,7 +9,7 @@ import pytest
 
 from viewshed import Archive, Sweep, read_sweep, write_sweep
 from viewshed.cli import main
-from viewshed.estimators import ContinuousRayTrace
+from viewshed.estimators.farthest import ContinuousRayTrace
 
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -50,7 +50,7 @@ def test_corrupt_drops_and_moves_returns(clean: Path, tmp_path: Path, capsys: py
 
 
 def test_one_file_becomes_one_file_with_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    clean = Sweep(np.random.default_rng(1).normal(0, 12, (400, 3)))
+    clean = Sweep(np.random.default_rng(1).normal(0, 12, (400, 3)).astype(np.float32))
     write_sweep(clean, tmp_path / "a.npz")
     words = ["attack", str(tmp_path / "a.npz"), "--attack", "uniform", "--budget", "30"]
     code, said, _ = _run(capsys, *words, "--out", str(tmp_path / "b.npz"))
@@ -70,7 +70,7 @@ def test_one_file_becomes_one_file_with_its_record(tmp_path: Path, capsys: pytes
 def test_a_cloud_without_rings_is_left_out_and_the_rest_goes_on(
     clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_sweep(Sweep(np.random.default_rng(1).normal(0, 12, (400, 3))), tmp_path / "bare.bin")
+    write_sweep(Sweep(np.random.default_rng(1).normal(0, 12, (400, 3)).astype(np.float32)), tmp_path / "bare.bin")
     write_sweep(Archive.open(clean)[0].sweep, tmp_path / "rings.npz")
     files = [str(tmp_path / "bare.bin"), str(tmp_path / "rings.npz")]
     words = ["--attack", "ghost_wall", "--workers", "1", "--out", str(tmp_path / "out")]

@@ -167,7 +167,7 @@ def test_recordings_and_files_have_no_truth(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (folder.parent / "times.txt").write_text("0.0\n0.1\n0.2\n")
     for number in range(3):
-        write_sweep(Sweep(rng.normal(0, 15, (50 + number, 3))), folder / f"{number:06d}.bin")
+        write_sweep(Sweep(rng.normal(0, 15, (50 + number, 3)).astype(np.float32)), folder / f"{number:06d}.bin")
     (folder / "000001.bin").write_bytes(b"12345")
     told: list[Made] = []
     sweeps = of_recording(str(tmp_path / "kitti"), GRIDS["indoor"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def drive(
 def _moved(scene: Scene, x_m: float, y_m: float, yaw: float) -> Scene:
     c, s = np.cos(yaw), np.sin(yaw)
 
-    def there(solid: Box | Cylinder) -> dict[str, float]:
+    def there(solid: Box | Cylinder) -> dict[str, Any]:
         dx, dy = solid.x_m - x_m, solid.y_m - y_m
         return {"x_m": float(c * dx + s * dy), "y_m": float(c * dy - s * dx)}
 
