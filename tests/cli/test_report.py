@@ -39,7 +39,7 @@ def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None
 def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
     """Far points stretch what the farthest return decides, and leave the nearest obstacle where it is."""
     page = (made / "vulnerability.md").read_text("utf-8")
-    table = page.split("### Verdicts, ugv")[1].split("##")[0]
+    table = page.split("**ugv**, up to a full wedge:")[1].split("##")[0]
     header, uniform = (re.search(rf"^\| {word} ?\|.*$", table, re.MULTILINE) for word in ("", "uniform"))
     assert header is not None
     assert uniform is not None
@@ -59,6 +59,7 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, caps
     assert "8/8" in progress
     assert (made / "results.jsonl").read_bytes() == before
     assert (tmp_path / "vulnerability_scenes.png").exists()
+    assert "### vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
 
 
 def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

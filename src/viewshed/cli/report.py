@@ -28,7 +28,7 @@ def vulnerability(
     engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
     run: Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the report.")] = True,
     page: Annotated[
-        Path | None, typer.Option(help="Write the Markdown page here as well, its figures beside it.")
+        Path | None, typer.Option(help="Where the Markdown page goes; figures and NAME_tables.md beside it.")
     ] = None,
 ) -> None:
     """Estimators under attacks, corruptions and defenses. Stopped runs go on; the same figures for any --workers.
@@ -74,15 +74,16 @@ def _write(store: ResultStore, failed: list[str], out: Path, page: Path) -> None
     from viewshed.atomic import write_bytes
     from viewshed.report import facts
     from viewshed.vulnerability.page import to_html, to_markdown
-    from viewshed.vulnerability.report import TITLE, blocks_of, pictures_of, told
+    from viewshed.vulnerability.report import LONG_TITLE, TITLE, blocks_of, details_of, pictures_of, told
     from viewshed.vulnerability.results import Results
 
     results = Results.read(store)
     if not results.scores:
         raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
-    blocks, about = list(blocks_of(results, failed)), facts(**told(results))
-    write_bytes(out / "index.html", to_html(TITLE, about, blocks).encode())
+    blocks, details, about = list(blocks_of(results, failed)), list(details_of(results)), facts(**told(results))
+    write_bytes(out / "index.html", to_html(TITLE, about, [*blocks, *details]).encode())
     for picture in pictures_of(blocks):
         write_bytes(page.parent / picture.name, picture.png)
     write_bytes(page, to_markdown(TITLE, about, blocks).encode())
+    write_bytes(page.with_name(f"{page.stem}_tables.md"), to_markdown(LONG_TITLE, about, details).encode())
     typer.echo(f"Look at {(out / 'index.html').resolve()}; Markdown in {page}")
