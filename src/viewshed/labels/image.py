@@ -56,10 +56,9 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
         level_from_sensor: rotation (3, 3).
         drift: how the sensor moved; needs the times of the returns, else it is left out.
     """
-    found = recover_beams(sweep)
-    model = sweep.model
+    seconds, model = _seconds(sweep), sweep.model
+    found = recover_beams(sweep if sweep.ring is not None else _still(sweep, level_from_sensor, drift, seconds))
     elevation, rise, offset = _tables(found.elevation, model)
-    seconds = _seconds(sweep)
     pose = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
     start, way, length, azimuth = fired(sweep.points, found.ring, seconds, pose, (rise, offset))
     columns = _count(azimuth, {found.columns} if model is None else {found.columns, model.azimuth_columns})
@@ -91,6 +90,15 @@ def _seconds(sweep: Sweep) -> Floats:
         return np.zeros(len(sweep), np.float32)
     middle = (float(sweep.time_s.min()) + float(sweep.time_s.max())) / 2
     return (sweep.time_s - np.float32(middle)).astype(np.float32)
+
+
+def _still(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: Floats) -> Sweep:
+    """Return the sweep with each point as the sensor saw it when it fired: rings are told from directions."""
+    if not (drift.yaw_rate or drift.velocity_mps.any()):
+        return sweep
+    x, y, z = (sweep.points @ level_from_sensor.T - np.outer(seconds, drift.velocity_mps)).T
+    c, s = np.cos(drift.yaw_rate * seconds), np.sin(drift.yaw_rate * seconds)
+    return sweep.replace(points=np.stack([c * x + s * y, c * y - s * x, z], axis=-1) @ level_from_sensor)
 
 
 def _count(azimuth: Floats, likely: set[int]) -> int:
