@@ -32,7 +32,8 @@ def _errors(patch: Patch, one: Shot) -> np.ndarray:
     pose, xy = one.scan.world_from_sensor, GRID.centers.reshape(-1, 2)
     far = xy[np.hypot(*xy.T) > GRID.half_extent_m / 2]
     world = pose @ np.concatenate([far, np.zeros((len(far), 1))], axis=1)
-    return np.abs(patch.at(far) - (TERRAIN.at(world) - pose.translation[2]))
+    wrong: np.ndarray = np.abs(patch.at(far) - (TERRAIN.at(world) - pose.translation[2]))
+    return wrong
 
 
 def test_neighbors_in_time_show_the_far_ground(drive: list[Shot]) -> None:

@@ -58,6 +58,6 @@ def test_a_return_that_jittered_into_the_next_pixel_goes_back_to_the_empty_one()
 
 
 def test_an_empty_sweep_has_a_pattern_and_no_return(drive: list[Shot]) -> None:
-    image = beam_image(Sweep(np.zeros((0, 3)), model=drive[0].sweep.model), np.eye(3), AT_REST)
+    image = beam_image(Sweep(np.zeros((0, 3), np.float32), model=drive[0].sweep.model), np.eye(3), AT_REST)
     assert image.returned.sum() == 0
     assert np.linalg.norm(image.direction, axis=-1) == pytest.approx(1.0, abs=1e-5)

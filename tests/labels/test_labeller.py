@@ -85,7 +85,7 @@ def test_the_vehicle_below_is_not_known(drive: list[Shot]) -> None:
 
 
 def test_an_empty_sweep_knows_nothing_visible() -> None:
-    truth, known = label_sweep(Sweep(np.zeros((0, 3))), AT_REST, [], RULES)
+    truth, known = label_sweep(Sweep(np.zeros((0, 3), np.float32)), AT_REST, [], RULES)
     assert not truth.visible("car").any()
     assert known.shape == GRID.shape
 

@@ -37,7 +37,9 @@ def _stops(range_m: np.ndarray) -> Stops:
     r, a = range_m[column, ring], AZIMUTH[column]
     points = np.stack([r * np.cos(a), r * np.sin(a), r * SLOPE[ring]], axis=-1)
     upright = np.array([1.0, 0, 0, 0])
-    sweep = Sweep(points, ring=ring, model=MODEL, sensor_height_m=HEIGHT_M, attitude=upright)
+    sweep = Sweep(
+        points.astype(np.float32), ring=ring.astype(np.int16), model=MODEL, sensor_height_m=HEIGHT_M, attitude=upright
+    )
     level = level_sweep(sweep, GRID)
     patch = patch_of(level, [lows_of(level.points, Rigid.identity(), 0.5, 48.0)], 32.0, 0.5)
     return stops_of(beam_image(sweep, np.eye(3), AT_REST), patch)
