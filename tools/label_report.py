@@ -31,8 +31,8 @@ from viewshed.evaluation import Tally
 from viewshed.labels import Rules, Track
 from viewshed.report import facts, page, table
 
-SEEDS = (41, 42, 43)
-"""None of them was looked at while the rules were chosen; that was seed 1001."""
+SEEDS = (51, 52, 53)
+"""None of them was looked at while the rules were chosen; those were 41 to 43 and 1001 to 1005."""
 SWEEPS = 200
 BESIDE = ("shadow_map", "vote")
 BANDS = (0.0, 0.25, 0.5, 0.75, 1.5)

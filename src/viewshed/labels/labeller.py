@@ -172,9 +172,8 @@ class _Labelling:
         """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return."""
         grid = self.rules.grid
         bins = min(self.image.pixels.shape[0], MAX_BINS)
-        flags = np.where(things, np.uint8(BLOCKS), np.uint8(0)) + np.where(
-            self.image.returned, np.uint8(RETURNS), np.uint8(0)
-        )
+        stored = self.image.returned & (self.stops.kind == 0)
+        flags = things * np.uint8(BLOCKS) + stored * np.uint8(RETURNS)
         farthest, blocker = stop_limits(lines.lines, flags.reshape(-1), bins)
         range_m, azimuth = polar_of_cells(grid)
         place = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
