@@ -195,7 +195,7 @@ def _met_in(tiles: Any, reaches: Any, which: Any, plate: Any, needed: Any) -> An
             worth = np.int32(65537) if tile[5, k] * forward >= run - cell else np.int32(1)
             some_a = np.int32(some_a + (worth if hit_a else np.int32(0)))
             some_b = np.int32(some_b + (worth if hit_b else np.int32(0)))
-        a, b = a + some_a, b + some_b
+        a, b = a + int(some_a), b + int(some_b)
     return a, b
 
 
