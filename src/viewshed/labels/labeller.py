@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from viewshed.bev import GRIDS, BevGrid, polar_of_cells
 from viewshed.estimate import CellState
 from viewshed.geometry import Rigid
-from viewshed.labels.count import Lines, cells_of, count_targets, lines_of
+from viewshed.labels.count import Lines, count_targets, lines_of
 from viewshed.labels.ground_map import Lows, Patch, lows_of, patch_of
 from viewshed.labels.image import BeamImage, beam_image
 from viewshed.labels.motion import Drift
@@ -133,7 +133,7 @@ class _Labelling:
         grid = self.rules.grid
         ground = self.patch.at(grid.centers.reshape(-1, 2))
         lines = lines_of(self.image, self.stops.best_m)
-        counts = count_targets(lines, cells_of(grid, ground), grid.cell_m, TARGETS)
+        counts = count_targets(lines, grid, ground, TARGETS)
         reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
         things = self._things()
         surface = self._surface(lines, ground, things)
@@ -185,7 +185,8 @@ class _Labelling:
         """Return where (cells, cells) the probe does not hang on missing beams or on the ground."""
         rules, grid = self.rules, self.rules.grid
         target = next(one for one in TARGETS if one.name == rules.target)
-        doubtful = np.flatnonzero(reached[target.name].reshape(-1) <= max(MANY_BEAMS, 4 * target.min_returns))
+        counts = reached[target.name].reshape(-1)
+        doubtful = counts <= max(MANY_BEAMS, 4 * target.min_returns)
         seen = self.patch.seen(grid.centers.reshape(-1, 2)).reshape(grid.shape)
         away = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
         wrong = np.minimum(GROUND_M + GROUND_PER_M * away, GROUND_MOST_M).astype(np.float32).reshape(-1)
@@ -193,11 +194,9 @@ class _Labelling:
         for depth in (self.stops.least_m, self.stops.most_m):
             lines = lines_of(self.image, depth)
             for height in (ground - wrong, ground + wrong):
-                cells = np.ascontiguousarray(cells_of(grid, height)[:, doubtful])
-                verdicts.append(count_targets(lines, cells, grid.cell_m, TARGETS)[target.name][1] >= target.min_returns)
-        sure = np.ones(ground.size, np.bool_)
-        best = reached[target.name].reshape(-1)[doubtful] >= target.min_returns
-        sure[doubtful] = np.all([verdict == best for verdict in verdicts], axis=0)
+                again = count_targets(lines, grid, height, TARGETS, doubtful)[target.name][1]
+                verdicts.append((again >= target.min_returns) == (counts >= target.min_returns))
+        sure: Mask = np.all(verdicts, axis=0) | ~doubtful
         return sure.reshape(grid.shape)
 
     def _own(self) -> Mask:

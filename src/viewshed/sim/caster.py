@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.cast_kernels import BLOCK, DRAWS, cast_solids
-from viewshed.sim.firing import column_poses, still_firing
+from viewshed.sim.cast_kernels import DRAWS, cast_solids
+from viewshed.sim.cast_windows import BLOCK
+from viewshed.sim.firing import column_poses, still_firing, turned_by
 from viewshed.sim.materials import PER_M
 from viewshed.sim.scan import STILL, Motion, Scan
-from viewshed.sim.stop_kernels import block_beams, measure_stops, turn_beams
+from viewshed.sim.stop_kernels import measure_stops, turn_beams
 from viewshed.sim.terrain_kernels import cast_terrain
 from viewshed.sim.world import Snapshot
 
@@ -36,14 +37,13 @@ def cast_world(
     """
     turns, starts, time_s = _moves(model, motion, world_from_sensor)
     direction, origin = np.empty((2, model.azimuth_columns, model.rings, 3), np.float32)
-    turn_beams(still_firing(model)[1], turns, starts, direction, origin)
     beams = _blocks(model)
-    block_beams(direction, starts[1], time_s, beams)
+    rows = tuple(beams)
+    turn_beams(still_firing(model)[1], turns, starts, time_s, (direction, origin), rows)
     best = (np.full(beams.shape[1], np.inf, np.float32), np.full(beams.shape[1], -1, np.int32))
     solids, lattice = _relative(snapshot, world_from_sensor.translation, seed)
     frame = _frame(model, world_from_sensor, motion)
-    rows = tuple(beams)
-    cast_solids(rows, solids[:7], frame, _free_paths(), best)
+    cast_solids(rows, solids[:4], frame, _free_paths(), best)
     cast_terrain(rows, lattice, frame, best, len(snapshot.kind))
     out = _stops(model)
     ground = (lattice, snapshot.terrain.material, _free_paths(), model.max_range_m)
@@ -69,7 +69,7 @@ def _moves(model: LidarModel, motion: Motion, pose: Rigid) -> tuple[NDArray[np.f
     """Return ``world_from_sensor`` (C, 3, 3), shifts of the columns (C, 3) with rises of the rings (R,), times (C,)."""
     turns, _, time_s = column_poses(model, motion, pose)
     shifts = np.outer(time_s, motion.velocity_mps).astype(np.float32)
-    return (pose.rotation @ turns).astype(np.float32), (shifts, still_firing(model)[0]), time_s
+    return turned_by(pose.rotation, turns).astype(np.float32), (shifts, still_firing(model)[0]), time_s
 
 
 @lru_cache(maxsize=1)
@@ -82,10 +82,10 @@ def _relative(snapshot: Snapshot, origin: NDArray[np.float64], seed: int) -> tup
     """Return the solids and the ground's nodes from the sensor's position."""
     count = len(snapshot.kind)
     salts = np.random.Generator(np.random.PCG64(seed)).integers(0, 2**32, count, np.uint32)
-    solids = (
-        snapshot.center_m - origin, snapshot.rotation, snapshot.half_m, snapshot.kind, snapshot.velocity_mps,
-        PER_M[snapshot.material], salts, snapshot.thing, snapshot.material,
-    )  # fmt: skip
+    boxes = np.empty((count, 6, 3))
+    boxes[:, 0], boxes[:, 1:4] = snapshot.center_m - origin, snapshot.rotation
+    boxes[:, 4], boxes[:, 5] = snapshot.half_m, snapshot.velocity_mps
+    solids = (boxes, snapshot.kind, PER_M[snapshot.material], salts, snapshot.thing, snapshot.material)
     ground = snapshot.terrain
     return solids, (ground.x_m - origin[0], ground.y_m - origin[1], ground.heights_m - origin[2])
 

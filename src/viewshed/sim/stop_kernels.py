@@ -7,41 +7,40 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from viewshed.sim.cast_kernels import BLOCK, DRAWS, mixed
+from viewshed.sim.cast_kernels import DRAWS, mixed
+from viewshed.sim.cast_windows import BLOCK
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn_beams(still: Any, turns: Any, starts: Any, direction: Any, origin: Any) -> None:  # pragma: no cover - compiled
-    """Fill unit directions and starts (C, R, 3) in world axes.
+def turn_beams(
+    still: Any, turns: Any, starts: Any, times: Any, turned: Any, beams: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill unit directions and starts (C, R, 3) in world axes, and the same beams in the order of the caster.
 
     Args:
         still: directions (C, R, 3) in the sensor's frame.
         turns: ``world_from_sensor`` rotations (C, 3, 3).
         starts: shift of the column (C, 3), and height of ring k on the sensor's axis (R).
-        direction: result.
-        origin: result.
+        times: of the columns.
+        turned: directions and starts.
+        beams: x, y, z, rise and time in blocks of rings, a block column after column.
     """
-    shifts, rises = starts
-    for c in range(still.shape[0]):
-        m, shift = turns[c], shifts[c]
-        for k in range(still.shape[1]):
+    (shifts, rises), (direction, origin) = starts, turned
+    bx, by, bz, rise_of, time_of = beams
+    columns, rings = still.shape[0], still.shape[1]
+    for c in range(columns):
+        xx, xy, xz = turns[c, 0, 0], turns[c, 0, 1], turns[c, 0, 2]
+        yx, yy, yz = turns[c, 1, 0], turns[c, 1, 1], turns[c, 1, 2]
+        zx, zy, zz = turns[c, 2, 0], turns[c, 2, 1], turns[c, 2, 2]
+        for k in range(rings):
+            i = ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
             x, y, z, rise = still[c, k, 0], still[c, k, 1], still[c, k, 2], rises[k]
-            for n in range(3):
-                direction[c, k, n] = m[n, 0] * x + m[n, 1] * y + m[n, 2] * z
-                origin[c, k, n] = shift[n] + m[n, 2] * rise
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def block_beams(direction: Any, rises: Any, times: Any, beams: Any) -> None:  # pragma: no cover - compiled
-    """Store the beams in the order of the caster: blocks of rings, a block column after column."""
-    columns, rings = direction.shape[0], direction.shape[1]
-    for k in range(rings):
-        base = (k // BLOCK) * columns * BLOCK + k % BLOCK
-        for c in range(columns):
-            i = base + c * BLOCK
-            for n in range(3):
-                beams[n][i] = direction[c, k, n]
-            beams[3][i], beams[4][i] = rises[k], times[c]
+            bx[i], by[i], bz[i] = xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
+            rise_of[i], time_of[i] = rise, times[c]
+            direction[c, k, 0], direction[c, k, 1], direction[c, k, 2] = bx[i], by[i], bz[i]
+            origin[c, k, 0] = shifts[c, 0] + xz * rise
+            origin[c, k, 1] = shifts[c, 1] + yz * rise
+            origin[c, k, 2] = shifts[c, 2] + zz * rise
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -51,26 +50,23 @@ def measure_stops(beams: Any, times: Any, solids: Any, ground: Any, best: Any, o
     ``beams`` are starts and directions (C, R, 3); ``ground`` is the lattice (x, y, z from the sensor), materials of the
     quads, free paths and maximum range.
     """
-    centers, turns, halves, kinds, velocities, per_m, salts, things, materials = solids
-    lattice, quad_material, draws, max_range = ground
-    origin, direction = beams
-    depth32, winner = best
-    depth, thing, material, cosine = out
-    planes = _planes(lattice)
-    local = np.empty(6)
-    columns, deep = depth.shape[0], quad_material.shape[1]
-    for c in range(columns):
+    boxes, kinds, per_m, salts, things, materials = solids
+    (xs, ys, zs), quad_material, draws, max_range = ground
+    (origin, direction), (depth32, winner), (depth, thing, material, cosine) = beams, best, out
+    planes, local, count, deep = _planes(xs, ys, zs), np.empty(6), boxes.shape[0], quad_material.shape[1]
+    for c in range(depth.shape[0]):
         for k in range(depth.shape[1]):
-            i = ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
+            i = ((k // BLOCK) * depth.shape[0] + c) * BLOCK + k % BLOCK
             s = winner[i]
+            beam = (origin[c, k, 0], origin[c, k, 1], origin[c, k, 2],
+                    direction[c, k, 0], direction[c, k, 1], direction[c, k, 2])  # fmt: skip
             t, cos, met, made_of = np.inf, 0.0, -2, 0
-            if s >= centers.shape[0]:
-                triangle = s - centers.shape[0]
-                t, cos = _on_ground(origin[c, k], direction[c, k], planes[triangle])
-                met, made_of = -1, quad_material[triangle // 2 // deep, triangle // 2 % deep]
+            if s >= count:
+                t, cos = _on_ground(beam, planes, s - count)
+                met, made_of = -1, quad_material[(s - count) // 2 // deep, (s - count) // 2 % deep]
             elif s >= 0:
-                _into(origin[c, k], direction[c, k], (centers[s], turns[s], velocities[s], times[c]), local)
-                t, cos = _enter(local, halves[s], kinds[s], float(depth32[i]))
+                _into(beam, boxes, s, times[c], local)
+                t, cos = _enter(local, boxes, s, kinds[s], float(depth32[i]))
                 if not np.isinf(per_m[s]):
                     path = float(draws[mixed(np.uint32(i), salts[s]) & np.uint32(DRAWS - 1)]) / per_m[s]
                     t, cos = max(t, 0.0) + path, 1.0
@@ -81,9 +77,8 @@ def measure_stops(beams: Any, times: Any, solids: Any, ground: Any, best: Any, o
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _planes(lattice: Any) -> Any:  # pragma: no cover - compiled
+def _planes(xs: Any, ys: Any, zs: Any) -> Any:  # pragma: no cover - compiled
     """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
-    xs, ys, zs = lattice
     planes = np.empty((2 * (xs.shape[0] - 1) * (ys.shape[0] - 1), 4))
     row = 0
     for i in range(xs.shape[0] - 1):
@@ -101,55 +96,54 @@ def _planes(lattice: Any) -> Any:  # pragma: no cover - compiled
     return planes
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _on_ground(o: Any, d: Any, plane: Any) -> Any:  # pragma: no cover - compiled
-    a, b = plane[0], plane[1]
-    fall = a * d[0] + b * d[1] - d[2]
-    return (o[2] - a * o[0] - b * o[1] - plane[2]) / fall, abs(fall) * plane[3]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _on_ground(beam: Any, planes: Any, row: Any) -> Any:  # pragma: no cover - compiled
+    a, b = planes[row, 0], planes[row, 1]
+    fall = a * beam[3] + b * beam[4] - beam[5]
+    return (beam[2] - a * beam[0] - b * beam[1] - planes[row, 2]) / fall, abs(fall) * planes[row, 3]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _into(origin: Any, direction: Any, solid: Any, local: Any) -> None:  # pragma: no cover - compiled
+def _into(beam: Any, boxes: Any, s: Any, time: Any, local: Any) -> None:  # pragma: no cover - compiled
     """Store start and direction (6) of a beam in the frame of a solid."""
-    center, turn, velocity, time = solid
-    x = origin[0] - center[0] - velocity[0] * time
-    y = origin[1] - center[1] - velocity[1] * time
-    z = origin[2] - center[2] - velocity[2] * time
+    x = beam[0] - boxes[s, 0, 0] - boxes[s, 5, 0] * time
+    y = beam[1] - boxes[s, 0, 1] - boxes[s, 5, 1] * time
+    z = beam[2] - boxes[s, 0, 2] - boxes[s, 5, 2] * time
     for k in range(3):
-        local[k] = turn[0, k] * x + turn[1, k] * y + turn[2, k] * z
-        local[3 + k] = turn[0, k] * direction[0] + turn[1, k] * direction[1] + turn[2, k] * direction[2]
+        a, b, c = boxes[s, 1, k], boxes[s, 2, k], boxes[s, 3, k]
+        local[k], local[3 + k] = a * x + b * y + c * z, a * beam[3] + b * beam[4] + c * beam[5]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _enter(local: Any, half: Any, kind: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragma: no cover - compiled
     """Depth at which the beam enters the solid, and its cosine there; ``t32`` where rounding makes it miss."""
     if kind == 0:
-        return _enter_box(local, half, t32)
+        return _enter_box(local, boxes, s, t32)
     a, b, c, cos = 0.0, 0.0, -1.0, 0.0
     for k in range(2 if kind == 1 else 3):
-        o, d = local[k] / half[k], local[3 + k] / half[k]
+        o, d = local[k] / boxes[s, 4, k], local[3 + k] / boxes[s, 4, k]
         a, b, c = a + d * d, b + o * d, c + o * o
     root2 = b * b - a * c
     t = t32 if kind == 2 else -np.inf
     if root2 >= 0.0 and a > 0.0:
         t = (-b - np.sqrt(root2)) / a
     if kind == 1 and local[5] != 0.0:
-        cap = (-local[2] - np.copysign(half[2], local[5])) / local[5]
+        cap = (-local[2] - np.copysign(boxes[s, 4, 2], local[5])) / local[5]
         if cap > t:
             return cap, abs(local[5])
     length2 = 0.0
     for k in range(2 if kind == 1 else 3):
-        normal = (local[k] + t * local[3 + k]) / (half[k] * half[k])
+        normal = (local[k] + t * local[3 + k]) / (boxes[s, 4, k] * boxes[s, 4, k])
         cos, length2 = cos + normal * local[3 + k], length2 + normal * normal
     return t, min(abs(cos) / np.sqrt(length2 + 1e-30), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _enter_box(local: Any, half: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+def _enter_box(local: Any, boxes: Any, s: Any, t32: Any) -> Any:  # pragma: no cover - compiled
     near, cos = -np.inf, 1.0
     for k in range(3):
         if local[3 + k] != 0.0:
-            t = (-local[k] - np.copysign(half[k], local[3 + k])) / local[3 + k]
+            t = (-local[k] - np.copysign(boxes[s, 4, k], local[3 + k])) / local[3 + k]
             if t > near:
                 near, cos = t, abs(local[3 + k])
     return (near, cos) if np.isfinite(near) else (t32, cos)

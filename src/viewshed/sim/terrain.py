@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from viewshed.geometry import FloatArray
+from viewshed.geometry import FloatArray, Rigid
 from viewshed.sim.materials import material_index
 
 _LOOKUP_M = 0.125
@@ -90,6 +90,22 @@ class Terrain:
         _heights(self.x_m, self.y_m, self.heights_m, self._lookups, flat, out.reshape(-1))
         return out
 
+    def about(
+        self, pose: Rigid, forward_m: NDArray[np.float64], left_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return ground z (n, m) above the origin of a pose, and whether the terrain reaches there.
+
+        Args:
+            pose: in the world; only its yaw turns the points.
+            forward_m: (n,) of the points along that yaw, from the pose's origin.
+            left_m: (m,) of the points across it.
+        """
+        shape = (len(forward_m), len(left_m))
+        heights, inside = np.empty(shape, np.float32), np.empty(shape, np.bool_)
+        frame = (np.cos(pose.yaw), np.sin(pose.yaw), *pose.translation)
+        _heights_about((self.x_m, self.y_m, self.heights_m), forward_m, left_m, frame, heights, inside)
+        return heights, inside
+
     def normals_at(self, xy: FloatArray | ArrayLike, over_m: float = 1.0) -> NDArray[np.float64]:
         """Return unit normals (…, 3) of the ground around points (…, 2+), by differences over ``over_m`` metres."""
         steps = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * over_m / 2
@@ -114,7 +130,7 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _line(lines: Any, lookup: Any, value: Any) -> Any:  # pragma: no cover - compiled
     step = min(max(int((value - lines[0]) / _LOOKUP_M), 0), lookup.shape[0] - 1)
     i = lookup[step]
@@ -124,14 +140,51 @@ def _line(lines: Any, lookup: Any, value: Any) -> Any:  # pragma: no cover - com
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _quad(xs: Any, ys: Any, z: Any, i: Any, j: Any) -> Any:  # pragma: no cover - compiled
+    """Return corner, sides and the heights of the four nodes of a quad."""
+    return xs[i], ys[j], xs[i + 1] - xs[i], ys[j + 1] - ys[j], z[i, j], z[i + 1, j], z[i, j + 1], z[i + 1, j + 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _height(quad: Any, x: Any, y: Any) -> Any:  # pragma: no cover - compiled
+    """Return z at a point of a quad."""
+    x0, y0, wide, deep, a, b, c, d = quad
+    u, v = (x - x0) / wide, (y - y0) / deep
+    right, left = a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c)
+    return right if u >= v else left
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _heights(xs: Any, ys: Any, z: Any, lookups: Any, points: Any, out: Any) -> None:  # pragma: no cover - compiled
     for k in range(points.shape[0]):
         x = min(max(points[k, 0], xs[0]), xs[-1])
         y = min(max(points[k, 1], ys[0]), ys[-1])
-        i, j = _line(xs, lookups[0], x), _line(ys, lookups[1], y)
-        u, v = (x - xs[i]) / (xs[i + 1] - xs[i]), (y - ys[j]) / (ys[j + 1] - ys[j])
-        a, d = z[i, j], z[i + 1, j + 1]
-        if u >= v:
-            out[k] = a + u * (z[i + 1, j] - a) + v * (d - z[i + 1, j])
-        else:
-            out[k] = a + v * (z[i, j + 1] - a) + u * (d - z[i, j + 1])
+        out[k] = _height(_quad(xs, ys, z, _line(xs, lookups[0], x), _line(ys, lookups[1], y)), x, y)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _heights_about(
+    terrain: Any, forward: Any, left: Any, pose: Any, heights: Any, inside: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill z (n, m) above a pose's origin and whether the terrain is there, going from quad to quad."""
+    (xs, ys, z), (c, s, x0, y0, z0) = terrain, pose
+    i, j, quad = 0, 0, _quad(xs, ys, z, 0, 0)
+    for row in range(forward.shape[0]):
+        for k in range(left.shape[0]):
+            east, north = c * forward[row] - s * left[k] + x0, s * forward[row] + c * left[k] + y0
+            x, y = min(max(east, xs[0]), xs[-1]), min(max(north, ys[0]), ys[-1])
+            inside[row, k] = x == east and y == north
+            if x < xs[i] or x >= xs[i + 1] or y < ys[j] or y >= ys[j + 1]:
+                i, j = _walk(xs, i, x), _walk(ys, j, y)
+                quad = _quad(xs, ys, z, i, j)
+            heights[row, k] = _height(quad, x, y) - z0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _walk(lines: Any, i: Any, value: Any) -> Any:  # pragma: no cover - compiled
+    """Return the line at or before a value, but the last, found from a guess."""
+    while i > 0 and value < lines[i]:
+        i -= 1
+    while i < lines.shape[0] - 2 and value >= lines[i + 1]:
+        i += 1
+    return i

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from viewshed.angles import atan2
-from viewshed.sim.cast_kernels import BLOCK, column_range, ring_blocks, slopes_of
+from viewshed.sim.cast_windows import BLOCK, column_range, ring_blocks, slopes_of
 
 _NEAR_M = 1e-3
 _EDGE = 1e-5
@@ -68,16 +68,16 @@ def _quad_window(seen: Any, lines: Any, quad: Any, view: Any, limits: Any) -> An
     near = np.sqrt(gap_x * gap_x + gap_y * gap_y)
     if near > max_range:
         return 0, 0, 0, 0
-    x, y = 0.0, 0.0
-    low_z, high_z, far = np.inf, -np.inf, 0.0
+    x, y, far2 = 0.0, 0.0, 0.0
+    low_z, high_z = np.inf, -np.inf
     for corner in range(4):
-        node = seen[i + (corner & 1), j + (corner >> 1)]
-        x, y = x + node[0] / 4, y + node[1] / 4
-        low_z, high_z = min(low_z, node[2]), max(high_z, node[2])
-        far = max(far, np.sqrt(node[0] * node[0] + node[1] * node[1]))
+        k, n = i + (corner & 1), j + (corner >> 1)
+        u, v = seen[k, n, 0], seen[k, n, 1]
+        x, y, far2 = x + u / 4, y + v / 4, max(far2, u * u + v * v)
+        low_z, high_z = min(low_z, seen[k, n, 2]), max(high_z, seen[k, n, 2])
     if pose[2, 2] < 0.999999:
         near = max(np.sqrt(max(near * near - max(low_z * low_z, high_z * high_z), 0.0)) - drift, 0.0)
-    low_slope, high_slope = slopes_of(low_z - lift - drift, high_z + lift + drift, near, far + drift)
+    low_slope, high_slope = slopes_of(low_z - lift - drift, high_z + lift + drift, near, np.sqrt(far2) + drift)
     first, last = ring_blocks(slopes, low_slope - slack, high_slope + slack)
     if first >= last:
         return 0, 0, 0, 0
@@ -85,9 +85,8 @@ def _quad_window(seen: Any, lines: Any, quad: Any, view: Any, limits: Any) -> An
     cos, sin = np.cos(middle), np.sin(middle)
     low, high = 0.0, 0.0
     for corner in range(4):
-        node = seen[i + (corner & 1), j + (corner >> 1)]
-        u, v = node[0] * cos + node[1] * sin, node[1] * cos - node[0] * sin
-        turned = float(atan2(np.float32(v), np.float32(u)))
+        u, v = seen[i + (corner & 1), j + (corner >> 1), 0], seen[i + (corner & 1), j + (corner >> 1), 1]
+        turned = float(atan2(np.float32(v * cos - u * sin), np.float32(u * cos + v * sin)))
         low, high = min(low, turned), max(high, turned)
     if drift > 0.0:
         swing = np.pi if near <= drift else np.arcsin(drift / near)

@@ -8,24 +8,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid, polar_of_cells
-from viewshed.estimate import CellState
+from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid
 from viewshed.sim.materials import REFLECTIVITY
 from viewshed.sim.scan import Scan
 from viewshed.sim.shapes import Shape
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.truth_bins import beams_of_bins, see_cells, stop_limits, what_stopped
-from viewshed.sim.truth_kernels import (
-    MANY,
-    beam_lines,
-    count_cells,
-    mark_stops,
-    slope_bounds,
-    sorted_tiles,
-    tile_reaches,
-)
-from viewshed.sim.world import GROUND, Agent, World
+from viewshed.sim.truth_bins import BLOCKS, beams_of_bins, see_cells, stop_limits, tell_definitions, what_stopped
+from viewshed.sim.truth_cells import batches_of, patches_of, ranges_of
+from viewshed.sim.truth_counts import MANY, count_cells, tell_cells
+from viewshed.sim.truth_kernels import beam_lines, mark_stops, slope_bounds, sorted_tiles
+from viewshed.sim.world import Agent, World
 from viewshed.truth import OTHER_DEFINITIONS, Truth
 from viewshed.visible import CAR, PEDESTRIAN, Target
 
@@ -37,7 +30,7 @@ SURFACE_FROM_M = 0.2
 MAX_BINS = 1080
 """Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
 Mask = NDArray[np.bool_]
-Counts = dict[str, NDArray[np.uint8]]
+Told = dict[str, NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,24 +42,18 @@ class _View:
         grid: the grid.
         beams: (6, C·R) lines, see ``truth_kernels``.
         azimuth: (C·R,) of the beams.
-        cells: (5, cells) unit vector, range, azimuth and ground of the cells' centres.
-        world: (cells, 2) their places in the world.
-        own: the thing that carries the sensor, or a number that no thing has.
+        flags: (C·R,) what stopped them, see ``truth_bins``.
+        ground: (cells,) at the centres of the cells.
+        offset_m: largest horizontal distance of a beam's start from the reference position.
     """
 
     scan: Scan
     grid: BevGrid
     beams: NDArray[np.float32]
     azimuth: NDArray[np.float32]
-    cells: NDArray[np.float32]
-    world: NDArray[np.float64]
-    own: int
-
-    @property
-    def offset_m(self) -> np.float32:
-        """Largest horizontal distance of a beam's start from the reference position."""
-        origin = self.scan.origin_m
-        return np.float32(np.sqrt((origin[..., 0] ** 2 + origin[..., 1] ** 2).max()))
+    flags: NDArray[np.uint8]
+    ground: NDArray[np.float32]
+    offset_m: np.float32
 
 
 def exact_truth(
@@ -93,13 +80,12 @@ def exact_truth(
     if not targets:
         raise ValueError("targets must be at least one, got none")
     terrain = world.terrain if isinstance(world, World) else world
-    view = _view(scan, terrain, grid, -3 if agent is None or agent.carrier is None else agent.carrier)
-    aimed, reached = _counts(view, targets)
-    surface = _surfaces(view, targets)
-    state = {t.name: _state(aimed[t.name], reached[t.name], surface[t.name], t.min_returns) for t in targets}
-    known = _inside(terrain, view.world) & (view.cells[2] > view.offset_m)
+    ground, known = _ground(scan, terrain, grid)
+    view = _view(scan, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
+    known &= (ranges_of(grid) > view.offset_m).reshape(grid.shape)
     if agent is not None and agent.carrier is not None and isinstance(world, World):
         known &= ~_covered(world.things[agent.carrier].parts, scan.world_from_sensor @ agent.mount.inverse(), view)
+    reached, state = _targets(view, targets)
     shape = grid.shape
     truth = Truth(
         grid,
@@ -107,101 +93,92 @@ def exact_truth(
         {name: values.reshape(shape) for name, values in state.items()},
         {name: mask.reshape(shape) for name, mask in _definitions(view).items()},
     )
-    return truth, known.reshape(shape)
+    return truth, known
 
 
-def _view(scan: Scan, terrain: Terrain, grid: BevGrid, own: int) -> _View:
-    pose = scan.world_from_sensor
-    turn = (np.cos(pose.yaw), np.sin(pose.yaw))
-    beams, azimuth = beam_lines(scan.origin_m, scan.direction, scan.depth_m, turn, np.float32(scan.model.max_range_m))
-    cells = _polar(grid).copy()
-    x, y = grid.centers[..., 0].ravel(), grid.centers[..., 1].ravel()
-    world = np.empty((x.size, 2))
-    world[:, 0] = turn[0] * x - turn[1] * y + pose.translation[0]
-    world[:, 1] = turn[1] * x + turn[0] * y + pose.translation[1]
-    cells[4] = terrain.at(world) - pose.translation[2]
-    return _View(scan, grid, beams, azimuth, cells, world, own)
+def _ground(scan: Scan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
+    """Return the ground (cells, cells) at the centres, from the sensor's height, and where there is terrain."""
+    centers = grid.centers
+    return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 
 
-@lru_cache(maxsize=8)
-def _polar(grid: BevGrid) -> NDArray[np.float32]:
-    """Return (5, cells): unit vector, range and azimuth of the centres, and room for the ground."""
-    range_m, azimuth = polar_of_cells(grid)
-    some = np.maximum(range_m, 1e-6)
-    unit = (grid.centers[..., 0] / some, grid.centers[..., 1] / some)
-    return np.stack([*unit, range_m, azimuth, range_m]).astype(np.float32).reshape(5, -1)
+def _view(scan: Scan, grid: BevGrid, ground: NDArray[np.float32], own: int) -> _View:
+    """Return the scan over the grid; ``own`` is the thing that carries the sensor, or a number that no thing has."""
+    yaw, origin = scan.world_from_sensor.yaw, scan.origin_m
+    turn, max_range = (np.cos(yaw), np.sin(yaw)), np.float32(scan.model.max_range_m)
+    beams, azimuth = beam_lines(origin, scan.direction, scan.depth_m, turn, max_range)
+    flags = what_stopped(scan.depth_m, scan.thing, scan.material, own, REFLECTIVITY)
+    offset_m = np.float32(np.sqrt((origin[..., 0] ** 2 + origin[..., 1] ** 2).max()))
+    return _View(scan, grid, beams, azimuth, flags, ground.reshape(-1), offset_m)
 
 
-def _counts(view: _View, targets: tuple[Target, ...]) -> tuple[Counts, Counts]:
-    """Return beams that aim and that reach, up to 255 (cells,), by target; two targets at a time."""
+def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[Told, Told]:
+    """Return beams that reach, up to 255, and states (cells,) by target; two targets at a time."""
     scan, rings = view.scan, view.scan.model.rings
     tiles, starts = sorted_tiles(view.beams, view.azimuth, rings)
-    beams = (tiles, tile_reaches(tiles), starts, slope_bounds(view.beams[4], view.azimuth, rings))
+    beams = (tiles, starts, slope_bounds(view.beams[4], view.azimuth, rings))
     rise = scan.origin_m[..., 2]
     offsets = (view.offset_m, rise.min(), rise.max())
     limits = (np.float32(view.grid.cell_m), np.float32(BELOW_GROUND_M), *offsets, np.float32(scan.model.max_range_m))
-    aimed: Counts = {}
-    reached: Counts = {}
+    surface = _surfaces(view, targets)
+    told = {}
     for k in range(0, len(targets), 2):
-        a, b = sorted((targets[k], targets[min(k + 1, len(targets) - 1)]), key=lambda t: -t.width_m)
+        pair = sorted((targets[k], targets[min(k + 1, len(targets) - 1)]), key=lambda t: -t.width_m)
+        a, b = pair
         sizes = (a.width_m / 2, b.width_m / 2, a.height_m, b.height_m)
         plates = (*(np.float32(size) for size in sizes), min(a.min_returns, MANY), min(b.min_returns, MANY))
-        out = np.empty((4, view.cells.shape[1]), np.uint8)
-        count_cells(beams, view.cells, plates, limits, out)
-        aimed |= {a.name: out[0], b.name: out[2]}
-        reached |= {a.name: out[1], b.name: out[3]}
-    return aimed, reached
+        counts = np.zeros(len(view.ground), np.int32)
+        count_cells(beams, patches_of(view.grid), view.ground, plates, limits, counts)
+        for which, target in enumerate(pair):
+            told[target.name] = np.empty((2, len(counts)), np.uint8)
+            tell_cells(counts, which, surface[target.name], min(target.min_returns, MANY), told[target.name])
+    return {name: both[0] for name, both in told.items()}, {name: both[1] for name, both in told.items()}
 
 
 def _surfaces(view: _View, targets: tuple[Target, ...]) -> dict[str, Mask]:
     """Return where a stop on a thing lies between 0.2 m and the target's top above local ground (cells,)."""
     grid = view.grid
-    things = (view.scan.thing.reshape(-1) > GROUND) & (view.scan.thing.reshape(-1) != view.own)
     tops = np.array([target.height_m for target in targets], np.float32)
-    out = np.zeros((len(targets), view.cells.shape[1]), np.bool_)
+    out = np.zeros((len(targets), len(view.ground)), np.bool_)
     lattice = (np.float32(grid.origin_m[0]), np.float32(grid.origin_m[1]), np.float32(1 / grid.cell_m), grid.cells)
-    mark_stops(view.beams, things, view.cells[4], (lattice, np.float32(SURFACE_FROM_M), tops), out)
+    mark_stops(view.beams, view.flags & BLOCKS, view.ground, (lattice, np.float32(SURFACE_FROM_M), tops), out)
     return {target.name: out[k] for k, target in enumerate(targets)}
-
-
-def _state(aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, least: int) -> NDArray[np.uint8]:
-    seen, hidden = reached >= min(least, MANY), aimed >= min(least, MANY)
-    state = np.where(hidden, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-    state[seen] = CellState.FREE
-    state[seen & surface] = CellState.SURFACE
-    return state
 
 
 def _definitions(view: _View) -> dict[str, Mask]:
     """Return the masks (cells,) of the definitions that others use."""
-    scan, bins = view.scan, min(view.scan.model.azimuth_columns, MAX_BINS)
-    flags = what_stopped(scan.depth_m, scan.thing, scan.material, view.own, REFLECTIVITY)
-    limits = stop_limits(view.beams, flags, bins)
-    table = beams_of_bins(view.beams, view.azimuth, flags, scan.model.rings, bins)
-    out = np.empty((3, view.cells.shape[1]), np.bool_)
+    model = view.scan.model
+    bins = min(model.azimuth_columns, MAX_BINS)
+    limits = stop_limits(view.beams, view.flags, bins)
+    table = beams_of_bins(view.beams, view.azimuth, view.flags, model.rings, bins)
+    met = np.empty(len(view.ground), np.uint8)
     shape = (np.float32(CAR.height_m), np.float32(BELOW_GROUND_M), np.float32(view.grid.cell_m))
-    see_cells(limits, table, view.cells, shape, out)
+    see_cells(limits, table, batches_of(view.grid, bins), view.ground, shape, met)
+    out = np.empty((len(OTHER_DEFINITIONS), len(met)), np.bool_)
+    tell_definitions(met, out)
     return dict(zip(OTHER_DEFINITIONS, out, strict=True))
 
 
-def _inside(terrain: Terrain, xy: NDArray[np.float64]) -> Mask:
-    """Return which points (N, 2) of the world lie over the terrain's lattice."""
-    x, y = xy[:, 0], xy[:, 1]
-    inside: Mask = (x >= terrain.x_m[0]) & (x <= terrain.x_m[-1]) & (y >= terrain.y_m[0]) & (y <= terrain.y_m[-1])
-    return inside
-
-
 def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, view: _View) -> Mask:
-    """Return which cells the upright box around a thing's solids touches (cells,)."""
-    corners = np.concatenate([_corners(part) for part in parts])
-    low, high = corners.min(axis=0) - view.grid.cell_m / 2, corners.max(axis=0) + view.grid.cell_m / 2
-    away = float(np.linalg.norm(world_from_thing.translation - view.scan.world_from_sensor.translation))
-    near = np.flatnonzero(view.cells[2] <= away + np.abs([low, high]).sum())
-    offset = view.world[near] - world_from_thing.translation[:2]
-    place = offset @ Rigid.from_yaw(world_from_thing.yaw).rotation[:2, :2]
-    covered = np.zeros(len(view.world), np.bool_)
-    covered[near] = ((place >= low) & (place <= high)).all(axis=1)
+    """Return which cells (cells, cells) the upright box around a thing's solids touches."""
+    grid, pose = view.grid, view.scan.world_from_sensor
+    low, high = (corner + side * grid.cell_m / 2 for corner, side in zip(_footprint(parts), (-1, 1), strict=True))
+    away = float(np.linalg.norm(world_from_thing.translation - pose.translation))
+    near = np.flatnonzero(ranges_of(grid) <= away + np.abs([low, high]).sum())
+    x, y = grid.centers.reshape(-1, 2)[near].T
+    c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+    place = np.stack([c * x - s * y + pose.translation[0], s * x + c * y + pose.translation[1]], axis=-1)
+    place = (place - world_from_thing.translation[:2]) @ Rigid.from_yaw(world_from_thing.yaw).rotation[:2, :2]
+    covered = np.zeros(grid.shape, np.bool_)
+    covered.reshape(-1)[near] = ((place >= low) & (place <= high)).all(axis=1)
     return covered
+
+
+@lru_cache(maxsize=64)
+def _footprint(parts: tuple[Shape, ...]) -> NDArray[np.float64]:
+    """Return the least and the largest x and y (2, 2) of a thing's solids, in its frame."""
+    corners = np.concatenate([_corners(part) for part in parts])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
 def _corners(part: Shape) -> NDArray[np.float64]:
