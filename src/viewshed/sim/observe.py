@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
-from viewshed.geometry import Rigid
 from viewshed.sensors import lidar_model
 from viewshed.sim.caster import cast_world
 from viewshed.sim.measure import measure
@@ -83,10 +82,11 @@ def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion
     """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
     if period_s == 0.0 or agent.carrier is None:
         return Motion(period_s=period_s)
-    before, after = (world.world_from_sensor(agent, t_s + sign * period_s / 2) for sign in (-1, 1))
-    vx, vy, vz = (float(value) for value in (after.translation - before.translation) / period_s)
-    turned = Rigid(after.rotation @ before.rotation.T, np.zeros(3)).yaw
-    return Motion((vx, vy, vz), turned / period_s, period_s)
+    turns, places = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s + period_s / 2]))
+    vx, vy, vz = (float(value) for value in (places[1] - places[0]) / period_s)
+    turned = turns[1] @ turns[0].T
+    yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
+    return Motion((vx, vy, vz), yaw / period_s, period_s)
 
 
 @lru_cache(maxsize=1)

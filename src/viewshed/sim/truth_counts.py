@@ -69,9 +69,7 @@ def count_cells(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _load(
-    lanes: Any, places: Any, p: Any, ground: Any, settings: Any, room: Any
-) -> Any:  # pragma: no cover - compiled
+def _load(lanes: Any, places: Any, p: Any, ground: Any, settings: Any, room: Any) -> Any:  # pragma: no cover - compiled
     """Store unit vectors, ranges, bottoms and tops of the plates in a patch; return the lowest and the highest.
 
     A bottom is infinite where nothing counts.
