@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from viewshed.geometry import Rigid
 from viewshed.sim.materials import material_index
 from viewshed.sim.shapes import KINDS, Shape
 from viewshed.sim.terrain import Terrain
+from viewshed.sim.track_kernels import follow, place_things
 
 GROUND, NOTHING = -1, -2
 """What a beam met if it was no thing: the ground, or nothing within range."""
@@ -48,7 +50,14 @@ class Track:
 
     def over(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, 3) x and y in metres and yaw in radians at times (n,)."""
-        return np.stack([np.interp(t_s, self.t_s, row) for row in (*self.xy_m.T, self.yaw)], axis=-1)
+        out = np.empty((len(t_s), 3))
+        follow(np.asarray(t_s, np.float64), self.t_s, self.knots, (0, len(self.t_s)), out)
+        return out
+
+    @property
+    def knots(self) -> NDArray[np.float64]:
+        """(k, 3) x, y and yaw."""
+        return np.column_stack([self.xy_m, self.yaw])
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +183,17 @@ class World:
 
     def world_from_sensor(self, agent: Agent, t_s: float) -> Rigid:
         """Return the pose of an agent's sensor at ``t_s``."""
-        return agent.mount if agent.carrier is None else self.pose_of(agent.carrier, t_s) @ agent.mount
+        rotation, origin = self.sensor_path(agent, np.array([t_s]))
+        return Rigid(rotation[0], origin[0])
+
+    def sensor_path(self, agent: Agent, t_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rotations (n, 3, 3) and origins (n, 3) of ``world_from_sensor`` at times (n,)."""
+        mount, carrier = agent.mount, agent.carrier
+        if carrier is None:
+            return np.tile(mount.rotation, (len(t_s), 1, 1)), np.tile(mount.translation, (len(t_s), 1))
+        turns, places = (part[:, 0] for part in self._poses(t_s, np.array([carrier])))
+        origins = [turn @ mount.translation + place for turn, place in zip(turns, places, strict=True)]
+        return np.stack([turn @ mount.rotation for turn in turns]), np.stack(origins)
 
     def snapshot(self, t_s: float) -> Snapshot:
         """Return all solids at ``t_s``, with their velocities."""
@@ -187,6 +206,19 @@ class World:
             center[rows], rotation[rows] = self._placed(rows, turn[0, place], origin[0, place])
             velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[place]
         return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
+
+    @cached_property
+    def _courses(self) -> tuple[Any, ...]:
+        """Of all things x, y and yaw at rest, height (NaN: the ground's), whether it tilts, span of its knots."""
+        tracks = [thing.track for thing in self.things]
+        counts = np.array([0 if track is None else len(track.t_s) for track in tracks], np.intp)
+        spans = np.stack([np.cumsum(counts) - counts, np.cumsum(counts)], axis=-1)
+        at_rest = np.array([(thing.x_m, thing.y_m, thing.yaw) for thing in self.things]).reshape(-1, 3)
+        z_m = np.array([np.nan if thing.z_m is None else thing.z_m for thing in self.things])
+        moving = [track for track in tracks if track is not None]
+        times = np.concatenate([np.zeros(0), *(track.t_s for track in moving)])
+        knots = (times, np.concatenate([np.zeros((0, 3)), *(track.knots for track in moving)]))
+        return at_rest, z_m, np.array([thing.tilts for thing in self.things], np.bool_), spans, knots
 
     @cached_property
     def _moving(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -224,18 +256,14 @@ class World:
         self, t_s: NDArray[np.float64], which: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
-        things = [self.things[index] for index in which]
-        rest = np.array([(thing.x_m, thing.y_m, thing.yaw) for thing in things]).reshape(-1, 3)
-        places = np.tile(rest, (len(t_s), 1, 1))
-        for k, thing in enumerate(things):
-            if thing.track is not None:
-                places[:, k] = thing.track.over(t_s)
-        origin = np.concatenate([places[..., :2], self.terrain.at(places)[..., None]], axis=-1)
-        for k in [k for k, thing in enumerate(things) if thing.z_m is not None]:
-            origin[:, k, 2] = things[k].z_m
+        at_rest, z_m, tilts, spans, knots = self._courses
+        places = np.empty((len(t_s), len(which), 3))
+        place_things(t_s, which, (at_rest, spans), knots, places)
+        origin = places.copy()
+        origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(places), z_m[which])
         rotation = _turns(places[..., 2])
-        tilting = [k for k, thing in enumerate(things) if thing.tilts]
-        if tilting:
+        tilting = np.flatnonzero(tilts[which])
+        if tilting.size:
             normals = self.terrain.normals_at(places[:, tilting], _WHEELBASE_M)
             rotation[:, tilting] = _along(normals, places[:, tilting, 2])
         return rotation, origin
@@ -256,4 +284,11 @@ def _along(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np
     forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
     forward = forward - (forward * normals).sum(axis=-1, keepdims=True) * normals
     forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
-    return np.stack([forward, np.cross(normals, forward), normals], axis=-1)
+    left = np.stack([_across(normals, forward, axis) for axis in range(3)], axis=-1)
+    return np.stack([forward, left, normals], axis=-1)
+
+
+def _across(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return one component (…,) of the cross product of vectors (…, 3)."""
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    return a[..., j] * b[..., k] - a[..., k] * b[..., j]
