@@ -49,7 +49,12 @@ $(VENV)/.core: pyproject.toml $(VENV)/.made
 	$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.test: pyproject.toml $(VENV)/.made
+# The CPU build of torch first: a bare range would pull several gigabytes for graphics cards.
+$(VENV)/.torch: $(VENV)/.made
+	$(PIP) 'torch==2.13.0'
+	@touch $@
+
+$(VENV)/.test: pyproject.toml $(VENV)/.torch
 	$(PIP) --editable '.[test]'
 	@touch $@ $(VENV)/.core
 

@@ -1,0 +1,1 @@
+"""④ Integrity: monitors that say when an estimate is to be doubted."""

@@ -1,0 +1,1 @@
+"""The published study, made again by one command."""

@@ -1,0 +1,1 @@
+"""Training: configuration, frames, runs, cross-validation."""
