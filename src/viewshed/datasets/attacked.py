@@ -220,7 +220,8 @@ def spoil_shard(job: SpoilJob) -> Made:
     if first is None:
         return Made(None, _folded(job.part, problems))
     facts = write_frames(job.store, job.name, (job.part.scene, job.part.split), chain([first], frames))
-    return Made(write_beside(job.store, facts), _folded(job.part, problems))
+    lines = _folded(job.part, problems)
+    return Made(write_beside(job.store, facts, lines), lines)
 
 
 def _spoiled(job: SpoilJob, problems: list[tuple[int, str]]) -> Iterator[Frame]:

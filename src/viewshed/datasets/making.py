@@ -17,6 +17,8 @@ from viewshed.engines import Engine
 
 SIDECAR = ".json"
 """Ending of the file beside a finished shard that tells its checksum, until the manifest does."""
+PROBLEMS = "problems.json"
+"""What had to be left out of a finished archive, by shard; a file of its own, for its lines may name places."""
 _DETAILS = ("command", "config", "targets")
 
 
@@ -78,7 +80,7 @@ def make_archive(
         task: what is made.
         store: where it goes.
         engine: makes the shards.
-        progress: is told of each shard that is there.
+        progress: is told of each shard that is there, with the problems that it had when it was made.
 
     Raises:
         ValueError: the place holds something else.
@@ -86,32 +88,46 @@ def make_archive(
     """
     manifest = _claimed(task, store)
     store.clear_drafts()
-    facts: dict[str, ShardFacts] = {}
-    for shard in _standing(manifest, task.jobs):
-        facts[shard.name] = shard
-        _tell(progress, Made(shard))
-    for made in _made(task, [job for job in task.jobs if job.name not in facts], engine):
-        facts |= _named(made)
+    there: dict[str, Made] = {}
+    for name, made in _standing(manifest, store, task.jobs):
+        there[name] = made
         _tell(progress, made)
-    shards = tuple(facts[job.name] for job in task.jobs if job.name in facts)
+    for made in _made(task, [job for job in task.jobs if job.name not in there], engine):
+        there |= {} if made.facts is None else {made.facts.name: made}
+        _tell(progress, made)
+    _write_problems(store, {job.name: there[job.name].problems for job in task.jobs if job.name in there})
+    shards = tuple(facts for job in task.jobs if job.name in there and (facts := there[job.name].facts) is not None)
     finished = replace(manifest, shards=shards, complete=True)
     finished.write(store)
     _tidy(store)
     return Archive(store, finished)
 
 
-def write_beside(store: Store, facts: ShardFacts) -> ShardFacts:
-    """Return the facts of a shard, which are written into a file beside it.
+def write_beside(store: Store, facts: ShardFacts, problems: Sequence[str] = ()) -> ShardFacts:
+    """Return the facts of a shard, which are written into a file beside it, with the problems that it had.
 
     Raises:
         OSError: it cannot be written.
     """
-    store.write(facts.name + SIDECAR, json.dumps(facts.to_json()).encode())
+    store.write(facts.name + SIDECAR, json.dumps(facts.to_json() | {"problems": list(problems)}).encode())
     return facts
 
 
-def _named(made: Made) -> dict[str, ShardFacts]:
-    return {} if made.facts is None else {made.facts.name: made.facts}
+def _write_problems(store: Store, problems: Mapping[str, Sequence[str]]) -> None:
+    """Write the lines of an archive that has any; remove those of an earlier run where it has none."""
+    lines = {name: list(told) for name, told in problems.items() if told}
+    if lines:
+        store.write(PROBLEMS, json.dumps(lines, indent=1, ensure_ascii=False).encode())
+    elif PROBLEMS in store.names():
+        store.delete(PROBLEMS)
+
+
+def _read_problems(store: Store) -> dict[str, tuple[str, ...]]:
+    """Return the lines of :func:`_write_problems`; none where they are missing or damaged."""
+    with contextlib.suppress(FileNotFoundError, ValueError, AttributeError, TypeError):
+        table = json.loads(store.read(PROBLEMS))
+        return {str(name): tuple(map(str, lines)) for name, lines in table.items()}
+    return {}
 
 
 def _claimed(task: Task[J], store: Store) -> Manifest:
@@ -152,21 +168,25 @@ def _check_same(found: Manifest, wanted: Manifest, place: str) -> None:
         )
 
 
-def _standing(manifest: Manifest, jobs: Sequence[J]) -> Iterator[ShardFacts]:
-    """Yield the shards that are there and whole, by the manifest or by the file beside them."""
-    told = {shard.name: shard for shard in manifest.shards}
-    names = set(jobs[0].store.names()) if jobs else set()
+def _standing(manifest: Manifest, store: Store, jobs: Sequence[J]) -> Iterator[tuple[str, Made]]:
+    """Yield the shards that are there and whole by name, by the manifest or by the file beside them."""
+    problems = _read_problems(store) if manifest.shards else {}
+    told = {shard.name: Made(shard, problems.get(shard.name, ())) for shard in manifest.shards}
+    names = set(store.names()) if jobs else set()
     for job in jobs:
-        facts = told.get(job.name) or _beside(job, names)
-        if facts is not None and facts.name == job.name and damage_of(job.store, facts) is None:
-            yield facts
+        made = told.get(job.name) or _beside(job, names)
+        facts = None if made is None else made.facts
+        if made is not None and facts is not None and facts.name == job.name and damage_of(job.store, facts) is None:
+            yield job.name, made
 
 
-def _beside(job: J, names: set[str]) -> ShardFacts | None:
+def _beside(job: J, names: set[str]) -> Made | None:
     if not {job.name, job.name + SIDECAR} <= names:
         return None
-    with contextlib.suppress(ValueError):
-        return ShardFacts.from_json(json.loads(job.store.read(job.name + SIDECAR)))
+    with contextlib.suppress(ValueError, KeyError, AttributeError, TypeError):
+        table = json.loads(job.store.read(job.name + SIDECAR))
+        problems = tuple(map(str, table.pop("problems")))
+        return Made(ShardFacts.from_json(table), problems)
     return None
 
 

@@ -157,7 +157,7 @@ def label_shard(job: LabelJob) -> Made:
         return Made(None, tuple(problems))
     place = (job.scene, _split(opened(job.origin), job.scene))
     facts = write_frames(job.store, job.name, place, _chained(first, frames))
-    return Made(write_beside(job.store, facts), tuple(problems))
+    return Made(write_beside(job.store, facts, problems), tuple(problems))
 
 
 def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
