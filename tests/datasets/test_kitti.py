@@ -10,8 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from viewshed.beams import recover_beams
+from viewshed.bev import GRIDS
 from viewshed.datasets.source import SweepSource, each_sweep
 from viewshed.datasets.sources import open_source
+from viewshed.estimators import ESTIMATORS
 from viewshed.geometry import Rigid
 from viewshed.io import IndexEntry, read_index, read_sweep
 
@@ -386,6 +389,109 @@ def test_a_folder_without_sweeps_is_told(kind: str, tmp_path: Path) -> None:
         open_source(tmp_path, kind)
 
 
+# Tracklets
+
+
+def tracklet(
+    first: object, poses: list[str], size: str = "<h>1.5</h><w>1.8</w><l>4.4</l>", count: object = None
+) -> str:
+    """One object as KITTI writes it; a pose is ``tx ty tz rz``."""
+    names = ("tx", "ty", "tz", "rz")
+    items = "".join(
+        f"<item>{''.join(f'<{n}>{v}</{n}>' for n, v in zip(names, pose.split(), strict=True))}<state>2</state></item>"
+        for pose in poses
+    )
+    told = len(poses) if count is None else count
+    return (
+        f"<item><objectType>Car</objectType>{size}<first_frame>{first}</first_frame>"
+        f"<poses><count>{told}</count><item_version>2</item_version>{items}</poses><finished>1</finished></item>"
+    )
+
+
+def write_tracklets(drive: Path, *tracklets: str) -> Path:
+    head = '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
+    inside = f"<count>{len(tracklets)}</count><item_version>1</item_version>{''.join(tracklets)}"
+    place = drive / "tracklet_labels.xml"
+    place.write_text(f"{head}<boost_serialization><tracklets>{inside}</tracklets></boost_serialization>\n")
+    return place
+
+
+def test_tracklets_stand_on_the_ground_of_the_world_in_their_own_frames(drive: Path) -> None:
+    """By hand: 10 m ahead of the LiDAR and 2 m left, its bottom 1.7 m below, turned a quarter to the left."""
+    write_tracklets(drive, tracklet(1, ["10 2 -1.7 1.5707963", "11 2 -1.7 1.5707963"]), tracklet(2, ["-5 0 -1.6 0"]))
+    source = open_source(drive)
+    boxes = [source.boxes(ref) for ref in source.refs(DRIVE)]
+    assert [[box.track for box in some or ()] for some in boxes] == [[], ["0"], ["0", "1"], []]
+    assert boxes[0] == ()
+    [box] = boxes[1] or ()
+    pose = raw_worlds(2)[1]
+    np.testing.assert_allclose(box.center, pose @ np.array([10.0, 2.0, -1.7 + 0.75]), atol=1e-5)
+    np.testing.assert_allclose(box.world_from_box.rotation[:, 0], pose.rotation[:, 1], atol=1e-5)  # heads left
+    assert (box.size_m, box.category) == ((4.4, 1.8, 1.5), "Car")
+    assert source.damage() == ()
+
+
+def test_tracklets_of_a_drive_without_poses_are_in_the_sensors_frame(drive: Path) -> None:
+    (drive.parent / "calib_imu_to_velo.txt").unlink()
+    write_tracklets(drive, tracklet(0, ["10 2 -1.7 0.5"]))
+    source = open_source(drive)
+    [box] = source.boxes(source.refs(DRIVE)[0]) or ()
+    np.testing.assert_allclose(box.center, [10.0, 2.0, -0.95])
+    assert box.yaw == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("bad", "line"),
+    [
+        (tracklet("soon", ["1 2 3 0"]), r"tracklet 0: first_frame must be the number .*, got 'soon'; it is left out$"),
+        (tracklet(-1, ["1 2 3 0"]), r"tracklet 0: first_frame must be the number of a frame, got '-1'"),
+        (tracklet(0, ["1 2 3 0"], "<h>1</h><w>0</w><l>4</l>"), r"tracklet 0: l, w and h must be positive, got 4, 0, 1"),
+        (tracklet(0, ["1 2 3 0"], "<h>1.5</h><w>x</w>"), r"tracklet 0, l w h: must be 3 numbers"),
+        (tracklet(0, []), r"tracklet 0: must have at least one pose, got none; it is left out"),
+        ("<item><finished>1</finished></item>", r"tracklet 0, l w h: must be 3 numbers"),
+    ],
+)  # fmt: skip
+def test_a_damaged_tracklet_is_told_and_the_others_stay(bad: str, line: str, drive: Path) -> None:
+    write_tracklets(drive, bad, tracklet(0, ["10 2 -1.7 0"]))
+    source = open_source(drive)
+    assert source.damage() == ()
+    assert [box.track for box in source.boxes(source.refs(DRIVE)[0]) or ()] == ["1"]
+    [told] = source.damage()
+    assert re.search(rf"tracklet_labels.xml, {line}", told), told
+    assert "\n" not in told
+
+
+def test_poses_that_are_missing_are_told_and_a_damaged_one_costs_its_frame(drive: Path) -> None:
+    write_tracklets(drive, tracklet(0, ["10 2 -1.7 0", "11 2 east 0", "12 2 -1.7 0"], count=5))
+    source = open_source(drive)
+    first, second, third, fourth = source.refs(DRIVE)
+    assert len(source.boxes(first) or ()) == 1
+    with pytest.raises(ValueError, match=r"tracklet_labels.xml, tracklet 0, frame 1: [^\n]*finite"):
+        source.boxes(second)
+    assert len(source.boxes(third) or ()) == 1
+    assert source.boxes(fourth) == ()
+    [line] = source.damage()
+    assert line.endswith("tracklet 0: must have as many poses as its count, '5', got 3")
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", r"the file is empty"),
+        (b"<boost_serialization><tracklets><item>", r"must be XML: no element found"),
+        (b"\xff\xfe\x00nothing", r"must be XML"),
+        (b"<boost_serialization></boost_serialization>", r"must hold tracklets, got none"),
+        (b'<!DOCTYPE a [<!ENTITY b "bb">]><a>&b;</a>', r"must be XML without entities of its own"),
+    ],
+)
+def test_a_broken_file_of_tracklets_costs_the_boxes_alone(content: bytes, line: str, drive: Path) -> None:
+    (drive / "tracklet_labels.xml").write_bytes(content)
+    source = open_source(drive)
+    assert len(_lines(source)[0]) == 4
+    with pytest.raises(ValueError, match=rf"^[^\n]*tracklet_labels.xml: {line}[^\n]*$"):
+        source.boxes(source.refs(DRIVE)[0])
+
+
 # Real sweeps
 
 
@@ -445,3 +551,52 @@ def test_a_real_drive_comes_back_bit_for_bit(real_data: Path, tmp_path: Path) ->
     assert right_m < 0.15
     assert _gap_m(first, second) > 2 * right_m
     assert _gap_m(here @ first, Rigid(there.rotation.T, there.translation) @ second) > 4 * right_m
+
+
+def test_a_box_about_real_returns_holds_them_in_the_world(real_data: Path, tmp_path: Path) -> None:
+    """A tracklet is drawn about returns of one real sweep; the next, 8 frames on, has returns in the same place."""
+    entries = [entry for entry in read_index(real_data / "index.json") if "drive_0001" in str(entry.seq)][:2]
+    points = [read_sweep(entry.file).points for entry in entries]
+    sweeps = [
+        (int(entry.file.stem), np.pad(cloud, ((0, 0), (0, 1))).tobytes(), entry.world_from_sensor or Rigid.identity())
+        for entry, cloud in zip(entries, points, strict=True)
+    ]
+    drive = write_raw(tmp_path, sweeps, Rigid(np.eye(3), np.array([0.81, -0.32, 0.80])))
+    solid = _solid(points[0])
+    ahead = solid[(solid[:, 0] > 12) & (solid[:, 0] < 30) & (np.abs(solid[:, 1]) < 12)]
+    middle = ahead[cKDTree(ahead).query_ball_point(ahead, 1.0, return_length=True).argmax()]
+    x, y, z = middle.tolist()
+    size = "<h>2</h><w>2</w><l>3</l>"
+    write_tracklets(drive, tracklet(sweeps[0][0], [f"{x} {y} {z - 1} 0.4"], size))
+    source = open_source(tmp_path)
+    [box] = source.boxes(source.refs(DRIVE)[0]) or ()
+    here, there = (
+        int(
+            (np.abs(box.world_from_box.inverse() @ (sweep.world_from_sensor @ sweep.points)) < [1.5, 1, 1]).all(1).sum()
+        )
+        for _, sweep in each_sweep(source)
+        if sweep.world_from_sensor is not None
+    )
+    c, s = np.cos(0.4), np.sin(0.4)
+    along = (points[0] - middle) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    assert here == pytest.approx(int((np.abs(along) < [1.5, 1, 1]).all(axis=1).sum()), abs=3)
+    assert here > 100
+    assert there > 0.3 * here
+
+
+def test_a_real_sweep_lies_on_the_beams_of_its_table(real_data: Path, tmp_path: Path) -> None:
+    """Its rings are those of the file's order; beams without a return are explained, and open ground far ahead."""
+    entry = next(entry for entry in read_index(real_data / "index.json") if "drive_0001" in str(entry.seq))
+    points = read_sweep(entry.file).points
+    content = np.pad(points, ((0, 0), (0, 1))).tobytes()
+    write_raw(tmp_path, [(0, content, Rigid.identity())])
+    source = open_source(tmp_path)
+    sweep = source.read(source.refs(DRIVE)[0])
+    beams = recover_beams(sweep)
+    assert (beams.source, beams.rings) == ("file order", 64)
+    assert sweep.model is not None
+    assert np.abs(np.rad2deg(beams.elevation - sweep.model.elevation)).max() < 1.5
+    estimator = ESTIMATORS["shadow_map"](GRIDS["road"])
+    with_beams, without = (estimator.estimate(one).visible() for one in (sweep, sweep.replace(model=None)))
+    assert not (without & ~with_beams).sum() > 0.01 * without.sum()
+    assert with_beams.sum() > 1.02 * without.sum()

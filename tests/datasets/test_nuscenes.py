@@ -149,15 +149,45 @@ def test_boxes_of_keyframes_are_in_the_world_with_length_along_the_heading(tree:
     assert abs(car.yaw) == pytest.approx(np.pi)
     assert person.category == "human.pedestrian.adult"
     assert person.yaw == pytest.approx(np.pi / 2)
-    assert source.boxes(between) is None
+    assert [box.track for box in source.boxes(between) or ()] == ["i0"]
     assert [box.track for box in source.boxes(last) or ()] == ["i0"]
+
+
+def test_boxes_between_keyframes_go_straight_and_turn_the_shorter_way(tmp_path: Path) -> None:
+    """By hand: three quarters of the way from 170° to 210° (as -150°), and from x = 373.2 m to 374.0 m."""
+    times = [1_000_000, 1_375_000, 1_500_000, 1_600_000]
+    tables = write_tree(tmp_path, [(made(k), t_us, WORLD[k]) for k, t_us in enumerate(times)])
+    for row, yaw_deg in ((0, 170.0), (2, -150.0)):
+        half = np.radians(yaw_deg) / 2
+        tables["sample_annotation"][row]["rotation"] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+    put(tmp_path / "v1.0-mini", tables)
+    source = open_source(tmp_path)
+    refs = source.refs("scene-0103")
+    [box] = source.boxes(refs[1]) or ()
+    assert box.track == "i0"
+    np.testing.assert_allclose(box.center, [373.8, 1130.4, 0.8])
+    assert np.degrees(box.yaw) % 360 == pytest.approx(200.0)
+    assert box.size_m == (4.6, 1.9, 1.7)
+    assert source.boxes(refs[3]) is None  # no keyframe comes after it
+
+
+def test_a_damaged_box_costs_the_sweeps_on_both_sides_of_its_keyframe(tree: tuple[Path, Tables]) -> None:
+    root, tables = tree
+    tables["sample_annotation"][2]["size"] = [1.0, 2.0]
+    put(root / "v1.0-mini", tables)
+    source = open_source(root)
+    first, between, last, _ = source.refs("scene-0103")
+    assert len(source.boxes(first) or ()) == 2
+    for ref in (between, last):
+        with pytest.raises(ValueError, match=r"annotation.json: row 2: [^\n]*$"):
+            source.boxes(ref)
 
 
 def test_the_test_version_has_no_boxes(tree: tuple[Path, Tables]) -> None:
     root, tables = tree
     put(root / "v1.0-mini", {**tables, "sample_annotation": [], "instance": []})
     source = open_source(root)
-    assert source.boxes(source.refs("scene-0103")[0]) is None
+    assert [source.boxes(ref) for ref in source.refs("scene-0103")] == [None] * 4
 
 
 def test_a_source_may_be_sent_to_another_process(tree: tuple[Path, Tables]) -> None:

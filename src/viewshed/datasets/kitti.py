@@ -8,7 +8,9 @@ from pathlib import Path
 from viewshed.datasets.kitti_frames import found, read_frame, sweep_files, timed_refs, times_of
 from viewshed.datasets.kitti_labels import read_labels
 from viewshed.datasets.kitti_poses import CameraTrack, InertialTrack, posed
+from viewshed.datasets.kitti_tracklets import FILE, Tracklets
 from viewshed.datasets.source import ObjectBox, SweepRef
+from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 
 RAW_LAYOUT = "KITTI's drives with velodyne_points/data/"
@@ -32,6 +34,7 @@ class KittiRaw:
         self._damage: list[str] = []
         self._scenes: dict[str, tuple[SweepRef, ...]] = {}
         self._tracks: dict[str, InertialTrack] = {}
+        self._tracklets: dict[str, Tracklets | None] = {}
         for drive in _drives(place):
             files = sweep_files(drive / "velodyne_points" / "data", self._damage)
             times = times_of(drive / "velodyne_points" / "timestamps.txt", files, self._damage, seconds=False)
@@ -61,15 +64,33 @@ class KittiRaw:
             ValueError: it or the record of its pose is damaged.
             OSError: one of these files cannot be read.
         """
-        track = self._tracks.get(ref.scene)
-        return read_frame(ref, None if track is None else posed(ref, track.world_from_velodyne))
+        return read_frame(ref, self._pose(ref))
 
-    def boxes(self, ref: SweepRef) -> None:
-        """Return None: tracklets are not read."""
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the objects of the drive's tracklets; None where it has no such file.
+
+        Raises:
+            ValueError: the tracklets, or one of this sweep, or its pose are damaged.
+            OSError: one of these files cannot be read.
+        """
+        drive = Path(ref.file).parents[2]
+        if ref.scene not in self._tracklets:
+            tracklets = Tracklets.read(drive / FILE) if (drive / FILE).is_file() else None
+            self._tracklets[ref.scene] = tracklets
+            self._damage += [] if tracklets is None else tracklets.damage
+        found = self._tracklets[ref.scene]
+        return None if found is None else found.of(int(ref.key), self._pose(ref) or Rigid.identity())
 
     def damage(self) -> tuple[str, ...]:
-        """Return one line for each file that is missing or damaged for a whole drive, and for times that are."""
+        """Return one line for each file that is missing or damaged for a whole drive, and for times that are.
+
+        Those of tracklets join them when boxes of their drive are asked for.
+        """
         return tuple(self._damage)
+
+    def _pose(self, ref: SweepRef) -> Rigid | None:
+        track = self._tracks.get(ref.scene)
+        return None if track is None else posed(ref, track.world_from_velodyne)
 
 
 class KittiOdometry:

@@ -70,18 +70,24 @@ class Nuscenes:
         return sweep if sweep.t_ns == ref.t_ns else sweep.replace(t_ns=ref.t_ns)
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the annotated objects of a keyframe; None for sweeps between keyframes, and in the test version.
+        """Return the annotated objects of a keyframe, or those between the keyframes before and after a sweep.
+
+        None for sweeps before the first or after the last keyframe, and in the test version.
 
         Raises:
             ValueError: the annotations are damaged.
             OSError: their tables cannot be read.
         """
         row = self._row(ref)
-        if not row.keyframe:
+        before, after = (row, row) if row.keyframe else self._keyframes_around(ref)
+        if before is None or after is None:
             return None
         if self._annotations is None:
             self._annotations = Annotations.read(self._tables.folder)
-        return self._annotations.of(row.sample)
+        if row.keyframe:
+            return self._annotations.of(row.sample)
+        share = (row.t_us - before.t_us) / max(after.t_us - before.t_us, 1)
+        return self._annotations.between(before.sample, after.sample, share)
 
     def damage(self) -> tuple[str, ...]:
         """Return one line for each row of a table that had to be left out."""
@@ -99,6 +105,12 @@ class Nuscenes:
         if not 0 <= ref.index < len(rows) or rows[ref.index].token != ref.key:
             raise ValueError(f"ref must be one of {self._tables.folder}, got {ref.file}")
         return rows[ref.index]
+
+    def _keyframes_around(self, ref: SweepRef) -> tuple[SweepRow | None, SweepRow | None]:
+        """Return the last keyframe before a sweep and the next after it."""
+        rows = self._rows(ref.scene)
+        before = (row for row in reversed(rows[: ref.index]) if row.keyframe)
+        return next(before, None), next((row for row in rows[ref.index :] if row.keyframe), None)
 
     def _ref(self, scene: str, index: int, row: SweepRow) -> SweepRef:
         file = str(self._tables.folder.parent / row.file)

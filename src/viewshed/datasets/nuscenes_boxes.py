@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from sys import intern
 from typing import Any
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from viewshed.datasets.json_rows import json_rows
 from viewshed.datasets.source import ObjectBox
-from viewshed.geometry import Rigid
+from viewshed.datasets.transforms import slerp
+from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.io.source import one_line
 
 _DAMAGED = array("d", [np.nan] * 10)
@@ -67,6 +68,26 @@ class Annotations:
             ValueError: a box is damaged, or the name of its category is missing.
         """
         return tuple(self._box(row) for row in self.rows.get(sample, ())) if self.rows else None
+
+    def between(self, before: str, after: str, share: float) -> tuple[ObjectBox, ...] | None:
+        """Return the boxes at ``share`` in [0, 1] of the way from one sample to another, of objects that are in both.
+
+        Centers go straight, headings the shorter way round, and the size is the later one, as in ``get_boxes`` of the
+        development kit; objects of the later sample alone are left out, which it shows where they will be.
+
+        Raises:
+            ValueError: a box of one of them is damaged, or the name of its category is missing.
+        """
+        first = {self.instances[row]: row for row in self.rows.get(before, ())}
+        pairs = ((first.get(self.instances[row]), row) for row in self.rows.get(after, ()))
+        boxes = tuple(self._mixed(old, new, share) for old, new in pairs if old is not None)
+        return boxes if self.rows else None
+
+    def _mixed(self, old: int, new: int, share: float) -> ObjectBox:
+        earlier, later = self._box(old), self._box(new)
+        center = (1 - share) * earlier.center + share * later.center
+        one, other = (quaternion_from_rotation(box.world_from_box.rotation) for box in (earlier, later))
+        return replace(later, world_from_box=Rigid.from_quaternion(slerp(one, other, share), center))
 
     def _box(self, row: int) -> ObjectBox:
         instance = self.instances[row]
