@@ -1,1 +1,7 @@
 """④ Integrity: monitors that say when an estimate is to be doubted."""
+
+from viewshed.integrity.deviation import DeviationMonitor, Rule
+from viewshed.integrity.monitor_file import load_monitor, save_monitor
+from viewshed.integrity.report import IntegrityReport
+
+__all__ = ["DeviationMonitor", "IntegrityReport", "Rule", "load_monitor", "save_monitor"]
