@@ -239,7 +239,7 @@ def _one(job: SpoilJob, index: int, earlier: _Earlier) -> Frame:
     sweep = frame.sweep
     done, touched = job.spoiling.apply(sweep, lambda: earlier.of(sweep, index), rng)
     earlier.note(sweep)
-    return replace(frame, measured=frame.measured if done is sweep else done, touched=touched)
+    return replace(frame, touched=touched, clean=None) if done is sweep else frame.attacked(done, touched)
 
 
 class _Earlier:

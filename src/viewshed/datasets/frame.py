@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from viewshed.datasets import packing
 from viewshed.datasets.layout import Layout, Sensors
+from viewshed.datasets.overlay import made_rows, with_rows
 from viewshed.datasets.sample import Sample
 from viewshed.datasets.touched import Touched
 from viewshed.geometry import Rigid
@@ -40,6 +41,8 @@ class Frame:
         truth: see :class:`Sample`.
         known: see :class:`Sample`.
         touched: what an attacker did to the sweep, or None where nobody says.
+        clean: the range image that an attacked sweep was made from, or None. It is stored with what the attacker made,
+            which takes less room than all points.
 
     Raises:
         ValueError: ``touched`` does not fit the sweep.
@@ -49,6 +52,7 @@ class Frame:
     truth: Truth
     known: NDArray[np.bool_]
     touched: Touched | None = None
+    clean: RangeImage | None = None
 
     def __post_init__(self) -> None:
         if self.touched is None:
@@ -64,6 +68,11 @@ class Frame:
         image = sample.image
         whole = image is not None and same_sweep(sample.sweep, image.sweep())
         return cls(image if image is not None and whole else sample.sweep, sample.truth, sample.known)
+
+    def attacked(self, sweep: Sweep, touched: Touched | None) -> Frame:
+        """Return the frame with another sweep, made from its own, and a record of what was touched; truth stays."""
+        clean = None if isinstance(self.measured, Sweep) else self.measured
+        return replace(self, measured=sweep, touched=touched, clean=clean)
 
     @property
     def sweep(self) -> Sweep:
@@ -83,9 +92,7 @@ class Frame:
         """
         if Layout.of(self.truth) != layout:
             raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(self.truth)}")
-        image = self.measured
-        about = _about(image, sensors)
-        packed = (None, None, _pack_points(image)) if isinstance(image, Sweep) else _pack_image(image)
+        about, packed = self._packed(sensors)
         returns = b"".join(self.truth.expected_returns[name].tobytes() for name in layout.targets)
         states = packing.pack_states(np.array([self.truth.state[name] for name in layout.targets], np.uint8))
         masks = np.stack([*(self.truth.definitions[name] for name in layout.definitions), self.known])
@@ -93,6 +100,18 @@ class Frame:
         if self.touched is not None:
             about |= {TOUCHED: self.touched.about()}
         return json.dumps(about, ensure_ascii=False), *packed, returns, states, packing.pack_masks(masks), touched
+
+    def _packed(self, sensors: Sensors) -> tuple[dict[str, Any], tuple[bytes | None, bytes | None, bytes | None]]:
+        """Return what is said about the sweep, and the columns ranges, intensity and points."""
+        image = self.measured
+        if not isinstance(image, Sweep):
+            return _about(image, sensors), (*_pack_image(image), None)
+        clean, touched = self.clean, self.touched
+        made = None if clean is None or touched is None else made_rows(image, clean.sweep(), touched)
+        if clean is None or made is None:
+            return _about(image, sensors), (None, None, _pack_points(image))
+        about = _about(made, sensors) | {"clean": _about(clean, sensors)}
+        return about, (*_pack_image(clean), _pack_points(made))
 
     @classmethod
     def from_row(cls, row: Row, layout: Layout, sensors: Sensors) -> Frame:
@@ -106,9 +125,12 @@ class Frame:
             said = json.loads(about)
             measured = _image(said, ranges, intensity, sensors) if points is None else _sweep(said, points, sensors)
             touched = None if raw is None else Touched.unpacked(said[TOUCHED], raw)
+            clean = _image(said["clean"], ranges, intensity, sensors) if "clean" in said else None
         except (KeyError, TypeError, IndexError, AttributeError) as error:
             raise ValueError(f"about must describe the frame: {error!r}") from error
-        return cls(measured, *_truth(layout, returns, states, masks), touched)
+        if clean is not None and touched is not None and isinstance(measured, Sweep):
+            measured = with_rows(clean.sweep(), measured, touched)
+        return cls(measured, *_truth(layout, returns, states, masks), touched, clean)
 
 
 def same_sweep(one: Sweep, other: Sweep) -> bool:
@@ -154,8 +176,8 @@ def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
     }
 
 
-def _pack_image(image: RangeImage) -> tuple[bytes, bytes, None]:
-    return packing.pack_ranges(image.steps), image.intensity.tobytes(), None
+def _pack_image(image: RangeImage) -> tuple[bytes, bytes]:
+    return packing.pack_ranges(image.steps), image.intensity.tobytes()
 
 
 def _pack_points(sweep: Sweep) -> bytes:
