@@ -1,0 +1,134 @@
+"""The data of the study: simulated archives, and the held-out sweeps that models are tried on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.attacks import Knowledge
+from viewshed.datasets import Archive, Store
+from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.simulation import simulate
+from viewshed.engines import Engine
+from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
+from viewshed.reproduce.plan import StudyPlan
+from viewshed.reproduce.protocols import Setting, generator
+from viewshed.sweep import Sweep
+from viewshed.vulnerability.contestants import LABEL
+from viewshed.vulnerability.subjects import BEFORE_S, Subject
+
+SPLITS = ("train", "test")
+
+
+def preset_of(plan: StudyPlan, domain: str, split: str) -> Preset:
+    """Return how the sweeps of a split are simulated: scenes of its own seed, all of one length."""
+    place = plan.domains.index(domain)
+    train = split == "train"
+    scenes = (plan.train_scenes if train else plan.test_scenes)[place]
+    times = (plan.train_times if train else plan.test_times)[place]
+    preset = preset_named(domain)
+    return replace(
+        preset, name=f"{plan.name}-{domain}-{split}", splits=(split,), scenes=(scenes,),
+        frames=(scenes * times * preset.agents,), interval_s=plan.interval_s[place], grid_cells=plan.cells,
+        seed=plan.seed if train else plan.test_seed,
+    )  # fmt: skip
+
+
+def place_of(folder: Path, domain: str, split: str) -> Path:
+    """Return where the archive of a split lies."""
+    return folder / "data" / f"{domain}-{split}"
+
+
+def make_archive(
+    plan: StudyPlan, folder: Path, part: tuple[str, str], engine: Engine, progress: Callable[[int], None]
+) -> Archive:
+    """Return the archive of a part (domain, split), simulated as far as it is not there.
+
+    Args:
+        plan: what it is made for.
+        folder: of the study.
+        part: domain and split.
+        engine: makes the shards.
+        progress: is told how many more sweeps are there.
+    """
+    store = Store.of(place_of(folder, *part))
+    return simulate(preset_of(plan, *part), store, engine, lambda shard: progress(shard.frames))
+
+
+@lru_cache(maxsize=8)
+def open_archive(folder: Path, domain: str, split: str) -> Archive:
+    """Return an archive that was made.
+
+    Raises:
+        ValueError: it is not there or not finished.
+        OSError: it cannot be read.
+    """
+    return Archive.open(place_of(folder, domain, split))
+
+
+def subject_of(plan: StudyPlan, folder: Path, domain: str, number: int) -> Subject:
+    """Return a held-out sweep with what the same sensor measured before.
+
+    Scene after scene and agent after agent at the last time of the scenes, then the same at the time before.
+    """
+    preset, archive = preset_of(plan, domain, "test"), open_archive(folder, domain, "test")
+    scenes, agents = preset.scenes[0], preset.agents
+    times = preset.frames[0] // (scenes * agents)
+    scene, turn = number % scenes, number // scenes
+    time = times - 1 - turn // agents
+    index = (scene * times + time) * agents + (turn + scene) % agents
+    steps = [max(round(before_s / preset.interval_s), 1) for before_s in BEFORE_S]
+    earlier = tuple(archive[index - step * agents].sweep for step in steps if step <= time)
+    return Subject(archive[index], earlier)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TestSweep:
+    """One held-out sweep, benign and attacked, with what estimates are held against.
+
+    Attributes:
+        scene: it is from.
+        attack: name of what was done to the second one.
+        benign: as measured.
+        attacked: as the attack leaves it.
+        visible: (cells, cells) bool, truth.
+        known: (cells, cells) bool, where the truth counts.
+    """
+
+    scene: str
+    attack: str
+    benign: Sweep
+    attacked: Sweep
+    visible: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+
+
+def test_sweeps(plan: StudyPlan, folder: Path, setting: Setting, count: int) -> Iterator[TestSweep]:
+    """Yield ``count`` held-out sweeps of the setting's domain, as many from each scene as can be."""
+    for number in range(count):
+        subject = subject_of(plan, folder, setting.domain, number)
+        name, attacked = _attacked(plan, setting, subject, number)
+        visible, known = truth_of(setting, subject)
+        yield TestSweep(subject.sample.scene, name, subject.sample.sweep, attacked, visible, known)
+
+
+def truth_of(setting: Setting, subject: Subject) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the truth (cells, cells) of the clean sweep and where it counts."""
+    sample = subject.sample
+    if setting.truth == LABEL:
+        table = PAPER_INDOOR_ESTIMATORS if setting.indoor else PAPER_ESTIMATORS
+        label = table[LABEL](setting.grid).estimate(sample.sweep).visible(setting.threshold)
+        return label, np.ones(setting.grid.shape, np.bool_)
+    return sample.truth.visible(), sample.known
+
+
+def _attacked(plan: StudyPlan, setting: Setting, subject: Subject, number: int) -> tuple[str, Sweep]:
+    knowledge = Knowledge(subject.earlier[:1], half_extent_m=setting.grid.half_extent_m)
+    name, attack = setting.attack(number, knowledge)
+    rng = generator(plan.test_seed, setting.protocol, setting.domain, number)
+    return name, attack.apply(subject.sample.sweep, rng).sweep

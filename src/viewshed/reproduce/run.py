@@ -1,0 +1,139 @@
+"""The study from start to end: what is there stays, the rest is done step after step and job after job."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from viewshed.engines import Engine, LocalEngine
+from viewshed.reproduce.data import SPLITS, make_archive, preset_of
+from viewshed.reproduce.jobs import STEPS, Job, do_job, keys_of, needed
+from viewshed.reproduce.protocols import PROTOCOLS
+from viewshed.reproduce.store import JobStore
+
+ALONE = ("models", "trade")
+"""Steps whose jobs are done one after the other in this process: a training has threads of its own."""
+Told = Callable[[str, int, int], None]
+"""Is told the step, how many of its parts are there, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What of a study is done, and with what.
+
+    Attributes:
+        steps: of ``STEPS``.
+        protocols: of ``PROTOCOLS``.
+        device: ``cpu`` or ``cuda``, for trainings and networks.
+        workers: jobs under way at a time; None is one for each core.
+
+    Raises:
+        ValueError: a name is not known.
+    """
+
+    steps: tuple[str, ...] = STEPS
+    protocols: tuple[str, ...] = PROTOCOLS
+    device: str = "cpu"
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, given, known in (("only", self.steps, STEPS), ("protocol", self.protocols, PROTOCOLS),
+                                   ("device", (self.device,), ("cpu", "cuda"))):  # fmt: skip
+            for word in given:
+                if word not in known:
+                    raise ValueError(f"{name} must be among {', '.join(known)}, got {word!r}")
+        LocalEngine(self.workers)
+
+    def engine(self, step: str) -> Engine:
+        """Return what does the jobs of a step; what needs the GPU or all cores is done in this process."""
+        alone = step in ALONE or (self.device == "cuda" and step != "data")
+        return LocalEngine(1 if alone else self.workers)
+
+
+def run_steps(store: JobStore, scope: Scope, told: Told) -> list[str]:
+    """Do what is not there yet and return one line for each job that failed or could not be done.
+
+    Args:
+        store: of the study.
+        scope: what of it is done.
+        told: is told of what is there.
+
+    Raises:
+        ValueError: there is no such device, or data of another plan lie in the folder.
+        ImportError: trainings are wanted and the extra for them is not installed.
+        OSError: something cannot be written.
+    """
+    if {"models", "trade"} & set(scope.steps):
+        _check_training(scope.device)
+    problems: list[str] = []
+    for step in STEPS:
+        if step in scope.steps and step == "data":
+            make_data(store, scope, told)
+        elif step in scope.steps:
+            problems += run_step(store, scope, step, told)
+    return problems
+
+
+def _check_training(device: str) -> None:
+    from viewshed.training.run import check_device
+
+    check_device(device)
+
+
+def make_data(store: JobStore, scope: Scope, told: Told) -> None:
+    """Simulate the sweeps of all domains, as far as they are not there."""
+    parts = [(domain, split) for domain in store.plan.domains for split in SPLITS]
+    total, done = sum(preset_of(store.plan, *part).sweeps for part in parts), 0
+
+    def more(sweeps: int) -> None:
+        nonlocal done
+        done += sweeps
+        told("data", done, total)
+
+    for part in parts:
+        make_archive(store.plan, store.folder, part, scope.engine("data"), more)
+
+
+def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
+    """Do the jobs of a step that are not there, and return one line for each that failed or has nothing to start from.
+
+    Args:
+        store: of the study.
+        scope: what of it is done.
+        step: of ``STEPS``.
+        told: is told of what is there.
+    """
+    done = store.keys()
+    every = [Job(store.plan, store.folder, key, scope.device) for key in keys_of(store.plan, step, scope.protocols)]
+    left = [job for job in every if job.key not in done]
+    ready = [job for job in left if all(key in done for key in needed(job))]
+    problems = [f"{' '.join(job.key)}: not all of its models are trained" for job in left if job not in ready]
+    there = len(every) - len(left)
+    if every:
+        told(step, there, len(every))
+    with contextlib.closing(scope.engine(step).run(do_job, ready)) as run:
+        for finished in run:
+            key = ready[finished.index].key
+            if finished.result is None:
+                problems.append(f"{' '.join(key)}: {finished.error}")
+            else:
+                store.append(key, finished.result)
+            there += 1
+            told(step, there, len(every))
+    return problems
+
+
+def named_steps(words: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the steps of comma-separated words, all of them for none.
+
+    >>> named_steps(["data,models"]), named_steps(None) == STEPS
+    (('data', 'models'), True)
+    """
+    return tuple(name for word in words for name in word.split(",") if name) if words else STEPS
+
+
+def folder_of(out: Path) -> Path:
+    """Return the folder of a study with its whole path: jobs may be done elsewhere."""
+    return out.expanduser().resolve()
