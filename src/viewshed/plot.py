@@ -17,7 +17,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
-from viewshed.estimate import CellState, FovEstimate
+from viewshed.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.level import LevelSweep
 
 Image = NDArray[np.uint8]
@@ -46,11 +46,12 @@ _TITLE_LETTERS = 100
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture of several: an estimate, its heading, and the sweep's points or None for the states alone."""
+    """One picture of several: an estimate, its heading, the sweep's points or None, and where the edge is drawn."""
 
     estimate: FovEstimate
     title: str
     level: LevelSweep | None = None
+    threshold: float = THRESHOLD
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,30 @@ def picture(panel: Panel) -> bytes:
     _legend(page, 2, shares)
     if panel.level is not None:
         _height_bar(page, (side + 46, 250, 18, 360))
+    return page.png()
+
+
+def maps_picture(panel: Panel) -> bytes:
+    """Return a PNG of states, probability and, where the estimate has one, deviation side by side."""
+    estimate, side = panel.estimate, 520
+    maps = {"probability of visible": (estimate.visible_prob, "cividis", 1.0)}
+    if estimate.std is not None and np.isfinite(estimate.std).any():
+        top = max(float(np.nanmax(estimate.std)), 1e-3)
+        maps["standard deviation over the passes"] = (estimate.std, "magma", top)
+    page = _Page.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + 120)
+    axes = page.axes(20, 52, side, side)
+    _draw(axes, panel, side)
+    axes.set_title("\n".join(_fit(line) for line in panel.title.splitlines()), fontsize=9, loc="left", linespacing=1.4)
+    for k, (title, (values, colors, top)) in enumerate(maps.items()):
+        left = side + 40 + k * (side + 90)
+        axes = page.axes(left, 52, side, side)
+        drawn = axes.imshow(
+            values[::-1, ::-1], cmap=colors, vmin=0.0, vmax=top, interpolation="nearest", aspect="auto"
+        )  # fmt: skip
+        axes.set_title(title, fontsize=10, loc="left")
+        bar = page.axes(left + side + 10, 52, 14, side)
+        page.figure.colorbar(drawn, cax=bar).ax.tick_params(labelsize=8)
+    _legend(page, 4, {state: f"{estimate.share(state):.0%} " for state in CellState})
     return page.png()
 
 
@@ -156,7 +181,7 @@ def _raster(panel: Panel, pixels: int) -> Image:
     nearest = (np.arange(pixels) * estimate.grid.cells) // pixels
     image = palette[estimate.state[nearest][:, nearest]]
     if pixels >= 2 * estimate.grid.cells:
-        image[_edge(estimate.visible()[nearest][:, nearest])] = _bytes(np.array(_EDGE))
+        image[_edge(estimate.visible(panel.threshold)[nearest][:, nearest])] = _bytes(np.array(_EDGE))
     if panel.level is not None:
         fine = BevGrid(pixels, estimate.grid.half_extent_m, estimate.grid.offset_m)
         _paint_points(image, panel.level, fine)

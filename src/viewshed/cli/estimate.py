@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
+from viewshed.cli.learned import Network, Passes, Seed, Weights
 from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line, timed
 from viewshed.cli.outputs import free_name, output_names, refuse_inputs
 
@@ -30,7 +31,8 @@ def estimate(
         list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
     ] = None,
     method: Annotated[
-        str | None, typer.Option(help="Estimator; shadow_map if not given. See docs/estimators.md.")
+        str | None,
+        typer.Option(help="Estimator, unet and mcd included; shadow_map if not given. See docs/estimators.md."),
     ] = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -41,8 +43,12 @@ def estimate(
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
+    weights: Weights = None,
+    passes: Passes = None,
+    seed: Seed = None,
     threshold: Annotated[
-        float | None, typer.Option(help="Probability from which a cell counts as visible; 0.5 if not given.")
+        float | None,
+        typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
@@ -53,8 +59,9 @@ def estimate(
     Example: viewshed estimate sweep.pcd.bin --out out
     """
     reading = Reading(sensor, format, file_frame, height, attitude)
-    estimator = options.make_estimator(method, options.parse_grid(grid), target, profile)
-    run = Run(estimator, options.parse_threshold(threshold, profile), out)
+    network = Network(weights, passes, seed)
+    estimator = network.estimator(method, options.parse_grid(grid), target, profile)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((out / f"{name}{suffix}" for name in names for suffix in _RESULTS), (file for file, _ in jobs))
@@ -90,9 +97,10 @@ class Run:
     def one(self, sweep: Sweep, name: str) -> str:
         """Write picture, GeoJSON and NPZ of one sweep and return its summary line."""
         from viewshed.atomic import write_bytes
+        from viewshed.estimators.learned import LEARNED
         from viewshed.export import to_geojson, to_npz
         from viewshed.level import level_sweep
-        from viewshed.plot import Panel, picture
+        from viewshed.plot import Panel, maps_picture, picture
 
         if not self._warm:  # the first call loads compiled code, which is no time of the estimator
             self.estimator.estimate(sweep)
@@ -100,8 +108,9 @@ class Run:
         found, elapsed_ms = timed(self.estimator, sweep)
         level = level_sweep(sweep, self.estimator.grid)
         summary = summary_line(found, self.threshold, elapsed_ms)
+        drawn = maps_picture if found.method in LEARNED else picture
         content = (
-            picture(Panel(found, f"{name}\n{summary}", level)),
+            drawn(Panel(found, f"{name}\n{summary}", level, self.threshold)),
             _json(to_geojson(found, self.threshold)),
             to_npz(found),
         )

@@ -14,12 +14,10 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from viewshed.atomic import write_bytes
-from viewshed.networks.seal import sealed
+from viewshed.networks.seal import CARD_KEY, sealed
 from viewshed.networks.spec import NetworkCard
 from viewshed.networks.unet import Stage, UNet
 
-CARD_KEY = "viewshed.card"
-"""Where in the metadata the card is."""
 _OPSET, _IR = 17, 9
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 
+CARD_KEY = "viewshed.card"
+"""Where in a file's metadata the card is."""
 _KEY = b"viewshed.sha256"
 _DIGITS = 64
 # The entry as protocol buffers encode it: field 14 (metadata_props) of onnx.ModelProto, then key (1) and value (2).

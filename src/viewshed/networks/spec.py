@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
-from viewshed.level import level_sweep
+from viewshed.level import NULL_RANGE_M, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS
 
@@ -151,8 +151,8 @@ class NetworkCard:
     def input_of(self, sweep: Sweep) -> NDArray[np.float32]:
         """Return the network's input (1, cells, cells) of ``sweep``: returns of each cell, clipped and divided.
 
-        The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. What
-        a vehicle's own roof returns is counted like everything else, as in the published code.
+        The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. Null
+        returns, nearer than 0.5 m, are left out; the vehicle's own roof counts, as in the published code.
         """
         attitude = sweep.known_attitude
         if attitude is None:
@@ -163,10 +163,28 @@ class NetworkCard:
 
     def input_of_points(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return the network's input (1, cells, cells) of points (N, 3), turned level by ``rotation`` (3, 3)."""
-        counts = self.grid.count(
-            points, Rigid(rotation, np.zeros(3)), max_range_m=self.max_range_m, height_m=self.heights_m
-        )
+        counts = self._counts(points, rotation)
+        near = np.flatnonzero((np.abs(points[:, 0]) < NULL_RANGE_M) & (np.abs(points[:, 1]) < NULL_RANGE_M))
+        null = near[np.square(points[near]).sum(axis=1) < NULL_RANGE_M**2]
+        if len(null):
+            counts = counts - self._counts(points[null], rotation)
         return (np.minimum(counts, self.clip).astype(np.float32) / np.float32(self.divisor))[None]
+
+    def _counts(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.int32]:
+        level = Rigid(rotation, np.zeros(3))
+        return self.grid.count(points, level, max_range_m=self.max_range_m, height_m=self.heights_m)
+
+    def require(self, grid: BevGrid, target: str) -> None:
+        """Raise a ValueError unless the network was trained for this grid and for the target of this name."""
+        if grid != self.grid:
+            raise ValueError(
+                f"grid must be {_words(self.grid)} for the network {self.name}, got {_words(grid)}; ask for that"
+                " grid, or train a network for yours"
+            )
+        if target != self.target:
+            raise ValueError(
+                f"target must be {self.target} for the network {self.name}, got {target}; train a network for yours"
+            )
 
     def to_json(self) -> str:
         """Return the card as JSON."""
@@ -193,6 +211,11 @@ class NetworkCard:
                 " of viewshed, or use the version that wrote it"
             )
         return _card_of(content)
+
+
+def _words(grid: BevGrid) -> str:
+    offset = "" if grid.offset_m == (0.0, 0.0) else f" about {grid.offset_m[0]:g},{grid.offset_m[1]:g} m"
+    return f"{grid.cells}x{grid.half_extent_m:g}{offset}"
 
 
 def _card_of(content: dict[str, Any]) -> NetworkCard:

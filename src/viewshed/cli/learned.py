@@ -1,0 +1,49 @@
+"""Options of the estimators that are networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import options
+
+if TYPE_CHECKING:
+    from viewshed.bev import BevGrid
+    from viewshed.estimate import FovEstimator
+
+Weights = Annotated[
+    str | None, typer.Option("--weights", help="Network of unet and mcd: a file, or the name of shipped weights.")
+]
+Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mcd; 20 if not given.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Seed of mcd's dropout masks; 0 if not given.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """What the options say about the network."""
+
+    weights: str | None = None
+    passes: int | None = None
+    seed: int | None = None
+
+    def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
+        """Return the estimator called ``method``, a network or not."""
+        from viewshed.estimators.learned import LEARNED, learned
+
+        if method in LEARNED:
+            return learned(method, grid, target, self.weights, self.passes, self.seed or 0)
+        if self != Network():
+            raise ValueError(f"--weights, --passes and --seed go with --method unet or mcd, got method {method!r}")
+        table = options.estimators_of(profile, grid)
+        if method is not None and not {method, f"{profile}_{method}"} & set(table):
+            raise ValueError(f"method must be one of {', '.join([*table, *LEARNED])}, got {method!r}")
+        return options.make_estimator(method, grid, target, profile)
+
+    def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:
+        """Return the probability from which a cell counts as visible; a network's card has its own."""
+        from viewshed.estimators.learned import UnetEstimator
+
+        own = estimator.card.threshold if given is None and isinstance(estimator, UnetEstimator) else given
+        return options.parse_threshold(own, profile)

@@ -1,0 +1,162 @@
+"""The paper's network as an estimator: one pass (maximum likelihood) or several under dropout masks (Monte Carlo)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid, polar_of_cells
+from viewshed.estimate import CellState, FovEstimate
+from viewshed.estimators.polar import (
+    Crop,
+    bins_of_cells,
+    measured_azimuth_bins,
+    nearest_obstacle_in_bins,
+    reach_of,
+)
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.networks.mcd import moments
+from viewshed.networks.spec import NetworkCard, Runner
+from viewshed.sweep import Sweep
+from viewshed.visible import TARGETS, Target
+
+PASSES = 20
+"""Passes of Monte Carlo dropout where none are asked for."""
+_MAX_PASSES = 1000
+
+
+class UnetEstimator:
+    """Probability of visible by the U-Net of arXiv 2503.07375, on the grid that it was trained for.
+
+    With one pass dropout is off (maximum likelihood) and there is no deviation. With more, ``visible_prob`` is the
+    mean over passes under random dropout masks and ``std`` their standard deviation. The masks depend on ``seed``
+    alone: the same sweep gives the same estimate.
+
+    A cell is FREE or SURFACE if its probability reaches the card's threshold. The network does not tell why it calls
+    a cell not visible, so the returns must: HIDDEN behind the nearest obstacle of its azimuth, else UNKNOWN. Beyond
+    the card's range nothing is claimed, and neither is anything for a sweep without a usable return.
+
+    Args:
+        runner: the network.
+        passes: 1, or how many passes of Monte Carlo dropout.
+        seed: of the masks.
+        name: goes into the estimate's ``method``; by default ``unet`` for one pass and ``mcd`` for more.
+
+    Raises:
+        ValueError: ``passes`` lies outside [1, 1000], or is more than 1 for a network without dropout.
+    """
+
+    def __init__(self, runner: Runner, passes: int = 1, seed: int = 0, name: str = "") -> None:
+        if not 1 <= passes <= _MAX_PASSES:
+            raise ValueError(f"passes must lie in [1, {_MAX_PASSES}], got {passes}")
+        shape = runner.card.shape
+        if passes > 1 and shape.dropout == 0.0:
+            raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
+        self.runner, self.passes, self.seed = runner, passes, seed
+        self.name = name or ("unet" if passes == 1 else "mcd")
+        rng = np.random.Generator(np.random.PCG64(seed))
+        self._masks = shape.no_masks(1) if passes == 1 else shape.masks(passes, rng)
+
+    @property
+    def card(self) -> NetworkCard:
+        """What the network is."""
+        return self.runner.card
+
+    @property
+    def grid(self) -> BevGrid:
+        """The grid that the network was trained for."""
+        return self.card.grid
+
+    @property
+    def target(self) -> Target:
+        """The target that the network was trained for."""
+        return TARGETS[self.card.target]
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate for one sweep; see the class for what it means."""
+        return self.estimate_level(level_sweep(sweep, self.grid))
+
+    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled."""
+        usable = Crop(self.card.max_range_m, self.card.heights_m).apply(level)
+        prob, std = np.zeros(self.grid.shape, np.float32), None
+        state = np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
+        if self.grid.index(usable.points)[1].any():
+            prob, std = self.probability(self._input(level))
+            prob = np.where(polar_of_cells(self.grid)[0] <= self.card.max_range_m, prob, np.float32(0.0))
+            state = self._state(level, prob)
+        return FovEstimate(
+            grid=self.grid,
+            visible_prob=prob,
+            std=std,
+            state=state,
+            method=self.name,
+            target=self.target,
+            world_from_level=level.world_from_level,
+            t_ns=level.sweep.t_ns,
+            agent=level.sweep.agent,
+        )
+
+    def probability(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return probability (cells, cells) and deviation (cells, cells), or None for one pass, of one input."""
+        found = self.runner.run(inputs[None], self._masks)
+        return (found[0], None) if self.passes == 1 else moments(found)
+
+    def _input(self, level: LevelSweep) -> NDArray[np.float32]:
+        return self.card.input_of_points(level.sweep.points, level.level_from_sensor.rotation)
+
+    def _state(self, level: LevelSweep, prob: NDArray[np.float32]) -> NDArray[np.uint8]:
+        range_m, _ = polar_of_cells(self.grid)
+        bins = measured_azimuth_bins(level.azimuth)
+        blocker_m = nearest_obstacle_in_bins(level, bins, 1, OBSTACLE_HEIGHTS_M)[bins_of_cells(self.grid, bins)]
+        hidden = (range_m > blocker_m) & (range_m <= min(reach_of(level), self.card.max_range_m))
+        state = np.where(hidden, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
+        visible = prob >= np.float32(self.card.threshold)
+        state[visible] = CellState.FREE
+        state[visible & level.obstacle_cells(self.grid)] = CellState.SURFACE
+        return state
+
+
+LEARNED: dict[str, Callable[[Runner], UnetEstimator]] = {
+    "unet": UnetEstimator,
+    "mcd": partial(UnetEstimator, passes=PASSES),
+}
+"""The learned estimators by name; each is made of a network, which brings its grid and its target."""
+
+
+def learned(
+    method: str,
+    grid: BevGrid,
+    target: str = "car",
+    weights: str | Path | None = None,
+    passes: int | None = None,
+    seed: int = 0,
+) -> UnetEstimator:
+    """Return the estimator ``method`` on ``grid`` for the target of this name.
+
+    Args:
+        method: ``unet`` (one pass, dropout off) or ``mcd``.
+        grid: must be the one that the weights were trained for.
+        target: must be the one that the weights were trained for.
+        weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target.
+        passes: of ``mcd``, at least 2; None is ``PASSES``.
+        seed: of the dropout masks.
+
+    Raises:
+        ValueError: no such method or weights, or weights for another grid or target.
+    """
+    from viewshed.networks.engine import load_runner
+    from viewshed.networks.shipped import default_name
+
+    if method not in LEARNED:
+        raise ValueError(f"method must be one of {', '.join(LEARNED)}, got {method!r}")
+    if passes is not None and (passes < 2) != (method == "unet"):
+        rule = "1 for unet; use mcd" if method == "unet" else "at least 2 for mcd; use unet for one pass"
+        raise ValueError(f"passes must be {rule}, got {passes}")
+    runner = load_runner(default_name(method, grid, target) if weights is None else weights)
+    runner.card.require(grid, target)
+    return UnetEstimator(runner, 1 if method == "unet" else passes or PASSES, seed, method)

@@ -1,0 +1,173 @@
+"""Runs an exported network without torch: ONNX Runtime, or OpenVINO where it is installed and asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.networks.seal import CARD_KEY, check_seal
+from viewshed.networks.shipped import shipped_content, shipped_names
+from viewshed.networks.spec import NetworkCard
+
+ENGINES = ("auto", "onnxruntime", "openvino")
+"""What can run a network; auto is OpenVINO where it is installed, else ONNX Runtime."""
+PRECISIONS = ("f32", "bf16")
+"""Numbers that the convolutions multiply; bf16 needs OpenVINO and a processor that has it."""
+_CELLS_AT_ONCE = 1 << 21
+
+Floats = NDArray[np.float32]
+Call = Callable[[Floats, Floats], Floats]
+
+
+class OnnxRunner:
+    """Runs a network that :func:`viewshed.networks.onnx_file.export_onnx` wrote.
+
+    Args:
+        path: the file; its checksum is checked.
+        threads: threads of one run; None leaves it to the engine (one for each core).
+        engine: one of ``ENGINES``.
+        precision: one of ``PRECISIONS``.
+
+    Raises:
+        ValueError: the file is damaged, another, or of another version; or the engine cannot do what is asked.
+        OSError: it cannot be read.
+        ImportError: the engine is not installed.
+    """
+
+    def __init__(
+        self, path: str | Path, threads: int | None = None, engine: str = "auto", precision: str = "f32"
+    ) -> None:
+        self._start(Path(path).read_bytes(), str(path), threads, engine, precision)
+
+    @classmethod
+    def of_content(
+        cls, content: bytes, name: str, threads: int | None = None, engine: str = "auto", precision: str = "f32"
+    ) -> OnnxRunner:
+        """Return the runner of a file's ``content``; ``name`` stands for it in messages."""
+        made = cls.__new__(cls)
+        made._start(content, name, threads, engine, precision)
+        return made
+
+    def _start(self, content: bytes, name: str, threads: int | None, engine: str, precision: str) -> None:
+        check_seal(content, name)
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self.engine, self.precision = _resolved(engine, precision), precision
+        start = _openvino if self.engine == "openvino" else _onnxruntime
+        try:
+            card, self._call = start(content, threads, precision)
+        except RuntimeError as error:
+            raise ValueError(
+                f"{name} must be a network in ONNX that runs, got another file ({_first(error)})"
+            ) from error
+        try:
+            self.card = NetworkCard.from_json(card)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+
+    def run(self, inputs: Floats, masks: Floats) -> Floats:
+        """Return probabilities (N, cells, cells); see :class:`viewshed.networks.spec.Runner`."""
+        self._check(inputs, masks)
+        step = max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
+        if len(masks) <= step:
+            return self._call(inputs, masks)
+        parts = [slice(start, start + step) for start in range(0, len(masks), step)]
+        shared = len(inputs) == 1
+        return np.concatenate([self._call(inputs if shared else inputs[part], masks[part]) for part in parts])
+
+    def _check(self, inputs: Floats, masks: Floats) -> None:
+        card = self.card
+        one = (card.shape.channels, *card.grid.shape)
+        if inputs.ndim != 4 or inputs.shape[1:] != one or inputs.dtype != np.float32:
+            raise ValueError(f"inputs must be float32 of shape (N, {', '.join(map(str, one))}), got {_kind(inputs)}")
+        total = sum(card.shape.masked_channels)
+        if masks.ndim != 2 or masks.shape[1] != total or not len(masks) or masks.dtype != np.float32:
+            raise ValueError(f"masks must be float32 of shape (N, {total}) with N at least 1, got {_kind(masks)}")
+        if len(inputs) not in (1, len(masks)):
+            raise ValueError(f"inputs must be 1 or as many as masks ({len(masks)}), got {len(inputs)}")
+
+
+def load_runner(path_or_name: str | Path, threads: int | None = None, engine: str = "auto") -> OnnxRunner:
+    """Return the runner of a file, or of the weights of that name that viewshed ships.
+
+    Raises:
+        ValueError: no such name and no such file, or a file that cannot be used.
+    """
+    name = str(path_or_name)
+    if name in shipped_names():
+        return OnnxRunner.of_content(shipped_content(name), name, threads, engine)
+    if not Path(path_or_name).is_file():
+        raise ValueError(f"weights must be {_choices()}, got {name!r}, which is neither")
+    return OnnxRunner(path_or_name, threads, engine)
+
+
+def _choices() -> str:
+    names = ", ".join(shipped_names())
+    return (
+        f"a file that viewshed train exported or one of {names}"
+        if names
+        else ("a file that viewshed train exported (this version ships none by name)")
+    )
+
+
+def _resolved(engine: str, precision: str) -> str:
+    for name, value, known in (("engine", engine, ENGINES), ("precision", precision, PRECISIONS)):
+        if value not in known:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+    if engine == "auto":
+        engine = "openvino" if find_spec("openvino") is not None else "onnxruntime"
+    if engine == "onnxruntime" and precision != "f32":
+        raise ValueError(f"precision must be f32 with onnxruntime, got {precision}; use engine='openvino'")
+    return engine
+
+
+def _onnxruntime(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads or 0
+    options.log_severity_level = 3
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors share no class but this
+        raise RuntimeError(_first(error)) from error
+    card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
+
+    def call(inputs: Floats, masks: Floats) -> Floats:
+        found: Floats = session.run(None, {"inputs": inputs, "masks": masks})[0]
+        return found
+
+    return card, call
+
+
+def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+    try:
+        import openvino
+    except ImportError as error:
+        raise ImportError("openvino is not installed; run: pip install 'viewshed[openvino]'") from error
+    core = openvino.Core()
+    settings: dict[str, Any] = {"INFERENCE_PRECISION_HINT": precision, "PERFORMANCE_HINT": "LATENCY"}
+    if threads is not None:
+        settings["INFERENCE_NUM_THREADS"] = threads
+    model = core.read_model(content)
+    request = core.compile_model(model, "CPU", settings).create_infer_request()
+    card = model.get_rt_info(["framework", CARD_KEY]).astype(str)
+
+    def call(inputs: Floats, masks: Floats) -> Floats:
+        found: Floats = request.infer({"inputs": inputs, "masks": masks})[0]
+        return found.copy()
+
+    return card, call
+
+
+def _first(error: BaseException) -> str:
+    return " ".join(str(error).split())[:120]
+
+
+def _kind(array: NDArray[Any]) -> str:
+    return f"{array.dtype} of shape {array.shape}"

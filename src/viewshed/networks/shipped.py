@@ -1,0 +1,97 @@
+"""Weights that travel with the package: a manifest of names, files and checksums."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from viewshed.atomic import write_bytes
+from viewshed.bev import BevGrid
+
+WEIGHTS = Path(__file__).parent / "weights"
+"""Folder of the shipped weights."""
+_MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Shipped:
+    """One line of the manifest.
+
+    Attributes:
+        name: what to ask for.
+        file: its file in the folder.
+        sha256: checksum of the whole file.
+        cells: of the grid.
+        half_extent_m: of the grid.
+        target: what would have to be seen.
+        methods: estimators that take it if no weights are named: ``unet``, ``mcd``.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    cells: int
+    half_extent_m: float
+    target: str
+    methods: tuple[str, ...]
+
+
+def manifest(folder: Path = WEIGHTS) -> dict[str, Shipped]:
+    """Return the shipped weights by name; none where there is no manifest."""
+    path = folder / _MANIFEST
+    if not path.is_file():
+        return {}
+    lines = json.loads(path.read_text(encoding="utf-8"))
+    return {line["name"]: Shipped(**{**line, "methods": tuple(line["methods"])}) for line in lines}
+
+
+def shipped_names(folder: Path = WEIGHTS) -> tuple[str, ...]:
+    """Return the names of the shipped weights."""
+    return tuple(manifest(folder))
+
+
+def shipped_content(name: str, folder: Path = WEIGHTS) -> bytes:
+    """Return the bytes of the shipped weights called ``name``.
+
+    Raises:
+        ValueError: the file is not the one that was shipped.
+    """
+    line = manifest(folder)[name]
+    content = (folder / line.file).read_bytes()
+    found = hashlib.sha256(content).hexdigest()
+    if found != line.sha256:
+        raise ValueError(
+            f"{line.file} must have the checksum {line.sha256[:10]}…, got {found[:10]}…: it is damaged; install"
+            " viewshed again"
+        )
+    return content
+
+
+def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS) -> str:
+    """Return the name of the shipped weights that ``method`` takes on ``grid`` for the target of this name.
+
+    Raises:
+        ValueError: none are shipped for it.
+    """
+    known = manifest(folder)
+    for name, line in known.items():
+        fits = (line.cells, line.half_extent_m, (0.0, 0.0)) == (grid.cells, grid.half_extent_m, grid.offset_m)
+        if fits and line.target == target and method in line.methods:
+            return name
+    fitting = ", ".join(f"{x.cells}x{x.half_extent_m:g} ({x.target})" for x in known.values() if method in x.methods)
+    raise ValueError(
+        f"method {method} needs weights, and this version ships none for a {target} on a grid of"
+        f" {grid.cells}x{grid.half_extent_m:g}, but for: {fitting or 'nothing'}; give --weights FILE of a network that"
+        " viewshed train exported"
+    )
+
+
+def ship(content: bytes, line: Shipped, folder: Path = WEIGHTS) -> None:
+    """Write weights into ``folder`` and their line into its manifest; an older line of that name is replaced."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_bytes(folder / line.file, content)
+    lines = {**manifest(folder), line.name: line}
+    text = json.dumps([asdict(each) for each in lines.values()], indent=1) + "\n"
+    write_bytes(folder / _MANIFEST, text.encode())
