@@ -1,0 +1,81 @@
+"""Checkpoints that are whole or not there, of this config and version [torch]."""
+
+from __future__ import annotations
+
+import errno
+import io
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+
+import viewshed
+from viewshed.atomic import write_bytes
+from viewshed.training.config import TrainConfig
+from viewshed.training.learner import FORMAT, KEY
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class WholeCheckpoints(TorchCheckpointIO):
+    """Writes a checkpoint beside the old one and moves it into place; reads tensors and plain values only."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        """Write a checkpoint.
+
+        Raises:
+            OSError: it cannot be written; the one before is still there.
+        """
+        buffer = io.BytesIO()
+        torch.save(checkpoint, buffer)
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        try:
+            write_bytes(path, buffer.getvalue())
+        except OSError as error:
+            what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}"
+            again = "start the same command again, it goes on from the last whole epoch"
+            raise OSError(error.errno, f"{path}: {what} and {again}") from error
+
+    def load_checkpoint(self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True) -> dict[str, Any]:
+        """Return a checkpoint; see :func:`read_checkpoint`."""
+        return read_checkpoint(Path(path))
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Return a checkpoint on the processor.
+
+    Raises:
+        ValueError: it is damaged, or no training's of this format.
+        OSError: it cannot be read.
+    """
+    content = path.read_bytes()
+    repair = "delete it, and training begins again"
+    try:
+        found: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises whatever its parts raise
+        raise ValueError(f"{path} is damaged or no checkpoint; {repair}") from error
+    if not isinstance(found, dict) or not isinstance(found.get(KEY), dict):
+        raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {repair}")
+    version = found[KEY].get("format")
+    if version != FORMAT:
+        raise ValueError(f"{path} must have format {FORMAT}, got {version}; {repair}")
+    return found
+
+
+def check_same(found: dict[str, Any], config: TrainConfig, path: Path) -> None:
+    """Check that a checkpoint is of this config and version of the code.
+
+    Raises:
+        ValueError: it is of another one.
+    """
+    before, now = found[KEY]["config"], config.to_json()
+    if before != now:
+        keys = ", ".join(sorted(key for key in {*before, *now} if before.get(key) != now.get(key)))
+        raise ValueError(f"{path} is of a training with other {keys}; choose another --out, or delete it")
+    version = found[KEY]["version"]
+    if version != viewshed.__version__:
+        raise ValueError(
+            f"{path} was begun with viewshed {version}, this is {viewshed.__version__}; finish it with that version, "
+            "or choose another --out"
+        )

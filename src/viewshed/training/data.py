@@ -1,0 +1,188 @@
+"""From a config to frames: archives are opened or made, and their scenes divided into training and validation."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from viewshed.datasets.archive import Archive
+from viewshed.datasets.manifest import MANIFEST
+from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.simulation import recipe_of, simulate
+from viewshed.datasets.store import Store
+from viewshed.engines import LocalEngine
+from viewshed.training.config import TrainConfig
+from viewshed.training.frames import TrainingFrames
+from viewshed.training.labels import PaperLabels
+from viewshed.training.sources import FRESH_PER_SCENE, Archived, Fresh, check_archives, on_grid
+
+Told = Callable[[str, int, int], None]
+"""Is told what is being prepared, how many frames are done and how many there are."""
+FRESH_VALIDATION = 0.1
+"""Frames that validate beside fresh ones, as a share of those of an epoch."""
+_VALIDATION = 0x76616C
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """One of the folds of cross-validation.
+
+    Attributes:
+        number: of the fold.
+        count: of all folds.
+    """
+
+    number: int
+    count: int
+
+    def __post_init__(self) -> None:
+        if not (self.count >= 2 and 0 <= self.number < self.count):
+            raise ValueError(f"fold must be one of at least 2, got {self.number} of {self.count}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """What a training reads; no scene is in both.
+
+    Attributes:
+        train: what the weights are fitted to.
+        validation: what decides when to stop and which epoch is best.
+    """
+
+    train: TrainingFrames
+    validation: TrainingFrames
+
+
+def check_data(config: TrainConfig) -> None:
+    """Check that the archives of a config exist and have what it wants; presets have been checked by the config.
+
+    Raises:
+        ValueError: an archive is not there, damaged or does not fit.
+        OSError: one cannot be read.
+    """
+    if not config.simulated:
+        check_archives(config, [_archive(place) for place in config.data])
+
+
+def prepare(config: TrainConfig, cache: Path, fold: Fold | None = None, told: Told | None = None) -> Frames:
+    """Return the frames of a config; presets are simulated and the paper's labels made, once, below ``cache``.
+
+    Args:
+        config: what is wanted.
+        cache: folder for what is made.
+        fold: which scenes validate; None takes ``validation_share`` of them.
+        told: hears how far simulation and labels are.
+
+    Raises:
+        ValueError: data do not fit the config, or there are too few scenes.
+        OSError: data cannot be read or made.
+    """
+    if config.fresh:
+        if fold is not None:
+            raise ValueError("fresh scenes have no folds: every epoch has its own; set fresh = false")
+        held = (_simulated(_held_out(config, name), cache, told) for name in config.data)
+        validation = _archived(config, tuple(held), cache, told)
+        return Frames(TrainingFrames(Fresh(config, config.frames_per_epoch), config), validation)
+    archives = [_train_split(config, place, cache, told) for place in config.data]
+    check_archives(config, archives)
+    parts = [_divided(archive.split(config.train_split), config, fold) for archive in archives]
+    return Frames(
+        _archived(config, tuple(rest for rest, _ in parts), cache, told),
+        _archived(config, tuple(held for _, held in parts), cache, told),
+    )
+
+
+def _archived(config: TrainConfig, archives: tuple[Archive, ...], cache: Path, told: Told | None) -> TrainingFrames:
+    labels = None
+    if config.truth == "paper_label":
+        labels = PaperLabels(cache / "labels", config.grid, config.indoor)
+        count = _Count(told, "labels", sum(map(len, archives)))
+        for archive in archives:
+            labels.make(archive, _processes(), count.add)
+    return TrainingFrames(Archived(archives, config, labels), config)
+
+
+def _divided(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[Archive, Archive]:
+    """Return the archive in two: what is trained on, and the scenes that validate."""
+    scenes = archive.scenes
+    if fold is not None:
+        return list(archive.folds(fold.count, config.seed))[fold.number]
+    if len(scenes) < 2:
+        raise ValueError(
+            f"{archive.store.place} has {len(scenes)} scene in split {config.train_split!r}; validation is split by "
+            "scene and needs two at least: give more data"
+        )
+    count = min(max(round(config.validation_share * len(scenes)), 1), len(scenes) - 1)
+    order = np.random.default_rng([config.seed, _VALIDATION]).permutation(len(scenes))
+    held = {scenes[k] for k in order[:count]}
+    return archive.of_scenes(set(scenes) - held), archive.of_scenes(held)
+
+
+def _train_split(config: TrainConfig, place: str, cache: Path, told: Told | None) -> Archive:
+    if not config.simulated:
+        return _archive(place)
+    preset = preset_named(place)
+    count = preset.splits.index(config.train_split) + 1
+    parts = {name: getattr(preset, name)[:count] for name in ("splits", "scenes", "frames")}
+    return _simulated(on_grid(replace(preset, **parts), config), cache, told)
+
+
+def _held_out(config: TrainConfig, name: str) -> Preset:
+    """Return the preset of the scenes that validate beside fresh ones: another seed than any epoch's."""
+    preset, wanted = preset_named(name), FRESH_VALIDATION * config.frames_per_epoch / len(config.data)
+    scenes = max(round(wanted / FRESH_PER_SCENE), 1)
+    seed = int(np.random.SeedSequence([config.seed, _VALIDATION]).generate_state(1)[0])
+    held = replace(preset, name=f"{name}-validation-{config.seed}", splits=("validation",), scenes=(scenes,), seed=seed)
+    return replace(on_grid(held, config), frames=(scenes * FRESH_PER_SCENE,), interval_s=1.0)
+
+
+def _simulated(preset: Preset, cache: Path, told: Told | None) -> Archive:
+    """Return the archive of a preset below ``cache``, made now unless it is there."""
+    store = Store.of(cache / f"{preset.name}-{preset.grid_cells}x{preset.grid_half_extent_m:g}")
+    with contextlib.suppress(ValueError, OSError):
+        archive = Archive.open(store.uri)
+        if archive.manifest.recipe == recipe_of(preset):
+            return archive
+    if _launched_beside():
+        raise ValueError(
+            f"{store.place} must be finished before several processes train; run viewshed train with one process "
+            "first, or simulate archives and name them as data"
+        )
+    count = _Count(told, preset.name, preset.sweeps)
+    return simulate(preset, store, LocalEngine(_processes()), lambda shard: count.add(shard.frames))
+
+
+def _launched_beside() -> bool:
+    """Return whether a launcher has started this process beside others."""
+    return int(os.environ.get("WORLD_SIZE", "1")) > 1
+
+
+def _processes() -> int:
+    return os.cpu_count() or 1
+
+
+def _archive(place: str) -> Archive:
+    store = Store.of(place)
+    if MANIFEST not in store.names():
+        raise ValueError(f"data must name presets or archives, got {place!r}: no archive is there, and no such preset")
+    return Archive.open(place)
+
+
+@dataclass(slots=True)
+class _Count:
+    """Adds up what is done and tells it."""
+
+    told: Told | None
+    name: str
+    total: int
+    done: int = 0
+
+    def add(self, frames: int) -> None:
+        self.done += frames
+        if self.told is not None:
+            self.told(self.name, self.done, self.total)

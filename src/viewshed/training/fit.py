@@ -1,0 +1,239 @@
+"""One training by Lightning: loaders, processes, checkpoints, and the weights at the end [torch]."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import lightning as L  # noqa: N812 - its own convention
+import torch
+from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
+from torch.multiprocessing.spawn import ProcessRaisedException
+from torch.utils.data import DataLoader, Dataset
+
+from viewshed.atomic import write_bytes
+from viewshed.networks.unet import UNet, save_weights
+from viewshed.report import facts
+from viewshed.training.checkpoints import WholeCheckpoints, check_same, read_checkpoint
+from viewshed.training.config import TrainConfig
+from viewshed.training.data import Frames
+from viewshed.training.frames import TrainingFrames
+from viewshed.training.history import Epoch, best_of, csv_of, epoch_of, is_over
+from viewshed.training.learner import KEY, Learner, Progress
+from viewshed.training.order import Share, TrainingOrder, ValidationOrder
+from viewshed.training.run import CHECKPOINT, CURVES, HISTORY, STATE, WEIGHTS, Machines
+
+_PREFETCH = 4
+
+
+def check_device(machines: Machines) -> None:
+    """Check that the machine has what is asked for.
+
+    Raises:
+        ValueError: it has fewer graphics cards, or none.
+    """
+    if machines.device == "cuda" and torch.cuda.device_count() < machines.devices:
+        raise ValueError(
+            f"device cuda needs {machines.devices} graphics card(s), {torch.cuda.device_count()} found; use --device "
+            "cpu, fewer --devices, or install a torch built for CUDA"
+        )
+
+
+def begun(config: TrainConfig, out: Path) -> list[Epoch]:
+    """Return the epochs that a folder's checkpoint holds, none where there is no checkpoint.
+
+    Raises:
+        ValueError: the checkpoint is damaged or of another training.
+        OSError: it cannot be read.
+    """
+    path = out / CHECKPOINT
+    if not path.is_file():
+        return []
+    found = read_checkpoint(path)
+    check_same(found, config, path)
+    return [epoch_of(table) for table in found[KEY]["history"]]
+
+
+def fit(
+    config: TrainConfig,
+    frames: Frames,
+    out: Path,
+    machines: Machines,
+    progress: Progress | None,
+    standing: list[Epoch],
+) -> list[Epoch]:
+    """Return the history of a training, whose checkpoint, weights, table and picture are in ``out``."""
+    if not is_over(standing, config):
+        out.mkdir(parents=True, exist_ok=True)
+        loaders = Loaders(frames, config, machines)
+        learner = Learner(config, loaders.steps, progress)
+        with _quiet(), _deterministic():
+            trainer = _trainer(config, out, machines)
+            last = out / CHECKPOINT
+            _run(trainer, learner, loaders, str(last) if standing else None)
+        if not trainer.is_global_zero:
+            return learner.history
+    return _finish(config, out)
+
+
+class Loaders(L.LightningDataModule):
+    """Frames in batches, divided among the processes that train.
+
+    Args:
+        frames: what is read.
+        config: batch and workers.
+        machines: how many processes there are.
+    """
+
+    def __init__(self, frames: Frames, config: TrainConfig, machines: Machines) -> None:
+        super().__init__()
+        self.frames, self.config = frames, config
+        self.world = machines.devices * machines.nodes
+        self.take = min(config.frames_per_epoch or len(frames.train), len(frames.train))
+
+    @property
+    def steps(self) -> int:
+        """Batches of an epoch."""
+        count, batch = len(self._order(Share(0, self.world))), self.config.batch
+        return count // batch if count >= batch else 1
+
+    def train_dataloader(self) -> DataLoader[Any]:
+        """Return the loader of the frames that are trained on; the last batch is left out unless it is full."""
+        order = self._order(self._share())
+        return self._loader(self.frames.train, order, len(order) >= self.config.batch)
+
+    def val_dataloader(self) -> DataLoader[Any]:
+        """Return the loader of the frames that validate."""
+        return self._loader(self.frames.validation, ValidationOrder(len(self.frames.validation), self._share()), False)
+
+    def _order(self, share: Share) -> TrainingOrder:
+        source = self.frames.train.source
+        return TrainingOrder(len(source), self.take, source.block, self.config.seed, share)
+
+    def _share(self) -> Share:
+        return Share(self.trainer.global_rank, self.world) if self.trainer is not None else Share(0, self.world)
+
+    def _loader(self, frames: TrainingFrames, order: Any, drop_last: bool) -> DataLoader[Any]:
+        workers = self.config.workers
+        return DataLoader[Any](
+            cast(Dataset[Any], frames),
+            batch_size=self.config.batch, sampler=order, drop_last=drop_last, num_workers=workers,
+            persistent_workers=workers > 0, prefetch_factor=_PREFETCH if workers else None,
+            pin_memory=torch.cuda.is_available(), generator=torch.Generator().manual_seed(self.config.seed),
+        )  # fmt: skip
+
+
+class _Table(Callback):
+    """Writes the history after every epoch."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        if trainer.is_global_zero and isinstance(pl_module, Learner):
+            write_bytes(self.out / HISTORY, csv_of(pl_module.history).encode())
+
+
+def _trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trainer:
+    several = machines.devices * machines.nodes > 1
+    launched = machines.nodes > 1 or int(os.environ.get("WORLD_SIZE", "1")) > 1
+    kept = ModelCheckpoint(
+        out, Path(CHECKPOINT).stem, save_top_k=1, save_on_train_epoch_end=True, enable_version_counter=False
+    )
+    stop = EarlyStopping("validation_loss", patience=config.patience, check_on_train_epoch_end=True)
+    return L.Trainer(
+        accelerator="cuda" if machines.device == "cuda" else "cpu",
+        devices=machines.devices,
+        num_nodes=machines.nodes,
+        strategy=("ddp" if launched else "ddp_spawn") if several else "auto",
+        precision="bf16-mixed" if config.precision == "bf16" else "32-true",
+        max_epochs=config.epochs,
+        callbacks=[stop, kept, _Table(out)],
+        plugins=[WholeCheckpoints()],
+        default_root_dir=out,
+        use_distributed_sampler=False,
+        num_sanity_val_steps=0,
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        benchmark=False,
+    )
+
+
+def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | None) -> None:
+    """Fit; what other processes raise becomes one line.
+
+    Raises:
+        KeyboardInterrupt: Lightning was interrupted, and has ended the process's training.
+        OSError: a process that trains beside this one failed.
+    """
+    try:
+        trainer.fit(learner, loaders, ckpt_path=last)
+    except SystemExit as error:
+        raise KeyboardInterrupt from error
+    except ProcessRaisedException as error:
+        raise OSError(str(error).strip().splitlines()[-1]) from error
+
+
+def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
+    """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
+    from viewshed.networks.onnx_file import export_onnx
+    from viewshed.plot_training import curve_figure
+
+    found = read_checkpoint(out / CHECKPOINT)[KEY]
+    history = [epoch_of(table) for table in found["history"]]
+    if (out / WEIGHTS).is_file() and (out / CURVES).is_file():
+        return history
+    module = UNet(config.shape)
+    module.load_state_dict(found["best"])
+    card = config.card(**_facts(config, history))
+    with _quiet():
+        save_weights(out / STATE, card, module.eval())
+        write_bytes(out / HISTORY, csv_of(history).encode())
+        write_bytes(out / CURVES, curve_figure(config.name, history))
+        export_onnx(out / WEIGHTS, card, module.eval())
+    return history
+
+
+def _facts(config: TrainConfig, history: list[Epoch]) -> dict[str, str]:
+    told, best = facts(), best_of(history)
+    return {
+        "data": ", ".join(Path(place).name for place in config.data), "split": config.train_split,
+        "variant": config.variant, "attacks": ", ".join(config.attacks) or "none",
+        "attack_share": f"{config.attack_share:g}", "loss": config.loss, "seed": str(config.seed),
+        "epochs": str(len(history)), "best_epoch": str(best.number), "validation_f1": f"{best.f1:.4f}",
+        "version": told["version"], "date": told["date"],
+    }  # fmt: skip
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what Lightning and torch say to themselves: our progress and our errors say it."""
+    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric", "torch.onnx")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        for module in ("lightning", "torch"):
+            warnings.filterwarnings("ignore", module=module)
+        try:
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
+
+
+@contextlib.contextmanager
+def _deterministic() -> Iterator[None]:
+    """Let a graphics card choose only convolutions that give the same bits again."""
+    before = torch.backends.cudnn.deterministic
+    torch.backends.cudnn.deterministic = True
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.deterministic = before

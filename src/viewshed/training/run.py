@@ -1,0 +1,137 @@
+"""``train``: from a config to weights; what a stopped run has done is kept. Imports torch only when it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from viewshed.training.config import TrainConfig
+from viewshed.training.data import Fold, check_data, prepare
+from viewshed.training.history import Epoch, best_of
+
+if TYPE_CHECKING:
+    from viewshed.training.learner import Step
+
+DEVICES = ("cpu", "cuda")
+CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
+"""What a training leaves in its folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Machines:
+    """What a training runs on.
+
+    Attributes:
+        device: ``cpu`` or ``cuda``.
+        devices: processes, or graphics cards, of each machine.
+        nodes: machines.
+
+    Raises:
+        ValueError: a name or number is wrong.
+    """
+
+    device: str = "cpu"
+    devices: int = 1
+    nodes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.device not in DEVICES:
+            raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
+        for name in ("devices", "nodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What a training left.
+
+    Attributes:
+        weights: ``network.onnx`` of the best epoch.
+        checkpoint: ``last.ckpt``, from which training would go on.
+        history: its epochs.
+        frames_per_s: frames trained on in a second, waiting for frames counted.
+        network_share: share of the time in which the network ran.
+    """
+
+    weights: Path
+    checkpoint: Path
+    history: tuple[Epoch, ...]
+    frames_per_s: float
+    network_share: float
+
+    @property
+    def best(self) -> Epoch:
+        """The epoch whose weights are kept."""
+        return best_of(self.history)
+
+    @classmethod
+    def of(cls, out: Path, history: Sequence[Epoch]) -> Trained:
+        """Return what lies in a folder."""
+        seconds = sum(epoch.seconds for epoch in history)
+        share = sum(epoch.network_share * epoch.seconds for epoch in history) / max(seconds, 1e-9)
+        rate = sum(epoch.frames_per_s * epoch.seconds for epoch in history) / max(seconds, 1e-9)
+        return cls(out / WEIGHTS, out / CHECKPOINT, tuple(history), rate, share)
+
+
+def train(  # noqa: PLR0913 - where, on what and how is asked for by name
+    config: TrainConfig,
+    out: str | Path,
+    *,
+    device: str = "cpu",
+    devices: int = 1,
+    nodes: int = 1,
+    progress: Callable[[Step], None] | None = None,
+    cache: str | Path | None = None,
+    fold: Fold | None = None,
+) -> Trained:
+    """Return what training left in ``out``; a run that was stopped goes on after its last whole epoch.
+
+    The end does not depend on whether and where it was stopped.
+
+    Args:
+        config: what is trained.
+        out: folder of this training alone.
+        device: ``cpu`` or ``cuda``.
+        devices: processes or graphics cards of each machine, each with ``batch`` frames a step.
+        nodes: machines, each of which runs this call.
+        progress: is told of every batch; where several processes train, it is sent to them.
+        cache: folder for simulated archives and labels, which several trainings may share; None is inside ``out``.
+        fold: which scenes validate, in cross-validation.
+
+    Raises:
+        ValueError: the data do not fit the config, ``out`` holds another training, or the loss is not finite.
+        OSError: something cannot be read or written; the last whole epoch stays.
+        ImportError: torch is not installed.
+    """
+    machines, folder = Machines(device, devices, nodes), Path(out)
+    require_torch()
+    from viewshed.training.fit import begun, check_device, fit
+
+    check_device(machines)
+    check_data(config)
+    standing = begun(config, folder)
+    told = None if progress is None else _preparing(progress, config)
+    frames = prepare(config, folder / "cache" if cache is None else Path(cache), fold, told)
+    return Trained.of(folder, fit(config, frames, folder, machines, progress, standing))
+
+
+def require_torch() -> None:
+    """Check that what training needs is installed.
+
+    Raises:
+        ImportError: it is not.
+    """
+    try:
+        import lightning  # noqa: F401
+        import torch  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"training needs torch and lightning ({error}); pip install 'viewshed[train]'") from error
+
+
+def _preparing(progress: Callable[[Step], None], config: TrainConfig) -> Callable[[str, int, int], None]:
+    from viewshed.training.learner import Step
+
+    return lambda stage, done, total: progress(Step(stage, 0, config.epochs, done, total, float("nan")))
