@@ -54,6 +54,32 @@ def test_vehicles_become_boxes(tmp_path: Path) -> None:
     assert box.yaw == pytest.approx(-np.pi / 2)
 
 
+def test_the_published_example_is_read_as_its_page_explains_it(tmp_path: Path) -> None:
+    """The numbers of OpenCOOD's page about OPV2V's annotations; a color of Open3D is a float hardly above 0."""
+    about: dict[str, Any] = {
+        "lidar_pose": [144.33, -388.94, 1.93, 0.078, 174.18, 0.21],
+        "true_ego_pos": [143.83, -388.89, 0.032, 0.075, 174.18, 0.21],
+        "vehicles": {4796: {"angle": [0.096, -177.86, 0.197], "center": [0.0004, 0.0005, 0.71],
+                            "extent": [2.45, 1.06, 0.75], "location": [158.55, -385.75, 0.032], "speed": 19.47}},
+    }  # fmt: skip
+    agent = tmp_path / "train" / "2021_08_24_21_29_28" / "4805"
+    _frame(agent, 69, [[5.0, -3.0, 0.5]], **about)
+    content = (agent / "000069.pcd").read_text()
+    (agent / "000069.pcd").write_text(content.replace("4.2108e+06", "1.174561e-38"))
+    (agent / "000069_camera0.png").write_bytes(b"")
+    (agent / "000069_additional.yaml").write_text("x: 1\n")
+    source = open_source(tmp_path)
+    [(ref, sweep)] = each_sweep(source)
+    assert (ref.scene, ref.agent, source.damage()) == ("train/2021_08_24_21_29_28", "4805", ())
+    assert sweep.sensor_height_m == pytest.approx(1.898)
+    [box] = source.boxes(ref) or ()
+    assert sweep.world_from_sensor is not None
+    seen = sweep.world_from_sensor.inverse() @ box.center
+    # By hand in the map, y to the south: (14.22, 3.19) m away, the car faces 174.18 degrees: behind it, to its left.
+    np.testing.assert_allclose(seen, [-13.82, 4.61, -1.14], atol=0.02)
+    assert box.size_m == pytest.approx((4.9, 2.12, 1.5))
+
+
 def test_two_real_cars_see_one_world(real_data: Path, tmp_path: Path) -> None:
     wanted = {"ego1_1793.ply.gz": "31", "ego2_1794.ply.gz": "207"}
     for entry in read_index(real_data / "index.json"):
