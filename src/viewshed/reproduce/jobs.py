@@ -104,7 +104,7 @@ def model_of(plan: StudyPlan, protocol: str, name: str) -> Model:
 def _do_model(job: Job) -> dict[str, Any]:
     model = model_of(job.plan, *job.key[1:])
     config = config_of(job.plan, job.folder, model)
-    return trained(config, weights_of(job.folder, model).parent, job.device)
+    return trained(config, weights_of(job.folder, model).parent, job.folder / "cache", job.device)
 
 
 def _do_pair(job: Job) -> dict[str, Any]:
@@ -132,7 +132,7 @@ def _do_strict(job: Job) -> dict[str, Any]:
 def _do_trade(job: Job) -> dict[str, Any]:
     width, depth, cells = map(int, job.key[1:])
     config = trade_config(job.plan, job.folder, (width, depth, cells))
-    done = trained(config, job.folder / "trade" / config.name, job.device)
+    done = trained(config, job.folder / "trade" / config.name, job.folder / "cache", job.device)
     return done | trade_line(job.plan, job.folder, config)
 
 

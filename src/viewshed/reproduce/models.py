@@ -11,12 +11,14 @@ from viewshed.reproduce.data import place_of
 from viewshed.reproduce.plan import StudyPlan
 from viewshed.reproduce.protocols import Model, setting_of
 from viewshed.training.config import PAPER, TrainConfig
+from viewshed.training.history import plain
 
 
 def config_of(plan: StudyPlan, folder: Path, model: Model) -> TrainConfig:
     """Return how a model is trained: paper's mixture or the plan's attacks, on the archive of its domain."""
     setting = setting_of(plan, model.protocol, model.domain)
-    attacks, share = (), 0.0
+    attacks: tuple[str, ...] = ()
+    share = 0.0
     if model.mixture == "adversarial":
         paper = model.protocol == "paper"
         attacks, share = ((PAPER,), 1.0) if paper else (plan.trained_attacks, plan.attack_share)
@@ -55,12 +57,13 @@ def trade_name(shape: tuple[int, int, int]) -> str:
     return "w{}-d{}-c{}".format(*shape)
 
 
-def trained(config: TrainConfig, out: Path, device: str) -> dict[str, Any]:
+def trained(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str, Any]:
     """Return the facts of a training, which goes on where it was stopped.
 
     Args:
         config: of the training.
         out: folder of its checkpoints and weights.
+        cache: folder of labels that all trainings share.
         device: ``cpu`` or ``cuda``.
 
     Raises:
@@ -71,9 +74,24 @@ def trained(config: TrainConfig, out: Path, device: str) -> dict[str, Any]:
     from viewshed.training.run import train
 
     start = time.perf_counter()
-    done = train(config, out, device=device, progress=False)
+    done = train(config, out, device=device, cache=cache)
     return {
-        "weights": done.weights.name, "history": [dict(epoch) for epoch in done.history],
+        "weights": done.weights.name, "history": plain(done.history), "best": done.best.number,
         "frames_per_s": done.frames_per_s, "network_share": done.network_share, "device": device,
         "seconds": time.perf_counter() - start,
     }  # fmt: skip
+
+
+def check_training(device: str) -> None:
+    """Check that trainings can run on a device.
+
+    Raises:
+        ImportError: the extra for training is not installed.
+        ValueError: there is no such device.
+    """
+    from viewshed.training.run import Machines, require_torch
+
+    require_torch()
+    from viewshed.training.fit import check_device
+
+    check_device(Machines(device))

@@ -72,7 +72,7 @@ def _rows(
             yield _word(case), [None, None]
             continue
         estimate = estimator.estimate(sweep)
-        yield _word(case), [monitor.score(estimate), float(np.nanmean(estimate.std))]
+        yield _word(case), [monitor.score(estimate), float(np.nanmean(np.asarray(estimate.std)))]
 
 
 def _word(case: Case) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from viewshed.engines import Engine, LocalEngine
 from viewshed.reproduce.data import SPLITS, make_archive, preset_of
 from viewshed.reproduce.jobs import STEPS, Job, do_job, keys_of, needed
+from viewshed.reproduce.models import check_training
 from viewshed.reproduce.protocols import PROTOCOLS
 from viewshed.reproduce.store import JobStore
 
@@ -66,7 +67,7 @@ def run_steps(store: JobStore, scope: Scope, told: Told) -> list[str]:
         OSError: something cannot be written.
     """
     if {"models", "trade"} & set(scope.steps):
-        _check_training(scope.device)
+        check_training(scope.device)
     problems: list[str] = []
     for step in STEPS:
         if step in scope.steps and step == "data":
@@ -74,12 +75,6 @@ def run_steps(store: JobStore, scope: Scope, told: Told) -> list[str]:
         elif step in scope.steps:
             problems += run_step(store, scope, step, told)
     return problems
-
-
-def _check_training(device: str) -> None:
-    from viewshed.training.run import check_device
-
-    check_device(device)
 
 
 def make_data(store: JobStore, scope: Scope, told: Told) -> None:

@@ -1,4 +1,4 @@
-"""An append-only file of JSON lines, one a finished job of the study: what is there survives whatever stops the rest."""
+"""An append-only file of JSON lines, one a finished job of the study: what is there survives what stops the rest."""
 
 from __future__ import annotations
 

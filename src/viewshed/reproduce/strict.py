@@ -11,9 +11,9 @@ from viewshed.attacks import ATTACKS, SEVERITIES, Knowledge
 from viewshed.bev import polar_of_cells
 from viewshed.estimate import FovEstimator
 from viewshed.level import level_sweep
-from viewshed.reproduce.plan import StudyPlan
 from viewshed.networks.spec import Runner
 from viewshed.reproduce.contestants import passes_of
+from viewshed.reproduce.plan import StudyPlan
 from viewshed.reproduce.protocols import Model, Setting
 from viewshed.vulnerability.cases import BENIGN, Case, Trial, apply, generator
 from viewshed.vulnerability.contestants import Contestants, Probs

@@ -41,7 +41,7 @@ def trade_line(plan: StudyPlan, folder: Path, config: TrainConfig) -> dict[str, 
 
     path, setting = folder / "trade" / config.name / WEIGHTS, trade_setting(plan, config)
     sweeps = list(test_sweeps(plan, folder, setting, plan.pair_frames))
-    runners = {threads: OnnxRunner(path, threads=threads) for threads in THREADS}
+    runners = {threads: OnnxRunner(path, threads=threads, engine="onnxruntime") for threads in THREADS}
     found = score_contestants(sweeps, {"network": network(runners[2], setting, 1, 0)}, setting.threshold)
     latency = {
         str(threads): latency_ms(runner, setting, sweeps[0].benign, plan.trade_repeats)
