@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
-from viewshed.estimate import CellState, FovEstimate
+from viewshed.estimate import FovEstimate
 from viewshed.integrity.report import IntegrityReport
 from viewshed.integrity.roc import alarm_limit
 
@@ -49,9 +49,9 @@ RULE = Rule()
 class DeviationMonitor:
     """Alarms where more cells than on benign sweeps deviate more than on benign sweeps (arXiv 2503.07375).
 
-    A cell is watched if benign sweeps covered it. It is suspect if its deviation is above its own threshold, also
-    where the estimate at hand says UNKNOWN, so that what is watched is not the attacker's to choose. The score is the
-    share of watched cells that are suspect.
+    A cell is watched if it had a deviation on benign sweeps, whatever its state was then and is now: what is watched
+    is not the attacker's to choose. It is suspect if its deviation is above its own threshold. The score is the share
+    of watched cells that are suspect.
 
     Attributes:
         grid: of the estimates.
@@ -77,7 +77,9 @@ class DeviationMonitor:
         if thresholds.shape != self.grid.shape or not (thresholds >= 0).all():
             raise ValueError(f"thresholds must be {self.grid.shape}, not negative and not NaN, got {thresholds.shape}")
         if np.isinf(thresholds).all():
-            raise ValueError("thresholds must be finite in one cell at least, got none; no benign sweep covers a cell")
+            raise ValueError(
+                "thresholds must be finite in one cell at least, got none: no benign sweep has a deviation"
+            )
         if self.limit is not None and np.isnan(self.limit):
             raise ValueError("limit must be a number, got NaN")
         thresholds.setflags(write=False)
@@ -97,7 +99,7 @@ class DeviationMonitor:
             rule: how thresholds follow.
 
         Raises:
-            ValueError: there are none, they differ in grid or method, have no deviation, or cover no cell.
+            ValueError: there are none, they differ in grid or method, or have no deviation.
         """
         first: FovEstimate | None = None
         moments, count = np.zeros((3, 0, 0)), 0
@@ -105,8 +107,7 @@ class DeviationMonitor:
             if first is None:
                 first, moments = estimate, np.zeros((3, *estimate.grid.shape))
             std = _deviation(estimate, first.grid, first.method).astype(np.float64)
-            covered = np.isfinite(std) & (estimate.state != CellState.UNKNOWN)
-            moments += np.where(covered, [np.ones_like(std), std, std**2], 0.0)
+            moments += np.where(np.isfinite(std), [np.ones_like(std), std, std**2], 0.0)
             count += 1
         if first is None:
             raise ValueError("a monitor needs benign estimates, got none")
@@ -159,7 +160,10 @@ def _deviation(estimate: FovEstimate, grid: BevGrid, method: str) -> NDArray[np.
         raise ValueError(f"estimate must be of the monitor's method {method}, got {estimate.method}; fit one for it")
     std = np.asarray(estimate.std, np.float32)
     if np.isnan(std).all():
-        raise ValueError(f"estimate must have a standard deviation, got none from {method}; use Monte Carlo dropout")
+        raise ValueError(
+            f"estimate must have a standard deviation, got none from {method}; use Monte Carlo dropout (mcd), and a"
+            " sweep with usable returns"
+        )
     return std
 
 

@@ -95,14 +95,23 @@ def alarm_limit(benign: ArrayLike, rate: float) -> float:
     >>> alarm_limit(range(1, 20), 0.1)
     18.0
     """
-    if not 0 < rate < 1:
-        raise ValueError(f"a false-alarm rate must lie in (0, 1), got {rate}")
     scores = np.asarray(benign, np.float64)
-    need = math.ceil(1 / rate - 1e-9) - 1
-    if len(scores) < need:
-        raise ValueError(f"a false-alarm rate of {rate} needs at least {need} benign sweeps, got {len(scores)}")
+    require_sweeps(len(scores), rate)
     rank = math.ceil((len(scores) + 1) * (1 - rate) - 1e-9)
     return float(np.sort(_scores("benign", scores))[max(rank, 1) - 1])
+
+
+def require_sweeps(have: int, rate: float) -> None:
+    """Check that there are enough benign sweeps for a false-alarm rate, ⌈1 / rate⌉ - 1.
+
+    Raises:
+        ValueError: there are not, or the rate is not in (0, 1).
+    """
+    if not 0 < rate < 1:
+        raise ValueError(f"a false-alarm rate must lie in (0, 1), got {rate}")
+    need = math.ceil(1 / rate - 1e-9) - 1
+    if have < need:
+        raise ValueError(f"a false-alarm rate of {rate} needs at least {need} benign sweeps, got {have}")
 
 
 def _scores(name: str, values: ArrayLike) -> Floats:
