@@ -16,6 +16,7 @@ from viewshed.training.config import TrainConfig
 from viewshed.training.learner import FORMAT, KEY
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_REPAIR = "delete it, and training begins again"
 
 
 class WholeCheckpoints(TorchCheckpointIO):
@@ -38,8 +39,13 @@ class WholeCheckpoints(TorchCheckpointIO):
             raise OSError(error.errno, f"{path}: {what} and {again}") from error
 
     def load_checkpoint(self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True) -> dict[str, Any]:
-        """Return a checkpoint; see :func:`read_checkpoint`."""
-        return read_checkpoint(Path(path))
+        """Return a checkpoint of anything that Lightning wrote.
+
+        Raises:
+            ValueError: it is damaged.
+            OSError: it cannot be read.
+        """
+        return _loaded(Path(path))
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -49,18 +55,22 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         ValueError: it is damaged, or no training's of this format.
         OSError: it cannot be read.
     """
-    content = path.read_bytes()
-    repair = "delete it, and training begins again"
-    try:
-        found: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises whatever its parts raise
-        raise ValueError(f"{path} is damaged or no checkpoint; {repair}") from error
-    if not isinstance(found, dict) or not isinstance(found.get(KEY), dict):
-        raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {repair}")
+    found = _loaded(path)
+    if not isinstance(found.get(KEY), dict):
+        raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {_REPAIR}")
     version = found[KEY].get("format")
     if version != FORMAT:
-        raise ValueError(f"{path} must have format {FORMAT}, got {version}; {repair}")
+        raise ValueError(f"{path} must have format {FORMAT}, got {version}; {_REPAIR}")
     return found
+
+
+def _loaded(path: Path) -> dict[str, Any]:
+    content = path.read_bytes()
+    try:
+        found: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        return dict(found)
+    except Exception as error:  # torch raises whatever its parts raise
+        raise ValueError(f"{path} is damaged or no checkpoint; {_REPAIR}") from error
 
 
 def check_same(found: dict[str, Any], config: TrainConfig, path: Path) -> None:

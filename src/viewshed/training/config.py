@@ -191,7 +191,8 @@ def _typed(key: str, value: Any, kind: str) -> Any:
         if "..." not in kind and len(value) != 2:
             raise ValueError(f"{key} must be two numbers, got {value}")
         return tuple(_typed(key, one, item) for one in value)
-    if not isinstance(value, _TYPES[kind]) or (isinstance(value, bool) and kind != "bool"):
+    fits = isinstance(value, _TYPES[kind]) and (kind == "bool" or not isinstance(value, bool))
+    if not fits:
         raise ValueError(f"{key} must be {kind}, got {value!r}")
     return float(value) if kind == "float" else value
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import os
-import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -26,6 +22,7 @@ from viewshed.training.frames import TrainingFrames
 from viewshed.training.history import Epoch, best_of, csv_of, epoch_of, is_over
 from viewshed.training.learner import KEY, Learner, Progress
 from viewshed.training.order import Share, TrainingOrder, ValidationOrder
+from viewshed.training.quiet import hush, quiet
 from viewshed.training.run import CHECKPOINT, CURVES, HISTORY, STATE, WEIGHTS, Machines
 
 _PREFETCH = 4
@@ -72,7 +69,7 @@ def fit(
         out.mkdir(parents=True, exist_ok=True)
         loaders = Loaders(frames, config, machines)
         learner = Learner(config, loaders.steps, progress)
-        with _quiet(), _deterministic():
+        with quiet():
             trainer = _trainer(config, out, machines)
             last = out / CHECKPOINT
             _run(trainer, learner, loaders, str(last) if standing else None)
@@ -95,6 +92,11 @@ class Loaders(L.LightningDataModule):
         self.frames, self.config = frames, config
         self.world = machines.devices * machines.nodes
         self.take = min(config.frames_per_epoch or len(frames.train), len(frames.train))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Arrive in a process that trains beside the first one, which has been quiet since it began."""
+        hush()
+        self.__dict__.update(state)
 
     @property
     def steps(self) -> int:
@@ -192,7 +194,7 @@ def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
     module = UNet(config.shape)
     module.load_state_dict(found["best"])
     card = config.card(**_facts(config, history))
-    with _quiet():
+    with quiet():
         save_weights(out / STATE, card, module.eval())
         write_bytes(out / HISTORY, csv_of(history).encode())
         write_bytes(out / CURVES, curve_figure(config.name, history))
@@ -209,31 +211,3 @@ def _facts(config: TrainConfig, history: list[Epoch]) -> dict[str, str]:
         "epochs": str(len(history)), "best_epoch": str(best.number), "validation_f1": f"{best.f1:.4f}",
         "version": told["version"], "date": told["date"],
     }  # fmt: skip
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what Lightning and torch say to themselves: our progress and our errors say it."""
-    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric", "torch.onnx")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        for module in ("lightning", "torch"):
-            warnings.filterwarnings("ignore", module=module)
-        try:
-            yield
-        finally:
-            for logger, level in zip(loggers, levels, strict=True):
-                logger.setLevel(level)
-
-
-@contextlib.contextmanager
-def _deterministic() -> Iterator[None]:
-    """Let a graphics card choose only convolutions that give the same bits again."""
-    before = torch.backends.cudnn.deterministic
-    torch.backends.cudnn.deterministic = True
-    try:
-        yield
-    finally:
-        torch.backends.cudnn.deterministic = before
