@@ -19,14 +19,16 @@ from viewshed.cli.label import label
 from viewshed.cli.options import BAD_INPUTS, one_line
 from viewshed.cli.record import record_app
 from viewshed.cli.report import report_app
+from viewshed.cli.reproduce import reproduce
 from viewshed.cli.simulate import dataset_app, simulate
+from viewshed.cli.train import crossval, train
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for _command in (estimate, info, compare, export, demo, simulate, label, attack, corrupt):
+for _command in (estimate, info, compare, export, demo, simulate, label, attack, corrupt, train, crossval, reproduce):
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")

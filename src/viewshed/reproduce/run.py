@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,13 +120,13 @@ def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
     return problems
 
 
-def named_steps(words: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the steps of comma-separated words, all of them for none.
+def named_steps(words: str | None) -> tuple[str, ...]:
+    """Return the steps named with commas, all of them for none.
 
-    >>> named_steps(["data,models"]), named_steps(None) == STEPS
+    >>> named_steps("data,models"), named_steps(None) == STEPS
     (('data', 'models'), True)
     """
-    return tuple(name for word in words for name in word.split(",") if name) if words else STEPS
+    return STEPS if words is None else tuple(words.split(","))
 
 
 def folder_of(out: Path) -> Path:
