@@ -29,7 +29,7 @@ def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None
     figures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)
     assert len(figures) == 6
     assert all((made / figure).read_bytes().startswith(b"\x89PNG") for figure in figures)
-    assert "- jobs: 8 of 8" in page
+    assert "- jobs: 9 of 9" in page
     whole = (made / "index.html").read_text("utf-8")
     assert whole.count("<img ") == len(figures)
     assert 'src="http' not in whole
@@ -38,8 +38,8 @@ def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None
 
 def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
     """Far points stretch what the farthest return decides, and leave the nearest obstacle where it is."""
-    page = (made / "vulnerability.md").read_text("utf-8")
-    table = page.split("**ugv**, up to a full wedge:")[1].split("##")[0]
+    page = (made / "vulnerability_tables.md").read_text("utf-8")
+    table = page.split("### Who withstands what, up to a full wedge, ugv")[1].split("##")[0]
     header, uniform = (re.search(rf"^\| {word} ?\|.*$", table, re.MULTILINE) for word in ("", "uniform"))
     assert header is not None
     assert uniform is not None
@@ -56,7 +56,7 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, caps
     )  # fmt: skip
     assert code == 0
     assert f"Markdown in {page}" in said
-    assert "8/8" in progress
+    assert "9/9" in progress
     assert (made / "results.jsonl").read_bytes() == before
     assert (tmp_path / "vulnerability_scenes.png").exists()
     assert "### vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")

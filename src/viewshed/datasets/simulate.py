@@ -15,7 +15,7 @@ from viewshed.datasets.making import write_beside
 from viewshed.datasets.presets import Preset
 from viewshed.datasets.shard import ShardFacts, write_frames
 from viewshed.datasets.store import Store
-from viewshed.sim.observe import Setting, observe
+from viewshed.sim.observe import Observation, Setting, observe
 from viewshed.sim.weather import CONDITIONS
 from viewshed.sim.world import World
 from viewshed.sim.worlds import WORLDS
@@ -145,12 +145,17 @@ def simulate_shard(job: ShardJob) -> ShardFacts:
 
 def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
     """Return one frame of a scene: range image, truth and where it is known."""
+    seen = observe_frame(scene, frame)
+    return Frame(seen.image, seen.truth, seen.known)
+
+
+def observe_frame(scene: ScenePlan, frame: int) -> Observation:
+    """Return what is observed in one frame of a scene: beside what is stored, what every beam met."""
     preset, world = scene.preset, world_of(scene)
     time, number = divmod(frame, preset.agents)
     setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
     t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_Purpose.OBSERVATION, frame)
-    seen = observe(world, world.agents[number], t_s, setting, seed)
-    return Frame(seen.image, seen.truth, seen.known)
+    return observe(world, world.agents[number], t_s, setting, seed)
 
 
 @lru_cache(maxsize=2)
