@@ -31,8 +31,8 @@ from viewshed.evaluation import Tally
 from viewshed.labels import Rules, Track
 from viewshed.report import facts, page, table
 
-SEEDS = (51, 52, 53)
-"""None of them was looked at while the rules were chosen; those were 41 to 43 and 1001 to 1005."""
+SEEDS = (61, 62, 63)
+"""None of them was looked at while the rules were chosen; those were 41 to 43, 51 to 53 and 1001 to 1005."""
 SWEEPS = 200
 BESIDE = ("shadow_map", "vote")
 BANDS = (0.0, 0.25, 0.5, 0.75, 1.5)
@@ -43,8 +43,8 @@ Cells are pooled over the samples, where the truth is known; ranges are horizont
 with the exact truth, so the figures tell what depths and ground cost, and not that both count alike; that loop is
 checked elsewhere."""
 _OTHERS = """\
-The other definitions, by the label and by the exact truth. The truth takes them from every surface that could give
-light back, the label from the returns that the sensor stored: weak far returns that were lost are the difference."""
+The other definitions, by the label and by the exact truth. Both take every surface that could give light back; the
+label knows the returns that the sensor stored, and infers where beams without one met the ground."""
 Mask = NDArray[np.bool_]
 Tallies = dict[tuple[str, str], Tally]
 

@@ -17,7 +17,7 @@ from viewshed.labels.count import Lines, count_targets, lines_of
 from viewshed.labels.ground_map import Lows, Patch, lows_of, patch_of
 from viewshed.labels.image import BeamImage, beam_image
 from viewshed.labels.motion import Drift
-from viewshed.labels.stop_kernels import SURFACE
+from viewshed.labels.stop_kernels import OPEN, SURFACE
 from viewshed.labels.stops import Stops, stops_of
 from viewshed.level import EGO_BOX_M, EGO_HEIGHTS_M, LevelSweep, level_sweep
 from viewshed.sim.truth_bins import BLOCKS, RETURNS, stop_limits
@@ -169,17 +169,23 @@ class _Labelling:
         return things & ~own
 
     def _definitions(self, lines: Lines, things: Mask) -> tuple[dict[str, Mask], Mask]:
-        """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return."""
-        grid = self.rules.grid
+        """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return.
+
+        Ground gives light back: a beam that nothing stopped before it counts as a return from there, though the sensor
+        was too weak to get it. A bin without any return of its own is not known.
+        """
+        grid, kind = self.rules.grid, self.stops.kind
         bins = min(self.image.pixels.shape[0], MAX_BINS)
-        stored = self.image.returned & (self.stops.kind == 0)
-        flags = things * np.uint8(BLOCKS) + stored * np.uint8(RETURNS)
+        stored = (self.image.returned & (kind == 0)) * np.uint8(RETURNS)
+        ground = (kind == OPEN) & (self.stops.best_m < np.float32(self.image.max_range_m))
+        flags = things * np.uint8(BLOCKS) + np.maximum(stored, ground * np.uint8(RETURNS))
         farthest, blocker = stop_limits(lines.lines, flags.reshape(-1), bins)
+        returned = stop_limits(lines.lines, stored.reshape(-1), bins)[0] >= 0
         range_m, azimuth = polar_of_cells(grid)
         place = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
         inside = range_m <= farthest[place]
         before = inside & (range_m - np.float32(grid.cell_m) <= blocker[place])
-        return {"farthest": inside, "first_blocker": before}, farthest[place] >= 0
+        return {"farthest": inside, "first_blocker": before}, returned[place]
 
     def _sure(self, reached: dict[str, NDArray[np.uint8]], ground: Floats) -> Mask:
         """Return where (cells, cells) the probe does not hang on missing beams or on the ground."""
