@@ -71,3 +71,14 @@ def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.
     code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(tmp_path / "new"), "--no-run")
     assert code == 2
     assert complaint.endswith("must hold results, got none; run without --no-run\n")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").touch()
+    code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(tmp_path / "file"))
+    assert (code, complaint.count("\n")) == (2, 1)
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    lines = (made / "results.jsonl").read_bytes().splitlines(keepends=True)
+    (damaged / "results.jsonl").write_bytes(b"".join([*lines[:3], lines[3][:90] + b"\n", *lines[4:]]))
+    code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(damaged), "--no-run")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "line 4 is damaged; delete that line, its job is done again" in complaint

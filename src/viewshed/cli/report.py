@@ -36,8 +36,11 @@ def vulnerability(
     Example: viewshed report vulnerability --preset small --out study
     """
     from viewshed.vulnerability import ResultStore, study_named
+    from viewshed.vulnerability.store import FILE
 
     study = study_named(preset)
+    if not run and not (out / FILE).exists():
+        raise ValueError(f"{out} must hold results, got none; run without --no-run")
     store = ResultStore.open(out, study)
     failed = _run(study, store, engine, workers) if run else []
     for line in failed:
