@@ -31,6 +31,8 @@ EVEN_STEP_M = 0.5
 """Even ground may lie this far from what the nodes nearer to the sensor predict."""
 SURE_STEP_M = 0.2
 """Even ground this near to what was predicted is ground beyond doubt."""
+BURIED_M = 0.3
+"""A beam that passes this far below the ground had ended there: what it says of ground farther away is wrong."""
 NEAR_SHARE = 0.16
 """Within this share of the lattice's side from the sensor, ground once taken for ground stays it."""
 MIN_SUPPORT = 0.22
@@ -94,8 +96,9 @@ def estimate_ground(
     node_m = 2.0 * half_extent_m / lows_m.shape[0]
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
     plane, support = near_plane(lows_m, known)
-    begin = _walk(lows_m, rise_m < FLAT_M, np.float32(node_m), plane, _order(lows_m.shape[0]))
-    heights, seen = smooth_ground(lows_m, rise_m, begin, plane, half_extent_m)
+    walked, sure, taken = _walk(lows_m, rise_m < FLAT_M, np.float32(node_m), plane, _order(lows_m.shape[0]))
+    lows_m = _without_buried(lows_m, walked, taken, np.float32(1.0 / node_m))
+    heights, seen = smooth_ground(lows_m, rise_m, (walked, sure), plane, half_extent_m)
     middle = lows_m.shape[0] // 2
     if support < MIN_SUPPORT or (sensor_height_m is None and heights[middle, middle] > -MIN_HEIGHT_M):
         return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
@@ -137,14 +140,14 @@ def _walk(lows: Any, flat: Any, node_m: Any, plane: Any, order: Any) -> Any:  # 
     """Carry height and slope outwards; accept a low only within a step that ground can take.
 
     The step may be larger where a node and its neighbors lie on one plane: a street that begins to climb, and not
-    the side of a car. It must be smaller where the node's returns are not flat. Returns the heights, and the nodes
-    that are ground beyond doubt: accepted, and even with a small step or near the sensor.
+    the side of a car. It must be smaller where the node's returns are not flat. Returns the heights, the nodes that
+    are ground beyond doubt (accepted, and even with a small step or near the sensor), and those accepted.
     """
     n = lows.shape[0]
     height = np.zeros((n, n), np.float32)
     slope = np.zeros((n, n, 2), np.float32)
     weight = np.zeros((n, n), np.float32)
-    sure = np.zeros((n, n), np.bool_)
+    sure, taken = np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
     even, grade = _even(lows)
     near2 = (NEAR_SHARE * n * node_m) ** 2
     for k in range(order.shape[0]):
@@ -173,7 +176,28 @@ def _walk(lows: Any, flat: Any, node_m: Any, plane: Any, order: Any) -> Any:  # 
             slope[i, j, 0] = 0.9 * sx + 0.1 * plane[0]
             slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
             weight[i, j] = max(0.8 * support, 0.05)
-    return height, sure
+        taken[i, j] = weight[i, j] == 1.0
+    return height, sure, taken
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _without_buried(lows: Any, height: Any, taken: Any, per_m: Any) -> Any:  # pragma: no cover - compiled
+    """Return the lows without those that could not be seen: on the way to them a beam would pass below taken ground."""
+    n = lows.shape[0]
+    out = lows.copy()
+    deep, middle = np.float32(BURIED_M), np.float32(0.5 * n)
+    for i in range(n):
+        for j in range(n):
+            if lows[i, j, 2] < height[i, j] - deep:
+                u, v, z = lows[i, j, 0] * per_m, lows[i, j, 1] * per_m, lows[i, j, 2]
+                steps = int(max(abs(u), abs(v)))
+                for k in range(1, steps):
+                    share = np.float32(1.0) - np.float32(k) / np.float32(steps)
+                    p, q = int(middle + share * u), int(middle + share * v)
+                    if taken[p, q] and share * z < height[p, q] - deep:
+                        out[i, j] = np.inf
+                        break
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -13,6 +13,7 @@ from viewshed.angles import atan2
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.ground import NODES, Ground, estimate_ground
+from viewshed.lone import Placed, placed_by_model
 from viewshed.planes import free_plane
 from viewshed.sweep import Sweep
 from viewshed.visible import Beams
@@ -32,6 +33,7 @@ TILT_SUPPORT = 0.35
 LEVEL_TILT = np.deg2rad(6.0)
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
 _BLOCK = 4096
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,7 @@ class LevelSweep:
         rows: (M,) row of each point in the sweep.
         level_from_sensor: the transform used.
         ground: the local ground.
+        placed: the sweep's returns on its range image; None where its rings and its sensor do not tell.
     """
 
     sweep: Sweep
@@ -57,6 +60,7 @@ class LevelSweep:
     rows: NDArray[np.intp]
     level_from_sensor: Rigid
     ground: Ground
+    placed: Placed | None = None
 
     @property
     def sensor_height_m(self) -> float:
@@ -89,9 +93,11 @@ def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
     The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
-    a vehicle below the sensor (heights of 1.2 to 3 m) are left out.
+    a vehicle below the sensor (heights of 1.2 to 3 m) are left out. Lone returns say nothing of the ground.
     """
-    rotation, ground = _attitude_and_ground(sweep, grid)
+    placed = placed_by_model(sweep, range_limits(sweep))
+    lone = np.zeros(len(sweep), np.bool_) if placed is None else placed.lone
+    rotation, ground = _attitude_and_ground(sweep, grid, lone)
     height = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), 0.05)
     ground = ground.raised(height)
     transform = Rigid(rotation, np.array([0.0, 0.0, height]))
@@ -99,39 +105,40 @@ def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
     columns = _level(
         sweep.points,
         transform.as_matrix()[:3].astype(np.float32),
-        np.array([*_range_limits(sweep), *ego], np.float32),
+        np.array([*range_limits(sweep), *ego], np.float32),
         ground.heights_m,
         np.float32(ground.half_extent_m),
     )
     for column in columns:
         column.setflags(write=False)
     points, range_m, azimuth, height_m, rows = columns
-    return LevelSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground)
+    return LevelSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground, placed)
 
 
-def _range_limits(sweep: Sweep) -> tuple[float, float]:
+def range_limits(sweep: Sweep) -> tuple[float, float]:
+    """Return the nearest and the farthest range in metres at which returns of the sweep are used."""
     if sweep.model is None:
         return NULL_RANGE_M, MAX_RANGE_M
     return max(NULL_RANGE_M, sweep.model.min_range_m), max(MAX_RANGE_M, sweep.model.max_range_m)
 
 
-def _attitude_and_ground(sweep: Sweep, grid: BevGrid) -> tuple[NDArray[np.float64], Ground]:
+def _attitude_and_ground(sweep: Sweep, grid: BevGrid, lone: Mask) -> tuple[NDArray[np.float64], Ground]:
     attitude = sweep.known_attitude
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
-    ground = _ground(sweep, grid, rotation)
+    ground = _ground(sweep, grid, rotation, lone)
     if attitude is not None:
         return rotation, ground
     normal = _tilted_normal(sweep, ground)
     if normal is None:
         return rotation, ground
     rotation = _upright(normal)
-    return rotation, _ground(sweep, grid, rotation)
+    return rotation, _ground(sweep, grid, rotation, lone)
 
 
-def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64]) -> Ground:
+def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], lone: Mask) -> Ground:
     half = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
-    limits = np.array(_range_limits(sweep), np.float32)
-    lows, rise = _lows(sweep.points, rotation.astype(np.float32), limits, np.float32(half), NODES)
+    limits = np.array(range_limits(sweep), np.float32)
+    lows, rise = _lows((sweep.points, lone), rotation.astype(np.float32), limits, np.float32(half), NODES)
     return estimate_ground(lows, rise, half, sweep.sensor_height_m)
 
 
@@ -156,8 +163,9 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lows(points: Any, rotation: Any, limits: Any, half: Any, side: int) -> Any:  # pragma: no cover - compiled
+def _lows(returns: Any, rotation: Any, limits: Any, half: Any, side: int) -> Any:  # pragma: no cover - compiled
     """Return each node's second-lowest point (or the only one), turned, and the height from it up to the highest."""
+    points, lone = returns
     lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
     highest = np.full(side * side, -np.inf, np.float32)
     nodes, heights = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.float32)
@@ -166,7 +174,7 @@ def _lows(points: Any, rotation: Any, limits: Any, half: Any, side: int) -> Any:
         _nodes(part, rotation, limits, (half, np.float32(side)), nodes, heights)
         for n in range(part.shape[0]):
             node, z, k = nodes[n], heights[n], start + n
-            if node < 0:
+            if node < 0 or lone[k]:
                 continue
             highest[node] = max(highest[node], z)
             if _before(points, k, z, origin[node, 1], lowest[node, 1]):

@@ -6,9 +6,8 @@ within four columns of its ring holds two: then the azimuth only jittered.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,8 @@ from numpy.typing import NDArray
 from viewshed import missing_hints as hints
 from viewshed import missing_kernels as kernels
 from viewshed.beams import recover_beams
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, range_limits
+from viewshed.lone import Placed, placed
 from viewshed.visible import Beams
 
 FILL_COLUMNS = 16
@@ -29,7 +29,6 @@ REACH_SHARE = 0.001
 """Nothing is said about ranges beyond which lies only this share of the returns: fog, rain."""
 _SECTORS = 128
 _RANGES_M = np.geomspace(1.0, 128.0, 113)
-_FULL_RING = (0.9, 1.05)
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -49,6 +48,7 @@ class _Image:
         obstacle_m: the same among those on obstacles.
         ground_tally: returns from ground in each sector and bin of range.
         metre_tally: returns in each metre of range.
+        lone: (N,) the sweep's lone returns.
     """
 
     guessed: bool
@@ -60,6 +60,7 @@ class _Image:
     obstacle_m: Floats
     ground_tally: NDArray[np.int64]
     metre_tally: NDArray[np.int64]
+    lone: NDArray[np.bool_]
 
     @property
     def columns(self) -> int:
@@ -73,7 +74,7 @@ def missing_beams(level: LevelSweep, *, fill: bool) -> Beams:
     Without ``fill`` the depth is +inf; with it, that of the nearer of the two neighbors in the ring within 16 columns,
     and beams without such neighbors are left out.
     """
-    image = _image(level)
+    image = _image(level, alone=True)
     pixels, ends_m, steps = kernels.find_missing(image.counts, image.depth_m, False)
     azimuth, slope = _aims(level, image, pixels)
     if not fill:
@@ -94,13 +95,39 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
     3. All others are left out: those at ground that should have returned, and beams above one of them (something that
        swallows light, glass, an attack); rings and columns without any return (dead, dropped).
 
+    Lone returns count as none here, and what is learned is learned without them.
     Beams that pass above targets of height ``top_m`` wherever they stand are left out, too. A cloud without a ring
     column and without a model has none: nothing tells which beams it lacks.
     """
+    image = _told_image(level)
+    return Beams(*np.zeros((3, 0), np.float32)) if image is None else _explained(level, image, top_m)
+
+
+def confirmed_and_explained_beams(level: LevelSweep, top_m: float) -> Beams:
+    """Return the beams of returns that are not lone and, as for missing ones, those that :func:`explained_beams` has.
+
+    A lone return is no evidence of a depth: its beam counts as one without a return.
+    """
+    image = _told_image(level)
+    if image is None:
+        return level.beams()
+    returned, missing = level.beams(), _explained(level, image, top_m)
+    keep = ~image.lone[level.rows]
+    return Beams(
+        np.concatenate([returned.azimuth[keep], missing.azimuth]),
+        np.concatenate([returned.slope[keep], missing.slope]),
+        np.concatenate([returned.depth_m[keep], missing.depth_m]),
+    )
+
+
+def _told_image(level: LevelSweep) -> _Image | None:
+    """Return the range image without lone returns, or None where nothing tells which beams there are."""
     unorganised = level.sweep.ring is None and level.sweep.model is None
-    image = None if unorganised else _image(level)
-    if image is None or image.guessed:
-        return Beams(*np.zeros((3, 0), np.float32))
+    image = None if unorganised else _image(level, alone=False)
+    return None if image is None or image.guessed else image
+
+
+def _explained(level: LevelSweep, image: _Image, top_m: float) -> Beams:
     profile = _profile(level)
     highest = _highest(profile, top_m)
     rings = _rings_below(float(highest.max()), image, level.level_from_sensor.rotation)
@@ -129,32 +156,44 @@ def _obstructions(
     return between_m, bound_m
 
 
-def _image(level: LevelSweep) -> _Image:
-    """Return the range image: by a ring column and a model if they fit each other, else by recovered beams."""
-    sweep, model = level.sweep, level.sweep.model
-    if sweep.ring is not None and model is not None and len(sweep):
-        placed = kernels.place(sweep.points, sweep.ring, model.azimuth_columns, model.rings)
-        if _FULL_RING[0] <= placed[3] / model.azimuth_columns <= _FULL_RING[1]:
-            return _filled(level, sweep.ring, placed, (False, np.tan(model.elevation), model.origin_m))
+def _image(level: LevelSweep, alone: bool) -> _Image:
+    """Return the range image, lone returns in it or not: by a ring column and a model if they fit, else recovered."""
+    sweep, model, found = level.sweep, level.sweep.model, level.placed
+    if found is not None and sweep.ring is not None and model is not None:
+        return _filled(level, sweep.ring, _thinned(sweep.ring, found, alone), (False, model.elevation, model.origin_m))
     beams = recover_beams(sweep)
-    placed = kernels.place(sweep.points, beams.ring, beams.columns, beams.rings)
-    lines = beams.source == "elevation bins", np.tan(beams.elevation), np.zeros(beams.rings)
-    return _filled(level, beams.ring, placed, lines)
+    found = placed(sweep.points, beams.ring, (beams.rings, beams.columns), range_limits(sweep))
+    lines = beams.source == "elevation bins", beams.elevation, np.zeros(beams.rings)
+    return _filled(level, beams.ring, _thinned(beams.ring, found, alone), lines)
+
+
+def _thinned(ring: NDArray[np.int16], found: Placed, alone: bool) -> Placed:
+    """Return the places without those of lone returns, unless these stay (``alone``)."""
+    if alone:
+        return found
+    column, counts, lone = found.column.copy(), found.counts.copy(), np.flatnonzero(found.lone)
+    few = lone[counts[ring[lone], column[lone]] < 255]
+    np.subtract.at(counts, (ring[few], column[few]), 1)
+    column[lone] = -1
+    return replace(found, column=column, counts=counts)
 
 
 def _filled(
     level: LevelSweep,
     ring: NDArray[np.int16],
-    placed: Any,
+    found: Placed,
     lines: tuple[bool, NDArray[np.float64], NDArray[np.float64]],
 ) -> _Image:
     """Return the range image of returns that have a ring and a column."""
-    column, phase, counts, _ = placed
-    images = np.full(counts.shape, np.inf, np.float32), np.full(counts.shape, np.inf, np.float32)
+    images = [np.full(found.counts.shape, np.inf, np.float32) for _ in range(2)]
     tallies = np.zeros((kernels.SHARE_SECTORS, kernels.SHARE_BINS), np.int64), np.zeros(512, np.int64)
     limits = np.float32(OBSTACLE_HEIGHTS_M[0]), np.float32(STEEP * level.sensor_height_m)
-    kernels.put((ring, column), (level.rows, level.range_m, level.height_m), limits, images, tallies)
-    return _Image(*lines, phase, counts, *images, *tallies)
+    pixel, returns = (ring, found.column), (level.rows, level.range_m, level.height_m)
+    kernels.put(pixel, returns, limits, (images[0], images[1]), tallies)
+    guessed, elevation, rise_m = lines
+    return _Image(
+        guessed, np.tan(elevation), rise_m, found.phase, found.counts, images[0], images[1], *tallies, found.lone
+    )
 
 
 def _aims(level: LevelSweep, image: _Image, pixels: NDArray[np.int32]) -> tuple[Floats, Floats]:

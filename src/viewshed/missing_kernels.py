@@ -23,7 +23,7 @@ _BLOCK = 2048
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place(points: Any, ring: Any, columns: int, rings: int) -> Any:  # pragma: no cover - compiled
-    """Return each point's column (N,), each ring's phase (rings,), the points in each pixel, those of the fullest ring.
+    """Return each point's column (N,), each ring's phase (rings,), the points in each pixel and in each ring.
 
     The phase tells where in a column a ring's firings lie, so that one just at an edge does not fall into either column
     by chance: the circular mean of the azimuths' remainders, from a histogram, as the order must not matter. Pixels
@@ -46,10 +46,7 @@ def place(points: Any, ring: Any, columns: int, rings: int) -> Any:  # pragma: n
             c -= columns if c < 2 * columns else 2 * columns
             counts[ring[n], c] += counts[ring[n], c] < 255
         column[n] = c
-    fullest = 0
-    for r in range(rings):
-        fullest = max(fullest, phases[r].sum())
-    return column, phase, counts, fullest
+    return column, phase, counts, phases.sum(axis=1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -84,7 +81,7 @@ def put(pixel: Any, points: Any, limits: Any, images: Any, tallies: Any) -> None
     """Lower the images (rings, columns) of depth and of obstacles to the ranges of points, and tally those.
 
     ``points``: row in the sweep, range and height. ``limits``: height from which on they are obstacles, and range from
-    which on ground is tallied, by sectors and bins of range; all returns are tallied by metres.
+    which on ground is tallied, by sectors and bins of range; those with a column are tallied by metres.
     """
     ring, column = pixel
     rows, range_m, height_m = points
@@ -97,8 +94,8 @@ def put(pixel: Any, points: Any, limits: Any, images: Any, tallies: Any) -> None
         n, d = rows[k], range_m[k]
         r, c = ring[n], column[n]
         high = height_m[k] > low_m
-        metre_tally[min(int(d), last)] += 1
         if c >= 0:
+            metre_tally[min(int(d), last)] += 1
             if not high and d > near_m:
                 ground_tally[int(c * per_column), min(int(d * per_bin), SHARE_BINS - 1)] += 1
             depth[r, c] = min(depth[r, c], d)

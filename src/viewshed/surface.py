@@ -25,8 +25,11 @@ _SCALES_M = (0.2, 0.2, 0.15)
 coarse cells, then on the fine ones."""
 _NOT_FLAT = 0.4
 """The same where a node is not flat, as a share."""
-_FALL_M = 2.0
-"""Depth below the surface at which a low point has lost three quarters of its weight: it may be a ghost."""
+_FALL_M = (2.0, 8.0)
+"""Depth below the surface at which a low point has lost three quarters of its weight: one that may be a ghost, and one
+that two neighbors agree with ..."""
+_AGREE_M = 0.3
+"""... to within this: land below a bank, and not a reflection."""
 _LEAST_WEIGHT = 0.2
 """Low points of less weight do not count."""
 _LEFT_M = 0.2
@@ -79,12 +82,12 @@ def _coarse_stiffness(cells: int) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _samples(lows: Any, rise: Any, trusted: Any, frame: Any) -> Any:  # pragma: no cover - compiled
-    """Return a row for each low point: u and v in nodes, z above the plane, share of the scales, least weight."""
+    """Return a row for each low point: u and v in nodes, z above the plane, share of the scales, least weight, fall."""
     n = lows.shape[0]
     half, plane = frame
     per, last = np.float32(n / (2.0 * half)), np.float32(n - 0.001)
     share = np.float32(0.5) + np.float32(0.25) * min(np.float32(1.0) / per, np.float32(2.0))
-    out = np.empty((n * n, 5), np.float32)
+    out = np.empty((n * n, 6), np.float32)
     m = 0
     for i in range(n):
         for j in range(n):
@@ -94,8 +97,19 @@ def _samples(lows: Any, rise: Any, trusted: Any, frame: Any) -> Any:  # pragma: 
                 out[m, 2] = z - plane[0] * x - plane[1] * y - plane[2]
                 out[m, 3] = share if rise[i, j] < FLAT_M else share * np.float32(_NOT_FLAT)
                 out[m, 4] = trusted[i, j]
+                out[m, 5] = _FALL_M[1] if _agreed(lows, i, j) else _FALL_M[0]
                 m += 1
     return out[:m]
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _agreed(lows: Any, i: Any, j: Any) -> Any:  # pragma: no cover - compiled
+    """Whether the low points of two of the eight nodes around (i, j) are about as high as its own."""
+    n, count = lows.shape[0], 0
+    for p in range(max(i - 1, 0), min(i + 2, n)):
+        for q in range(max(j - 1, 0), min(j + 2, n)):
+            count += abs(lows[p, q, 2] - lows[i, j, 2]) < np.float32(_AGREE_M)
+    return count > 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -149,11 +163,11 @@ def _weigh(samples: Any, surface: Any, n: int, scale: Any, weights: Any) -> None
     """Weigh each low point by its height above the surface (or, far more gently, its depth below)."""
     per = np.float32(surface.shape[0] / n)
     half, one = np.float32(0.5), np.float32(1.0)
-    above, below = one / scale, one / np.float32(_FALL_M)
+    above = one / scale
     least = np.float32(_LEAST_WEIGHT)
     for k in range(samples.shape[0]):
         away = samples[k, 2] - _at(surface, samples[k, 0] * per - half, samples[k, 1] * per - half)
-        away *= above / samples[k, 3] if away > 0 else below
+        away *= above / samples[k, 3] if away > 0 else one / samples[k, 5]
         weight = one / (one + away * away)
         weight *= weight
         weights[k] = max(weight if weight >= least else np.float32(0.0), samples[k, 4])

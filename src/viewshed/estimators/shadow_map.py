@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.missing import explained_beams, missing_beams
+from viewshed.missing import confirmed_and_explained_beams, missing_beams
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Beams, Target, expected_returns, probability_of_visible
 
@@ -68,18 +68,26 @@ class ShadowMap:
 
 
 def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
-    beams = level.beams()
+    if rule == "explained" and len(level.sweep):
+        return confirmed_and_explained_beams(level, target.height_m)
+    beams = _without_behind(level)
     if rule == "unknown" or len(level.sweep) == 0:
         return beams
-    if rule == "explained":
-        missing = explained_beams(level, target.height_m)
-    else:
-        missing = missing_beams(level, fill=rule == "fill")
+    missing = missing_beams(level, fill=rule == "fill")
     return Beams(
         np.concatenate([beams.azimuth, missing.azimuth]),
         np.concatenate([beams.slope, missing.slope]),
         np.concatenate([beams.depth_m, missing.depth_m]),
     )
+
+
+def _without_behind(level: LevelSweep) -> Beams:
+    """Return the beams of all returns but lone ones behind another of their pixel: that beam had ended before."""
+    beams = level.beams()
+    if level.placed is None:
+        return beams
+    keep = ~level.placed.behind[level.rows]
+    return Beams(beams.azimuth[keep], beams.slope[keep], beams.depth_m[keep])
 
 
 def _state(

@@ -1,0 +1,116 @@
+"""Lone returns: found where nothing around is alike, and no evidence of ground, of a depth, or of a reach."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from viewshed import BevGrid, Sweep
+from viewshed.estimators.shadow_map import NoReturn, ShadowMap
+from viewshed.level import LevelSweep, level_sweep
+from viewshed.lone import placed_by_model
+from viewshed.sensors import LidarModel
+from viewshed.sim import Box, Scene, cast
+
+MODEL = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 17)), azimuth_columns=720, max_range_m=100.0)
+GRID = BevGrid(128, 32.0)
+LIMITS_M = (0.5, 250.0)
+STREET = cast(MODEL, Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5))), 1.8)
+Mask = NDArray[np.bool_]
+
+
+def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int = 4) -> tuple[Sweep, Mask]:
+    """Some of the returns, drawn at random, at another range on the same beam."""
+    rng = np.random.default_rng(seed)
+    lie = rng.random(len(sweep)) < share
+    points = sweep.points.copy()
+    points[lie] *= rng.uniform(*factor, (int(lie.sum()), 1)).astype(np.float32)
+    return sweep.replace(points=points), np.asarray(lie)
+
+
+def lone_of(sweep: Sweep) -> Mask:
+    found = placed_by_model(sweep, LIMITS_M)
+    assert found is not None
+    return found.lone
+
+
+def level_of(sweep: Sweep) -> LevelSweep:
+    return level_sweep(sweep, GRID)
+
+
+def claimed(sweep: Sweep) -> Mask:
+    return np.asarray(ShadowMap(GRID).estimate(sweep).visible())
+
+
+def test_few_returns_of_a_street_are_lone_and_most_of_those_moved_are() -> None:
+    assert lone_of(STREET).mean() < 0.005
+    moved, lie = spoofed(STREET, 0.02, (1.5, 4.0))
+    lone = lone_of(moved)
+    assert lone[lie].mean() > 0.85
+    assert lone[~lie].mean() < 0.01
+
+
+def test_a_pole_and_sparse_ground_are_not_lone() -> None:
+    pole = cast(MODEL, Scene((Box(8, 3, 0.1, 0.1, 6),)), 1.8)
+    on_pole = np.hypot(pole.points[:, 0] - 8, pole.points[:, 1] - 3) < 0.3
+    assert on_pole.sum() >= 5
+    assert not lone_of(pole)[on_pole].any()
+    assert STREET.ring is not None
+    grazing = (STREET.ring == 10) & (STREET.points[:, 2] < -1.79)
+    sparse = STREET.select(~grazing | (np.random.default_rng(3).random(len(STREET)) < 0.2))
+    left = (sparse.ring == 10) & (sparse.points[:, 2] < -1.79)
+    assert left.sum() > 50
+    assert lone_of(sparse)[left].mean() < 0.05
+
+
+def test_order_does_not_matter_and_the_image_wraps_around() -> None:
+    moved, _ = spoofed(STREET, 0.02, (1.5, 4.0))
+    order = np.random.default_rng(5).permutation(len(moved))
+    assert (lone_of(moved.select(order)) == lone_of(moved)[order]).all()
+    half = np.array([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]], np.float32)
+    turned = moved.replace(points=moved.points @ half.T)
+    assert (lone_of(turned) == lone_of(moved)).mean() > 0.999
+
+
+def test_points_added_to_a_few_rings_leave_the_image() -> None:
+    assert STREET.ring is not None
+    rng = np.random.default_rng(6)
+    azimuth, range_m = rng.uniform(-np.pi, np.pi, 300), rng.uniform(5, 30, 300)
+    slope = np.tan(MODEL.elevation[11])
+    added = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(300, slope)], axis=1) * range_m[:, None]
+    points = np.concatenate([STREET.points, added.astype(np.float32)])
+    ring = np.concatenate([STREET.ring, np.full(300, 11, np.int16)])
+    assert placed_by_model(of_model(points, ring), LIMITS_M) is not None
+    twice = of_model(np.concatenate([STREET.points] * 2), np.concatenate([STREET.ring] * 2))
+    assert placed_by_model(twice, LIMITS_M) is None
+
+
+def of_model(points: NDArray[np.float32], ring: NDArray[np.int16]) -> Sweep:
+    return Sweep(points, ring=ring, model=MODEL, sensor_height_m=1.8, attitude=np.array([1.0, 0, 0, 0]))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.04])
+def test_ranges_spoofed_on_beams_do_not_move_the_ground(share: float) -> None:
+    moved, _ = spoofed(STREET, share, (1.3, 3.0))
+    xy = np.random.default_rng(7).uniform((-15, -20), (11, 20), (200, 2))
+    assert np.abs(level_of(moved).ground.at(xy)).max() < 0.25
+
+
+def test_ranges_spoofed_on_beams_open_no_corridors() -> None:
+    clean = claimed(STREET)
+    moved, _ = spoofed(STREET, 0.04, (1.3, 4.0))
+    opened = claimed(moved) & ~clean
+    assert opened.sum() < 0.03 * clean.sum()
+    assert (clean & ~claimed(moved)).sum() < 0.05 * clean.sum()
+
+
+def test_a_second_return_behind_a_wall_counts_for_no_rule() -> None:
+    wall = (STREET.points[:, 0] > 13) & (np.abs(STREET.points[:, 1] - 6) < 9)
+    again = np.flatnonzero(wall)[::7]
+    assert STREET.ring is not None
+    points = np.concatenate([STREET.points, STREET.points[again] * np.float32(1.8)])
+    both = STREET.replace(points=points, ring=np.concatenate([STREET.ring, STREET.ring[again]]), azimuth=None)
+    rules: tuple[NoReturn, ...] = ("explained", "unknown")
+    for rule in rules:
+        before = ShadowMap(GRID, no_return=rule).estimate(STREET).visible()
+        after = ShadowMap(GRID, no_return=rule).estimate(both).visible()
+        assert (after & ~before).sum() <= 5
