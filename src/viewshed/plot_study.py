@@ -19,7 +19,7 @@ from PIL import Image
 
 from viewshed.bev import BevGrid
 
-PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#D55E00")
+PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#8FB8DE", "#D55E00")
 """After Okabe and Ito (2008); styles of lines tell apart what the colors may not."""
 DASHES = ("-", "--", ":", "-.")
 AGREE, OVER, UNDER, HIDDEN, OUTSIDE = (0.68, 0.84, 0.95), (0.84, 0.37, 0.0), (0.55, 0.24, 0.62), (0.86,) * 3, (1.0,) * 3
@@ -120,7 +120,8 @@ def _half(axis: Axes, values: Floats, place: int, look: tuple[Any, str]) -> None
 
 def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
     """Return a PNG of curves, one panel each with ``label`` at the vertical axis and one legend for all."""
-    figure, axes = _page(len(panels), across, (2.7, 2.15), legend=0.6)
+    across = max(2, min(across, len(panels)))
+    figure, axes = _page(len(panels), across, (2.7, 2.15), legend=0.75)
     names = list(dict.fromkeys(name for panel in panels for name in panel.values))
     for number, (axis, panel) in enumerate(zip(axes, panels, strict=False)):
         for name, values in panel.values.items():
@@ -130,7 +131,7 @@ def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
         if number % across == 0:
             axis.set_ylabel(label, fontsize=8)
     handles = [Line2D([], [], label=name, **_line(number)) for number, name in enumerate(names)]
-    figure.legend(handles=handles, loc="lower center", ncols=min(len(names), 5), frameon=False, fontsize=8.5)
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(names), 2 * across), frameon=False, fontsize=8)
     return _png(figure)
 
 
