@@ -36,7 +36,7 @@ class Placed:
         phase: (rings,) float32 where in a column the firings of a ring lie, in columns.
         counts: (rings, columns) uint8 returns of each pixel, up to 255.
         sizes: (rings,) returns of each ring.
-        lone: (N,) bool, returns that none around confirms: the next ones in the ring, and the six pixels above and below.
+        lone: (N,) bool, returns that none around confirms: the next ones in the ring, the six pixels above and below.
         behind: (N,) bool, lone returns behind another one of their own pixel: a beam cannot have passed that one.
     """
 
