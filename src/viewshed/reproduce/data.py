@@ -110,11 +110,15 @@ class TestSweep:
 
 def test_sweeps(plan: StudyPlan, folder: Path, setting: Setting, count: int) -> Iterator[TestSweep]:
     """Yield ``count`` held-out sweeps of the setting's domain, as many from each scene as can be."""
-    for number in range(count):
-        subject = subject_of(plan, folder, setting.domain, number)
-        name, attacked = _attacked(plan, setting, subject, number)
-        visible, known = truth_of(setting, subject)
-        yield TestSweep(subject.sample.scene, name, subject.sample.sweep, attacked, visible, known)
+    return (test_sweep(plan, folder, setting, number) for number in range(count))
+
+
+def test_sweep(plan: StudyPlan, folder: Path, setting: Setting, number: int) -> TestSweep:
+    """Return one of the held-out sweeps of the setting's domain, benign and attacked."""
+    subject = subject_of(plan, folder, setting.domain, number)
+    name, attacked = _attacked(plan, setting, subject, number)
+    visible, known = truth_of(setting, subject)
+    return TestSweep(subject.sample.scene, name, subject.sample.sweep, attacked, visible, known)
 
 
 def truth_of(setting: Setting, subject: Subject) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +12,12 @@ from viewshed.engines import Engine, LocalEngine
 from viewshed.reproduce.data import SPLITS, make_archive, preset_of
 from viewshed.reproduce.jobs import STEPS, Job, do_job, keys_of, needed
 from viewshed.reproduce.models import check_training
+from viewshed.reproduce.plan import StudyPlan
 from viewshed.reproduce.protocols import PROTOCOLS
 from viewshed.reproduce.store import JobStore
 
-ALONE = ("models", "trade")
-"""Steps whose jobs are done one after the other in this process: a training has threads of its own."""
+THREADS = "OMP_NUM_THREADS"
+"""What tells a process how many threads a training has."""
 Told = Callable[[str, int, int], None]
 """Is told the step, how many of its parts are there, and how many there are."""
 
@@ -47,9 +49,9 @@ class Scope:
                     raise ValueError(f"{name} must be among {', '.join(known)}, got {word!r}")
         LocalEngine(self.workers)
 
-    def engine(self, step: str) -> Engine:
-        """Return what does the jobs of a step; what needs the GPU or all cores is done in this process."""
-        alone = step in ALONE or (self.device == "cuda" and step != "data")
+    def engine(self, step: str, plan: StudyPlan) -> Engine:
+        """Return what does the jobs of a step; what needs the GPU, processes of its own or all cores is done here."""
+        alone = step == "trade" or (step == "models" and plan.workers > 0) or (self.device != "cpu" and step != "data")
         return LocalEngine(1 if alone else self.workers)
 
 
@@ -88,7 +90,7 @@ def make_data(store: JobStore, scope: Scope, told: Told) -> None:
         told("data", done, total)
 
     for part in parts:
-        make_archive(store.plan, store.folder, part, scope.engine("data"), more)
+        make_archive(store.plan, store.folder, part, scope.engine("data", store.plan), more)
 
 
 def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
@@ -108,7 +110,8 @@ def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
     there = len(every) - len(left)
     if every:
         told(step, there, len(every))
-    with contextlib.closing(scope.engine(step).run(do_job, ready)) as run:
+    engine = scope.engine(step, store.plan)
+    with _one_thread_each(engine), contextlib.closing(engine.run(do_job, ready)) as run:
         for finished in run:
             key = ready[finished.index].key
             if finished.result is None:
@@ -118,6 +121,21 @@ def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
             there += 1
             told(step, there, len(every))
     return problems
+
+
+@contextlib.contextmanager
+def _one_thread_each(engine: Engine) -> Iterator[None]:
+    """Let processes that are started meanwhile use one thread each: several trainings share the cores."""
+    before = os.environ.get(THREADS)
+    if engine != LocalEngine(1):
+        os.environ[THREADS] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(THREADS, None)
+        else:
+            os.environ[THREADS] = before
 
 
 def named_steps(words: str | None) -> tuple[str, ...]:
