@@ -111,7 +111,7 @@ def test_what_the_monitor_cannot_check_is_told() -> None:
         monitor.check(estimate_of(np.nan))
     with pytest.raises(ValueError, match="needs benign estimates, got none"):
         DeviationMonitor.fit([])
-    with pytest.raises(ValueError, match="no benign sweep has one"):
+    with pytest.raises(ValueError, match="no benign sweep has a deviation"):
         DeviationMonitor(GRID, np.full(GRID.shape, np.inf, np.float32), "by_hand")
     with pytest.raises(ValueError, match=r"rate of 0\.01 needs at least 99 benign sweeps, got 30"):
         monitor.calibrated(_benign(30, 2), 0.01)
@@ -138,14 +138,14 @@ def test_a_report_is_checked() -> None:
 
 
 def test_a_file_gives_the_same_monitor_back_and_the_same_bytes(tmp_path: Path) -> None:
-    monitor = _monitor()
+    monitor = replace(_monitor(), facts={"network": "a b"})
     save_monitor(monitor, tmp_path / "a.npz")
     save_monitor(load_monitor(tmp_path / "a.npz"), tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     again = load_monitor(tmp_path / "a.npz")
     assert np.array_equal(again.thresholds, monitor.thresholds)
     assert (again.grid, again.method, again.limit) == (monitor.grid, monitor.method, monitor.limit)
-    assert (again.false_alarm_rate, again.sweeps) == (0.05, (50, 39))
+    assert (again.false_alarm_rate, again.sweeps, again.facts) == (0.05, (50, 39), {"network": "a b"})
     uncalibrated = DeviationMonitor.fit(_benign(3, 0))
     save_monitor(uncalibrated, tmp_path / "c.npz")
     assert load_monitor(tmp_path / "c.npz").limit is None

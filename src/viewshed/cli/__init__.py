@@ -16,6 +16,7 @@ from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
 from viewshed.cli.info import info
 from viewshed.cli.label import label
+from viewshed.cli.monitor import monitor_app
 from viewshed.cli.options import BAD_INPUTS, one_line
 from viewshed.cli.record import record_app
 from viewshed.cli.report import report_app
@@ -34,6 +35,7 @@ app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")
 app.add_typer(record_app, name="record")
 app.add_typer(report_app, name="report")
+app.add_typer(monitor_app, name="monitor")
 
 
 def _version(asked: bool) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,7 @@ class DeviationMonitor:
         limit: score above which it alarms, or None before it is calibrated.
         false_alarm_rate: that the limit was chosen for, or None.
         sweeps: benign sweeps that it was fitted on, and calibrated on.
+        facts: what else must be known to make the same estimates, by name; goes into the file.
 
     Raises:
         ValueError: thresholds do not fit the grid, are negative or NaN, or watch no cell; the limit is NaN.
@@ -71,6 +72,7 @@ class DeviationMonitor:
     limit: float | None = None
     false_alarm_rate: float | None = None
     sweeps: tuple[int, int] = (0, 0)
+    facts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         thresholds = np.ascontiguousarray(self.thresholds, np.float32).view()
@@ -78,7 +80,7 @@ class DeviationMonitor:
             raise ValueError(f"thresholds must be {self.grid.shape}, not negative and not NaN, got {thresholds.shape}")
         if np.isinf(thresholds).all():
             raise ValueError(
-                "thresholds must be finite in one cell at least, got none: no benign sweep has a deviation"
+                "thresholds must be finite in one cell at least, got none; no benign sweep has a deviation"
             )
         if self.limit is not None and np.isnan(self.limit):
             raise ValueError("limit must be a number, got NaN")

@@ -39,6 +39,7 @@ def save_monitor(monitor: DeviationMonitor, path: str | Path) -> None:
         "limit": monitor.limit,
         "false_alarm_rate": monitor.false_alarm_rate,
         "sweeps": list(monitor.sweeps),
+        "facts": dict(monitor.facts),
     }
     file = io.BytesIO()
     text = np.frombuffer(json.dumps(about).encode(), np.uint8)
@@ -78,4 +79,5 @@ def _monitor(about: dict[str, Any], thresholds: Any) -> DeviationMonitor:
     return DeviationMonitor(
         BevGrid(int(cells), float(half_extent_m), (float(offset_m[0]), float(offset_m[1]))), thresholds,
         str(about["method"]), about["limit"], about["false_alarm_rate"], (about["sweeps"][0], about["sweeps"][1]),
+        {str(key): str(value) for key, value in about["facts"].items()},
     )  # fmt: skip

@@ -1,0 +1,128 @@
+"""``viewshed monitor``: fits on benign sweeps, alarms on others, and refuses what does not fit in one line."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tests.networks.made import card, nearby
+
+from viewshed import Sweep, write_sweep
+from viewshed.cli import main
+from viewshed.integrity import load_monitor
+from viewshed.networks.onnx_file import export_onnx
+from viewshed.networks.unet import Stage, UNet
+
+
+def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stop:
+        main(list(words))
+    told = capsys.readouterr()
+    return int(stop.value.code or 0), told.out, told.err
+
+
+def _network() -> UNet:
+    """A network that is certain near a return, and whose masks matter where there is none."""
+    module = nearby()
+    first = module.encoder[0]
+    assert isinstance(first, Stage)
+    with torch.no_grad():
+        first.conv1.weight[1:] *= 100.0
+    return module
+
+
+def _sweep(seed: int, reach_m: float = 15.5) -> Sweep:
+    """Returns everywhere within reach."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-reach_m, reach_m, (600, 2)), np.full(600, -1.0)])
+    return Sweep(points, sensor_height_m=1.0, attitude=np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a network, benign sweeps and a monitor fitted on them."""
+    folder = tmp_path_factory.mktemp("monitor")
+    export_onnx(folder / "net.onnx", card(), _network())
+    for seed in range(20):
+        write_sweep(_sweep(seed), folder / f"benign{seed:02}.npz")
+    write_sweep(_sweep(99), folder / "calm.npz")
+    write_sweep(_sweep(99, 4.0), folder / "cut.npz")
+    write_sweep(Sweep(np.zeros((0, 3), np.float32)), folder / "empty.npz")
+    with pytest.raises(SystemExit) as stop:
+        main(_fit(folder, "--out", str(folder / "monitor.npz")))
+    assert not stop.value.code
+    return folder
+
+
+def _fit(folder: Path, *more: str) -> list[str]:
+    files = map(str, sorted(folder.glob("benign*.npz")))
+    net = ["--weights", str(folder / "net.onnx"), "--grid", "32x16", "--passes", "5", "--false-alarm-rate", "0.1"]
+    return ["monitor", "fit", *files, *net, *more]
+
+
+def _check(folder: Path, *files: str) -> list[str]:
+    named = [str(folder / file) for file in files]
+    return ["monitor", "check", *named, "--monitor", str(folder / "monitor.npz"), "--weights", str(folder / "net.onnx")]
+
+
+def test_fit_says_what_it_did(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, err = _run(capsys, *_fit(place, "--out", str(tmp_path / "again.npz")))
+    assert (code, err) == (0, "")
+    assert re.search(r"fitted on 10 sweeps, calibrated on 10; alarms above a score of \d\.\d{4}, .* 10\.0% false", said)
+    assert (tmp_path / "again.npz").read_bytes() == (place / "monitor.npz").read_bytes()
+    monitor = load_monitor(place / "monitor.npz")
+    assert (monitor.facts["passes"], monitor.facts["target"], monitor.grid.cells) == ("5", "car", 32)
+
+
+def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, err = _run(capsys, *_check(place, "calm.npz", "cut.npz"))
+    assert (code, err) == (0, "")
+    calm, cut, total = said.splitlines()
+    assert re.fullmatch(r"calm\.npz: score 0\.\d{4}, limit 0\.\d{4}, no alarm", calm)
+    assert re.fullmatch(r"cut\.npz: score 0\.\d{4}, limit 0\.\d{4}, ALARM, \d+ m² suspect", cut)
+    assert total == "2 sweeps, 1 alarms"
+
+
+def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, _ = _run(capsys, *_check(place, "cut.npz"), "--out", str(tmp_path / "found"))
+    assert code == 0
+    area = re.search(r"ALARM, (\d+) m² suspect → (\S+)", said)
+    assert area is not None
+    assert Path(area[2]).read_bytes().startswith(b"\x89PNG")
+    feature = json.loads((tmp_path / "found" / "cut.geojson").read_text())
+    assert feature["properties"]["alarm"] is True
+    rings = [np.array(ring) for polygon in feature["geometry"]["coordinates"] for ring in polygon]
+    signed = [0.5 * np.sum(r[:-1, 0] * r[1:, 1] - r[1:, 0] * r[:-1, 1]) for r in rings]
+    assert abs(sum(signed)) == pytest.approx(float(area[1]), abs=0.6), "holes run the other way round"
+
+
+def test_one_bad_sweep_does_not_stop_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, err = _run(capsys, *_check(place, "empty.npz", "none.npz", "calm.npz"))
+    assert code == 2
+    assert said.splitlines()[-1] == "1 sweeps, 0 alarms"
+    empty, none = err.splitlines()
+    assert "empty.npz: estimate must have a standard deviation" in empty
+    assert "none.npz" in none
+
+
+def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    few = ["monitor", "fit", *map(str, sorted(place.glob("benign*.npz"))[:10])]
+    net = ["--weights", str(place / "net.onnx"), "--grid", "32x16", "--out", str(tmp_path / "no.npz")]
+    code, _, err = _run(capsys, *few, *net)
+    assert (code, err) == (2, "viewshed: a false-alarm rate of 0.05 needs at least 19 benign sweeps, got 5\n")
+    assert not (tmp_path / "no.npz").exists()
+    (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
+    code, _, err = _run(capsys, "monitor", "check", str(place / "calm.npz"), "--monitor", str(tmp_path / "bad.npz"))
+    assert code == 2
+    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; fit it again\n", err)
+    other = card(threshold=0.7)
+    export_onnx(tmp_path / "other.onnx", other, _network())
+    words = _check(place, "calm.npz")[:-1]
+    code, _, err = _run(capsys, *words, str(tmp_path / "other.onnx"))
+    assert code == 2
+    assert re.fullmatch(r"viewshed: weights must be those of the monitor, made \w{12}, got made \w{12}; .*\n", err)
+    code, _, err = _run(capsys, *_fit(place, "--out", str(place / "benign00.npz")))
+    assert code == 2
+    assert "is an input and would be replaced" in err
