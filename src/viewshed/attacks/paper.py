@@ -11,6 +11,7 @@ from viewshed.attacks.assembly import added, untouched
 from viewshed.attacks.checks import require
 from viewshed.attacks.scene import scene_of
 from viewshed.attacks.tampering import Tampered
+from viewshed.geometry import rotation_from_quaternion
 from viewshed.sweep import Sweep
 
 
@@ -65,7 +66,9 @@ class PaperAttack:
 
 def _level_with_sensor(sweep: Sweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return points (A, 3) of the sensor's frame at its own height, over places (A, 2) of the level frame."""
-    return np.column_stack([xy, np.zeros(len(xy))]) @ scene_of(sweep).level_from_sensor.rotation
+    attitude = sweep.known_attitude
+    rotation = scene_of(sweep).level_from_sensor.rotation if attitude is None else rotation_from_quaternion(attitude)
+    return np.column_stack([xy, np.zeros(len(xy))]) @ rotation
 
 
 PAPER_ATTACK = PaperAttack()

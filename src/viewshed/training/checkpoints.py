@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,10 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 import viewshed
-from viewshed.atomic import write_bytes
 from viewshed.training.config import TrainConfig
+from viewshed.training.files import save
 from viewshed.training.learner import FORMAT, KEY
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 _REPAIR = "delete it, and training begins again"
 
 
@@ -30,13 +28,7 @@ class WholeCheckpoints(TorchCheckpointIO):
         """
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        try:
-            write_bytes(path, buffer.getvalue())
-        except OSError as error:
-            what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}"
-            again = "start the same command again, it goes on from the last whole epoch"
-            raise OSError(error.errno, f"{path}: {what} and {again}") from error
+        save(Path(path), buffer.getvalue())
 
     def load_checkpoint(self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True) -> dict[str, Any]:
         """Return a checkpoint of anything that Lightning wrote.

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import viewshed
-from viewshed.atomic import write_bytes
 from viewshed.training.config import TrainConfig
-from viewshed.training.data import Fold
+from viewshed.training.data import Fold, check_data, check_folds
+from viewshed.training.files import save
 from viewshed.training.folds import FoldScore, FoldStore
-from viewshed.training.run import require_torch, train
+from viewshed.training.run import Machines, require_torch, train
 
 if TYPE_CHECKING:
     from viewshed.training.learner import Step
@@ -137,7 +137,12 @@ def crossval(
         ImportError: torch or optuna is not installed.
     """
     require_torch()
+    from viewshed.training.fit import check_device
+
     wanted, folder = Search() if search is None else search, Path(out)
+    check_device(Machines(device))
+    check_data(config)
+    check_folds(config, wanted.folds)
     store = FoldStore.open(folder, {"version": viewshed.__version__, "config": config.to_json()} | wanted.to_json())
     runner = _Runner(config, folder, store, wanted.folds, device, progress)
     tried = _asked(wanted, config, runner) if wanted.sampler == "optuna" else _swept(wanted, config, runner)
@@ -231,6 +236,6 @@ def _write(config: TrainConfig, out: Path, found: Validated) -> None:
 
     ordered = sorted(found.scores)
     values = {setting.name: [score.f1 for score in found.scores[setting]] for setting in ordered}
-    write_bytes(out / FIGURE, fold_figure(config.name, values, found.chosen.name))
-    write_bytes(out / PAGE, page_of(config, found).encode())
-    write_bytes(out / CHOSEN, toml_of(found.chosen.of(config)).encode())
+    save(out / FIGURE, fold_figure(config.name, values, found.chosen.name))
+    save(out / PAGE, page_of(config, found).encode())
+    save(out / CHOSEN, toml_of(found.chosen.of(config)).encode())

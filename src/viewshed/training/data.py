@@ -26,6 +26,7 @@ Told = Callable[[str, int, int], None]
 FRESH_VALIDATION = 0.1
 """Frames that validate beside fresh ones, as a share of those of an epoch."""
 _VALIDATION = 0x76616C
+_WORTH_PROCESSES = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,24 @@ def check_data(config: TrainConfig) -> None:
         check_archives(config, [_archive(place) for place in config.data])
 
 
+def check_folds(config: TrainConfig, count: int) -> None:
+    """Check that a config's data have scenes enough for so many folds.
+
+    Raises:
+        ValueError: they have fewer, or are made anew every epoch.
+    """
+    if config.fresh:
+        raise ValueError("fresh scenes have no folds: every epoch has its own; set fresh = false")
+    for place in config.data:
+        if config.simulated:
+            preset = preset_named(place)
+            scenes = preset.scenes[preset.splits.index(config.train_split)]
+        else:
+            scenes = len(_archive(place).split(config.train_split).scenes)
+        if scenes < count:
+            raise ValueError(f"{place} must have a scene for each of {count} folds, got {scenes}; ask for fewer folds")
+
+
 def prepare(config: TrainConfig, cache: Path, fold: Fold | None = None, told: Told | None = None) -> Frames:
     """Return the frames of a config; presets are simulated and the paper's labels made, once, below ``cache``.
 
@@ -82,9 +101,9 @@ def prepare(config: TrainConfig, cache: Path, fold: Fold | None = None, told: To
         ValueError: data do not fit the config, or there are too few scenes.
         OSError: data cannot be read or made.
     """
+    if fold is not None:
+        check_folds(config, fold.count)
     if config.fresh:
-        if fold is not None:
-            raise ValueError("fresh scenes have no folds: every epoch has its own; set fresh = false")
         held = (_simulated(_held_out(config, name), cache, told) for name in config.data)
         validation = _archived(config, tuple(held), cache, told)
         return Frames(TrainingFrames(Fresh(config, config.frames_per_epoch), config), validation)
@@ -103,7 +122,7 @@ def _archived(config: TrainConfig, archives: tuple[Archive, ...], cache: Path, t
         labels = PaperLabels(cache / "labels", config.grid, config.indoor)
         count = _Count(told, "labels", sum(map(len, archives)))
         for archive in archives:
-            labels.make(archive, _processes(), count.add)
+            labels.make(archive, _processes(len(archive)), count.add)
     return TrainingFrames(Archived(archives, config, labels), config)
 
 
@@ -137,8 +156,11 @@ def _held_out(config: TrainConfig, name: str) -> Preset:
     preset, wanted = preset_named(name), FRESH_VALIDATION * config.frames_per_epoch / len(config.data)
     scenes = max(round(wanted / FRESH_PER_SCENE), 1)
     seed = int(np.random.SeedSequence([config.seed, _VALIDATION]).generate_state(1)[0])
-    held = replace(preset, name=f"{name}-validation-{config.seed}", splits=("validation",), scenes=(scenes,), seed=seed)
-    return replace(on_grid(held, config), frames=(scenes * FRESH_PER_SCENE,), interval_s=1.0)
+    held = replace(
+        preset, name=f"{name}-validation-{config.seed}", splits=("validation",), scenes=(scenes,),
+        frames=(scenes * FRESH_PER_SCENE,), interval_s=1.0, seed=seed,
+    )  # fmt: skip
+    return on_grid(held, config)
 
 
 def _simulated(preset: Preset, cache: Path, told: Told | None) -> Archive:
@@ -154,7 +176,7 @@ def _simulated(preset: Preset, cache: Path, told: Told | None) -> Archive:
             "first, or simulate archives and name them as data"
         )
     count = _Count(told, preset.name, preset.sweeps)
-    return simulate(preset, store, LocalEngine(_processes()), lambda shard: count.add(shard.frames))
+    return simulate(preset, store, LocalEngine(_processes(preset.sweeps)), lambda shard: count.add(shard.frames))
 
 
 def _launched_beside() -> bool:
@@ -162,8 +184,9 @@ def _launched_beside() -> bool:
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
-def _processes() -> int:
-    return os.cpu_count() or 1
+def _processes(frames: int) -> int:
+    """Return how many processes make frames: few frames are done before another process has started."""
+    return 1 if frames < _WORTH_PROCESSES else os.cpu_count() or 1
 
 
 def _archive(place: str) -> Archive:

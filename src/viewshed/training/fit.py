@@ -12,12 +12,12 @@ from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
 from torch.multiprocessing.spawn import ProcessRaisedException
 from torch.utils.data import DataLoader, Dataset
 
-from viewshed.atomic import write_bytes
 from viewshed.networks.unet import UNet, save_weights
 from viewshed.report import facts
 from viewshed.training.checkpoints import WholeCheckpoints, check_same, read_checkpoint
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import Frames
+from viewshed.training.files import save
 from viewshed.training.frames import TrainingFrames
 from viewshed.training.history import Epoch, best_of, csv_of, epoch_of, is_over
 from viewshed.training.learner import KEY, Learner, Progress
@@ -138,7 +138,7 @@ class _Table(Callback):
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         if trainer.is_global_zero and isinstance(pl_module, Learner):
-            write_bytes(self.out / HISTORY, csv_of(pl_module.history).encode())
+            save(self.out / HISTORY, csv_of(pl_module.history).encode())
 
 
 def _trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trainer:
@@ -196,8 +196,8 @@ def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
     card = config.card(**_facts(config, history))
     with quiet():
         save_weights(out / STATE, card, module.eval())
-        write_bytes(out / HISTORY, csv_of(history).encode())
-        write_bytes(out / CURVES, curve_figure(config.name, history))
+        save(out / HISTORY, csv_of(history).encode())
+        save(out / CURVES, curve_figure(config.name, history))
         export_onnx(out / WEIGHTS, card, module.eval())
     return history
 

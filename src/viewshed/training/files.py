@@ -1,0 +1,26 @@
+"""Files of a training: whole or not there, and a full disk is told in one line."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+from viewshed.atomic import write_bytes
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def save(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all; one that exists is replaced.
+
+    Raises:
+        OSError: it cannot be written; what was there before is still there.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, content)
+    except OSError as error:
+        what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}; mend that"
+        named = type(error)(f"{path}: {what} and start the same command again, it goes on from the last whole epoch")
+        named.errno = error.errno
+        raise named from error
