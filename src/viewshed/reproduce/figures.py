@@ -10,10 +10,11 @@ from viewshed.attacks import ATTACKS, SEVERITIES
 from viewshed.plot_reproduce import Dot, Map, map_figure, trade_figure
 from viewshed.plot_study import Curves, Violins, curve_figure, violin_figure
 from viewshed.reproduce.contestants import load_runner, network, passes_of, weights_of
-from viewshed.reproduce.data import test_sweep
+from viewshed.reproduce.data import TestSweep, test_sweep
 from viewshed.reproduce.other_tables import trade_rows
-from viewshed.reproduce.protocols import MIXTURES, TOUCHING, Model, setting_of
+from viewshed.reproduce.protocols import MIXTURES, TOUCHING, Model, Setting, setting_of
 from viewshed.reproduce.results import VIEW, WEDGE, Floats, PairKey, Results, StrictKey, accuracy
+from viewshed.reproduce.scoring import Said
 from viewshed.reproduce.strict_tables import who
 from viewshed.reproduce.tables import contestants_of, domains_of, own_name
 from viewshed.vulnerability.cases import BENIGN, Case
@@ -62,25 +63,39 @@ def mcd_picture(results: Results, protocol: str) -> Picture | None:
     models = {mixture: Model(protocol, "mcd", mixture, domain) for mixture in MIXTURES}
     if any((model.protocol, model.name) not in results.models for model in models.values()):
         return None
-    setting = setting_of(plan, protocol, domain)
-    numbers = range(8) if protocol == "paper" else [TOUCHING.index(SHOWN)]
-    test = next(test for n in numbers if len((test := test_sweep(plan, folder, setting, n)).attacked) != len(test.benign)
-                or protocol == "strict")  # fmt: skip
+    setting, test = _shown_sweep(results, protocol, domain)
     predict = {
         mixture: network(load_runner(weights_of(folder, model)), setting, passes_of(plan, model), plan.test_seed)
         for mixture, model in models.items()
     }
-    rows = {}
-    for name, sweep in zip(MIXTURES, (test.benign, test.attacked), strict=True):
-        counted = np.minimum(setting.grid.count(sweep.points), 1)
-        maps = [Map("returns", "returns", counted), Map("truth, clean sweep", "truth", test.visible)]
-        for mixture in MIXTURES:
-            mean, std = predict[mixture](sweep)
-            maps.append(Map(f"{mixture}-trained: mean", "probability", mean))
-            maps.append(Map(f"{mixture}-trained: deviation", "deviation", np.zeros(1) if std is None else std))
-        rows[f"{name} sweep"] = maps
+    rows = {
+        f"{name} sweep": [
+            Map("returns", "returns", np.minimum(setting.grid.count(sweep.points), 1)),
+            Map("truth, clean sweep", "truth", test.visible),
+            *(each for mixture in MIXTURES for each in _mean_and_std(f"{mixture}-trained", predict[mixture](sweep))),
+        ]
+        for name, sweep in zip(MIXTURES, (test.benign, test.attacked), strict=True)
+    }
     alt = f"Monte Carlo dropout on one sweep of {domain}, benign and under {test.attack}: mean and deviation"
     return Picture(f"reproduce_{protocol}_mcd.png", map_figure(rows), alt)
+
+
+def _shown_sweep(results: Results, protocol: str, domain: str) -> tuple[Setting, TestSweep]:
+    """Return the first held-out sweep that the paper's mixture attacks, or the first under ``SHOWN``."""
+    plan, folder = results.store.plan, results.store.folder
+    setting = setting_of(plan, protocol, domain)
+    if protocol == "strict":
+        return setting, test_sweep(plan, folder, setting, TOUCHING.index(SHOWN))
+    tests = [test_sweep(plan, folder, setting, number) for number in range(plan.pair_frames)]
+    return setting, next((test for test in tests if test.attacked is not test.benign), tests[0])
+
+
+def _mean_and_std(title: str, said: Said) -> list[Map]:
+    mean, std = said
+    return [
+        Map(f"{title}: mean", "probability", mean),
+        Map("deviation", "deviation", np.zeros_like(mean) if std is None else std),
+    ]
 
 
 def trade_picture(results: Results) -> Picture | None:

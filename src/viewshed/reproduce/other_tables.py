@@ -17,24 +17,30 @@ from viewshed.vulnerability.tables import three
 
 def training_table(results: Results, protocol: str) -> Table:
     """Return how each training of a protocol went."""
-    rows = [
-        [name, str(len(line["history"])), str(line["best"]), f"{line['history'][line['best'] - 1]['validation_loss']:.4f}",
-         three(line["history"][line["best"] - 1]["f1"]), f"{line['frames_per_s']:.0f}",
-         f"{100 * line['network_share']:.0f} %", f"{line['seconds']:.0f}"]
-        for (of, name), line in results.models.items()
-        if of == protocol
-    ]  # fmt: skip
+    rows = [[name, *_trained(line)] for (of, name), line in results.models.items() if of == protocol]
     header = ["model", "epochs", "best", "validation loss", "validation F1", "frames/s", "in the network", "seconds"]
     return Table(header, rows)
+
+
+def _trained(line: dict[str, Any]) -> list[str]:
+    epoch = line["history"][line["best"] - 1]
+    scores = [f"{epoch['validation_loss']:.4f}", three(epoch["f1"])]
+    speed = [f"{line['frames_per_s']:.0f}", f"{100 * line['network_share']:.0f} %", f"{line['seconds']:.0f}"]
+    return [str(len(line["history"])), str(line["best"]), *scores, *speed]
 
 
 def trade_rows(results: Results) -> list[dict[str, Any]]:
     """Return the networks of the trade study by cells, depth and width, with what each scores as ``measured``."""
     lines = [
-        line | {"shape": tuple(map(int, line["job"][1:])), "measured": Measured.from_json(line["scores"]["network"]["benign"])}
+        line | {"shape": _shape(line), "measured": Measured.from_json(line["scores"]["network"]["benign"])}
         for line in results.others.get("trade", {}).values()
-    ]  # fmt: skip
+    ]
     return sorted(lines, key=lambda line: line["shape"][::-1])
+
+
+def _shape(line: dict[str, Any]) -> tuple[int, ...]:
+    """Return width, depth and cells."""
+    return tuple(map(int, line["job"][1:]))
 
 
 def trade_table(results: Results) -> Table:
@@ -45,9 +51,8 @@ def trade_table(results: Results) -> Table:
         rates = [three(float(measure(pooled))) for measure in (precision, accuracy, f1)]
         sizes = [f"{line['parameters'] / 1e6:.3f}", f"{line['flops'] / 1e9:.3f}"]
         rows.append([*map(str, line["shape"]), *rates, f"{latency['2']:.2f}", f"{latency['1']:.2f}", *sizes])
-    header = ["width", "depth", "cells", "precision", "accuracy", "F1", "ms, 2 threads", "ms, 1 thread", "parameters, M",
-              "GFLOP"]  # fmt: skip
-    return Table(header, rows)
+    header = ["width", "depth", "cells", "precision", "accuracy", "F1", "ms, 2 threads", "ms, 1 thread"]
+    return Table([*header, "parameters, M", "GFLOP"], rows)
 
 
 def monitor_rows(results: Results) -> dict[str, list[Row]]:
