@@ -120,7 +120,7 @@ def _half(axis: Axes, values: Floats, place: int, look: tuple[Any, str]) -> None
 
 def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
     """Return a PNG of curves, one panel each with ``label`` at the vertical axis and one legend for all."""
-    across = max(2, min(across, len(panels)))
+    across = max(3, min(across, len(panels)))
     figure, axes = _page(len(panels), across, (2.7, 2.15), legend=0.75)
     names = list(dict.fromkeys(name for panel in panels for name in panel.values))
     for number, (axis, panel) in enumerate(zip(axes, panels, strict=False)):
@@ -131,7 +131,7 @@ def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
         if number % across == 0:
             axis.set_ylabel(label, fontsize=8)
     handles = [Line2D([], [], label=name, **_line(number)) for number, name in enumerate(names)]
-    figure.legend(handles=handles, loc="lower center", ncols=min(len(names), 2 * across), frameon=False, fontsize=8)
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(names), 5), frameon=False, fontsize=8)
     return _png(figure)
 
 
