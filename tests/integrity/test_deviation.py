@@ -39,7 +39,7 @@ def test_thresholds_are_mean_and_three_standard_deviations_of_each_cell() -> Non
 def test_where_sweeps_are_few_the_range_ring_decides() -> None:
     """12 sweeps: all cells between the same two ranges share the moments of all their deviations."""
     benign = _benign(12, 4)
-    found = DeviationMonitor.fit(benign, Rule(rings=3)).thresholds
+    found = DeviationMonitor.fit(benign, Rule(few=13, rings=3)).thresholds
     stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
     range_m, _ = polar_of_cells(GRID)
     edge = range_m.max() / 3
@@ -52,7 +52,7 @@ def test_where_sweeps_are_few_the_range_ring_decides() -> None:
 def test_one_cell_with_few_sweeps_takes_its_ring_and_the_others_their_own() -> None:
     benign = _benign(40, 5)
     rare = np.zeros(GRID.shape)
-    rare[6, 1] = np.nan
+    rare[6, 1] = np.nan  # 5 sweeps are left
     mixed = [replace(each, std=(rare + np.asarray(each.std)).astype(np.float32)) for each in benign[:35]] + benign[35:]
     alone, whole = DeviationMonitor.fit(mixed, Rule(rings=1)), DeviationMonitor.fit(benign, Rule(rings=1))
     differ = alone.thresholds != whole.thresholds

@@ -75,7 +75,7 @@ def test_areas_alarms_and_refusals_worked_out_by_hand() -> None:
     assert (uniform.alarms, uniform.caught) == (0.75, 0.5)  # above 180: all but 150; above every clean one: 350 and 450
     assert uniform.auroc_low < 13 / 16 < uniform.auroc_high
     assert uniform.auroc_mean == 13 / 16
-    assert rows["pose_spoof"].auroc == 0.5
+    assert (rows["pose_spoof"].auroc, rows["pose_spoof"].located) == (0.5, {})
     assert rows["dropped_beams"].auroc == 0.125  # 70 % are gone: four scores of 0 tie with the clean sweep's 0
     assert (rows["dropped_beams"].alarms, rows["dropped_beams"].caught) == (0.0, 0.0)
     assert rows["removal"].auroc < 0.5

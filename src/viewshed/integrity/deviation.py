@@ -31,7 +31,7 @@ class Rule:
     """
 
     sigmas: float = 3.0
-    few: int = 30
+    few: int = 10
     rings: int = 48
     least: float = 0.02
 

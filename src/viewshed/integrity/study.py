@@ -168,8 +168,9 @@ class _Bench:
         report, seen = self.monitor.check(estimate), self.monitor.watched
         if sweep is not self.sweep:
             regions["changed"] = estimate.visible() != self.clean.visible()
+        areas = {name: mask & seen for name, mask in regions.items()}
         counted = {
-            name: [int((mask & seen).sum()), int((mask & report.suspect).sum())] for name, mask in regions.items()
+            name: [int(area.sum()), int((area & report.suspect).sum())] for name, area in areas.items() if area.any()
         }
         told = {"score": report.score, "mean_std": float(np.nanmean(np.asarray(estimate.std)[seen]))}
         return {**told, "alarm": report.alarm, "suspects": int(report.suspect.sum()), "regions": counted}
