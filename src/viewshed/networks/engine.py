@@ -62,9 +62,7 @@ class OnnxRunner:
         try:
             card, self._call = start(content, threads, precision)
         except RuntimeError as error:
-            raise ValueError(
-                f"{name} must be a network in ONNX that runs, got another file ({_first(error)})"
-            ) from error
+            raise ValueError(f"{name} must be a network in ONNX, got another file ({_first(error)})") from error
         try:
             self.card = NetworkCard.from_json(card)
         except ValueError as error:
@@ -156,7 +154,8 @@ def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str,
         settings["INFERENCE_NUM_THREADS"] = threads
     model = core.read_model(content)
     request = core.compile_model(model, "CPU", settings).create_infer_request()
-    card = model.get_rt_info(["framework", CARD_KEY]).astype(str)
+    place = ["framework", CARD_KEY]
+    card = model.get_rt_info(place).astype(str) if model.has_rt_info(place) else ""
 
     def call(inputs: Floats, masks: Floats) -> Floats:
         found: Floats = request.infer({"inputs": inputs, "masks": masks})[0]

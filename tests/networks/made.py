@@ -1,0 +1,65 @@
+"""Networks made by hand: small ones with drawn weights, and one of which is known what it says."""
+
+import numpy as np
+import torch
+
+from viewshed.bev import BevGrid
+from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.unet import Stage, UNet
+
+SMALL = UNetShape(4, 2, 0.3)
+GRID = BevGrid(32, 16.0)
+
+
+def card(shape: UNetShape = SMALL, grid: BevGrid = GRID, threshold: float = 0.5) -> NetworkCard:
+    """A card as training would write it."""
+    return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, trained={"seed": "3"})
+
+
+def drawn(shape: UNetShape = SMALL, seed: int = 3) -> UNet:
+    """A network with drawn weights and drawn statistics of batch normalization, none of them trivial."""
+    draw = torch.Generator().manual_seed(seed)
+    module = UNet(shape)
+    for name, value in module.state_dict().items():
+        if value.is_floating_point():
+            noise = torch.randn(value.shape, generator=draw)
+            if value.ndim == 4:
+                value.copy_(noise * (2.0 / value[0].numel()) ** 0.5)
+            else:
+                value.copy_(1.0 + 0.3 * noise.abs() if "var" in name or "weight" in name else 0.3 * noise)
+    with torch.no_grad():
+        module.encoder[0].get_parameter("conv1.weight").mul_(300.0)
+        module.head.weight.mul_(0.3)
+    return module.eval()
+
+
+def nearby(shape: UNetShape = SMALL) -> UNet:
+    """A network that calls visible what lies within four cells of a return, and doubts a little under dropout."""
+    module = drawn(shape)
+    first, last = module.encoder[0], module.decoder[-1]
+    assert isinstance(first, Stage)
+    assert isinstance(last, Stage)
+    with torch.no_grad():
+        for stage in (first, last):
+            for norm in (stage.norm1, stage.norm2):
+                norm.running_mean.zero_()  # type: ignore[union-attr]
+                norm.running_var.fill_(1.0)  # type: ignore[union-attr]
+                norm.weight.fill_(1.0)
+                norm.bias.zero_()
+        for conv, inner in ((first.conv1, 0), (first.conv2, 0), (last.conv1, shape.width), (last.conv2, 0)):
+            conv.weight[0].zero_()
+            conv.weight[0, inner] = 1.0
+        first.conv1.weight[0] *= 1000.0
+        module.head.weight.zero_()
+        module.head.weight[0, 0] = 20.0
+        module.head.weight[0, 1] = 0.02
+        module.head.bias.fill_(-5.0)
+    return module
+
+
+def inputs(
+    count: int, shape: UNetShape = SMALL, grid: BevGrid = GRID, seed: int = 5
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Counts as they come, (count, channels, cells, cells)."""
+    rng = np.random.default_rng(seed)
+    return (rng.poisson(0.4, (count, shape.channels, *grid.shape)) / 1000).astype(np.float32)

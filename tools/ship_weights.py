@@ -1,0 +1,49 @@
+"""Put a trained network into the package: ``python tools/ship_weights.py network.onnx --name road``.
+
+The file is what ``viewshed train`` exported; its card says grid, target and training. It is run once before it is
+written, with its checksum, into the folder of shipped weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from viewshed.networks.engine import OnnxRunner
+from viewshed.networks.shipped import WEIGHTS, Shipped, ship
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Check, copy and list the file that the command line names."""
+    parser = argparse.ArgumentParser(prog="ship_weights.py", description=__doc__)
+    parser.add_argument("file", type=Path, help="network.onnx of a training")
+    parser.add_argument("--name", required=True, help="what users ask for")
+    parser.add_argument("--methods", default="unet,mcd", help="estimators that take it where no weights are named")
+    parser.add_argument("--folder", type=Path, default=WEIGHTS)
+    chosen = parser.parse_args(words)
+    content = chosen.file.read_bytes()
+    card = OnnxRunner.of_content(content, str(chosen.file), 1, "onnxruntime").card
+    _run_once(content, chosen.file)
+    digest, grid = hashlib.sha256(content).hexdigest(), card.grid
+    if grid.offset_m != (0.0, 0.0):
+        raise ValueError(f"shipped weights must have a grid about the sensor, got offset {grid.offset_m}")
+    methods = tuple(chosen.methods.split(","))
+    line = Shipped(chosen.name, f"{chosen.name}.onnx", digest, grid.cells, grid.half_extent_m, card.target, methods)
+    ship(content, line, chosen.folder)
+    print(f"{line.file}: {len(content)} bytes, {digest[:10]}…, for {', '.join(methods)}")
+
+
+def _run_once(content: bytes, file: Path) -> None:
+    runner = OnnxRunner.of_content(content, str(file), 1, "onnxruntime")
+    card = runner.card
+    found = runner.run(np.zeros((1, card.shape.channels, *card.grid.shape), np.float32), card.shape.no_masks(1))
+    if not ((found >= 0) & (found <= 1)).all():
+        raise ValueError(f"{file} must give probabilities, got values outside [0, 1]; train it again")
+
+
+if __name__ == "__main__":
+    main()
