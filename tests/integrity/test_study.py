@@ -79,6 +79,7 @@ def test_areas_alarms_and_refusals_worked_out_by_hand() -> None:
     assert rows["dropped_beams"].auroc == 0.125  # 70 % are gone: four scores of 0 tie with the clean sweep's 0
     assert (rows["dropped_beams"].alarms, rows["dropped_beams"].caught) == (0.0, 0.0)
     assert rows["removal"].auroc < 0.5
+    assert rows["removal"].located["touched"].cells > 10, "cells that lost a return"
     assert [rows[name].idle for name in ("uniform", "removal", "pose_spoof")] == [0, 0, 4]
     assert (rows["replay"].frames, rows["replay"].refused) == (0, 4)
     assert np.isnan(rows["replay"].auroc)
