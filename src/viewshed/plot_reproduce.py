@@ -23,7 +23,7 @@ _SCALES: dict[Kind, tuple[str, float | None]] = {
     "returns": ("bone_r", 1.0), "truth": ("Blues", 1.6), "probability": ("cividis", 1.0), "deviation": ("magma", None),
 }  # fmt: skip
 _DPI = 100
-_COLORS = 128
+_COLORS = 256
 _MAP_INCHES = 1.95
 
 
@@ -74,10 +74,11 @@ def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
         line[0].set_ylabel(name, fontsize=9)
         for axis, each in zip(line, maps, strict=False):
             drawn[each.kind] = _map(axis, each, max(most, 1e-3))
-    for kind in ("probability", "deviation"):
+    half = across // 2
+    for kind, columns in (("probability", axes[:, :half]), ("deviation", axes[:, half:])):
         if kind in drawn:
-            bar = figure.colorbar(drawn[kind], ax=axes, location="bottom", shrink=0.3, aspect=40, pad=0.01)
-            bar.set_label(f"{kind} of visible" if kind == "probability" else "deviation over the passes", fontsize=8)
+            bar = figure.colorbar(drawn[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
+            bar.set_label("mean: probability of visible" if kind == "probability" else "deviation", fontsize=8)
             bar.ax.tick_params(labelsize=7)
     return _png(figure)
 

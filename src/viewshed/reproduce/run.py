@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from viewshed.engines import Engine, LocalEngine
-from viewshed.reproduce.data import SPLITS, make_archive, preset_of
+from viewshed.reproduce.data import SPLITS, make_archive, open_archive, preset_of
 from viewshed.reproduce.jobs import STEPS, Job, do_job, keys_of, needed
 from viewshed.reproduce.models import check_training
 from viewshed.reproduce.plan import StudyPlan
@@ -68,15 +68,23 @@ def run_steps(store: JobStore, scope: Scope, told: Told) -> list[str]:
         ImportError: trainings are wanted and the extra for them is not installed.
         OSError: something cannot be written.
     """
-    if {"models", "trade"} & set(scope.steps):
+    if {"models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)
-    problems: list[str] = []
-    for step in STEPS:
-        if step in scope.steps and step == "data":
-            make_data(store, scope, told)
-        elif step in scope.steps:
-            problems += run_step(store, scope, step, told)
-    return problems
+    if "data" in scope.steps:
+        make_data(store, scope, told)
+    working = [step for step in STEPS[1:-1] if step in scope.steps]
+    if working:
+        _check_data(store)
+    return [problem for step in working for problem in run_step(store, scope, step, told)]
+
+
+def _check_data(store: JobStore) -> None:
+    for domain in store.plan.domains:
+        for split in SPLITS:
+            try:
+                open_archive(store.folder, domain, split)
+            except (ValueError, OSError) as error:
+                raise ValueError(f"{error}; the other steps need the step data") from error
 
 
 def make_data(store: JobStore, scope: Scope, told: Told) -> None:

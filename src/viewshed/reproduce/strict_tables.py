@@ -113,7 +113,7 @@ def seen_table(results: Results, domain: str) -> Table:
         for where, columns in (("view", VIEW), ("wedge", WEDGE)):
             chosen = [case for case in cases if where == "view" or results.has_wedge(domain, case)]
             means = [_mean(results, domain, chosen, name, columns) for name in names]
-            rows.append(best([f"{words}, {where}, {len(chosen)} attacks", *map(three, means)]))
+            rows.append(best([f"{words}, {where} (attacks: {len(chosen)})", *map(three, means)]))
     return Table(["mean F1 over attacks", *names], rows)
 
 
