@@ -88,7 +88,7 @@ def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_range(
     ground = np.stack(np.meshgrid(np.arange(-15, 15.5, 0.25), np.arange(-15, 15.5, 0.25)), axis=-1).reshape(-1, 2)
     ground = ground[(np.abs(ground[:, 1]) > 4) | (ground[:, 0] < 6)]
     wall = np.stack(
-        [np.full(60, 6.0), np.tile(np.linspace(-1.0, 1.0, 20), 3), np.repeat([-1.0, -0.5, 0.0], 20)], axis=1
+        [np.full(240, 6.0), np.tile(np.linspace(-1.0, 1.0, 80), 3), np.repeat([-1.0, -0.5, 0.0], 80)], axis=1
     )
     points = np.concatenate([np.column_stack([ground, np.full(len(ground), -1.8)]), wall]).astype(np.float32)
     made = NetworkCard("made", SHAPE, GRID, max_range_m=14.0)

@@ -42,8 +42,7 @@ def nearby(shape: UNetShape = SMALL) -> UNet:
     with torch.no_grad():
         for stage in (first, last):
             for norm in (stage.norm1, stage.norm2):
-                norm.running_mean.zero_()  # type: ignore[union-attr]
-                norm.running_var.fill_(1.0)  # type: ignore[union-attr]
+                norm.reset_running_stats()
                 norm.weight.fill_(1.0)
                 norm.bias.zero_()
         for conv, inner in ((first.conv1, 0), (first.conv2, 0), (last.conv1, shape.width), (last.conv2, 0)):
@@ -53,7 +52,7 @@ def nearby(shape: UNetShape = SMALL) -> UNet:
         module.head.weight.zero_()
         module.head.weight[0, 0] = 20.0
         module.head.weight[0, 1] = 0.02
-        module.head.bias.fill_(-5.0)
+        module.head.get_parameter("bias").fill_(-5.0)
     return module
 
 

@@ -118,7 +118,7 @@ def test_arrays_of_other_shapes_are_refused(path: Path) -> None:
     ):
         runner.run(inputs(2)[..., :16], masks)
     with pytest.raises(ValueError, match=r"inputs must be float32 of shape .*, got float64"):
-        runner.run(inputs(2).astype(np.float64), masks)  # type: ignore[arg-type]
+        runner.run(inputs(2).astype(np.float64), masks)
     with pytest.raises(ValueError, match=r"masks must be float32 of shape \(N, 32\) with N at least 1, got float32"):
         runner.run(inputs(2), masks[:, 1:])
     with pytest.raises(ValueError, match=r"masks must be float32 of shape .* with N at least 1, got .*\(0, 32\)"):

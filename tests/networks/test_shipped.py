@@ -1,14 +1,16 @@
 import json
+import runpy
 from pathlib import Path
 
 import pytest
 from tests.networks.made import GRID, card, drawn
-from tools.ship_weights import main
 
 from viewshed.bev import BevGrid
 from viewshed.networks.engine import OnnxRunner
 from viewshed.networks.onnx_file import export_onnx
 from viewshed.networks.shipped import WEIGHTS, default_name, manifest, shipped_content, shipped_names
+
+main = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "ship_weights.py"))["main"]
 
 
 @pytest.fixture

@@ -90,7 +90,9 @@ class OnnxRunner:
             raise ValueError(f"inputs must be 1 or as many as masks ({len(masks)}), got {len(inputs)}")
 
 
-def load_runner(path_or_name: str | Path, threads: int | None = None, engine: str = "auto") -> OnnxRunner:
+def load_runner(
+    path_or_name: str | Path, threads: int | None = None, engine: str = "auto", precision: str = "f32"
+) -> OnnxRunner:
     """Return the runner of a file, or of the weights of that name that viewshed ships.
 
     Raises:
@@ -98,10 +100,10 @@ def load_runner(path_or_name: str | Path, threads: int | None = None, engine: st
     """
     name = str(path_or_name)
     if name in shipped_names():
-        return OnnxRunner.of_content(shipped_content(name), name, threads, engine)
+        return OnnxRunner.of_content(shipped_content(name), name, threads, engine, precision)
     if not Path(path_or_name).is_file():
         raise ValueError(f"weights must be {_choices()}, got {name!r}, which is neither")
-    return OnnxRunner(path_or_name, threads, engine)
+    return OnnxRunner(path_or_name, threads, engine, precision)
 
 
 def _choices() -> str:
