@@ -22,7 +22,7 @@ from viewshed.training.frames import TrainingFrames
 from viewshed.training.history import Epoch, best_of, csv_of, epoch_of, is_over
 from viewshed.training.learner import KEY, Learner, Progress
 from viewshed.training.order import Share, TrainingOrder, ValidationOrder
-from viewshed.training.quiet import hush, quiet
+from viewshed.training.quiet import hush, own_cores, quiet
 from viewshed.training.run import CHECKPOINT, CURVES, HISTORY, STATE, WEIGHTS, Machines
 
 _PREFETCH = 4
@@ -69,7 +69,7 @@ def fit(
         out.mkdir(parents=True, exist_ok=True)
         loaders = Loaders(frames, config, machines)
         learner = Learner(config, loaders.steps, progress)
-        with quiet():
+        with quiet(), own_cores(config.workers):
             trainer = _trainer(config, out, machines)
             last = out / CHECKPOINT
             _run(trainer, learner, loaders, str(last) if standing else None)

@@ -22,6 +22,7 @@ FORMAT = 1
 """Version of what a checkpoint holds beside Lightning's own."""
 KEY = "viewshed"
 _LAST_RATE = 0.01
+_MOMENTUM = 0.1
 Batch = dict[str, Tensor]
 
 
@@ -122,8 +123,12 @@ class Learner(L.LightningModule):
         self._watch, self._train = Watch(), torch.zeros(2, device=self.device)
 
     def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
-        """Begin to measure a step."""
+        """Begin to measure a step. In the very first, batch normalization takes over the statistics of the batch.
+
+        They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
+        """
         self._watch.start()
+        self._set_momentum(1.0 if self.trainer.global_step == 0 else _MOMENTUM)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Return the loss of a batch."""
@@ -199,6 +204,11 @@ class Learner(L.LightningModule):
         """Take over what is ours."""
         self.history = [epoch_of(table) for table in checkpoint[KEY]["history"]]
         self.best = checkpoint[KEY]["best"]
+
+    def _set_momentum(self, momentum: float) -> None:
+        for module in self.network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.momentum = momentum
 
     def _logits(self, batch: Batch) -> Tensor:
         inputs = batch["inputs"].contiguous(memory_format=torch.channels_last)

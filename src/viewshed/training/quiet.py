@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import warnings
 from collections.abc import Iterator
 
@@ -22,6 +23,17 @@ def hush() -> None:
     for module in ("lightning", "torch"):
         warnings.filterwarnings("ignore", module=module)
     torch.backends.cudnn.deterministic = True
+
+
+@contextlib.contextmanager
+def own_cores(workers: int) -> Iterator[None]:
+    """Leave a core to each worker: torch's threads wait for the slowest, and one that has to wait stops them all."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(min(before, max((os.cpu_count() or 1) - workers, 1)))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @contextlib.contextmanager
