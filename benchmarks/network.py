@@ -37,10 +37,10 @@ run, interleaved in an order drawn anew each round; **of one torch pass** is the
 network in torch, which holds better than the milliseconds do. GFLOP/s count every pass in full. Threads of the engines
 and of torch: {threads}. {weights}
 
-**The floor.** A product of two matrices of 2048 × 2048 in float32 reaches {peak:.0f} GFLOP/s here and now, on all cores.
-At that rate one pass takes {floor_one:.1f} ms, and {passes} passes {floor_all:.0f} ms. Of each pass {own:.0%} depends on
-its mask; what lies before the first mask, and the half of the last decoder stage that reads stage 1, is computed once
-for all passes, exactly."""
+**The floor.** A product of two matrices of 2048 × 2048 in float32 reaches {peak:.0f} GFLOP/s here and now, on all
+cores. At that rate one pass takes {floor_one:.1f} ms, and {passes} passes {floor_all:.0f} ms. Of each pass {own:.0%}
+depends on its mask; what lies before the first mask, and the half of the last decoder stage that reads stage 1, is
+computed once for all passes, exactly."""
 
 
 def main() -> None:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
+from viewshed.cli.learned import Network, Passes, Seed, Weights
 from viewshed.cli.options import AUTO, Reading, timed
 from viewshed.cli.outputs import refuse_inputs
 
 if TYPE_CHECKING:
+    from viewshed.bev import BevGrid
     from viewshed.estimate import CellState, FovEstimate, FovEstimator
     from viewshed.sweep import Sweep
 
@@ -21,7 +23,7 @@ _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "
 def compare(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every one.")
+        str, typer.Option(help="Estimators, with commas; 'all' for every one but unet and mcd.")
     ] = "shadow_map,vote,first_blocker",
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -32,6 +34,9 @@ def compare(
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
+    weights: Weights = None,
+    passes: Passes = None,
+    seed: Seed = None,
     out: Annotated[Path, typer.Option(help="The picture.")] = Path("compare.png"),
 ) -> None:
     """Show several estimators side by side: a picture and a table.
@@ -45,7 +50,7 @@ def compare(
 
     cells = options.parse_grid(grid)
     names = list(options.estimators_of(profile, cells)) if methods == "all" else methods.split(",")
-    estimators = {name: options.make_estimator(name, cells, target, profile) for name in names}
+    estimators = _estimators(names, cells, target, profile, Network(weights, passes, seed))
     [(path, entry)] = options.chosen([file], index)
     refuse_inputs([out], [file])
     sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
@@ -55,6 +60,19 @@ def compare(
     write_bytes(out, comparison([Panel(estimate, name, level) for name, (estimate, _) in found.items()], rows, _HEADER))
     typer.echo(table(_HEADER, rows))
     typer.echo(f"→ {out}")
+
+
+def _estimators(
+    names: list[str], grid: BevGrid, target: str, profile: str, network: Network
+) -> dict[str, FovEstimator]:
+    """Return the estimators by name; what is said about the network goes to those that are networks."""
+    from viewshed.estimators.learned import LEARNED
+
+    if network != Network() and not set(names) & set(LEARNED):
+        raise ValueError(f"--weights, --passes and --seed go with unet or mcd, got methods {','.join(names)}")
+    one = Network(network.weights)
+    rules = {"unet": one, "mcd": network}
+    return {name: rules.get(name, Network()).estimator(name, grid, target, profile) for name in names}
 
 
 def _second(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:

@@ -1,0 +1,119 @@
+"""``viewshed estimate --method unet|mcd`` as a stranger types it."""
+
+import contextlib
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from tests.networks.made import card, nearby
+
+from viewshed import BevGrid, Sweep, write_sweep
+from viewshed.cli import main
+from viewshed.export import read_npz
+from viewshed.networks.onnx_file import export_onnx
+from viewshed.networks.spec import UNetShape
+
+SHAPE = UNetShape(4, 2, 0.3)
+
+
+def run(*arguments: object) -> tuple[int, str, str]:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as exit_:
+        main([*map(str, arguments)])
+    return int(exit_.value.code or 0), out.getvalue(), err.getvalue()
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """A sweep of ground, ahead and to the left only, and a network for it with threshold 0.7."""
+    x, y = np.meshgrid(np.linspace(2, 14, 60), np.linspace(1, 9, 60))
+    sweep = Sweep(np.stack([x.ravel(), y.ravel(), np.full(3600, -1.8)], axis=1).astype(np.float32))
+    write_sweep(sweep, tmp_path / "sweep.ply")
+    export_onnx(tmp_path / "net.onnx", card(SHAPE, BevGrid(64, 16.0), threshold=0.7), nearby(SHAPE))
+    return tmp_path / "sweep.ply", tmp_path / "net.onnx"
+
+
+@pytest.mark.parametrize(("method", "panels"), [("unet", 2), ("mcd", 3)])
+def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str, panels: int) -> None:
+    sweep, net = files
+    words = ("estimate", sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
+    code, out, err = run(*words, "--out", tmp_path / "out")
+    assert (code, err) == (0, "")
+    found = read_npz(tmp_path / "out" / "sweep.npz")
+    assert found.method == method
+    assert f"visible {found.area_m2(0.7):.0f} m²" in out
+    assert found.at(np.array([[8.0, 5.0]]))[0] > 0.9
+    assert found.at(np.array([[8.0, -5.0]]))[0] < 0.1
+    assert found.std is not None
+    assert np.isnan(found.std).all() == (method == "unet")
+    assert (tmp_path / "out" / "sweep.geojson").stat().st_size > 100
+    image = imread(tmp_path / "out" / "sweep.png")
+    dark = (image[52 : 52 + 520, :, :3].max(axis=2) < 0.1).mean(axis=0)
+    assert image.shape[1] == 20 + panels * 540 + 70 * (panels - 1)
+    assert dark.max() > 0.9
+
+
+def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> None:
+    sweep, net = files
+    found = []
+    for number, more in enumerate([(), ("--seed", 0), ("--seed", 1), ("--passes", 5)]):
+        words = ("estimate", sweep, "--method", "mcd", "--weights", net, "--grid", "64x16", *more)
+        assert run(*words, "--out", tmp_path / str(number))[0] == 0
+        std = read_npz(tmp_path / str(number) / "sweep.npz").std
+        assert std is not None
+        found.append(std)
+    assert np.array_equal(found[0], found[1])
+    assert not np.array_equal(found[0], found[2])
+    assert not np.array_equal(found[0], found[3])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--method", "unet", "--weights", "NET"), "grid must be 64x16 for the network made, got 256x64; ask for that"),
+        (
+            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--target", "pedestrian"),
+            "target must be car for",
+        ),
+        (("--method", "unet", "--weights", "nowhere"), "weights must be a file that viewshed train exported"),
+        (
+            ("--method", "unet", "--weights", "SWEEP"),
+            "must be a network that viewshed exported, got a file that is cut",
+        ),
+        (("--method", "mcd", "--grid", "65x7"), "method mcd needs weights, and this version ships none for a car on"),
+        (("--method", "unet", "--weights", "NET", "--grid", "64x16", "--passes", "4"), "passes must be 1 for unet"),
+        (("--seed", "3"), "--weights, --passes and --seed go with --method unet or mcd, got method None"),
+        (("--method", "oracle"), "vote, unet, mcd, got 'oracle'"),
+    ],
+)
+def test_what_cannot_be_done_costs_one_line(
+    files: tuple[Path, Path], tmp_path: Path, words: tuple[str, ...], message: str
+) -> None:
+    known = {"SWEEP": str(files[0]), "NET": str(files[1])}
+    code, out, err = run("estimate", files[0], *(known.get(word, word) for word in words), "--out", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Path) -> None:
+    sweep, net = files
+    words = (sweep, "--grid", "64x16", "--weights", net, "--out", tmp_path / "out.png")
+    code, out, err = run("compare", *words, "--methods", "shadow_map,unet,mcd", "--passes", 3)
+    assert (code, err) == (0, "")
+    assert [line.split("|")[1].strip() for line in out.splitlines() if line.startswith("|")][2:] == [
+        "shadow_map", "unet", "mcd",
+    ]  # fmt: skip
+    code, _, err = run("compare", *words, "--methods", "shadow_map,vote")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--weights, --passes and --seed go with unet or mcd, got methods shadow_map,vote" in err
+
+
+def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -> None:
+    sweep, net = files
+    words = ("export", sweep, "--to", "npz", "--method", "unet", "--weights", net, "--grid", "64x16")
+    assert run(*words, "--out", tmp_path / "a.npz")[0] == 0
+    assert read_npz(tmp_path / "a.npz").method == "unet"
