@@ -66,8 +66,13 @@ def estimate(
     names = output_names([file for file, _ in jobs])
     refuse_inputs((out / f"{name}{suffix}" for name in names for suffix in _RESULTS), (file for file, _ in jobs))
     out.mkdir(parents=True, exist_ok=True)
-    taken = {name.casefold() for name in names}
-    failed = 0
+    if _run_all(run, reading, jobs, names):
+        raise typer.Exit(2)
+
+
+def _run_all(run: Run, reading: Reading, jobs: list[Job], names: list[str]) -> int:
+    """Do every job and return how many failed."""
+    taken, failed = {name.casefold() for name in names}, 0
     for (file, entry), name in zip(_with_bar(jobs), names, strict=True):
         try:
             for sweep, single in _named(reading.sweeps(file, entry), name, taken):
@@ -75,8 +80,7 @@ def estimate(
         except BAD_INPUTS as error:
             failed += 1
             typer.echo(f"viewshed: {_about(file, error)}", err=True)
-    if failed:
-        raise typer.Exit(2)
+    return failed
 
 
 @dataclass(slots=True)
