@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from viewshed.truth import Truth
     from viewshed.visible import CAR, PEDESTRIAN, Target
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _HOMES = {
     "Rigid": "geometry", "LidarModel": "sensors", "lidar_model": "sensors",
