@@ -2,7 +2,9 @@
 
 import csv
 import errno
+import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -66,8 +68,8 @@ def test_training_learns_and_leaves_what_it_says(
     assert [epoch.number for epoch in done.history] == [1, 2, 3]
     losses = [(epoch.train_loss, epoch.validation_loss) for epoch in done.history]
     assert losses[-1] < losses[0]
-    # normalization knows how small counts / 1000 are from the first batch on: validation is no worse than training
-    assert all(abs(train_loss - validation) < 0.1 for train_loss, validation in losses)
+    # normalization knows from the first batch on how small counts / 1000 are: better than a coin, whose loss is .69
+    assert max(validation for _, validation in losses) < 0.6
     rows = list(csv.DictReader((out / "history.csv").read_text().splitlines()))
     assert [float(row["validation_loss"]) for row in rows] == [epoch.validation_loss for epoch in done.history]
     assert (out / "curves.png").read_bytes().startswith(b"\x89PNG")
@@ -186,6 +188,25 @@ class _Poison:
     def __call__(self, step: Step) -> None:
         frame: Any = sys._getframe(1)
         frame.f_locals["self"]._train += float("nan")
+
+
+def test_what_a_worker_meets_is_one_line(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    shutil.copytree(archive, tmp_path / "damaged")
+    for shard in (tmp_path / "damaged").glob("train-*.parquet"):
+        content = bytearray(shard.read_bytes())
+        content[1000:3000] = bytes(2000)
+        shard.write_bytes(content)
+    damaged = replace(config, data=(str(tmp_path / "damaged"),), workers=1)
+    with pytest.raises(ValueError, match=r"^\S+/train-\S+.parquet is damaged: [^\n]*run the command that made the"):
+        train(damaged, tmp_path / "out")
+    with pytest.raises(OSError, match="a worker ended early; it may have run out of memory: use fewer workers"):
+        train(replace(config, workers=1), tmp_path / "killed", progress=_end_workers)
+
+
+def _end_workers(step: Step) -> None:
+    for worker in multiprocessing.active_children():
+        worker.kill()
+        worker.join()
 
 
 def _refused(config: TrainConfig, out: Path, message: str) -> None:

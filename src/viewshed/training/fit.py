@@ -26,6 +26,7 @@ from viewshed.training.quiet import hush, own_cores, quiet
 from viewshed.training.run import CHECKPOINT, CURVES, HISTORY, STATE, WEIGHTS, Machines
 
 _PREFETCH = 4
+_CAUGHT = "Caught "  # how torch begins what a worker raised; its last line is type and message
 
 
 def check_device(machines: Machines) -> None:
@@ -172,7 +173,8 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
 
     Raises:
         KeyboardInterrupt: Lightning was interrupted, and has ended the process's training.
-        OSError: a process that trains beside this one failed.
+        OSError: a process that trains beside this one, or a worker, failed.
+        ValueError: a worker found that the data are damaged.
     """
     try:
         trainer.fit(learner, loaders, ckpt_path=last)
@@ -180,6 +182,15 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
         raise KeyboardInterrupt from error
     except ProcessRaisedException as error:
         raise OSError(str(error).strip().splitlines()[-1]) from error
+    except (ValueError, OSError) as error:
+        if not str(error).startswith(_CAUGHT):
+            raise
+        raise type(error)(str(error).strip().splitlines()[-1].partition(": ")[2]) from error
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        what = "it may have run out of memory: use fewer workers, or a smaller batch"
+        raise OSError(f"a worker ended early; {what}; the same command goes on from the last whole epoch") from error
 
 
 def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
