@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.lone import placed_by_model
+from viewshed.lone import placed_by_rings
+from viewshed.missing_kernels import silent_columns
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -28,7 +29,7 @@ def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int =
 
 
 def lone_of(sweep: Sweep) -> Mask:
-    found = placed_by_model(sweep, LIMITS_M)
+    found = placed_by_rings(sweep, LIMITS_M)
     assert found is not None
     return found.lone
 
@@ -79,9 +80,13 @@ def test_points_added_to_a_few_rings_leave_the_image() -> None:
     added = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(300, slope)], axis=1) * range_m[:, None]
     points = np.concatenate([STREET.points, added.astype(np.float32)])
     ring = np.concatenate([STREET.ring, np.full(300, 11, np.int16)])
-    assert placed_by_model(of_model(points, ring), LIMITS_M) is not None
+    found = placed_by_rings(of_model(points, ring), LIMITS_M)
+    assert found is not None
+    assert found.fits
     twice = of_model(np.concatenate([STREET.points] * 2), np.concatenate([STREET.ring] * 2))
-    assert placed_by_model(twice, LIMITS_M) is None
+    found = placed_by_rings(twice, LIMITS_M)
+    assert found is not None
+    assert not found.fits
 
 
 def of_model(points: NDArray[np.float32], ring: NDArray[np.int16]) -> Sweep:
@@ -114,3 +119,30 @@ def test_a_second_return_behind_a_wall_counts_for_no_rule() -> None:
         before = ShadowMap(GRID, no_return=rule).estimate(STREET).visible()
         after = ShadowMap(GRID, no_return=rule).estimate(both).visible()
         assert (after & ~before).sum() <= 5
+
+
+def _in_sector(mask: Mask) -> int:
+    azimuth = np.arctan2(GRID.centers[..., 1], GRID.centers[..., 0])
+    return int(mask[(azimuth > 1.0) & (azimuth < 1.5)].sum())
+
+
+def test_columns_with_a_few_returns_among_full_ones_are_silent() -> None:
+    counts = np.zeros((8, 7), np.uint8)
+    counts[:, :4] = 1  # four columns from all eight rings, one from four, one from three, one from none
+    counts[2:6, 4] = 1
+    counts[:3, 5] = 2
+    assert silent_columns(counts).tolist() == [False, False, False, False, False, True, True]
+    assert silent_columns(np.zeros((3, 2), np.uint8)).all()
+
+
+def test_a_few_points_in_a_dropped_sector_open_nothing() -> None:
+    there = np.arctan2(STREET.points[:, 1], STREET.points[:, 0])
+    dropped = STREET.select(~((there > 0.9) & (there < 1.6)))
+    assert dropped.ring is not None
+    rng = np.random.default_rng(10)
+    azimuth, range_m, ring = rng.uniform(0.9, 1.6, 60), rng.uniform(5, 30, 60), rng.integers(8, 14, 60)
+    way = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(MODEL.elevation[ring])], axis=1)
+    points = np.concatenate([dropped.points, (way * range_m[:, None]).astype(np.float32)])
+    added = of_model(points, np.concatenate([dropped.ring, ring.astype(np.int16)]))
+    assert _in_sector(claimed(STREET)) > 200
+    assert _in_sector(claimed(added)) <= _in_sector(claimed(dropped)) + 60

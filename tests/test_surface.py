@@ -58,6 +58,31 @@ def test_land_below_a_bank_is_followed_and_the_road_is_not_drawn_down_to_it() ->
     assert np.abs(errors(level, relief, road)).max() < 0.12
 
 
+@pytest.mark.parametrize("fall_m", [2.3, 3.2])
+def test_land_far_below_a_bank_is_believed_where_its_returns_agree(fall_m: float) -> None:
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -fall_m * np.clip((y - 8.0) / 7.0, 0.0, 1.0) + 0.0 * x
+
+    beyond = np.array([[0.0, 24.0], [8.0, 24.0], [-12.0, 26.0], [5.0, 30.0]])
+    assert np.abs(errors(levelled(rings(relief)), relief, beyond)).max() < 0.15
+
+
+@pytest.mark.parametrize(("x", "y"), [(12.0, 3.0), (25.0, -10.0)])
+@pytest.mark.parametrize("deep_m", [2.5, 4.0])
+def test_a_reflection_below_the_road_is_not_believed_though_its_returns_agree(
+    x: float, y: float, deep_m: float
+) -> None:
+    rng = np.random.default_rng(3)
+    around = rng.uniform((x, y), (x + 6, y + 6), (200, 2))
+    mirrored = np.column_stack([around, rng.normal(-HEIGHT_M - deep_m, 0.02, 200)]).astype(np.float32)
+
+    def flat(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 0.0 * x
+
+    level = levelled(np.concatenate([rings(flat), mirrored]))
+    assert np.abs(errors(level, flat, np.array([[x + 1, y + 1], [x + 3, y + 3], [x + 5, y + 5]]))).max() < 0.1
+
+
 def test_a_bank_that_rises_is_climbed() -> None:
     relief = _bank(1.5)
     xy = np.array([[x, y] for x in (-6.0, 0.0, 9.0) for y in (5.0, 10.0, 14.0, 16.0, 18.0)])

@@ -13,7 +13,7 @@ from viewshed.angles import atan2
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.ground import NODES, Ground, estimate_ground
-from viewshed.lone import Placed, placed_by_model
+from viewshed.lone import Placed, placed_by_rings
 from viewshed.planes import free_plane
 from viewshed.sweep import Sweep
 from viewshed.visible import Beams
@@ -49,7 +49,7 @@ class LevelSweep:
         rows: (M,) row of each point in the sweep.
         level_from_sensor: the transform used.
         ground: the local ground.
-        placed: the sweep's returns on its range image; None where its rings and its sensor do not tell.
+        placed: the sweep's returns on its range image, or None where it has no rings.
     """
 
     sweep: Sweep
@@ -95,7 +95,7 @@ def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out. Lone returns say nothing of the ground.
     """
-    placed = placed_by_model(sweep, range_limits(sweep))
+    placed = placed_by_rings(sweep, range_limits(sweep))
     lone = np.zeros(len(sweep), np.bool_) if placed is None else placed.lone
     rotation, ground = _attitude_and_ground(sweep, grid, lone)
     height = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), 0.05)

@@ -14,17 +14,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.missing_kernels import place
+from viewshed.missing_kernels import place, silent_columns
 from viewshed.sweep import Sweep
 
 ALIKE = 1.25
 """Two ranges are alike if their ratio is below this."""
-BESIDE = 16
+BESIDE = 8
 """The return beside one in its ring is the next one at most so many columns away."""
 _FULL_RING = 0.9
-"""A ring with a larger share of its columns' returns is full; the median of these must not have more than ..."""
+"""A ring with at least this share of its columns' returns is full; the median of these may have no more than ..."""
 _MOST_RING = 1.05
-"""... this share, or the columns are not those of the sweep. A few rings with points added do not matter."""
+"""... this share. A few rings with points added do not matter."""
+USUAL_COLUMNS = 1024
+"""Columns of a revolution where the sensor is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,27 +37,29 @@ class Placed:
         column: (N,) int32 azimuth column of each return, -1 where it has no ring.
         phase: (rings,) float32 where in a column the firings of a ring lie, in columns.
         counts: (rings, columns) uint8 returns of each pixel, up to 255.
-        sizes: (rings,) returns of each ring.
         lone: (N,) bool, returns that none around confirms: the next ones in the ring, the six pixels above and below.
         behind: (N,) bool, lone returns behind another one of their own pixel: a beam cannot have passed that one.
+        fits: the rings are as full as those of a sensor with so many columns; else a pixel need not be a beam.
     """
 
     column: NDArray[np.int32]
     phase: NDArray[np.float32]
     counts: NDArray[np.uint8]
-    sizes: NDArray[np.int64]
     lone: NDArray[np.bool_]
     behind: NDArray[np.bool_]
+    fits: bool
 
 
-def placed_by_model(sweep: Sweep, limits_m: tuple[float, float]) -> Placed | None:
-    """Return the places by the sweep's rings and its sensor's columns; None without them or if they do not fit."""
-    model = sweep.model
-    if sweep.ring is None or model is None or len(sweep) == 0:
+def placed_by_rings(sweep: Sweep, limits_m: tuple[float, float]) -> Placed | None:
+    """Return the places by the sweep's rings and its sensor's columns; None where it has no rings.
+
+    Columns somewhat too wide or too narrow still tell which returns are lone.
+    """
+    if sweep.ring is None or len(sweep) == 0:
         return None
-    found = placed(sweep.points, sweep.ring, (model.rings, model.azimuth_columns), limits_m)
-    full = found.sizes[found.sizes >= _FULL_RING * model.azimuth_columns]
-    return found if full.size and np.median(full) <= _MOST_RING * model.azimuth_columns else None
+    if sweep.model is None:
+        return placed(sweep.points, sweep.ring, (int(sweep.ring.max()) + 1, USUAL_COLUMNS), limits_m)
+    return placed(sweep.points, sweep.ring, (sweep.model.rings, sweep.model.azimuth_columns), limits_m)
 
 
 def placed(
@@ -63,7 +67,8 @@ def placed(
 ) -> Placed:
     """Return the places of points (N, 3) on an image of ``shape`` (rings, columns), and which of them are lone.
 
-    A pixel confirms by its nearest return. Returns outside the ranges ``limits_m`` confirm none and are not lone.
+    A pixel confirms by its nearest return. Returns outside the ranges ``limits_m`` confirm none and are not lone, nor
+    are single ones with none around, unless in columns that hardly fired.
 
     >>> points = np.array([[-9.0, -1, 0], [-9.0, 1, 0], [3.0, 0, 0]], np.float32)
     >>> placed(points, np.zeros(3, np.int16), (1, 4), (0.5, 100.0)).lone.tolist()
@@ -71,12 +76,17 @@ def placed(
     """
     column, phase, counts, sizes = place(points, ring, shape[1], shape[0])
     lone, behind = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
-    _mark(points, (ring, column), np.array(limits_m, np.float32), np.full(shape, np.inf, np.float32), (lone, behind))
-    return Placed(column, phase, counts, sizes, lone, behind)
+    nearest2, limits = np.full(shape, np.inf, np.float32), np.array(limits_m, np.float32)
+    _mark(points, (ring, column), silent_columns(counts), limits, nearest2, (lone, behind))
+    full = sizes[sizes >= _FULL_RING * shape[1]]
+    fits = bool(full.size and np.median(full) <= _MOST_RING * shape[1])
+    return Placed(column, phase, counts, lone, behind, fits)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mark(points: Any, pixel: Any, limits: Any, nearest2: Any, marks: Any) -> None:  # pragma: no cover - compiled
+def _mark(
+    points: Any, pixel: Any, silent: Any, limits: Any, nearest2: Any, marks: Any
+) -> None:  # pragma: no cover - compiled
     ring, column = pixel
     lone, behind = marks
     near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
@@ -87,17 +97,39 @@ def _mark(points: Any, pixel: Any, limits: Any, nearest2: Any, marks: Any) -> No
         away2[n] = d2 if usable else np.float32(-1.0)
         if usable:
             nearest2[ring[n], column[n]] = min(nearest2[ring[n], column[n]], d2)
+    sure = _sure(nearest2)
     for n in range(points.shape[0]):
-        if away2[n] >= 0.0 and _denied(nearest2, ring[n], column[n], away2[n]):
-            lone[n] = True
-            behind[n] = away2[n] > nearest2[ring[n], column[n]]
+        if away2[n] >= 0.0:
+            r, c = ring[n], column[n]
+            behind_own = away2[n] > nearest2[r, c]
+            if (behind_own or not sure[r, c]) and _denied(nearest2, r, c, away2[n], silent[c]):
+                lone[n], behind[n] = True, behind_own
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sure(nearest2: Any) -> Any:  # pragma: no cover - compiled
+    """Return the pixels whose nearest return one of the four next to them confirms: most, and found by vectors."""
+    rings, columns = nearest2.shape
+    sure, none = np.zeros((rings, columns), np.bool_), np.full(columns, np.inf, np.float32)
+    down, up = np.float32(1.0 / ALIKE**2), np.float32(ALIKE**2)
+    for r in range(rings):
+        row = nearest2[r]
+        below, above = nearest2[r - 1] if r > 0 else none, nearest2[r + 1] if r + 1 < rings else none
+        for c in range(1, columns - 1):
+            low, high = row[c] * down, row[c] * up
+            beside = _between(row[c - 1], low, high) | _between(row[c + 1], low, high)
+            sure[r, c] = beside | _between(below[c], low, high) | _between(above[c], low, high)
+    return sure
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _denied(nearest2: Any, r: Any, c: Any, d2: Any) -> Any:  # pragma: no cover - compiled
-    """Whether there are returns around (r, c), and none of them at a range like the root of ``d2``."""
+def _denied(nearest2: Any, r: Any, c: Any, d2: Any, alone: Any) -> Any:  # pragma: no cover - compiled
+    """Whether there are returns around (r, c), and none of them at a range like the root of ``d2``.
+
+    ``alone``: that none is alike suffices.
+    """
     rings, columns = nearest2.shape
-    low, high = d2 / np.float32(ALIKE * ALIKE), d2 * np.float32(ALIKE * ALIKE)
+    low, high = d2 * np.float32(1.0 / ALIKE**2), d2 * np.float32(ALIKE**2)
     left, right = _beside(nearest2[r], c, -1), _beside(nearest2[r], c, 1)
     if _between(left, low, high) or _between(right, low, high):
         return False
@@ -109,7 +141,7 @@ def _denied(nearest2: Any, r: Any, c: Any, d2: Any) -> Any:  # pragma: no cover 
             if _between(one, low, high) or _between(two, low, high) or _between(three, low, high):
                 return False
             nearest = min(nearest, one, two, three)
-    return nearest < np.inf
+    return alone or nearest < np.inf
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

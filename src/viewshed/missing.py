@@ -112,11 +112,11 @@ def confirmed_and_explained_beams(level: LevelSweep, top_m: float) -> Beams:
     if image is None:
         return level.beams()
     returned, missing = level.beams(), _explained(level, image, top_m)
-    keep = ~image.lone[level.rows]
+    returned.slope[image.lone[level.rows]] = np.inf  # straight up: meets nothing; to leave them out would cost copies
     return Beams(
-        np.concatenate([returned.azimuth[keep], missing.azimuth]),
-        np.concatenate([returned.slope[keep], missing.slope]),
-        np.concatenate([returned.depth_m[keep], missing.depth_m]),
+        np.concatenate([returned.azimuth, missing.azimuth]),
+        np.concatenate([returned.slope, missing.slope]),
+        np.concatenate([returned.depth_m, missing.depth_m]),
     )
 
 
@@ -159,7 +159,7 @@ def _obstructions(
 def _image(level: LevelSweep, alone: bool) -> _Image:
     """Return the range image, lone returns in it or not: by a ring column and a model if they fit, else recovered."""
     sweep, model, found = level.sweep, level.sweep.model, level.placed
-    if found is not None and sweep.ring is not None and model is not None:
+    if found is not None and found.fits and sweep.ring is not None and model is not None:
         return _filled(level, sweep.ring, _thinned(sweep.ring, found, alone), (False, model.elevation, model.origin_m))
     beams = recover_beams(sweep)
     found = placed(sweep.points, beams.ring, (beams.rings, beams.columns), range_limits(sweep))

@@ -17,6 +17,8 @@ SHARE_BINS = 52
 """... of this number; the last one holds everything beyond ..."""
 SHARE_SECTORS = 24
 """... and in so many sectors of azimuth, so that one thing that swallows light does not decide."""
+AWAKE = 0.5
+"""A column that returned from less than this share of the usual number of rings did not fire, or hardly."""
 _PHASES = 16
 _BLOCK = 2048
 
@@ -115,7 +117,7 @@ def find_missing(counts: Any, depth: Any, awake: bool) -> Any:  # pragma: no cov
     pixels = np.empty((size, 2), np.int32)
     ends = np.full((size, 2), np.inf, np.float32)
     steps = np.full((size, 2), columns, np.int32)
-    silent = _silent(counts) if awake else np.zeros(columns, np.bool_)
+    silent = silent_columns(counts) if awake else np.zeros(columns, np.bool_)
     found = 0
     for r in range(rings):
         if awake and not counts[r].any():
@@ -161,13 +163,18 @@ def _around(counts: Any, empty: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _silent(counts: Any) -> Any:  # pragma: no cover - compiled
-    """Return which columns have no return at all."""
-    most = counts[0].copy()
-    for r in range(1, counts.shape[0]):
+def silent_columns(counts: Any) -> Any:  # pragma: no cover - compiled
+    """Return the columns that returned from less than ``AWAKE`` as many rings as the median of those with any return.
+
+    They were dropped, or lie at the edge of a dropped sector, whatever a few points in them say.
+    """
+    rings = np.zeros(counts.shape[1], np.int32)
+    for r in range(counts.shape[0]):
         for c in range(counts.shape[1]):
-            most[c] = max(most[c], counts[r, c])
-    return most == 0
+            rings[c] += counts[r, c] > 0
+    some = np.sort(rings[rings > 0])
+    least = AWAKE * some[some.shape[0] // 2] if some.shape[0] else 0.0
+    return (rings == 0) | (rings < least)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

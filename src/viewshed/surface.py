@@ -167,7 +167,8 @@ def _weigh(samples: Any, surface: Any, n: int, scale: Any, weights: Any) -> None
     least = np.float32(_LEAST_WEIGHT)
     for k in range(samples.shape[0]):
         away = samples[k, 2] - _at(surface, samples[k, 0] * per - half, samples[k, 1] * per - half)
-        away *= above / samples[k, 3] if away > 0 else one / samples[k, 5]
+        below = one / samples[k, 5]
+        away *= above / samples[k, 3] if away > 0 else below
         weight = one / (one + away * away)
         weight *= weight
         weights[k] = max(weight if weight >= least else np.float32(0.0), samples[k, 4])

@@ -32,8 +32,8 @@ class ShadowMap:
     ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
     went as far as the nearer of its neighbors in the ring).
 
-    Limits: trusts each measured depth, so that removed or far-spoofed returns open false corridors; needs the local
-    ground within about 0.3 m. More obstacles never add visibility where no beam is explained; with ``explained`` the
+    Limits: trusts each measured depth that another beam confirms (``explained``; see :mod:`viewshed.lone`) or any, so
+    that removed or many far-spoofed returns open false corridors; needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is explained; with ``explained`` the
     share of ground that returns is learned from the whole sweep, and obstacles elsewhere change it.
     """
 
@@ -84,10 +84,9 @@ def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
 def _without_behind(level: LevelSweep) -> Beams:
     """Return the beams of all returns but lone ones behind another of their pixel: that beam had ended before."""
     beams = level.beams()
-    if level.placed is None:
-        return beams
-    keep = ~level.placed.behind[level.rows]
-    return Beams(beams.azimuth[keep], beams.slope[keep], beams.depth_m[keep])
+    if level.placed is not None:
+        beams.slope[level.placed.behind[level.rows]] = np.inf  # straight up: meets nothing
+    return beams
 
 
 def _state(
