@@ -32,9 +32,10 @@ class ShadowMap:
     ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
     went as far as the nearer of its neighbors in the ring).
 
-    Limits: trusts each measured depth that another beam confirms (``explained``; see :mod:`viewshed.lone`) or any, so
-    that removed or many far-spoofed returns open false corridors; needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is explained; with ``explained`` the
-    share of ground that returns is learned from the whole sweep, and obstacles elsewhere change it.
+    Limits: trusts each measured depth, with ``explained`` each that another beam confirms
+    (:mod:`viewshed.lone`), so that removed or many far-spoofed returns open false corridors; needs the local ground
+    within about 0.3 m. More obstacles never add visibility where no beam is explained; with ``explained`` the share of
+    ground that returns is learned from the whole sweep, and obstacles elsewhere change it.
     """
 
     grid: BevGrid
