@@ -51,7 +51,7 @@ def main() -> None:
         "--weights", type=Path, help="a network that viewshed train exported; drawn weights if not given"
     )
     parser.add_argument("--only", default="", help="measure only the rows with this word, and write no page")
-    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     chosen = parser.parse_args()
     rng, threads = np.random.default_rng(SEED), chosen.threads
     torch.set_num_threads(threads)
