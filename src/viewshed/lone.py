@@ -70,8 +70,8 @@ def placed(
     A pixel confirms by its nearest return. Returns outside the ranges ``limits_m`` confirm none and are not lone, nor
     are single ones with none around, unless in columns that hardly fired.
 
-    >>> points = np.array([[-9.0, -1, 0], [-9.0, 1, 0], [3.0, 0, 0]], np.float32)
-    >>> placed(points, np.zeros(3, np.int16), (1, 4), (0.5, 100.0)).lone.tolist()
+    >>> points = np.array([[-9.0, -3, 0], [-9.0, 3, 0], [3.0, 0, 0]], np.float32)
+    >>> placed(points, np.zeros(3, np.int16), (1, 8), (0.5, 100.0)).lone.tolist()
     [False, False, True]
     """
     column, phase, counts, sizes = place(points, ring, shape[1], shape[0])

@@ -97,7 +97,7 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"engine": "abacus"}, "engine must be one of auto, onnxruntime, openvino, got 'abacus'"),
+        ({"engine": "abacus"}, "engine must be one of onnxruntime, openvino, got 'abacus'"),
         ({"precision": "f8"}, "precision must be one of f32, bf16, got 'f8'"),
         (
             {"engine": "onnxruntime", "precision": "bf16"},

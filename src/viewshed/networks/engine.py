@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,8 @@ from viewshed.networks.seal import CARD_KEY, check_seal
 from viewshed.networks.shipped import shipped_content, shipped_names
 from viewshed.networks.spec import NetworkCard
 
-ENGINES = ("auto", "onnxruntime", "openvino")
-"""What can run a network; auto is OpenVINO where it is installed, else ONNX Runtime."""
+ENGINES = ("onnxruntime", "openvino")
+"""What can run a network. A process that has used OpenVINO dies when workers of torch end: only where it is asked for."""
 PRECISIONS = ("f32", "bf16")
 """Numbers that the convolutions multiply; bf16 needs OpenVINO and a processor that has it."""
 _CELLS_AT_ONCE = 1 << 21
@@ -40,13 +39,13 @@ class OnnxRunner:
     """
 
     def __init__(
-        self, path: str | Path, threads: int | None = None, engine: str = "auto", precision: str = "f32"
+        self, path: str | Path, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
     ) -> None:
         self._start(Path(path).read_bytes(), str(path), threads, engine, precision)
 
     @classmethod
     def of_content(
-        cls, content: bytes, name: str, threads: int | None = None, engine: str = "auto", precision: str = "f32"
+        cls, content: bytes, name: str, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
     ) -> OnnxRunner:
         """Return the runner of a file's ``content``; ``name`` stands for it in messages."""
         made = cls.__new__(cls)
@@ -91,7 +90,7 @@ class OnnxRunner:
 
 
 def load_runner(
-    path_or_name: str | Path, threads: int | None = None, engine: str = "auto", precision: str = "f32"
+    path_or_name: str | Path, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
 ) -> OnnxRunner:
     """Return the runner of a file, or of the weights of that name that viewshed ships.
 
@@ -119,8 +118,6 @@ def _resolved(engine: str, precision: str) -> str:
     for name, value, known in (("engine", engine, ENGINES), ("precision", precision, PRECISIONS)):
         if value not in known:
             raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-    if engine == "auto":
-        engine = "openvino" if find_spec("openvino") is not None else "onnxruntime"
     if engine == "onnxruntime" and precision != "f32":
         raise ValueError(f"precision must be f32 with onnxruntime, got {precision}; use engine='openvino'")
     return engine
