@@ -14,7 +14,7 @@ from viewshed.networks.shipped import shipped_content, shipped_names
 from viewshed.networks.spec import NetworkCard
 
 ENGINES = ("onnxruntime", "openvino")
-"""What can run a network. A process that has used OpenVINO dies when workers of torch end: only where it is asked for."""
+"""What can run a network. A process that has used OpenVINO dies when workers of torch end: take it where none train."""
 PRECISIONS = ("f32", "bf16")
 """Numbers that the convolutions multiply; bf16 needs OpenVINO and a processor that has it."""
 _CELLS_AT_ONCE = 1 << 21
