@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import resources
 from typing import Any
 
+from viewshed import flat
 from viewshed.bev import BevGrid
 from viewshed.sensors import lidar_model
 from viewshed.sim.weather import conditions_named
@@ -15,6 +14,7 @@ from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 
 MAX_SEED = 2**32 - 1
+_TABLES = "datasets/preset_tables"
 MAX_CELLS = 2048
 """Cells a side that a frame may have: a worker with one more target than ours still stays below half a gigabyte."""
 
@@ -111,15 +111,11 @@ class Preset:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        types = {item.name: item.type for item in fields(cls)}
-        if table.keys() != types.keys():
-            wrong = sorted(table.keys() ^ types.keys())
-            raise ValueError(f"a preset must have the keys {', '.join(types)}; missing or unknown: {', '.join(wrong)}")
-        return cls(**{key: _typed(key, table[key], str(types[key])) for key in types})
+        return cls(**flat.values_of(cls, table, "preset"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the preset as plain values."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        return flat.plain(self)
 
     @property
     def grid(self) -> BevGrid:
@@ -170,23 +166,10 @@ def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
     return counts
 
 
-def _typed(key: str, value: Any, kind: str) -> Any:
-    if kind.startswith("tuple"):
-        item = kind.removeprefix("tuple[").split(",")[0]
-        if not isinstance(value, list):
-            raise ValueError(f"{key} must be a list, got {value!r}")
-        return tuple(_typed(key, one, item) for one in value)
-    types: dict[str, Any] = {"str": str, "int": int, "float": (int, float)}
-    if not isinstance(value, types[kind]) or isinstance(value, bool):
-        raise ValueError(f"{key} must be {kind}, got {value!r}")
-    return 1.0 * value if kind == "float" else value
-
-
 @lru_cache(maxsize=1)
 def preset_names() -> tuple[str, ...]:
     """Return the names that :func:`preset_named` knows, in alphabetical order."""
-    tables = resources.files("viewshed") / "datasets" / "preset_tables"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in tables.iterdir() if entry.name.endswith(".toml")))
+    return flat.shipped_names(_TABLES)
 
 
 def preset_named(name: str) -> Preset:
@@ -195,7 +178,4 @@ def preset_named(name: str) -> Preset:
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
     """
-    if name not in preset_names():
-        raise ValueError(f"preset must be one of {', '.join(preset_names())}, got {name!r}")
-    raw = (resources.files("viewshed") / "datasets" / "preset_tables" / f"{name}.toml").read_text(encoding="utf-8")
-    return Preset.from_json({"name": name} | tomllib.loads(raw))
+    return Preset.from_json(flat.shipped(_TABLES, name))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
-from importlib import resources
+from dataclasses import dataclass
 from typing import Any
 
+from viewshed import flat
 from viewshed.attacks import ATTACKS
 from viewshed.corruptions import CORRUPTIONS
 from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
 
-ALL = "all"
+_FOLDER = "reproduce/plans"
 PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "interval_s")
 """Keys with one number for each domain."""
 
@@ -158,15 +157,11 @@ class StudyPlan:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        types = {item.name: str(item.type) for item in fields(cls)}
-        if table.keys() != types.keys():
-            wrong = ", ".join(sorted(table.keys() ^ types.keys()))
-            raise ValueError(f"a plan must have the keys {', '.join(types)}; missing or unknown: {wrong}")
-        return cls(**{key: _typed(key, table[key], kind) for key, kind in types.items()})
+        return cls(**flat.values_of(cls, table, "plan", {"monitor_corruptions": CORRUPTIONS}))
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain values, every name spelt out."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        return flat.plain(self)
 
 
 def _check_names(key: str, names: Iterable[str], table: Iterable[str]) -> None:
@@ -178,24 +173,9 @@ def _check_names(key: str, names: Iterable[str], table: Iterable[str]) -> None:
         raise ValueError(f"{key} must be different names, got {given}")
 
 
-def _typed(key: str, value: Any, kind: str) -> Any:
-    if kind.startswith("tuple"):
-        if value == ALL and key == "monitor_corruptions":
-            return tuple(CORRUPTIONS)
-        if not isinstance(value, list):
-            raise ValueError(f"{key} must be a list, got {value!r}")
-        item = kind.removeprefix("tuple[").split(",")[0]
-        return tuple(_typed(key, one, item) for one in value)
-    wanted: Any = {"str": str, "int": int, "bool": bool, "float": (int, float)}[kind]
-    if not isinstance(value, wanted) or (kind != "bool" and isinstance(value, bool)):
-        raise ValueError(f"{key} must be {kind}, got {value!r}")
-    return float(value) if kind == "float" else value
-
-
 def plan_names() -> tuple[str, ...]:
     """Return the names that :func:`plan_named` knows, in alphabetical order."""
-    tables = resources.files("viewshed") / "reproduce" / "plans"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in tables.iterdir() if entry.name.endswith(".toml")))
+    return flat.shipped_names(_FOLDER)
 
 
 def plan_named(name: str) -> StudyPlan:
@@ -207,7 +187,4 @@ def plan_named(name: str) -> StudyPlan:
     >>> plan_named("small").domains
     ('carla', 'nuscenes', 'ugv')
     """
-    if name not in plan_names():
-        raise ValueError(f"preset must be one of {', '.join(plan_names())}, got {name!r}")
-    raw = (resources.files("viewshed") / "reproduce" / "plans" / f"{name}.toml").read_text(encoding="utf-8")
-    return StudyPlan.from_json({"name": name} | tomllib.loads(raw))
+    return StudyPlan.from_json(flat.shipped(_FOLDER, name))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from viewshed import journal
 from viewshed.reproduce.plan import StudyPlan
 
 FILE = "results.jsonl"
@@ -43,8 +43,8 @@ class JobStore:
         store = cls(Path(folder), plan)
         store.folder.mkdir(parents=True, exist_ok=True)
         head = {"format": FORMAT, "version": metadata.version("viewshed"), "plan": plan.to_json()}
-        if not store.path.exists() or _mended(store.path) == 0:
-            store._write(head)
+        if not journal.is_begun(store.path):
+            journal.append(store.path, head)
         found = next(store._lines())
         if found != head:
             what = "another plan" if found.get("plan") != head["plan"] else "another version"
@@ -63,7 +63,7 @@ class JobStore:
         Raises:
             OSError: it cannot be written.
         """
-        self._write({"job": list(key), **found})
+        journal.append(self.path, {"job": list(key), **found})
 
     def keys(self) -> set[Key]:
         """Return the names of the jobs that are there."""
@@ -79,12 +79,6 @@ class JobStore:
         next(lines)
         yield from (line for line in lines if line["job"][: len(start)] == list(start))
 
-    def _write(self, line: dict[str, Any]) -> None:
-        with self.path.open("ab") as file:
-            file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-
     def _lines(self) -> Iterator[dict[str, Any]]:
         with self.path.open("rb") as file:
             for number, line in enumerate(file, 1):
@@ -93,13 +87,3 @@ class JobStore:
                 except ValueError as error:
                     what = f"line {number} is damaged; delete that line, its job is done again"
                     raise ValueError(f"{self.path} must hold JSON lines, {what}") from error
-
-
-def _mended(path: Path) -> int:
-    """Cut off what follows the last line end and return the size that is left."""
-    content = path.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        with path.open("r+b") as file:
-            file.truncate(whole)
-    return whole

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import viewshed
+from viewshed import flat
 from viewshed.attacks import ATTACKS
 from viewshed.bev import BevGrid
 from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
@@ -30,7 +31,6 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "epochs": (1, 100_000), "patience": (1, 100_000), "frames_per_epoch": (0, 10**9), "workers": (0, 256),
     "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
 }  # fmt: skip
-_TYPES: dict[str, tuple[type, ...]] = {"str": (str,), "int": (int,), "float": (int, float), "bool": (bool,)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,29 +172,11 @@ class TrainConfig:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        types = {item.name: str(item.type) for item in fields(cls)}
-        if table.keys() != types.keys():
-            wrong = ", ".join(sorted(table.keys() ^ types.keys()))
-            raise ValueError(f"a training config must have the keys {', '.join(types)}; missing or unknown: {wrong}")
-        return cls(**{key: _typed(key, table[key], kind) for key, kind in types.items()})
+        return cls(**flat.values_of(cls, table, "training config"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the config as plain values."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
-
-
-def _typed(key: str, value: Any, kind: str) -> Any:
-    if kind.startswith("tuple"):
-        item = kind.removeprefix("tuple[").split(",")[0]
-        if not isinstance(value, list):
-            raise ValueError(f"{key} must be a list, got {value!r}")
-        if "..." not in kind and len(value) != 2:
-            raise ValueError(f"{key} must be two numbers, got {value}")
-        return tuple(_typed(key, one, item) for one in value)
-    fits = isinstance(value, _TYPES[kind]) and (kind == "bool" or not isinstance(value, bool))
-    if not fits:
-        raise ValueError(f"{key} must be {kind}, got {value!r}")
-    return float(value) if kind == "float" else value
+        return flat.plain(self)
 
 
 def config_names() -> tuple[str, ...]:

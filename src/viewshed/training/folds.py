@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from viewshed import journal
 
 FILE = "folds.jsonl"
 
@@ -54,9 +55,9 @@ class FoldStore:
         """
         path = folder / FILE
         store = cls(path, {})
-        if not path.exists() or _mended(path) == 0:
+        if not journal.is_begun(path):
             folder.mkdir(parents=True, exist_ok=True)
-            store._append(about)
+            journal.append(path, about)
             return store
         try:
             head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
@@ -81,21 +82,5 @@ class FoldStore:
         Raises:
             OSError: it cannot be written.
         """
-        self._append(asdict(score))
+        journal.append(self.path, asdict(score))
         self.scores[score.setting, score.fold] = score
-
-    def _append(self, line: dict[str, Any]) -> None:
-        with self.path.open("ab") as file:
-            file.write(json.dumps(line, ensure_ascii=False).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-
-
-def _mended(path: Path) -> int:
-    """Cut off what follows the last line end and return the size that is left."""
-    content = path.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        with path.open("r+b") as file:
-            file.truncate(whole)
-    return whole
