@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, Sweep
 from viewshed.level import level_sweep
 from viewshed.missing import explained_beams, missing_beams
+from viewshed.missing_kernels import place
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 from viewshed.visible import Beams
@@ -51,6 +52,17 @@ def test_a_gap_wider_than_the_neighbors_reach_stays_open() -> None:
     unfilled = missing_beams(level_sweep(cropped, GRID), fill=False)
     assert 0 < len(filled.azimuth) < 0.25 * len(unfilled.azimuth)
     assert (np.abs(filled.azimuth) < 1.0 + np.deg2rad(18)).all()
+
+
+@pytest.mark.parametrize("phase", [0.05, 0.45, 0.55, 0.95])
+def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> None:
+    jitter = np.zeros(360)
+    jitter[0], jitter[-1] = -0.3, 0.3
+    azimuth = -np.pi + (np.arange(360) + phase + jitter) * (2 * np.pi / 360)
+    points = np.column_stack([10 * np.cos(azimuth), 10 * np.sin(azimuth), np.zeros(360)]).astype(np.float32)
+    column, _, counts, _ = place(points, np.zeros(360, np.int32), 360, 1)
+    assert np.array_equal(column, np.arange(360))
+    assert (counts == 1).all()
 
 
 @pytest.mark.parametrize("count", [0, 1])

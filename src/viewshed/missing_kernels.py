@@ -45,7 +45,8 @@ def place(points: Any, ring: Any, columns: int, rings: int) -> Any:  # pragma: n
         c = -1
         if ring[n] >= 0:
             c = int(position[n] + start[ring[n]])
-            c -= columns if c < 2 * columns else 2 * columns
+            c -= columns if c >= columns else 0
+            c -= columns if c >= columns else 0
             counts[ring[n], c] += counts[ring[n], c] < 255
         column[n] = c
     return column, phase, counts, phases.sum(axis=1)

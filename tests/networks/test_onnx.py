@@ -74,7 +74,7 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     other_version = onnx_model(card(), drawn())
-    other_version.metadata_props[0].value = card().to_json().replace('"version": 1', '"version": 9')
+    other_version.metadata_props[0].value = card().to_json().replace('"version": 2', '"version": 9')
     bare = onnx_model(card(), drawn())
     del bare.metadata_props[:]
     cases = {
@@ -84,7 +84,7 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
         bare.SerializeToString(): "must be a network that viewshed exported, got a file that is cut short or another",
         sealed(b"\x99 no model"): "must be a network in ONNX, got another file",
         sealed(bare.SerializeToString()): "card must be JSON",
-        sealed(other_version.SerializeToString()): "network must have format version 1, got 9; train it again",
+        sealed(other_version.SerializeToString()): "network must have format version 2, got 9; train it again",
     }
     for content, message in cases.items():
         path.write_bytes(content)

@@ -76,7 +76,7 @@ def test_no_passes_are_refused() -> None:
 def test_a_card_comes_back_from_json_as_it_was() -> None:
     made = NetworkCard(
         "road", UNetShape(4, 3, 0.05, 2), BevGrid(64, 20.0, (3.0, -1.0)), "pedestrian", "paper_label", 70.0,
-        (-2.0, 4.0), 100, 10.0, 0.7, {"seed": "3", "epochs": "30"},
+        (-2.0, 4.0), 100, 10.0, "log", 0.7, {"seed": "3", "epochs": "30"},
     )  # fmt: skip
     assert NetworkCard.from_json(made.to_json()) == made
 
@@ -84,13 +84,14 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": FORMAT_VERSION + 1}, "must have format version 1, got 2; train it again with this version"),
+        ({"version": FORMAT_VERSION + 1}, "must have format version 2, got 3; train it again with this version"),
         ({"layout": "other"}, "card must be a viewshed network's; export the network with viewshed train"),
         ({"more": 1}, "card must have the fields clip, .*, got clip, .*more"),
         ({"grid": 3}, r"card must be whole, got one that is damaged \(.*\); export the network again"),
         ({"shape": {"width": 8}}, r"cells must divide by 16|must be whole|cells"),
         ({"target": "tram"}, "target must be one of car, pedestrian, got 'tram'"),
         ({"truth": "guess"}, "truth must be one of probe, paper_label, got 'guess'"),
+        ({"counts": "root"}, "counts must be one of linear, log, got 'root'"),
         ({"clip": 0}, "clip must be positive, got 0"),
         ({"heights_m": [3.0, -3.0]}, r"heights_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),
         ({"threshold": 0.0}, r"threshold must lie in \(0, 1\], got 0.0"),
@@ -142,6 +143,15 @@ def test_the_input_is_the_count_of_what_is_near_and_low_enough() -> None:
     np.testing.assert_allclose(found[0], np.minimum(expected, 3) / 1000, atol=1e-7)
     assert expected.max() > 3
     assert np.array_equal(found, made.input_of_points(points, tilt))
+
+
+def test_counts_may_be_shown_by_their_logarithm() -> None:
+    points = np.repeat(np.array([[1.0, 1.0, 0.0], [-3.0, 5.0, 0.0]], np.float32), [7, 500], axis=0)
+    made = NetworkCard("made", UNetShape(4, 2), BevGrid(32, 16.0), clip=100, counts="log")
+    found = made.input_of_points(points, np.eye(3))[0]
+    assert found[17, 17] == pytest.approx(np.log(8) / np.log(101))
+    assert found[13, 21] == 1.0
+    assert np.count_nonzero(found) == 2
 
 
 def test_the_input_is_turned_level_by_the_attitude() -> None:

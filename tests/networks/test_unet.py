@@ -136,8 +136,8 @@ def test_damaged_and_other_checkpoints_are_refused(tmp_path: Path) -> None:
     torch.save({"card": card().to_json(), "state": state}, path)
     with pytest.raises(ValueError, match=r"a\.pt must hold the weights of UNetShape\(width=4.*; train again"):
         load_weights(path)
-    torch.save({"card": card().to_json().replace('"version": 1', '"version": 0'), "state": {}}, path)
-    with pytest.raises(ValueError, match="network must have format version 1, got 0; train it again"):
+    torch.save({"card": card().to_json().replace('"version": 2', '"version": 0'), "state": {}}, path)
+    with pytest.raises(ValueError, match="network must have format version 2, got 0; train it again"):
         load_weights(path)
 
 

@@ -40,5 +40,5 @@ def config(archive: Path) -> TrainConfig:
     return replace(
         read_config("road"), name="tiny", data=(str(archive),), cells=32, half_extent_m=32.0, width=4, depth=2,
         attacks=("paper", "ghost_wall", "replay"), attack_share=0.5, learning_rate=0.01, epochs=3, patience=3, batch=4,
-        frames_per_epoch=0, validation_share=0.3, precision="32", workers=0,
+        frames_per_epoch=0, validation_share=0.3, versions=0, mirrored=False, precision="32", workers=0,
     )  # fmt: skip

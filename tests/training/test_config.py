@@ -43,6 +43,11 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"fresh": True, "data": ("carla",)}, r"frames_per_epoch must be given with fresh"),
     ({"data": ("carla",), "train_split": "all"}, r"train_split must be one of train, test of carla, got 'all'"),
     ({"heights_m": (3.0, -3.0)}, r"heights_m must be \(low, high\)"),
+    ({"counts": "root"}, "counts must be one of linear, log, got 'root'"),
+    (
+        {"data": ("ugv-small",), "fresh": True, "frames_per_epoch": 8, "versions": 1},
+        "versions must be 0 with fresh: no frame is shown twice, got 1",
+    ),
 ]
 
 

@@ -39,7 +39,7 @@ def _counted(sample: Sample) -> NDArray[np.float64]:
 
 
 def test_inputs_are_counts_and_truth_is_the_archives(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
-    frames = prepare(replace(config, attacks=(), attack_share=0.0), tmp_path).train
+    frames = prepare(replace(config, attacks=(), attack_share=0.0, counts="linear"), tmp_path).train
     for index, sample in enumerate(_samples(archive, frames)[:6]):
         arrays = frames[1, index]
         wrong = np.abs(arrays["inputs"][0] * 1000 - np.minimum(_counted(sample), 255))
@@ -129,3 +129,78 @@ def test_a_blank_frame_counts_nowhere(config: TrainConfig, tmp_path: Path) -> No
     blank, real = frames[0, BLANK], frames[0, 0]
     assert {name: array.shape for name, array in blank.items()} == {name: array.shape for name, array in real.items()}
     assert not blank["known"].any()
+
+
+def _equal(one: dict[str, NDArray[np.float32]], two: dict[str, NDArray[np.float32]]) -> bool:
+    return all((one[name] == two[name]).all() for name in one)
+
+
+@pytest.mark.parametrize("truth", ["probe", "paper_label"])
+def test_kept_frames_are_those_that_would_be_made(config: TrainConfig, tmp_path: Path, truth: str) -> None:
+    wanted = replace(config, truth=truth, attacks=("uniform",), attack_share=1.0)
+    made, kept = prepare(wanted, tmp_path), prepare(replace(wanted, versions=2), tmp_path)
+    for index in range(len(made.train)):
+        assert _equal(made.train[1, index], kept.train[1, index])
+        assert _equal(made.train[2, index], kept.train[2, index])
+        assert (kept.train[3, index]["inputs"] == made.train[1, index]["inputs"]).all()
+        assert (kept.train[1, index]["inputs"] != kept.train[2, index]["inputs"]).any()
+    for index in range(len(made.validation)):
+        assert _equal(made.validation[0, index], kept.validation[0, index])
+    with pytest.raises(IndexError, match="index must be below"):
+        _ = kept.train[1, len(kept.train)]
+
+
+def test_what_decides_kept_frames_decides_where_they_are(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, attacks=("uniform",), attack_share=1.0, versions=1)
+    prepare(wanted, tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")}
+    prepare(replace(wanted, name="other", variant="mle", width=8, learning_rate=0.1, counts="linear"), tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")} == before
+    for change in ({"seed": 9}, {"attack_share": 0.5}, {"truth": "paper_label"}, {"max_range_m": 50.0}):
+        known = set((tmp_path / "frames").iterdir())
+        prepare(replace(wanted, **change), tmp_path)
+        assert len(set((tmp_path / "frames").iterdir()) - known) == 2
+
+
+def _turned(array: NDArray[np.float32], quarters: int, mirrored: bool) -> NDArray[np.float32]:
+    """Cells of a square grid, moved one by one: (x, y) to (y, x), then a quarter turn to the left at a time."""
+    last = len(array) - 1
+    found = np.empty_like(array)
+    for (x, y), value in np.ndenumerate(array):
+        at = (y, x) if mirrored else (x, y)
+        for _ in range(quarters):
+            at = (last - at[1], at[0])
+        found[at] = value
+    return found
+
+
+def test_mirrored_frames_are_turned_alike_in_all_their_parts(config: TrainConfig, tmp_path: Path) -> None:
+    plain = prepare(replace(config, attacks=(), attack_share=0.0), tmp_path).train
+    frames = replace(plain, mirrored=True)
+    seen = set()
+    for epoch in range(1, 40):
+        before, after = plain[epoch, 2], frames[epoch, 2]
+        fitting = [
+            (quarters, mirrored)
+            for quarters in range(4)
+            for mirrored in (False, True)
+            if (after["inputs"][0] == _turned(before["inputs"][0], quarters, mirrored)).all()
+        ]
+        assert len(fitting) == 1
+        for name in ("visible", "known"):
+            assert (after[name] == _turned(before[name], *fitting[0])).all()
+        seen |= set(fitting)
+    assert len(seen) == 8
+
+
+def test_the_papers_label_turns_with_its_sweep(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    """Else turned frames would be wrongly labelled: its sectors and bins must lie alike in all quarters."""
+    estimator = PAPER_ESTIMATORS["paper_label"](BevGrid(64, 32.0))
+    for sample in list(Archive.open(archive).split("train"))[::6]:
+        sweep = sample.sweep
+        left = np.column_stack([-sweep.points[:, 1], sweep.points[:, 0], sweep.points[:, 2]]).astype(np.float32)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        straight = estimator.estimate(sweep.replace(attitude=level, world_from_sensor=None)).visible()
+        turned = estimator.estimate(sweep.replace(points=left, attitude=level, world_from_sensor=None)).visible()
+        wrong = turned != _turned(straight.astype(np.float32), 1, False).astype(np.bool_)
+        assert wrong.mean() < 0.01  # rounding at the edges of sectors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -107,10 +108,19 @@ def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:
     for entries in folders.values():
         times = [entry.t or 0.0 for entry in entries]
         if len(entries) >= 3 and max(times) - min(times) >= 0.7:
-            scenes[entries[0].sensor].append([read_indexed(entry) for entry in entries])
+            scenes[entries[0].sensor].append([_with_beams(read_indexed(entry), entry.sensor) for entry in entries])
     if not scenes:
         raise ValueError(f"{index} must have a folder of at least three posed sweeps over 0.7 s, got none")
     return dict(scenes)
+
+
+def _with_beams(sweep: Sweep, name: str) -> Sweep:
+    """Return the sweep with the beam table that the index names, where its file does not bring one."""
+    from viewshed.sensors import lidar_model
+
+    with contextlib.suppress(ValueError):
+        return sweep if sweep.model is not None else sweep.replace(model=lidar_model(name.removeprefix("Velodyne ")))
+    return sweep
 
 
 def _real(

@@ -16,10 +16,12 @@ from viewshed.level import NULL_RANGE_M, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Version of the card; files of another one are refused."""
 TRUTHS = ("probe", "paper_label")
 """What a network was taught: the exact truth of placed probes, or the label of arXiv 2503.07375."""
+COUNTS = ("linear", "log")
+"""How the returns of a cell are shown: count / divisor, as published, or its logarithm."""
 _LAYOUT = "viewshed network"
 
 
@@ -112,7 +114,8 @@ class NetworkCard:
         max_range_m: horizontal range up to which returns count; nothing is claimed beyond.
         heights_m: lowest and highest z from the SENSOR, in its level attitude, between which returns count.
         clip: returns of a cell above which counting stops.
-        divisor: counts are divided by it.
+        divisor: counts are divided by it, where they are shown ``linear``.
+        counts: how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip).
         threshold: probability from which a cell counts as visible.
         trained: facts of the training, by name.
 
@@ -129,6 +132,7 @@ class NetworkCard:
     heights_m: tuple[float, float] = (-3.0, 3.0)
     clip: int = 255
     divisor: float = 1000.0
+    counts: str = "linear"
     threshold: float = 0.5
     trained: Mapping[str, str] = field(default_factory=dict)
 
@@ -137,7 +141,7 @@ class NetworkCard:
             raise ValueError(
                 f"cells must divide by {1 << self.shape.depth} for depth {self.shape.depth}, got {self.grid.cells}"
             )
-        for name, known in (("target", tuple(TARGETS)), ("truth", TRUTHS)):
+        for name, known in (("target", tuple(TARGETS)), ("truth", TRUTHS), ("counts", COUNTS)):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
         for name in ("max_range_m", "clip", "divisor"):
@@ -149,26 +153,43 @@ class NetworkCard:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
 
     def input_of(self, sweep: Sweep) -> NDArray[np.float32]:
-        """Return the network's input (1, cells, cells) of ``sweep``: returns of each cell, clipped and divided.
+        """Return the network's input (1, cells, cells) of ``sweep``: returns of each cell, clipped and scaled.
 
         The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. Null
         returns, nearer than 0.5 m, are left out; the vehicle's own roof counts, as in the published code.
         """
+        return self.shown(self.counts_of(sweep))
+
+    def input_of_points(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return the network's input (1, cells, cells) of points (N, 3), turned level by ``rotation`` (3, 3)."""
+        return self.shown(self._clipped(points, rotation))
+
+    def counts_of(self, sweep: Sweep) -> NDArray[np.int32]:
+        """Return the returns of ``sweep`` in each cell (cells, cells), clipped; see :meth:`input_of`."""
         attitude = sweep.known_attitude
         if attitude is None:
             rotation = level_sweep(sweep, self.grid).level_from_sensor.rotation
         else:
             rotation = rotation_from_quaternion(attitude)
-        return self.input_of_points(sweep.points, rotation)
+        return self._clipped(sweep.points, rotation)
 
-    def input_of_points(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the network's input (1, cells, cells) of points (N, 3), turned level by ``rotation`` (3, 3)."""
+    def shown(self, counts: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Return the network's input (1, cells, cells) of clipped counts (cells, cells)."""
+        each = np.arange(self.clip + 1)
+        if self.counts == "log":
+            scaled: NDArray[np.float32] = (np.log1p(each) / np.log1p(self.clip)).astype(np.float32)
+        else:
+            scaled = each.astype(np.float32) / np.float32(self.divisor)
+        shown: NDArray[np.float32] = scaled[counts][None]
+        return shown
+
+    def _clipped(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.int32]:
         counts = self._counts(points, rotation)
         near = np.flatnonzero((np.abs(points[:, 0]) < NULL_RANGE_M) & (np.abs(points[:, 1]) < NULL_RANGE_M))
         null = near[np.square(points[near]).sum(axis=1) < NULL_RANGE_M**2]
         if len(null):
             counts = counts - self._counts(points[null], rotation)
-        return (np.minimum(counts, self.clip).astype(np.float32) / np.float32(self.divisor))[None]
+        return np.minimum(counts, self.clip)
 
     def _counts(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.int32]:
         level = Rigid(rotation, np.zeros(3))

@@ -53,7 +53,7 @@ def network(runner: Runner, setting: Setting, passes: int, seed: int) -> Predict
         passes: 1 for dropout off.
         seed: of the masks, the same for every sweep.
     """
-    card = setting.card(runner.card.shape)
+    card = setting.card(runner.card)
 
     def predict(sweep: Sweep) -> Said:
         inputs = card.input_of(sweep)

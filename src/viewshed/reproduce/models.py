@@ -29,8 +29,10 @@ def config_of(plan: StudyPlan, folder: Path, model: Model) -> TrainConfig:
         target="car", truth=setting.truth, variant=model.variant, attacks=attacks, attack_share=share,
         width=plan.width, depth=plan.depth, dropout=plan.dropout, loss=plan.loss, learning_rate=plan.learning_rate,
         schedule=plan.schedule, batch=plan.batch, epochs=plan.epochs, patience=plan.patience,
-        frames_per_epoch=plan.frames_per_epoch, fresh=False, precision=plan.precision, workers=plan.workers,
-        threshold=setting.threshold, seed=plan.seed, max_range_m=setting.max_range_m, heights_m=setting.heights_m,
+        frames_per_epoch=plan.frames_per_epoch, fresh=False, versions=plan.versions,
+        mirrored=plan.mirrored, precision=plan.precision, workers=plan.workers,
+        threshold=setting.threshold, seed=plan.seed, counts=plan.counts,
+        max_range_m=setting.max_range_m, heights_m=setting.heights_m,
     )  # fmt: skip
 
 

@@ -43,6 +43,9 @@ class StudyPlan:
         patience: epochs without a better validation loss after which training stops.
         frames_per_epoch: frames of an epoch.
         validation_share: share of the training scenes that is validated on.
+        versions: how many versions of a training frame, each attacked anew, are made once and shown in turn.
+        mirrored: whether training frames are turned by quarter turns and mirrored at random.
+        counts: how the networks are shown the returns of a cell, ``linear`` or ``log``.
         precision: of the training's numbers, ``32`` or ``bf16``.
         workers: processes that make training frames.
         attack_share: share of training frames that the strict protocol attacks.
@@ -89,6 +92,9 @@ class StudyPlan:
     patience: int
     frames_per_epoch: int
     validation_share: float
+    versions: int
+    mirrored: bool
+    counts: str
     precision: str
     workers: int
     attack_share: float

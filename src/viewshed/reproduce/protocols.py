@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from viewshed.estimators import (
     PAPER_THRESHOLD,
     EstimatorFactory,
 )
-from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.spec import NetworkCard
 from viewshed.reproduce.plan import StudyPlan
 from viewshed.vulnerability.cases import ROOM_M
 from viewshed.vulnerability.contestants import LABEL
@@ -62,11 +62,12 @@ class Setting:
         """Whether the paper's indoor settings apply."""
         return self.grid.half_extent_m < ROOM_M
 
-    def card(self, shape: UNetShape) -> NetworkCard:
-        """Return the card of a network of this shape as it is used here, wherever it was trained."""
-        return NetworkCard(
-            "tested", shape, self.grid, "car", self.truth, self.max_range_m, self.heights_m, threshold=self.threshold
-        )
+    def card(self, trained: NetworkCard) -> NetworkCard:
+        """Return the card of a network as it is used here, wherever it was trained."""
+        return replace(
+            trained, name="tested", grid=self.grid, truth=self.truth, max_range_m=self.max_range_m,
+            heights_m=self.heights_m, threshold=self.threshold,
+        )  # fmt: skip
 
     def classical(self) -> dict[str, EstimatorFactory]:
         """Return the classical estimators by name; in the paper's protocol its own first, but its label."""

@@ -61,7 +61,7 @@ def trade_setting(plan: StudyPlan, config: TrainConfig) -> Setting:
 
 def latency_ms(runner: Runner, setting: Setting, sweep: Sweep, repeats: int) -> float:
     """Return the median time of one pass through the network in milliseconds, its input made already."""
-    card = setting.card(runner.card.shape)
+    card = setting.card(runner.card)
     inputs, masks = card.input_of(sweep)[None], card.shape.no_masks(1)
     times = []
     for _ in range(repeats + 1):

@@ -12,7 +12,7 @@ from viewshed import flat
 from viewshed.attacks import ATTACKS
 from viewshed.bev import BevGrid
 from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
-from viewshed.networks.spec import TRUTHS, NetworkCard, UNetShape
+from viewshed.networks.spec import COUNTS, TRUTHS, NetworkCard, UNetShape
 
 PAPER = "paper"
 """Name of the mixture of arXiv 2503.07375, beside those of ``ATTACKS``."""
@@ -24,12 +24,13 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "loss": ("bce", "bce_dice"),
     "schedule": ("constant", "cosine"),
     "precision": ("32", "bf16"),
+    "counts": COUNTS,
 }
 """What the keys that name one of a few may be."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "learning_rate": (1e-9, 10.0), "batch": (1, 4096),
-    "epochs": (1, 100_000), "patience": (1, 100_000), "frames_per_epoch": (0, 10**9), "workers": (0, 256),
-    "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
+    "epochs": (1, 100_000), "patience": (1, 100_000), "frames_per_epoch": (0, 10**9), "versions": (0, 1000),
+    "workers": (0, 256), "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
 }  # fmt: skip
 
 
@@ -61,10 +62,14 @@ class TrainConfig:
         patience: epochs without a lower validation loss after which training ends.
         frames_per_epoch: frames drawn for an epoch; 0 is all.
         fresh: presets only: new scenes in every epoch, simulated while training.
+        versions: 0 makes each frame whenever it is shown; n makes n versions of it, each attacked anew, once and for
+            all, and shows one of them in each epoch. They are kept beside the labels, and cost no time while training.
+        mirrored: whether frames are turned by quarter turns and mirrored at random, which alters no truth.
         precision: ``32``, or ``bf16`` for the network's convolutions.
         workers: processes that prepare frames beside the one that trains.
         threshold: probability from which a cell counts as visible, in the scores and in the weights' card.
         seed: of everything random.
+        counts: how the returns of a cell are shown: ``linear``, as published, or ``log``.
         max_range_m: returns up to this horizontal range count.
         heights_m: lowest and highest z from the sensor at which returns count.
 
@@ -95,10 +100,13 @@ class TrainConfig:
     patience: int
     frames_per_epoch: int
     fresh: bool
+    versions: int
+    mirrored: bool
     precision: str
     workers: int
     threshold: float
     seed: int
+    counts: str
     max_range_m: float
     heights_m: tuple[float, float]
 
@@ -131,6 +139,8 @@ class TrainConfig:
             raise ValueError(f"data must be presets or archives, not both, got {list(self.data)}")
         if self.fresh and not simulated:
             raise ValueError(f"fresh needs presets as data, one of {', '.join(preset_names())}, got {list(self.data)}")
+        if self.fresh and self.versions:
+            raise ValueError(f"versions must be 0 with fresh: no frame is shown twice, got {self.versions}")
         if self.fresh and not self.frames_per_epoch:
             raise ValueError("frames_per_epoch must be given with fresh: there is no end of new frames, got 0")
         for place in simulated:
@@ -162,7 +172,7 @@ class TrainConfig:
         """Return the card of the network, with facts of its training."""
         return NetworkCard(
             self.name, self.shape, self.grid, self.target, self.truth, self.max_range_m, self.heights_m,
-            threshold=self.threshold, trained=trained,
+            counts=self.counts, threshold=self.threshold, trained=trained,
         )  # fmt: skip
 
     @classmethod

@@ -18,7 +18,9 @@ from viewshed.datasets.store import Store
 from viewshed.engines import LocalEngine
 from viewshed.training.config import TrainConfig
 from viewshed.training.frames import TrainingFrames
+from viewshed.training.kept import kept_of
 from viewshed.training.labels import PaperLabels
+from viewshed.training.order import VALIDATION_EPOCH
 from viewshed.training.sources import FRESH_PER_SCENE, Archived, Fresh, check_archives, on_grid
 
 Told = Callable[[str, int, int], None]
@@ -104,26 +106,37 @@ def prepare(config: TrainConfig, cache: Path, fold: Fold | None = None, told: To
     if fold is not None:
         check_folds(config, fold.count)
     if config.fresh:
-        held = (_simulated(_held_out(config, name), cache, told) for name in config.data)
-        validation = _archived(config, tuple(held), cache, told)
-        return Frames(TrainingFrames(Fresh(config, config.frames_per_epoch), config), validation)
+        new = (_simulated(_held_out(config, name), cache, told) for name in config.data)
+        validation = _archived(config, tuple(new), cache, told, (VALIDATION_EPOCH, 0))
+        fresh = Fresh(config, config.frames_per_epoch)
+        return Frames(TrainingFrames(fresh, config, mirrored=config.mirrored), validation)
     archives = [_train_split(config, place, cache, told) for place in config.data]
     check_archives(config, archives)
     parts = [_divided(archive.split(config.train_split), config, fold) for archive in archives]
+    rest, held = (tuple(pair) for pair in zip(*parts, strict=True))
     return Frames(
-        _archived(config, tuple(rest for rest, _ in parts), cache, told),
-        _archived(config, tuple(held for _, held in parts), cache, told),
+        replace(_archived(config, rest, cache, told, (1, config.versions)), mirrored=config.mirrored),
+        _archived(config, held, cache, told, (VALIDATION_EPOCH, min(config.versions, 1))),
     )
 
 
-def _archived(config: TrainConfig, archives: tuple[Archive, ...], cache: Path, told: Told | None) -> TrainingFrames:
+def _archived(
+    config: TrainConfig, archives: tuple[Archive, ...], cache: Path, told: Told | None, epochs: tuple[int, int]
+) -> TrainingFrames:
+    """Return the frames of archives; ``epochs``: the first one that is kept, and how many are."""
     labels = None
     if config.truth == "paper_label":
         labels = PaperLabels(cache / "labels", config.grid, config.indoor)
         count = _Count(told, "labels", sum(map(len, archives)))
         for archive in archives:
             labels.make(archive, _processes(len(archive)), count.add)
-    return TrainingFrames(Archived(archives, config, labels), config)
+    frames, versions = TrainingFrames(Archived(archives, config, labels), config), epochs[1]
+    if not versions:
+        return frames
+    kept = kept_of(config, archives, cache / "frames", *epochs)
+    count = _Count(told, "frames", len(frames) * versions)
+    kept.make(frames, _processes(len(frames)), count.add)
+    return replace(frames, kept=kept)
 
 
 def _divided(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[Archive, Archive]:

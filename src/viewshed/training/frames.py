@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,40 @@ BLANK = -1
 class _Purpose(IntEnum):
     ATTACK = 1
     MASKS = 2
+    TURN = 3
+
+
+class KeptFrames(Protocol):
+    """Frames that were made before."""
+
+    def frame(self, epoch: int, index: int) -> Drawn:
+        """Return one of them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A frame before it is shown to the network.
+
+    Attributes:
+        counts: (cells, cells) int, returns of the sweep, perhaps attacked, in each cell.
+        visible: (cells, cells) bool, of the clean sweep.
+        known: (cells, cells) bool, where that counts.
+    """
+
+    counts: NDArray[np.integer]
+    visible: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+
+    def turned(self, turn: int) -> Drawn:
+        """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
+
+        >>> Drawn(np.array([[1, 2], [3, 4]]), np.eye(2, dtype=bool), np.eye(2, dtype=bool)).turned(5).counts.tolist()
+        [[3, 4], [1, 2]]
+        """
+        quarters, mirrored = turn % 4, turn >= 4
+        parts = (np.rot90(each.T if mirrored else each, quarters) for each in (self.counts, self.visible, self.known))
+        return Drawn(*parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +66,14 @@ class TrainingFrames:
     Attributes:
         source: the clean frames.
         config: attacks, variant and seed.
+        kept: frames that were made before; None makes each when it is asked for.
+        mirrored: whether frames are turned and mirrored at random.
     """
 
     source: CleanFrames
     config: TrainConfig
+    kept: KeptFrames | None = None
+    mirrored: bool = False
 
     def __len__(self) -> int:
         return len(self.source)
@@ -54,16 +93,22 @@ class TrainingFrames:
         epoch, index = key
         if index == BLANK:
             return self._blank()
+        drawn = self.draw(epoch, index) if self.kept is None else self.kept.frame(epoch, index)
+        if self.mirrored:
+            drawn = drawn.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
+        return {
+            "inputs": self.config.card().shown(drawn.counts),
+            "visible": drawn.visible.astype(np.float32),
+            "known": drawn.known.astype(np.float32),
+            "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
+        }
+
+    def draw(self, epoch: int, index: int) -> Drawn:
+        """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(epoch, index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
         sweep = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
-        masks = self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0]
-        return {
-            "inputs": self.config.card().input_of(sweep),
-            "visible": clean.visible.astype(np.float32),
-            "known": clean.known.astype(np.float32),
-            "masks": masks,
-        }
+        return Drawn(self.config.card().counts_of(sweep), clean.visible, clean.known)
 
     def _blank(self) -> Arrays:
         zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
