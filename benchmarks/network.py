@@ -1,46 +1,53 @@
-"""From points to the network's mask: ``python -m benchmarks.network [--out FILE] [--weights FILE] [--only WORD]``."""
+"""From points to the network's mask: ``python -m benchmarks.network [--out FILE] [--weights FILE] [--only ENGINE]``."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
 from importlib.util import find_spec
+from multiprocessing import get_context
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
-import torch
 
 from benchmarks import clouds
-from benchmarks.timing import Timing, interleaved
+from benchmarks.timing import Timing, summary, times_of
 from viewshed.estimators.learned import UnetEstimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.networks.engine import OnnxRunner
 from viewshed.networks.mcd import moments
-from viewshed.networks.onnx_file import export_onnx
 from viewshed.networks.spec import NetworkCard, Runner, UNetShape
-from viewshed.networks.unet import TorchRunner, UNet
 from viewshed.report import facts, page, table
 from viewshed.sweep import Sweep
 
+T = TypeVar("T")
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "network_speed.md"
 SEED, PASSES, TARGET_MS = 11, 20, 5.0
+ROUNDS, BUDGET_S = 3, 6.0
+SIZES = ("35k", "120k")
+TORCH, NONE = "torch, eager", "no network"
+ONE_PASS = "one torch pass"
 HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "GFLOP/s", "target", ""]
 TEXT = """\
 The paper's network (width 8, depth 4: {parameters:.2f} M parameters, {gflop:.2f} GFLOP a pass) on 256 × 256 cells.
 The rows **to mask** begin with a sweep in memory whose attitude is known and end with the mask: count, network,
 mean and deviation over {passes} passes where dropout is on, threshold. The rows **to estimate** are the whole
-estimator on a sweep without attitude: levelling, local ground and the states of the cells as well. Everything in one
-run, interleaved in an order drawn anew each round; **of one torch pass** is the ratio to one eager pass of the same
-network in torch, which holds better than the milliseconds do. GFLOP/s count every pass in full. Threads of the engines
-and of torch: {threads}. {weights}
+estimator on a sweep without attitude: levelling, local ground and the states of the cells as well. Each engine runs in
+processes of its own, {rounds} of them in an order drawn anew each round, because the idle threads of one engine slow
+the next; within a process the rows take turns. **Of one torch pass** is the ratio to one eager pass of the same network
+in torch, in its own processes of the same run. GFLOP/s count every pass in full. Threads of the engines and of torch:
+{threads}. {weights}
 
-**The floor.** A product of two matrices of 2048 × 2048 in float32 reaches {peak:.0f} GFLOP/s here and now, on all
-cores. At that rate one pass takes {floor_one:.1f} ms, and {passes} passes {floor_all:.0f} ms. Of each pass {own:.0%}
-depends on its mask; what lies before the first mask, and the half of the last decoder stage that reads stage 1, is
-computed once for all passes, exactly."""
+**The floor.** A product of two matrices of 2048 × 2048 with {threads} threads reaches {single:.0f} GFLOP/s in float32
+and {half:.0f} in bfloat16 here and now. At that rate one pass takes {floor_one:.1f} or {floor_one_half:.1f} ms, and
+{passes} passes {floor_all:.0f} or {floor_all_half:.0f} ms. Of each pass {own:.0%} depends on its mask; what lies before
+the first mask, and the half of the last decoder stage that reads stage 1, is computed once for all passes, exactly."""
 
 
 def main() -> None:
@@ -50,63 +57,107 @@ def main() -> None:
     parser.add_argument(
         "--weights", type=Path, help="a network that viewshed train exported; drawn weights if not given"
     )
-    parser.add_argument("--only", default="", help="measure only the rows with this word, and write no page")
+    parser.add_argument("--only", default="", help="measure only the engines with this word, and write no page")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     chosen = parser.parse_args()
-    rng, threads = np.random.default_rng(SEED), chosen.threads
-    torch.set_num_threads(threads)
+    names = [name for name in (*engine_names(), TORCH, NONE) if chosen.only in name]
     with tempfile.TemporaryDirectory() as folder:
-        torch.manual_seed(SEED)
-        module = UNet(UNetShape(8, 4)).eval()
         path = chosen.weights or Path(folder) / "drawn.onnx"
         if chosen.weights is None:
-            export_onnx(path, NetworkCard("drawn", UNetShape(8, 4)), module)
-        runners = engines(path, threads)
-    card = next(iter(runners.values())).card
-    eager = TorchRunner(NetworkCard("drawn", UNetShape(8, 4)), module)
-    rows = []
-    for size in ("35k", "120k"):
-        jobs = {name: job for name, job in jobs_of(size, rng, runners, eager).items() if chosen.only in name}
-        timings = interleaved({**jobs, "one torch pass": torch_pass(eager)}, rng, 40.0)
-        rows += rows_of(size, timings, card.shape.flops(card.grid.cells))
+            alone(draw_weights, path)
+        timings = measured(names, path, chosen.threads)
+        card = OnnxRunner(path, 1, "onnxruntime").card
+    rows = rows_of(timings, card.shape.flops(card.grid.cells))
     if chosen.only:
         return
-    names = ("numpy", "onnxruntime", "torch", *(["openvino"] if find_spec("openvino") else []))
+    libraries = ("numpy", "onnxruntime", "torch", *(["openvino"] if find_spec("openvino") else []))
     told = facts(
-        libraries=", ".join(f"{name} {metadata.version(name)}" for name in names),
+        libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
         load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
     )
-    chosen.out.write_text(
-        page("Speed of the network", told, text(card, threads, chosen.weights), table(HEAD, rows)), "utf-8"
-    )
+    words = text(card, chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
+    chosen.out.write_text(page("Speed of the network", told, words, table(HEAD, rows)), "utf-8")
     print(f"written to {chosen.out}")
 
 
-def engines(path: Path, threads: int) -> dict[str, Runner]:
-    """Return the runners by name: every engine that is installed, in every precision that ships."""
-    made: dict[str, Runner] = {"onnxruntime": OnnxRunner(path, threads, "onnxruntime")}
-    if find_spec("openvino"):
-        made["openvino"] = OnnxRunner(path, threads, "openvino")
-        made["openvino bf16"] = OnnxRunner(path, threads, "openvino", "bf16")
-    return made
+def engine_names() -> list[str]:
+    """Return the names of what runs networks: every engine that is installed, in every precision that ships."""
+    return ["onnxruntime", *(["openvino", "openvino bf16"] if find_spec("openvino") else [])]
 
 
-def jobs_of(
-    size: str, rng: np.random.Generator, runners: Mapping[str, Runner], eager: Runner
-) -> dict[str, Callable[[], object]]:
-    """Return what is measured on a sweep of ``size`` points, by name."""
-    sweep = clouds.synthetic(size, rng)
+def alone(work: Callable[..., T], *args: object) -> T:
+    """Return what ``work`` returns in a process that ends with it."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *args).result()
+
+
+def draw_weights(path: Path) -> None:
+    """Write a network of random weights."""
+    import torch
+
+    from viewshed.networks.onnx_file import export_onnx
+    from viewshed.networks.unet import UNet
+
+    torch.manual_seed(SEED)
+    export_onnx(path, NetworkCard("drawn", UNetShape(8, 4)), UNet(UNetShape(8, 4)).eval())
+
+
+def measured(names: list[str], path: Path, threads: int) -> dict[tuple[str, str], Timing]:
+    """Return the timing of each row and size of cloud, over all rounds."""
+    rng = np.random.default_rng(SEED)
+    taken: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for turn in range(ROUNDS):
+        for pick in rng.permutation(len(names)):
+            for key, times in alone(measure, names[pick], path, threads, turn).items():
+                taken[key] += times
+    order = {name: k for k, name in enumerate((*engine_names(), TORCH, NONE))}
+    keys = sorted(taken, key=lambda key: (SIZES.index(key[1]), order.get(key[0].partition(": ")[2], len(order))))
+    return {key: summary(taken[key]) for key in keys}
+
+
+def measure(name: str, path: Path, threads: int, turn: int) -> dict[tuple[str, str], list[float]]:
+    """Return the milliseconds of the rows of one engine, in this process."""
+    runner = None if name == NONE else runner_of(name, path, threads)
+    found: dict[tuple[str, str], list[float]] = {}
+    for size in SIZES:
+        sweep = clouds.synthetic(size, np.random.default_rng(SEED))
+        jobs = jobs_of(name, runner, sweep, OnnxRunner(path, 1, "onnxruntime").card if runner is None else runner.card)
+        times = times_of(jobs, np.random.default_rng([SEED, turn]), BUDGET_S)
+        found |= {(f"{row}: {name}", size): each for row, each in times.items()}
+    return found
+
+
+def runner_of(name: str, path: Path, threads: int) -> Runner:
+    """Return what runs the network by the name of its row."""
+    if name == TORCH:
+        import torch
+
+        from viewshed.networks.unet import TorchRunner, UNet
+
+        torch.set_num_threads(threads)
+        torch.manual_seed(SEED)
+        card = NetworkCard("drawn", UNetShape(8, 4))
+        return TorchRunner(card, UNet(card.shape).eval())
+    if name == "openvino bf16":
+        return OnnxRunner(path, threads, "openvino", "bf16")
+    return OnnxRunner(path, threads, name)
+
+
+def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -> dict[str, Callable[[], object]]:
+    """Return what is measured of an engine on a sweep, by name."""
     level = sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=clouds.SENSOR_HEIGHT_M)
-    jobs: dict[str, Callable[[], object]] = {}
-    for name, runner in {**runners, "torch, eager": eager}.items():
-        jobs[f"MLE to mask, {name}"] = mask_job(runner, level, 1)
-        jobs[f"MCD T = {PASSES} to mask, {name}"] = mask_job(runner, level, PASSES)
-    for name, runner in runners.items():
-        jobs[f"MLE to estimate, {name}"] = estimate_job(UnetEstimator(runner), sweep)
-    card = eager.card
-    jobs["count alone"] = lambda: card.input_of(level)
-    jobs["`shadow_map` to estimate, 1 thread"] = estimate_job(ShadowMap(card.grid), sweep)
-    return jobs
+    if runner is None:
+        shadows = ShadowMap(card.grid)
+        return {
+            "count alone": lambda: card.input_of(level),
+            "`shadow_map` to estimate": lambda: shadows.estimate(sweep),
+        }
+    jobs = {"MLE to mask": mask_job(runner, level, 1), f"MCD T = {PASSES} to mask": mask_job(runner, level, PASSES)}
+    if name == TORCH:
+        inputs = np.zeros((1, 1, *card.grid.shape), np.float32)
+        return {**jobs, ONE_PASS: lambda: runner.run(inputs, card.shape.no_masks(1))}
+    estimator = UnetEstimator(runner)
+    return {**jobs, "MLE to estimate": lambda: estimator.estimate(sweep)}
 
 
 def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
@@ -122,42 +173,36 @@ def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
     return job
 
 
-def estimate_job(estimator: UnetEstimator | ShadowMap, sweep: Sweep) -> Callable[[], object]:
-    """Return a job from a sweep to its estimate."""
-    return lambda: estimator.estimate(sweep)
-
-
-def torch_pass(eager: Runner) -> Callable[[], object]:
-    """Return a job of one eager pass in torch."""
-    inputs = np.zeros((1, 1, *eager.card.grid.shape), np.float32)
-    return lambda: eager.run(inputs, eager.card.shape.no_masks(1))
-
-
-def rows_of(size: str, timings: Mapping[str, Timing], flops: int) -> list[list[str]]:
+def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[str]]:
     """Return the rows of the table, and print them."""
     rows = []
-    one = timings["one torch pass"].median_ms
-    for name, each in timings.items():
+    for (name, size), each in timings.items():
+        one = timings.get((f"{ONE_PASS}: {TORCH}", size))
         passes = PASSES if name.startswith("MCD") else 1
-        network = name.startswith(("MLE to mask", "MCD", "one"))
+        network = name.startswith(("MLE to mask", "MCD", ONE_PASS))
         rate = f"{1e-6 * passes * flops / each.median_ms:.0f}" if network else "–"
-        judged = name.startswith("MLE to mask") and "eager" not in name and size == "35k"
-        verdict = "" if not judged else "met" if each.median_ms <= TARGET_MS else "**missed**"
+        judged = name.startswith("MLE to mask") and TORCH not in name and size == "35k"
+        verdict = "–" if not judged else "met" if each.median_ms <= TARGET_MS else "**missed**"
         low_high = f"{each.median_ms:.2f} ({each.low_ms:.2f}–{each.high_ms:.2f})"
-        hertz, ratio = f"{1e3 / each.median_ms:.0f}", f"{each.median_ms / one:.2f}"
-        rows.append([name, size, low_high, hertz, ratio, rate, "≥ 200 Hz" if judged else "–", verdict or "–"])
+        ratio = "–" if one is None else f"{each.median_ms / one.median_ms:.2f}"
+        what = name.removesuffix(f": {NONE}")
+        rows.append(
+            [what, size, low_high, f"{1e3 / each.median_ms:.0f}", ratio, rate, "≥ 200 Hz" if judged else "–", verdict]
+        )
         print(" | ".join(rows[-1]), flush=True)
     return rows
 
 
-def text(card: NetworkCard, threads: int, weights: Path | None) -> str:
+def text(card: NetworkCard, threads: int, peaks: tuple[float, float], weights: Path | None) -> str:
     """Return the page's words."""
-    peak, shape = peak_flops(), card.shape
-    flops = shape.flops(card.grid.cells)
+    shape, flops = card.shape, card.shape.flops(card.grid.cells)
+    own = own_share(shape, card.grid.cells)
+    one, half = (1e3 * flops / peak for peak in peaks)
+    every = 1 + (PASSES - 1) * own
     return TEXT.format(
-        parameters=shape.parameters / 1e6, gflop=flops / 1e9, passes=PASSES, threads=threads, peak=peak / 1e9,
-        own=own_share(shape, card.grid.cells), floor_one=1e3 * flops / peak,
-        floor_all=1e3 * flops * (1 + (PASSES - 1) * own_share(shape, card.grid.cells)) / peak,
+        parameters=shape.parameters / 1e6, gflop=flops / 1e9, passes=PASSES, rounds=ROUNDS, threads=threads,
+        single=peaks[0] / 1e9, half=peaks[1] / 1e9, own=own, floor_one=one, floor_one_half=half,
+        floor_all=one * every, floor_all_half=half * every,
         weights="Weights drawn at random." if weights is None else f"Weights: {card.name}.",
     )  # fmt: skip
 
@@ -169,11 +214,16 @@ def own_share(shape: UNetShape, cells: int) -> float:
     return 1.0 - 2 * shared * cells**2 / shape.flops(cells)
 
 
-def peak_flops(side: int = 2048) -> float:
-    """Return the floating point operations a second of a large product of matrices, the best of several."""
-    a = np.random.default_rng(0).random((side, side), np.float32)
-    timing = interleaved({"product": lambda: a @ a}, np.random.default_rng(0), 1.0)["product"]
-    return 2 * side**3 / (timing.low_ms / 1e3)
+def peak_flops(threads: int, side: int = 2048) -> tuple[float, float]:
+    """Return the floating point operations a second of a large product of matrices, in float32 and in bfloat16."""
+    import torch
+
+    torch.set_num_threads(threads)
+    single = torch.rand(side, side)
+    half = single.bfloat16()
+    times = times_of({"single": lambda: single @ single, "half": lambda: half @ half}, np.random.default_rng(0), 3.0)
+    fast_ms = [summary(times[name]).low_ms for name in ("single", "half")]
+    return 2e3 * side**3 / fast_ms[0], 2e3 * side**3 / fast_ms[1]
 
 
 if __name__ == "__main__":

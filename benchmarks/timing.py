@@ -24,6 +24,11 @@ class Timing:
 
 def interleaved(jobs: Mapping[str, Job], rng: np.random.Generator, budget_s: float = 2.0) -> dict[str, Timing]:
     """Return the timing of each job by name; all share the rounds, so that what disturbs one disturbs all."""
+    return {name: summary(times) for name, times in times_of(jobs, rng, budget_s).items()}
+
+
+def times_of(jobs: Mapping[str, Job], rng: np.random.Generator, budget_s: float = 2.0) -> dict[str, list[float]]:
+    """Return the milliseconds of each run of each job by name, from rounds in which each ran once."""
     for job in jobs.values():  # compiles, and fills caches
         job()
     once_s = sum(_elapsed_ms(job) for job in jobs.values()) / 1e3
@@ -33,7 +38,7 @@ def interleaved(jobs: Mapping[str, Job], rng: np.random.Generator, budget_s: flo
     for _ in range(repeats):
         for pick in rng.permutation(len(names)):
             taken[names[pick]].append(_elapsed_ms(jobs[names[pick]]))
-    return {name: summary(times) for name, times in taken.items()}
+    return taken
 
 
 def summary(times_ms: list[float]) -> Timing:

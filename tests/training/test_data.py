@@ -1,5 +1,6 @@
 """From a config to frames: scenes are divided, presets simulated once, and what does not fit is refused."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -9,8 +10,9 @@ import pytest
 from viewshed import Archive
 from viewshed.cli import main
 from viewshed.datasets import write_archive
+from viewshed.engines import Done, LocalEngine
 from viewshed.training import Fold, TrainConfig
-from viewshed.training.data import Frames, prepare
+from viewshed.training.data import Frames, prepare, processes_for
 from viewshed.training.sources import Archived
 
 
@@ -79,3 +81,11 @@ def test_an_archive_without_truth_for_the_target_is_refused(config: TrainConfig,
     bare = [replace(one, truth=replace(one.truth, expected_returns={}, state={}), image=None) for one in samples]
     write_archive(tmp_path / "bare", bare, {})
     _refused(replace(config, data=(str(tmp_path / "bare"),)), tmp_path, "has no truth for target 'car', it has none")
+
+
+def test_a_worker_makes_frames_without_processes_of_its_own() -> None:
+    """A worker that started others would fail: so trainings beside each other once did."""
+    (done,) = LocalEngine(2).run(processes_for, [10_000])
+    assert done == Done(0, 1)
+    assert processes_for(10) == 1
+    assert processes_for(10_000) == os.cpu_count()

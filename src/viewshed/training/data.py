@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -129,13 +130,13 @@ def _archived(
         labels = PaperLabels(cache / "labels", config.grid, config.indoor)
         count = _Count(told, "labels", sum(map(len, archives)))
         for archive in archives:
-            labels.make(archive, _processes(len(archive)), count.add)
+            labels.make(archive, processes_for(len(archive)), count.add)
     frames, versions = TrainingFrames(Archived(archives, config, labels), config), epochs[1]
     if not versions:
         return frames
     kept = kept_of(config, archives, cache / "frames", *epochs)
     count = _Count(told, "frames", len(frames) * versions)
-    kept.make(frames, _processes(len(frames)), count.add)
+    kept.make(frames, processes_for(len(frames)), count.add)
     return replace(frames, kept=kept)
 
 
@@ -189,7 +190,7 @@ def _simulated(preset: Preset, cache: Path, told: Told | None) -> Archive:
             "first, or simulate archives and name them as data"
         )
     count = _Count(told, preset.name, preset.sweeps)
-    return simulate(preset, store, LocalEngine(_processes(preset.sweeps)), lambda shard: count.add(shard.frames))
+    return simulate(preset, store, LocalEngine(processes_for(preset.sweeps)), lambda shard: count.add(shard.frames))
 
 
 def _launched_beside() -> bool:
@@ -197,9 +198,13 @@ def _launched_beside() -> bool:
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
-def _processes(frames: int) -> int:
-    """Return how many processes make frames: few frames are done before another process has started."""
-    return 1 if frames < _WORTH_PROCESSES else os.cpu_count() or 1
+def processes_for(frames: int) -> int:
+    """Return how many processes make frames: few frames are done before another process has started.
+
+    A worker of an engine may have no processes of its own, and shares the cores with others already.
+    """
+    alone = frames < _WORTH_PROCESSES or multiprocessing.current_process().daemon
+    return 1 if alone else os.cpu_count() or 1
 
 
 def _archive(place: str) -> Archive:
