@@ -86,6 +86,6 @@ def test_an_archive_without_truth_for_the_target_is_refused(config: TrainConfig,
 def test_a_worker_makes_frames_without_processes_of_its_own() -> None:
     """A worker that started others would fail: so trainings beside each other once did."""
     (done,) = LocalEngine(2).run(processes_for, [10_000])
-    assert done == Done(0, 1)
+    assert done == Done(0, 1, None)
     assert processes_for(10) == 1
     assert processes_for(10_000) == os.cpu_count()
