@@ -117,3 +117,18 @@ def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -
     words = ("export", sweep, "--to", "npz", "--method", "unet", "--weights", net, "--grid", "64x16")
     assert run(*words, "--out", tmp_path / "a.npz")[0] == 0
     assert read_npz(tmp_path / "a.npz").method == "unet"
+
+
+def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> None:
+    words = ("simulate", "nuscenes-small", "--sweeps", 6, "--grid", "64x32", "--workers", 1, "--out", tmp_path / "data")
+    assert run(*words)[0] == 0
+    export_onnx(tmp_path / "net.onnx", card(SHAPE, BevGrid(64, 32.0)), nearby(SHAPE))
+    evaluate = ("evaluate", "truth", tmp_path / "data", "--limit", 2, "--weights", tmp_path / "net.onnx")
+    code, out, _ = run(*evaluate, "--methods", "first_blocker,unet")
+    assert code == 0
+    rows = {line.split("|")[1].strip(): line.split("|")[2:] for line in out.splitlines() if line.startswith("|")}
+    assert 0.5 < float(rows["first_blocker"][0]) <= 1.0
+    assert 0.1 < float(rows["unet"][0]) <= 1.0
+    assert rows["unet"] != rows["first_blocker"]
+    code, _, err = run(*evaluate, "--methods", "first_blocker")
+    assert (code, "--weights goes with unet or mcd among --methods, got first_blocker" in err) == (2, True)

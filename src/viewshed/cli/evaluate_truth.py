@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from viewshed.cli.learned import Weights
 from viewshed.cli.options import TargetName, parse_target
 
 if TYPE_CHECKING:
@@ -36,7 +37,10 @@ def truth(
         list[str],
         typer.Argument(metavar="ARCHIVE…", help="Folders or URIs of simulated data sets.", show_default=False),
     ],
-    methods: Annotated[str, typer.Option(help="Estimators, with commas; 'all' for every one.")] = _ALL,
+    methods: Annotated[
+        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet and mcd by name.")
+    ] = _ALL,
+    weights: Weights = None,
     target: TargetName = "car",
     limit: Annotated[int, typer.Option(min=1, help="Samples at most, spread evenly over each data set.")] = 200,
     split: Annotated[str | None, typer.Option(help="Only this split: train, test, …")] = None,
@@ -52,7 +56,7 @@ def truth(
     from viewshed.report import facts, page
 
     wanted = parse_target(target)
-    contest = Contest(_makers(methods, wanted), wanted, FORMS)
+    contest = Contest(_makers(methods, wanted, weights), wanted, FORMS)
     opened = [_opened(place, split) for place in archives]
     parts = [_INTRODUCTION, _FORMS]
     for data in opened:
@@ -75,11 +79,12 @@ def _opened(place: str, split: str | None) -> Archive:
     return data
 
 
-def _makers(methods: str, target: Target) -> Mapping[str, Callable[[BevGrid], FovEstimator]]:
+def _makers(methods: str, target: Target, weights: str | None) -> Mapping[str, Callable[[BevGrid], FovEstimator]]:
     from functools import partial
 
     from viewshed.cli.options import make_estimator
     from viewshed.estimators import ESTIMATORS
+    from viewshed.estimators.learned import LEARNED, learned
     from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 
     known: dict[str, Callable[[BevGrid], FovEstimator]] = {
@@ -88,6 +93,9 @@ def _makers(methods: str, target: Target) -> Mapping[str, Callable[[BevGrid], Fo
     for rule in NO_RETURN_RULES[1:]:
         known[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
     names = list(known) if methods == _ALL else methods.split(",")
+    if weights is not None and not set(names) & set(LEARNED):
+        raise ValueError(f"--weights goes with unet or mcd among --methods, got {methods}")
+    known |= {name: partial(learned, name, target=target.name, weights=weights) for name in LEARNED}
     for name in names:
         if name not in known:
             raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
