@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 import viewshed
 from viewshed.atomic import write_bytes
 from viewshed.datasets.archive import Archive
-from viewshed.engines import LocalEngine
 from viewshed.training.config import TrainConfig
+from viewshed.training.files import make_files
 from viewshed.training.frames import Drawn, TrainingFrames
 
 _LAYOUT = 1
@@ -83,12 +82,7 @@ class KeptOnDisk:
         missing = [_Job(self, frames, *place) for place in places if not self.path(*place).is_file()]
         if missing:
             self.folder.mkdir(parents=True, exist_ok=True)
-        with contextlib.closing(LocalEngine(workers).run(_make_block, missing)) as run:
-            for done in run:
-                if done.result is None:
-                    raise OSError(f"{done.error}; finished frames are kept, the same command goes on from here")
-                if told is not None:
-                    told(done.result)
+        make_files(_make_block, missing, workers, told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

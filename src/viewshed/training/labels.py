@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
@@ -18,9 +17,9 @@ from viewshed.atomic import write_bytes
 from viewshed.bev import BevGrid
 from viewshed.datasets.archive import Archive
 from viewshed.datasets.shard import ShardFacts
-from viewshed.engines import LocalEngine
 from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
 from viewshed.sweep import Sweep
+from viewshed.training.files import make_files
 
 _VERSION = 1
 _OPEN = 512
@@ -72,12 +71,7 @@ class PaperLabels:
         missing = [job for job in jobs if not self.path(job.shard).is_file()]
         if missing:
             self.folder.mkdir(parents=True, exist_ok=True)
-        with contextlib.closing(LocalEngine(workers).run(label_shard, missing)) as run:
-            for done in run:
-                if done.result is None:
-                    raise OSError(f"{done.error}; finished labels are kept, the same command goes on from here")
-                if told is not None:
-                    told(done.result)
+        make_files(label_shard, missing, workers, told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
