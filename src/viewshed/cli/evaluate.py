@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,7 +48,9 @@ def crossview(
     index: Annotated[
         Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
     ],
-    methods: Annotated[str, typer.Option(help="Estimators, with commas; 'all' for every one.")] = _ALL,
+    methods: Annotated[
+        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet and mcd by name.")
+    ] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
@@ -83,17 +86,21 @@ def crossview(
 def _estimators(methods: str) -> dict[str, FovEstimator]:
     from viewshed import CAR, GRIDS
     from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
+    from viewshed.estimators.learned import LEARNED, learned
     from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 
     road, published = GRIDS["road"], GRIDS["paper"]
-    known = {name: make(road) for name, make in ESTIMATORS.items()}
-    known |= {f"shadow_map, no return {rule}": ShadowMap(road, CAR, rule) for rule in NO_RETURN_RULES[1:]}
-    known |= {f"paper: {name.removeprefix('paper_')}": make(published) for name, make in PAPER_ESTIMATORS.items()}
-    names = list(known) if methods == _ALL else methods.split(",")
+    known: dict[str, Callable[[], FovEstimator]] = {name: partial(make, road) for name, make in ESTIMATORS.items()}
+    for rule in NO_RETURN_RULES[1:]:
+        known[f"shadow_map, no return {rule}"] = partial(ShadowMap, road, CAR, rule)
+    for name, make in PAPER_ESTIMATORS.items():
+        known[f"paper: {name.removeprefix('paper_')}"] = partial(make, published)
+    names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
+    known |= {name: partial(learned, name, road) for name in LEARNED}
     for name in names:
         if name not in known:
             raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
-    return {name: known[name] for name in names}
+    return {name: known[name]() for name in names}
 
 
 def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:

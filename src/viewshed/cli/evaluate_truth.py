@@ -92,7 +92,7 @@ def _makers(methods: str, target: Target, weights: str | None) -> Mapping[str, C
     }
     for rule in NO_RETURN_RULES[1:]:
         known[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
-    names = list(known) if methods == _ALL else methods.split(",")
+    names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
     if weights is not None and not set(names) & set(LEARNED):
         raise ValueError(f"--weights goes with unet or mcd among --methods, got {methods}")
     known |= {name: partial(learned, name, target=target.name, weights=weights) for name in LEARNED}
