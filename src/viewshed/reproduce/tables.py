@@ -79,10 +79,17 @@ def _area(results: Results, key: PairKey) -> str:
 def target_table(results: Results) -> Table:
     """Return the targets of the paper's protocol, met or missed, beside the paper's figures."""
     rows = [
-        [target.what, two(target.published), f"≥ {two(target.least)}", three(target.found), target.verdict]
+        [
+            target.what,
+            two(target.published),
+            f"≥ {two(target.least)}",
+            three(target.found),
+            target.verdict,
+            three(target.at_half),
+        ]
         for target in targets_of(results)
     ]
-    return Table(["what", "the paper", "target", "here", ""], rows)
+    return Table(["what", "the paper", "target", "here", "", "here, threshold .5"], rows)
 
 
 def contestants_of(results: Results, protocol: str, domain: str) -> list[str]:
