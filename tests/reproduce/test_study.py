@@ -33,7 +33,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[JobStore, 
     before, told = os.environ.get("OMP_NUM_THREADS"), Told()
     os.environ["OMP_NUM_THREADS"] = "1"
     store = JobStore.open(tmp_path_factory.mktemp("study"), PLAN)
-    assert run_steps(store, Scope(workers=1), lambda *what: told.append(what)) == []
+    assert list(run_steps(store, Scope(workers=1), lambda *what: told.append(what))) == []
     yield store, told
     if before is None:
         del os.environ["OMP_NUM_THREADS"]
@@ -45,7 +45,7 @@ def test_every_job_is_there_and_none_is_done_twice(study: tuple[JobStore, Told])
     assert store.keys() == wanted
     assert [what for what in told if what[0] == "models"][-1] == ("models", 8, 8)
     size = store.path.stat().st_size
-    assert run_steps(store, Scope(workers=1), lambda *_: None) == []
+    assert list(run_steps(store, Scope(workers=1), lambda *_: None)) == []
     assert store.path.stat().st_size == size
 
 
@@ -84,9 +84,9 @@ def test_pages_say_what_is_missing(study: tuple[JobStore, Told], tmp_path: Path)
 def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
     store = JobStore.open(tmp_path, PLAN)
     with pytest.raises(ValueError, match="the other steps need the step data"):
-        run_steps(store, Scope(steps=("monitor",)), lambda *_: None)
-    run_steps(store, Scope(steps=("data",), workers=1), lambda *_: None)
-    problems = run_steps(store, Scope(steps=("monitor",), workers=1), lambda *_: None)
+        list(run_steps(store, Scope(steps=("monitor",)), lambda *_: None))
+    assert list(run_steps(store, Scope(steps=("data",), workers=1), lambda *_: None)) == []
+    problems = list(run_steps(store, Scope(steps=("monitor",), workers=1), lambda *_: None))
     assert problems == [
         f"monitor {mixture}: not all of its models are trained" for mixture in ("benign", "adversarial")
     ]

@@ -39,15 +39,14 @@ def reproduce(
     scope = Scope(named_steps(only), protocols, device, workers)
     store = JobStore.open(folder_of(out), plan_named(preset))
     problems = _run(store, scope)
-    for line in problems:
-        typer.echo(f"viewshed: {line}", err=True)
     if "pages" in scope.steps:
         _write(store, scope, page or out)
     if problems:
-        raise ValueError(f"{len(problems)} jobs are not done; what is finished is kept, the same command goes on")
+        raise ValueError(f"{problems} jobs are not done; what is finished is kept, the same command goes on")
 
 
-def _run(store: JobStore, scope: Scope) -> list[str]:
+def _run(store: JobStore, scope: Scope) -> int:
+    """Return how many jobs are not done; why is told as it happens."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -73,8 +72,12 @@ def _run(store: JobStore, scope: Scope) -> list[str]:
             tasks[step] = bars.add_task(step, total=total)
         bars.update(tasks[step], completed=done)
 
+    problems = 0
     try:
-        return run_steps(store, scope, told)
+        for line in run_steps(store, scope, told):
+            problems += 1
+            bars.console.print(f"viewshed: {line}", markup=False, highlight=False, soft_wrap=True)
+        return problems
     finally:
         if tasks:
             bars.stop()

@@ -55,8 +55,8 @@ class Scope:
         return LocalEngine(1 if alone else self.workers)
 
 
-def run_steps(store: JobStore, scope: Scope, told: Told) -> list[str]:
-    """Do what is not there yet and return one line for each job that failed or could not be done.
+def run_steps(store: JobStore, scope: Scope, told: Told) -> Iterator[str]:
+    """Do what is not there yet, and yield one line for each job that failed or could not be done, as it happens.
 
     Args:
         store: of the study.
@@ -75,7 +75,8 @@ def run_steps(store: JobStore, scope: Scope, told: Told) -> list[str]:
     working = [step for step in STEPS[1:-1] if step in scope.steps]
     if working:
         _check_data(store)
-    return [problem for step in working for problem in run_step(store, scope, step, told)]
+    for step in working:
+        yield from run_step(store, scope, step, told)
 
 
 def _check_data(store: JobStore) -> None:
@@ -101,8 +102,8 @@ def make_data(store: JobStore, scope: Scope, told: Told) -> None:
         make_archive(store.plan, store.folder, part, scope.engine("data", store.plan), more)
 
 
-def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
-    """Do the jobs of a step that are not there, and return one line for each that failed or has nothing to start from.
+def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> Iterator[str]:
+    """Do the jobs of a step that are not there, and yield one line for each that failed or has nothing to start from.
 
     Args:
         store: of the study.
@@ -114,7 +115,7 @@ def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
     every = [Job(store.plan, store.folder, key, scope.device) for key in keys_of(store.plan, step, scope.protocols)]
     left = [job for job in every if job.key not in done]
     ready = [job for job in left if all(key in done for key in needed(job))]
-    problems = [f"{' '.join(job.key)}: not all of its models are trained" for job in left if job not in ready]
+    yield from (f"{' '.join(job.key)}: not all of its models are trained" for job in left if job not in ready)
     there = len(every) - len(left)
     if every:
         told(step, there, len(every))
@@ -123,12 +124,11 @@ def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> list[str]:
         for finished in run:
             key = ready[finished.index].key
             if finished.result is None:
-                problems.append(f"{' '.join(key)}: {finished.error}")
+                yield f"{' '.join(key)}: {finished.error}"
             else:
                 store.append(key, finished.result)
             there += 1
             told(step, there, len(every))
-    return problems
 
 
 @contextlib.contextmanager
