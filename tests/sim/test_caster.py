@@ -124,3 +124,21 @@ def test_a_box_without_size_is_refused(sizes: tuple[float, float, float]) -> Non
 def test_an_infinite_slope_is_refused() -> None:
     with pytest.raises(ValueError, match="slope must be two finite numbers"):
         Scene(slope=(np.inf, 0.0))
+
+
+def test_beams_that_graze_a_cylinder_have_a_depth() -> None:
+    """Where single precision meets the side and double precision just misses it, the depth is that of the side."""
+    model = LidarModel("level", np.array([0.0]), azimuth_columns=720, max_range_m=80.0)
+    step = 2 * np.pi / 720
+    found = []
+    for number in range(1, 60):
+        away_m = 3.0 + 0.11 * number  # the beam straight ahead, half a step beside x, touches the side
+        radius = float(np.float32(away_m * np.sin(number * step) * (1 - 1e-9)))
+        depth = depth_image(model, Scene(cylinders=(Cylinder(away_m, 0.0, radius, 4.0),)), HEIGHT_M)[0]
+        assert (depth > 0).all()
+        azimuth = np.arange(720) * step - np.pi
+        beside = np.argsort(np.abs(np.abs(azimuth) - number * step))[:2]
+        met = depth[beside][np.isfinite(depth[beside])]
+        assert np.allclose(met, away_m * np.cos(number * step), atol=0.02)
+        found += list(met)
+    assert found

@@ -93,7 +93,7 @@ def _surface(surface: Any, c: Any, r: Any, tables: Any, numbers: Any, luck: Any)
     reflectivity, facing, threshold, air, _ = tables
     reach2, wet, far = numbers
     d, cos = depth[c, r], cosine[c, r]
-    if not d < far:
+    if not np.float32(0.0) < d < far:
         return np.float32(0.0), np.float32(0.0)
     shine = reflectivity[material[c, r]] * (facing[0] * cos + facing[1] * (np.float32(1.0) - cos * cos))
     if thing[c, r] == _GROUND:

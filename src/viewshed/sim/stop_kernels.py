@@ -124,7 +124,7 @@ def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragm
         o, d = local[k] / boxes[s, 4, k], local[3 + k] / boxes[s, 4, k]
         a, b, c = a + d * d, b + o * d, c + o * o
     root2 = b * b - a * c
-    t = t32 if kind == 2 else -np.inf
+    t = t32 if kind == 2 or root2 < 0.0 else -np.inf  # along a cylinder's axis its end decides
     if root2 >= 0.0 and a > 0.0:
         t = (-b - np.sqrt(root2)) / a
     if kind == 1 and local[5] != 0.0:
