@@ -67,7 +67,7 @@ def test_wrong_files_are_refused(config: TrainConfig, tmp_path: Path) -> None:
         (text.replace("batch = 4", 'batch = "4"'), r"batch must be int, got '4'"),
         (text.replace("fresh = false", "fresh = 0"), r"fresh must be bool, got 0"),
         (text.replace("epochs = 3", "epochs = true"), r"epochs must be int, got True"),
-        (text.replace("heights_m = [-3.0, 3.0]", "heights_m = [1.0]"), r"heights_m must be two numbers, got \[1.0\]"),
+        (text.replace("heights_m = [-10.0, 3.0]", "heights_m = [1.0]"), r"heights_m must be two numbers, got \[1.0\]"),
         ("batch = = 4", r"wrong.toml: Invalid value"),
     ):
         (tmp_path / "wrong.toml").write_text(wrong)
