@@ -216,7 +216,7 @@ def test_parameters_outside_their_range_are_refused(name: str, changes: dict[str
     ],
 )
 def test_a_crop_must_leave_something(range_m: float, height_m: tuple[float, float], message: str) -> None:
-    from viewshed.estimators.polar import Crop
+    from viewshed.polar import Crop
 
     with pytest.raises(ValueError, match=message):
         Crop(range_m, height_m)

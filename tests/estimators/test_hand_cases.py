@@ -11,9 +11,9 @@ from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
 from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.polar import BINS_LADDER, measured_azimuth_bins
 from viewshed.estimators.trimmed import TrimmedRayTrace
 from viewshed.level import LevelSweep
+from viewshed.polar import BINS_LADDER, measured_azimuth_bins
 from viewshed.sweep import Sweep
 
 CastScene = Callable[..., Sweep]

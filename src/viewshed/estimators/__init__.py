@@ -10,11 +10,11 @@ from viewshed.estimate import FovEstimator
 from viewshed.estimators.concave_hull import ConcaveHull
 from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.polar import Crop
 from viewshed.estimators.polygon_fit import PolygonFit
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.trimmed import TrimmedRayTrace
 from viewshed.estimators.vote import VoteOfFive
+from viewshed.polar import Crop
 
 EstimatorFactory = Callable[[BevGrid], FovEstimator]
 

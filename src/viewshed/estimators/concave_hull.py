@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
 from viewshed.estimate import FovEstimate
-from viewshed.estimators.polar import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
 from viewshed.level import LevelSweep, level_sweep
+from viewshed.polar import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Target
 

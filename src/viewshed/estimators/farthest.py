@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.estimate import FovEstimate
-from viewshed.estimators.polar import (
+from viewshed.geometry import polar
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.polar import (
     ALL_RETURNS,
     Crop,
     azimuth_bins_of,
@@ -27,8 +29,6 @@ from viewshed.estimators.polar import (
     state_of_mask,
     with_margin,
 )
-from viewshed.geometry import polar
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Target
 

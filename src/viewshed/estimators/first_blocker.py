@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
 from viewshed.estimate import FovEstimate
-from viewshed.estimators.polar import (
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.polar import (
     farthest_in_bins,
     fov_of_state,
     measured_azimuth_bins,
@@ -22,7 +23,6 @@ from viewshed.estimators.polar import (
     state_of_limits,
     with_margin,
 )
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Target
 

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.estimate import CellState, FovEstimate
-from viewshed.estimators.polar import (
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.networks.mcd import moments
+from viewshed.networks.spec import NetworkCard, Runner
+from viewshed.polar import (
     Crop,
     bins_of_cells,
     measured_azimuth_bins,
     nearest_obstacle_in_bins,
     reach_of,
 )
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
-from viewshed.networks.mcd import moments
-from viewshed.networks.spec import NetworkCard, Runner
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from viewshed.bev import BevGrid
 from viewshed.estimate import FovEstimate
-from viewshed.estimators.polar import (
+from viewshed.level import LevelSweep, level_sweep
+from viewshed.polar import (
     FALLBACK_BINS,
     ends_on_obstacle,
     farthest_in_bins,
@@ -20,7 +21,6 @@ from viewshed.estimators.polar import (
     state_of_limits,
     with_margin,
 )
-from viewshed.level import LevelSweep, level_sweep
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Target
 
