@@ -22,7 +22,8 @@ from viewshed.estimators.learned import UnetEstimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.networks.engine import OnnxRunner
 from viewshed.networks.mcd import moments
-from viewshed.networks.spec import NetworkCard, Runner, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import NetworkCard, Runner
 from viewshed.report import facts, page, table
 from viewshed.sweep import Sweep
 

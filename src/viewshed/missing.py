@@ -100,7 +100,7 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
     column and without a model has none: nothing tells which beams it lacks.
     """
     image = _told_image(level)
-    return Beams(*np.zeros((3, 0), np.float32)) if image is None else _explained(level, image, top_m)
+    return _no_beams() if image is None else _told(level, image, top_m)[0]
 
 
 def confirmed_and_explained_beams(level: LevelSweep, top_m: float) -> Beams:
@@ -108,16 +108,39 @@ def confirmed_and_explained_beams(level: LevelSweep, top_m: float) -> Beams:
 
     A lone return is no evidence of a depth: its beam counts as one without a return.
     """
-    image = _told_image(level)
+    told = told_beams(level, top_m)
+    if not len(told.explained.azimuth):
+        return told.confirmed
+    pairs = ((getattr(told.confirmed, name), getattr(told.explained, name)) for name in ("azimuth", "slope", "depth_m"))
+    return Beams(*map(np.concatenate, pairs))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToldBeams:
+    """The beams of a sweep by what is known of them.
+
+    Attributes:
+        confirmed: of returns; those of lone ones point straight up and meet nothing.
+        explained: without a return, as far as :func:`explained_beams` tells.
+        unexplained: all others that aim no higher than a target's top; +inf deep, since nothing tells where they ended.
+    """
+
+    confirmed: Beams
+    explained: Beams
+    unexplained: Beams
+
+
+def told_beams(level: LevelSweep, top_m: float) -> ToldBeams:
+    """Return the beams of a sweep by what is known of them; ``top_m`` as in :func:`explained_beams`."""
+    image, returned = _told_image(level), level.beams()
     if image is None:
-        return level.beams()
-    returned, missing = level.beams(), _explained(level, image, top_m)
+        return ToldBeams(returned, _no_beams(), _no_beams())
     returned.slope[image.lone[level.rows]] = np.inf  # straight up: meets nothing; to leave them out would cost copies
-    return Beams(
-        np.concatenate([returned.azimuth, missing.azimuth]),
-        np.concatenate([returned.slope, missing.slope]),
-        np.concatenate([returned.depth_m, missing.depth_m]),
-    )
+    return ToldBeams(returned, *_told(level, image, top_m))
+
+
+def _no_beams() -> Beams:
+    return Beams(*np.zeros((3, 0), np.float32))
 
 
 def _told_image(level: LevelSweep) -> _Image | None:
@@ -127,7 +150,8 @@ def _told_image(level: LevelSweep) -> _Image | None:
     return None if image is None or image.guessed else image
 
 
-def _explained(level: LevelSweep, image: _Image, top_m: float) -> Beams:
+def _told(level: LevelSweep, image: _Image, top_m: float) -> tuple[Beams, Beams]:
+    """Return the explained and the unexplained beams."""
     profile = _profile(level)
     highest = _highest(profile, top_m)
     rings = _rings_below(float(highest.max()), image, level.level_from_sensor.rotation)
@@ -140,9 +164,12 @@ def _explained(level: LevelSweep, image: _Image, top_m: float) -> Beams:
     share = hints.shares(image.ground_tally, pixels, told, near_m, image.columns)
     limits = EXPECTED_SHARE, near_m, _reach_m(image.metre_tally)
     depth_m = hints.explain(pixels, told, share, limits, image.counts)
-    slope += rise_m / np.maximum(depth_m, near_m)
-    keep = np.isfinite(depth_m) & (slope <= highest[_sectors(azimuth)])
-    return Beams(azimuth[keep], slope[keep], depth_m[keep])
+    slope += rise_m / np.fmax(depth_m, near_m)
+    low = slope <= highest[_sectors(azimuth)]
+    known = np.isfinite(depth_m)
+    keep, rest = low & known, low & ~known
+    endless = np.full(int(rest.sum()), np.inf, np.float32)
+    return Beams(azimuth[keep], slope[keep], depth_m[keep]), Beams(azimuth[rest], slope[rest], endless)
 
 
 def _obstructions(

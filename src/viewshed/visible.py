@@ -5,6 +5,7 @@ A cell is visible to a sweep if a target standing there would have given at leas
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
@@ -88,17 +89,60 @@ def expected_returns(
     column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
     below ground, the tolerance of a measured ground.
     """
-    range_of_cells, azimuth_of_cells = polar_of_cells(grid)
-    bins = int(np.ceil(float(range_of_cells.max()) / grid.cell_m)) + 1
-    bottom, top = _slope_limits(sensor_height_m, ground, grid.cell_m, bins, target)
-    ranges = (np.arange(bins, dtype=np.float32) + np.float32(0.5)) * np.float32(grid.cell_m)
-    half_columns = (np.arctan2(target.width_m / 2, ranges) * AZIMUTH_COLUMNS / (2 * np.pi)).astype(np.float32)
-    reached = _reached(beams.azimuth, beams.slope, beams.depth_m, bottom, top, np.float32(grid.cell_m))
-    aimed = _aimed(beams.azimuth, beams.slope, bottom, top)
-    returns, aims = _windows(
-        reached, aimed, range_of_cells, azimuth_of_cells, half_columns, np.float32(1.0 / grid.cell_m)
-    )
-    return returns, aims
+    limits = _Limits.of(sensor_height_m, ground, grid, target)
+    reached = limits.reached(beams)
+    aimed = _aimed(beams.azimuth, beams.slope, limits.bottom, limits.top)
+    ratio = np.float32((len(aimed) - 1) / AZIMUTH_COLUMNS)
+    aims = _windows(aimed, *polar_of_cells(grid), limits.half_columns, limits.per_m, ratio)
+    return limits.returns(reached, grid), aims
+
+
+def returns_by_kind(
+    kinds: Sequence[Beams], sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
+) -> NDArray[np.float32]:
+    """Return (kinds, cells, cells) expected returns of a target by each of several sets of beams.
+
+    As :func:`expected_returns` counts them: over disjoint sets they add up to what it gives for all beams.
+    """
+    limits = _Limits.of(sensor_height_m, ground, grid, target)
+    return np.stack([limits.returns(limits.reached(beams), grid) for beams in kinds])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Limits:
+    """Which beams meet a target, by sector and range bin.
+
+    Attributes:
+        bottom: (sectors, bins) slope of a beam that passes a target's foot.
+        top: (sectors, bins) of one that passes its top.
+        half_columns: (bins,) half a target's width in azimuth columns.
+        cell_m: length of a range bin.
+    """
+
+    bottom: NDArray[np.float32]
+    top: NDArray[np.float32]
+    half_columns: NDArray[np.float32]
+    cell_m: np.float32
+
+    @classmethod
+    def of(cls, sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target) -> _Limits:
+        bins = int(np.ceil(float(polar_of_cells(grid)[0].max()) / grid.cell_m)) + 1
+        bottom, top = _slope_limits(sensor_height_m, ground, grid.cell_m, bins, target)
+        ranges = (np.arange(bins, dtype=np.float32) + np.float32(0.5)) * np.float32(grid.cell_m)
+        half = (np.arctan2(target.width_m / 2, ranges) * AZIMUTH_COLUMNS / (2 * np.pi)).astype(np.float32)
+        return cls(bottom, top, half, np.float32(grid.cell_m))
+
+    @property
+    def per_m(self) -> np.float32:
+        return np.float32(1.0) / self.cell_m
+
+    def reached(self, beams: Beams) -> Any:
+        return _reached(beams.azimuth, beams.slope, beams.depth_m, self.bottom, self.top, self.cell_m)
+
+    def returns(self, reached: Any, grid: BevGrid) -> NDArray[np.float32]:
+        counts = _windows(reached, *polar_of_cells(grid), self.half_columns, self.per_m, np.float32(1.0))
+        returns: NDArray[np.float32] = np.maximum(counts, np.float32(0.0), out=counts)
+        return returns
 
 
 def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
@@ -226,18 +270,16 @@ def _turned(sums: Any, at: Any, k: Any) -> Any:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _windows(
-    reached: Any, aimed: Any, range_m: Any, azimuth: Any, half_columns: Any, per_m: Any
+    sums: Any, range_m: Any, azimuth: Any, half_columns: Any, per_m: Any, ratio: Any
 ) -> Any:  # pragma: no cover - compiled
+    """Sums over the window of a target in each cell; ``ratio``: columns of ``sums`` per azimuth column."""
     rows, columns = range_m.shape
-    returns = np.empty((rows, columns), np.float32)
-    aims = np.empty((rows, columns), np.float32)
+    counts = np.empty((rows, columns), np.float32)
     per_rad = np.float32(AZIMUTH_COLUMNS / (2 * np.pi))
-    ratio = np.float32((aimed.shape[0] - 1) / AZIMUTH_COLUMNS)
     for i in range(rows):
         for j in range(columns):
             k = int(range_m[i, j] * per_m)
             at = (azimuth[i, j] + np.float32(np.pi)) * per_rad
             half = half_columns[k]
-            returns[i, j] = max(_turned(reached, at + half, k) - _turned(reached, at - half, k), np.float32(0.0))
-            aims[i, j] = _turned(aimed, (at + half) * ratio, k) - _turned(aimed, (at - half) * ratio, k)
-    return returns, aims
+            counts[i, j] = _turned(sums, (at + half) * ratio, k) - _turned(sums, (at - half) * ratio, k)
+    return counts

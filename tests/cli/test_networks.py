@@ -13,7 +13,7 @@ from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.cli import main
 from viewshed.export import read_npz
 from viewshed.networks.onnx_file import export_onnx
-from viewshed.networks.spec import UNetShape
+from viewshed.networks.shape import UNetShape
 
 SHAPE = UNetShape(4, 2, 0.3)
 

@@ -28,7 +28,8 @@ from viewshed.estimate import CellState, FovEstimator
 from viewshed.estimators import EstimatorFactory
 from viewshed.estimators.learned import LEARNED, PASSES, UnetEstimator, learned
 from viewshed.networks.onnx_file import export_onnx
-from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import NetworkCard
 from viewshed.networks.unet import TorchRunner
 from viewshed.sweep import Sweep
 

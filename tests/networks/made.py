@@ -4,7 +4,9 @@ import numpy as np
 import torch
 
 from viewshed.bev import BevGrid
-from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.channels import CHANNELS
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import NetworkCard
 from viewshed.networks.unet import Stage, UNet
 
 SMALL = UNetShape(4, 2, 0.3)
@@ -13,7 +15,8 @@ GRID = BevGrid(32, 16.0)
 
 def card(shape: UNetShape = SMALL, grid: BevGrid = GRID, threshold: float = 0.5) -> NetworkCard:
     """A card as training would write it."""
-    return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, trained={"seed": "3"})
+    names = tuple(CHANNELS)[: shape.channels]
+    return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, inputs=names, trained={"seed": "3"})
 
 
 def drawn(shape: UNetShape = SMALL, seed: int = 3) -> UNet:

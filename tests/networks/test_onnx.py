@@ -12,10 +12,11 @@ from tests.networks.made import GRID, SMALL, card, drawn, inputs, nearby
 from viewshed.networks.engine import OnnxRunner, load_runner
 from viewshed.networks.onnx_file import export_onnx, onnx_model
 from viewshed.networks.seal import sealed
-from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import FORMAT_VERSION, NetworkCard
 from viewshed.networks.unet import TorchRunner
 
-SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2)]
+SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
 ENGINES = ["onnxruntime"] + (["openvino"] if importlib.util.find_spec("openvino") else [])
 
 
@@ -74,7 +75,7 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     other_version = onnx_model(card(), drawn())
-    other_version.metadata_props[0].value = card().to_json().replace('"version": 2', '"version": 9')
+    other_version.metadata_props[0].value = card().to_json().replace(f'"version": {FORMAT_VERSION}', '"version": 9')
     bare = onnx_model(card(), drawn())
     del bare.metadata_props[:]
     cases = {
@@ -84,7 +85,9 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
         bare.SerializeToString(): "must be a network that viewshed exported, got a file that is cut short or another",
         sealed(b"\x99 no model"): "must be a network in ONNX, got another file",
         sealed(bare.SerializeToString()): "card must be JSON",
-        sealed(other_version.SerializeToString()): "network must have format version 2, got 9; train it again",
+        sealed(
+            other_version.SerializeToString()
+        ): f"network must have format version {FORMAT_VERSION}, got 9; train it again",
     }
     for content, message in cases.items():
         path.write_bytes(content)

@@ -8,8 +8,8 @@ from tests.networks.made import card
 from torch.utils.flop_counter import FlopCounterMode
 
 from viewshed.bev import BevGrid
-from viewshed.geometry import Rigid
-from viewshed.networks.spec import FORMAT_VERSION, NetworkCard, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import FORMAT_VERSION, NetworkCard
 from viewshed.networks.unet import UNet
 from viewshed.sweep import Sweep
 
@@ -75,8 +75,8 @@ def test_no_passes_are_refused() -> None:
 
 def test_a_card_comes_back_from_json_as_it_was() -> None:
     made = NetworkCard(
-        "road", UNetShape(4, 3, 0.05, 2), BevGrid(64, 20.0, (3.0, -1.0)), "pedestrian", "paper_label", 70.0,
-        (-2.0, 4.0), 100, 10.0, "log", 0.7, {"seed": "3", "epochs": "30"},
+        "road", UNetShape(4, 2, 0.05, 2, 2), BevGrid(64, 20.0, (3.0, -1.0)), "pedestrian", "paper_label", 70.0,
+        (-2.0, 4.0), 100, 10.0, "log", 0.7, ("blocker", "counts"), {"seed": "3", "epochs": "30"},
     )  # fmt: skip
     assert NetworkCard.from_json(made.to_json()) == made
 
@@ -84,7 +84,7 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": FORMAT_VERSION + 1}, "must have format version 2, got 3; train it again with this version"),
+        ({"version": FORMAT_VERSION + 1}, "must have format version 3, got 4; train it again with this version"),
         ({"layout": "other"}, "card must be a viewshed network's; export the network with viewshed train"),
         ({"more": 1}, "card must have the fields clip, .*, got clip, .*more"),
         ({"grid": 3}, r"card must be whole, got one that is damaged \(.*\); export the network again"),
@@ -92,7 +92,10 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
         ({"target": "tram"}, "target must be one of car, pedestrian, got 'tram'"),
         ({"truth": "guess"}, "truth must be one of probe, paper_label, got 'guess'"),
         ({"counts": "root"}, "counts must be one of linear, log, got 'root'"),
-        ({"clip": 0}, "clip must be positive, got 0"),
+        ({"clip": 0}, r"clip must be in \[1, 255\], got 0"),
+        ({"divisor": 0.0}, "divisor must be positive, got 0.0"),
+        ({"inputs": ["smell"]}, r"inputs must be 1 different ones of counts, lowest, .*, got \['smell'\]"),
+        ({"inputs": ["counts", "range"]}, r"inputs must be 1 different ones of .*, got \['counts', 'range'\]"),
         ({"heights_m": [3.0, -3.0]}, r"heights_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),
         ({"threshold": 0.0}, r"threshold must lie in \(0, 1\], got 0.0"),
     ],
@@ -109,8 +112,16 @@ def test_what_is_no_json_is_refused() -> None:
 
 
 def test_cells_must_divide_by_the_poolings() -> None:
-    with pytest.raises(ValueError, match="cells must divide by 16 for depth 4, got 100"):
+    with pytest.raises(ValueError, match="cells must divide by 16 for depth 4 and fold 1, got 100"):
         NetworkCard("made", UNetShape(8, 4), BevGrid(100, 16.0))
+    with pytest.raises(ValueError, match="cells must divide by 12 for depth 2 and fold 3, got 32"):
+        NetworkCard("made", UNetShape(8, 2, fold=3), BevGrid(32, 16.0))
+
+
+def test_folded_cells_are_channels() -> None:
+    plain, folded = UNetShape(8, 3), UNetShape(8, 3, channels=5, fold=2)
+    assert folded.parameters - plain.parameters == 9 * (5 * 4 - 1) * 8 + 3 * (8 + 1)
+    assert folded.flops(64) - plain.flops(32) == 2 * (9 * (5 * 4 - 1) * 8 * 32**2 + 3 * 8 * 32**2)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +143,7 @@ def _points(count: int = 4000) -> NDArray[np.float32]:
 
 
 def test_the_input_is_the_count_of_what_is_near_and_low_enough() -> None:
-    points, tilt = _points(), Rigid.from_yaw(0.0).rotation
+    points = _points()
     made = NetworkCard("made", UNetShape(4, 2), BevGrid(32, 16.0), max_range_m=15.0, heights_m=(-3.0, 1.0), clip=3)
     x, y, z = points.astype(np.float64).T
     keep = (np.hypot(x, y) <= 15.0) & (z >= -3.0) & (z <= 1.0)
@@ -142,13 +153,12 @@ def test_the_input_is_the_count_of_what_is_near_and_low_enough() -> None:
     assert found.dtype == np.float32
     np.testing.assert_allclose(found[0], np.minimum(expected, 3) / 1000, atol=1e-7)
     assert expected.max() > 3
-    assert np.array_equal(found, made.input_of_points(points, tilt))
 
 
 def test_counts_may_be_shown_by_their_logarithm() -> None:
     points = np.repeat(np.array([[1.0, 1.0, 0.0], [-3.0, 5.0, 0.0]], np.float32), [7, 500], axis=0)
     made = NetworkCard("made", UNetShape(4, 2), BevGrid(32, 16.0), clip=100, counts="log")
-    found = made.input_of_points(points, np.eye(3))[0]
+    found = made.input_of(Sweep(points, attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=1.8))[0]
     assert found[17, 17] == pytest.approx(np.log(8) / np.log(101))
     assert found[13, 21] == 1.0
     assert np.count_nonzero(found) == 2

@@ -8,7 +8,8 @@ from tests.networks.made import SMALL, card, drawn, inputs, nearby
 from torch import Tensor
 
 from viewshed.networks.mcd import mean_and_std, moments
-from viewshed.networks.spec import UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import FORMAT_VERSION
 from viewshed.networks.unet import TorchRunner, UNet, load_weights, save_weights
 
 
@@ -136,8 +137,8 @@ def test_damaged_and_other_checkpoints_are_refused(tmp_path: Path) -> None:
     torch.save({"card": card().to_json(), "state": state}, path)
     with pytest.raises(ValueError, match=r"a\.pt must hold the weights of UNetShape\(width=4.*; train again"):
         load_weights(path)
-    torch.save({"card": card().to_json().replace('"version": 2', '"version": 0'), "state": {}}, path)
-    with pytest.raises(ValueError, match="network must have format version 2, got 0; train it again"):
+    torch.save({"card": card().to_json().replace(f'"version": {FORMAT_VERSION}', '"version": 0'), "state": {}}, path)
+    with pytest.raises(ValueError, match=f"network must have format version {FORMAT_VERSION}, got 0; train it again"):
         load_weights(path)
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import NetworkCard
 from viewshed.reproduce import jobs
 from viewshed.reproduce.contestants import network
 from viewshed.reproduce.data import open_archive, subject_of

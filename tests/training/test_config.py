@@ -35,7 +35,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"target": "dog"}, r"target must be one of car, pedestrian, got 'dog'"),
     ({"attacks": ("uniform", "laser")}, r"attacks must be among paper, uniform, .* got 'laser'"),
     ({"attacks": ()}, r"attacks and attack_share must both be given or both be empty, got \[\] and 0.5; benign"),
-    ({"cells": 33}, r"cells must divide by 4 for depth 2, got 33"),
+    ({"cells": 33}, r"cells must divide by 4 for depth 2 and fold 1, got 33"),
     ({"batch": 0}, r"batch must lie in \[1, 4096\], got 0"),
     ({"data": ()}, r"data must name different presets or archives, got \[\]"),
     ({"data": ("carla", "elsewhere")}, r"data must be presets or archives, not both"),

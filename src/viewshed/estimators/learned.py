@@ -86,7 +86,7 @@ class UnetEstimator:
         prob, std = np.zeros(self.grid.shape, np.float32), None
         state = np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
         if self.grid.index(usable.points)[1].any():
-            prob, std = self.probability(self._input(level))
+            prob, std = self.probability(self.card.input_of_level(level))
             prob = np.where(polar_of_cells(self.grid)[0] <= self.card.max_range_m, prob, np.float32(0.0))
             state = self._state(level, prob)
         return FovEstimate(
@@ -105,9 +105,6 @@ class UnetEstimator:
         """Return probability (cells, cells) and deviation (cells, cells), or None for one pass, of one input."""
         found = self.runner.run(inputs[None], self._masks)
         return (found[0], None) if self.passes == 1 else moments(found)
-
-    def _input(self, level: LevelSweep) -> NDArray[np.float32]:
-        return self.card.input_of_points(level.sweep.points, level.level_from_sensor.rotation)
 
     def _state(self, level: LevelSweep, prob: NDArray[np.float32]) -> NDArray[np.uint8]:
         range_m, _ = polar_of_cells(self.grid)

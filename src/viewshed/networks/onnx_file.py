@@ -63,11 +63,10 @@ class _Graph:
         shape = module.shape
         parts = self.parts(shape.masked_channels)
         skips: list[str] = []
-        x = "inputs"
+        x = "inputs" if shape.fold == 1 else self.node("SpaceToDepth", ["inputs"], blocksize=shape.fold)
         for i, stage in enumerate(module.encoder):
-            x = self.stage(
-                _stage(stage), x if i == 0 else self.node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2])
-            )
+            x = x if i == 0 else self.node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2])
+            x = self.stage(_stage(stage), x, shape.fold if i == 0 else 1)
             x = x if i == 0 else self.node("Mul", [x, parts[i - 1]])
             skips.append(x)
         skips.pop()
@@ -78,6 +77,7 @@ class _Graph:
             x = self.split_stage(_stage(stage), x, skips.pop()) if last else self.joined(_stage(stage), x, skips.pop())
             x = x if last else self.node("Mul", [x, parts[shape.depth + i]])
         x = self.node("Conv", [x, *self.weights(module.head.weight, module.head.bias)], kernel_shape=[1, 1])
+        x = x if shape.fold == 1 else self.node("DepthToSpace", [x], blocksize=shape.fold, mode="CRD")
         x = self.node("Sigmoid", [x])
         self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], ["probability"]))
 
@@ -87,8 +87,9 @@ class _Graph:
         axes = self.constant(np.array([2, 3]))
         return [self.node("Unsqueeze", [name, axes]) for name in names]
 
-    def stage(self, stage: Stage, x: str) -> str:
+    def stage(self, stage: Stage, x: str, fold: int = 1) -> str:
         weight, bias = _folded(stage.conv1, stage.norm1)
+        weight = _by_block(weight, fold)
         return self.second(stage, self.node("Relu", [self.conv(x, weight, bias)]))
 
     def joined(self, stage: Stage, x: str, skip: str) -> str:
@@ -133,3 +134,10 @@ def _folded(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     assert norm.running_var is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
     return conv.weight * scale[:, None, None, None], norm.bias - norm.running_mean * scale
+
+
+def _by_block(weight: Tensor, fold: int) -> Tensor:
+    """A weight for inputs (place in the block, channel), as ONNX folds, of one for (channel, place in the block)."""
+    outer, inner = weight.shape[:2]
+    parts = weight.reshape(outer, inner // fold**2, fold**2, *weight.shape[2:])
+    return parts.transpose(1, 2).reshape(weight.shape)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from viewshed.atomic import write_bytes
-from viewshed.networks.spec import NetworkCard, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import NetworkCard
 
 
 class Stage(nn.Module):
@@ -40,17 +41,17 @@ class UNet(nn.Module):
     def __init__(self, shape: UNetShape) -> None:
         super().__init__()
         self.shape = shape
-        inner = (shape.channels, *shape.widths[:-1])
+        inner = (shape.channels * shape.fold**2, *shape.widths[:-1])
         self.encoder = nn.ModuleList(Stage(a, b) for a, b in zip(inner, shape.widths, strict=True))
         self.up = nn.ModuleList(nn.ConvTranspose2d(2 * w, w, 2, stride=2) for w in shape.widths[-2::-1])
         self.decoder = nn.ModuleList(Stage(2 * w, w) for w in shape.widths[-2::-1])
-        self.head = nn.Conv2d(shape.width, 1, 1)
+        self.head = nn.Conv2d(shape.width, shape.fold**2, 1)
 
     def forward(self, inputs: Tensor, masks: Tensor) -> Tensor:
         """Return logits (N, 1, H, W)."""
         parts = torch.split(masks[:, :, None, None], list(self.shape.masked_channels), dim=1)
         skips: list[Tensor] = []
-        x = inputs
+        x = nn.functional.pixel_unshuffle(inputs, self.shape.fold)
         for i, stage in enumerate(self.encoder):
             x = stage(x if i == 0 else torch.max_pool2d(x, 2))
             x = x if i == 0 else x * parts[i - 1]
@@ -59,8 +60,7 @@ class UNet(nn.Module):
         for i, (up, stage) in enumerate(zip(self.up, self.decoder, strict=True)):
             x = stage(torch.cat([up(x), skips.pop()], dim=1))
             x = x * parts[self.shape.depth + i] if i < self.shape.depth - 1 else x
-        out: Tensor = self.head(x)
-        return out
+        return nn.functional.pixel_shuffle(self.head(x), self.shape.fold)
 
 
 class TorchRunner:

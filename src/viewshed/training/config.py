@@ -12,7 +12,8 @@ from viewshed import flat
 from viewshed.attacks import ATTACKS
 from viewshed.bev import BevGrid
 from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
-from viewshed.networks.spec import COUNTS, TRUTHS, NetworkCard, UNetShape
+from viewshed.networks.shape import UNetShape
+from viewshed.networks.spec import COUNTS, TRUTHS, NetworkCard
 
 PAPER = "paper"
 """Name of the mixture of arXiv 2503.07375, beside those of ``ATTACKS``."""
@@ -53,6 +54,7 @@ class TrainConfig:
         attack_share: share of the frames that are attacked (the paper's mixture leaves some of those alone).
         width: channels of the first stage.
         depth: poolings.
+        fold: cells a side of the blocks that are folded into channels; 1 as published.
         dropout: share of the channels that are dropped, for ``mcd``.
         loss: ``bce``, cross-entropy over the cells whose truth is known, or ``bce_dice``, with the Dice loss added.
         learning_rate: of Adam.
@@ -69,6 +71,7 @@ class TrainConfig:
         workers: processes that prepare frames beside the one that trains.
         threshold: probability from which a cell counts as visible, in the scores and in the weights' card.
         seed: of everything random.
+        inputs: what the network is shown, names of ``CHANNELS``; ``counts`` alone as published.
         counts: how the returns of a cell are shown: ``linear``, as published, or ``log``.
         max_range_m: returns up to this horizontal range count.
         heights_m: lowest and highest z from the sensor at which returns count.
@@ -91,6 +94,7 @@ class TrainConfig:
     attack_share: float
     width: int
     depth: int
+    fold: int
     dropout: float
     loss: str
     learning_rate: float
@@ -106,6 +110,7 @@ class TrainConfig:
     workers: int
     threshold: float
     seed: int
+    inputs: tuple[str, ...]
     counts: str
     max_range_m: float
     heights_m: tuple[float, float]
@@ -166,13 +171,14 @@ class TrainConfig:
     @property
     def shape(self) -> UNetShape:
         """The network's shape; without dropout where it is trained without."""
-        return UNetShape(self.width, self.depth, self.dropout if self.variant == "mcd" else 0.0)
+        dropout = self.dropout if self.variant == "mcd" else 0.0
+        return UNetShape(self.width, self.depth, dropout, len(self.inputs), self.fold)
 
     def card(self, **trained: str) -> NetworkCard:
         """Return the card of the network, with facts of its training."""
         return NetworkCard(
             self.name, self.shape, self.grid, self.target, self.truth, self.max_range_m, self.heights_m,
-            counts=self.counts, threshold=self.threshold, trained=trained,
+            counts=self.counts, threshold=self.threshold, inputs=self.inputs, trained=trained,
         )  # fmt: skip
 
     @classmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from viewshed.training.attacking import attacked
 from viewshed.training.config import TrainConfig
 from viewshed.training.sources import CleanFrames
 
+Scalar = TypeVar("Scalar", bound=np.generic)
 Arrays = dict[str, NDArray[np.float32]]
 Key = tuple[int, int]
 """Epoch and number of a frame."""
@@ -39,24 +40,26 @@ class Drawn:
     """A frame before it is shown to the network.
 
     Attributes:
-        counts: (cells, cells) int, returns of the sweep, perhaps attacked, in each cell.
+        maps: (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked.
         visible: (cells, cells) bool, of the clean sweep.
         known: (cells, cells) bool, where that counts.
     """
 
-    counts: NDArray[np.integer]
+    maps: NDArray[np.uint8]
     visible: NDArray[np.bool_]
     known: NDArray[np.bool_]
 
     def turned(self, turn: int) -> Drawn:
         """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
 
-        >>> Drawn(np.array([[1, 2], [3, 4]]), np.eye(2, dtype=bool), np.eye(2, dtype=bool)).turned(5).counts.tolist()
-        [[3, 4], [1, 2]]
+        >>> Drawn(np.array([[[1, 2], [3, 4]]]), np.eye(2, dtype=bool), np.eye(2, dtype=bool)).turned(5).maps.tolist()
+        [[[3, 4], [1, 2]]]
         """
-        quarters, mirrored = turn % 4, turn >= 4
-        parts = (np.rot90(each.T if mirrored else each, quarters) for each in (self.counts, self.visible, self.known))
-        return Drawn(*parts)
+        return Drawn(_turned(self.maps, turn), _turned(self.visible, turn), _turned(self.known, turn))
+
+
+def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
+    return np.rot90(maps.swapaxes(-2, -1) if turn >= 4 else maps, turn % 4, axes=(-2, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +84,9 @@ class TrainingFrames:
     def __getitem__(self, key: Key) -> Arrays:
         """Return the frame ``(epoch, number)`` as float32 arrays; all that is random follows from seed and key.
 
-        ``inputs`` (1, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` (cells, cells):
-        0 or 1, of the clean sweep; ``known`` (cells, cells): 1 where that counts; ``masks`` (M,): dropout's, ones for
-        ``mle``.
+        ``inputs`` (channels, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` and
+        ``known`` (cells, cells): 0 or 1, of the clean sweep, and 1 where that counts; ``masks`` (M,): dropout's, ones
+        for ``mle``.
 
         Raises:
             IndexError: there is no such frame.
@@ -97,7 +100,7 @@ class TrainingFrames:
         if self.mirrored:
             drawn = drawn.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
         return {
-            "inputs": self.config.card().shown(drawn.counts),
+            "inputs": self.config.card().shown(drawn.maps),
             "visible": drawn.visible.astype(np.float32),
             "known": drawn.known.astype(np.float32),
             "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
@@ -108,11 +111,12 @@ class TrainingFrames:
         clean = self.source.clean(epoch, index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
         sweep = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
-        return Drawn(self.config.card().counts_of(sweep), clean.visible, clean.known)
+        return Drawn(self.config.card().maps_of(sweep), clean.visible, clean.known)
 
     def _blank(self) -> Arrays:
         zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
-        return {"inputs": zeros[None].copy(), "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
+        inputs = np.zeros((shape.channels, *zeros.shape), np.float32)
+        return {"inputs": inputs, "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
 
     def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, epoch, index, purpose])

@@ -1,10 +1,11 @@
-"""Training frames made once and kept: counts and bits of each frame, so that a training never waits for data."""
+"""Training frames made once and kept: maps and bits of each frame, so that a training never waits for data."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,29 +21,29 @@ from viewshed.training.config import TrainConfig
 from viewshed.training.files import make_files
 from viewshed.training.frames import Drawn, TrainingFrames
 
-_LAYOUT = 1
+_LAYOUT = 2
 _BLOCK = 256
 _OPEN = 1024
 _DECIDE = (
     "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "seed",
-    "max_range_m", "heights_m",
+    "max_range_m", "heights_m", "inputs",
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class KeptOnDisk:
-    """Frames of a config as rows of bytes: a cell's count, a bit each for visible and known. 256 frames a file.
+    """Frames of a config as rows of bytes: of a cell's channels, and a bit each for visible and known. 256 a file.
 
     Attributes:
         folder: where the files are; its name tells what decides the frames.
-        cells: of the grid.
+        shape: (channels, cells, cells) of the maps.
         frames: how many there are.
         first: epoch of the first version.
         versions: epochs that are kept; later ones show them again in turn.
     """
 
     folder: Path
-    cells: int
+    shape: tuple[int, int, int]
     frames: int
     first: int
     versions: int
@@ -58,9 +59,9 @@ class KeptOnDisk:
             raise IndexError(f"index must be below {self.frames}, the number of frames, got {index}")
         block, row = divmod(index, _BLOCK)
         record = _rows(self.path((epoch - self.first) % self.versions, block))[row]
-        shape, size = (self.cells, self.cells), self.cells**2
-        visible, known = np.unpackbits(record[size:].reshape(2, -1), axis=1, count=size).astype(np.bool_)
-        return Drawn(record[:size].reshape(shape), visible.reshape(shape), known.reshape(shape))
+        size, cells = math.prod(self.shape), self.shape[1:]
+        bits = np.unpackbits(record[size:].reshape(2, -1), axis=1, count=math.prod(cells)).astype(np.bool_)
+        return Drawn(record[:size].reshape(self.shape), *bits.reshape(2, *cells))
 
     def path(self, version: int, block: int) -> Path:
         """Return where a block of a version is."""
@@ -107,7 +108,8 @@ def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, fi
     shards = [shard.sha256 for archive in archives for shard in archive.shards]
     words = [_LAYOUT, viewshed.__version__, first, config.card().clip, {key: table[key] for key in _DECIDE}, shards]
     name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
-    return KeptOnDisk(folder / name, config.cells, sum(map(len, archives)), first, versions)
+    shape = (len(config.inputs), config.cells, config.cells)
+    return KeptOnDisk(folder / name, shape, sum(map(len, archives)), first, versions)
 
 
 def _make_block(job: _Job) -> int:
@@ -123,7 +125,7 @@ def _make_block(job: _Job) -> int:
 
 def _record(drawn: Drawn) -> NDArray[np.uint8]:
     bits = np.packbits(np.reshape([drawn.visible, drawn.known], (2, -1)), axis=1)
-    return np.concatenate([drawn.counts.astype(np.uint8).reshape(-1), bits.reshape(-1)])
+    return np.concatenate([drawn.maps.reshape(-1), bits.reshape(-1)])
 
 
 @lru_cache(maxsize=_OPEN)

@@ -1,0 +1,139 @@
+"""Channels: what a network may be shown of a sweep, each a map of one byte a cell.
+
+``counts`` is the input of arXiv 2503.07375. The others are measured as the classical estimators measure them, so that a
+network starts from what they know and learns what they do not: what a missing return means here, which ground to
+believe, which returns to doubt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid, polar_of_cells
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep
+from viewshed.missing import told_beams
+from viewshed.polar import bins_of_cells, farthest_in_bins, measured_azimuth_bins, nearest_obstacle_in_bins
+from viewshed.visible import Target, returns_by_kind
+
+HEIGHTS_M = (-2.0, 4.0)
+"""Heights above local ground that ``lowest`` and ``highest`` tell apart."""
+MOST_RETURNS = 127
+"""Expected returns that the codes tell apart."""
+FARTHEST_M = 100.0
+"""Distances that ``blocker``, ``farthest`` and ``range`` tell apart."""
+_STEPS = 16
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What the channels of one sweep are made of; each part is computed when it is first asked for.
+
+    Attributes:
+        level: the sweep.
+        grid: of the maps.
+        target: what would have to be seen.
+        counts: (cells, cells) uint8, returns of each cell as the network's card counts them.
+    """
+
+    level: LevelSweep
+    grid: BevGrid
+    target: Target
+    counts: Bytes
+
+    @cached_property
+    def heights(self) -> tuple[Bytes, Bytes]:
+        """Codes (cells, cells) of the lowest and the highest return of each cell: 0 for none, 1 to 255 upwards."""
+        codes = np.zeros(self.grid.shape, np.uint8), np.zeros(self.grid.shape, np.uint8)
+        lattice = np.array([*self.grid.origin_m, 1.0 / self.grid.cell_m, *HEIGHTS_M], np.float32)
+        _heights(self.level.points, self.level.height_m, lattice, *codes)
+        return codes
+
+    @cached_property
+    def returns(self) -> Floats:
+        """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
+        level, told = self.level, told_beams(self.level, self.target.height_m)
+        kinds = told.confirmed, told.explained, told.unexplained
+        return returns_by_kind(kinds, level.sensor_height_m, level.ground, self.grid, self.target)
+
+    @cached_property
+    def bins(self) -> int:
+        """Azimuth bins."""
+        return measured_azimuth_bins(self.level.azimuth)
+
+    def beyond(self, limit_m: Floats) -> Bytes:
+        """Return the code (cells, cells) of how far a limit (bins,) lies beyond each cell; 128 where they meet."""
+        away = limit_m[bins_of_cells(self.grid, self.bins)] - polar_of_cells(self.grid)[0]
+        size = np.log1p(np.minimum(np.abs(away), np.float32(FARTHEST_M))) * np.float32(127.0 / np.log1p(FARTHEST_M))
+        code: Bytes = (np.float32(128.5) + np.copysign(size, away)).astype(np.uint8)
+        return code
+
+
+def returns_code(returns: Floats) -> Bytes:
+    """Return the code (…) of expected returns (…): their logarithm, 255 from ``MOST_RETURNS`` on.
+
+    >>> returns_code(np.array([0.0, 5.0, 1000.0], np.float32)).tolist()
+    [0, 94, 255]
+    """
+    table = _returns_table()
+    code: Bytes = table[np.minimum(returns * np.float32(_STEPS), np.float32(len(table) - 1)).astype(np.int32)]
+    return code
+
+
+@lru_cache(maxsize=1)
+def _returns_table() -> Bytes:
+    returns = np.arange(MOST_RETURNS * _STEPS + 1) / _STEPS
+    table: Bytes = np.round(255.0 * np.log1p(returns) / np.log1p(MOST_RETURNS)).astype(np.uint8)
+    return table
+
+
+@lru_cache(maxsize=8)
+def _range_code(grid: BevGrid) -> Bytes:
+    code: Bytes = np.minimum(polar_of_cells(grid)[0] * np.float32(255.0 / FARTHEST_M), 255.0).astype(np.uint8)
+    return code
+
+
+def _blocker(shown: Shown) -> Bytes:
+    return shown.beyond(nearest_obstacle_in_bins(shown.level, shown.bins, 1, OBSTACLE_HEIGHTS_M))
+
+
+CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
+    "counts": lambda shown: shown.counts,
+    "lowest": lambda shown: shown.heights[0],
+    "highest": lambda shown: shown.heights[1],
+    "confirmed": lambda shown: returns_code(shown.returns[0]),
+    "expected": lambda shown: returns_code(shown.returns[0] + shown.returns[1]),
+    "unexplained": lambda shown: returns_code(shown.returns[2]),
+    "blocker": _blocker,
+    "farthest": lambda shown: shown.beyond(farthest_in_bins(shown.level, shown.bins)),
+    "range": lambda shown: _range_code(shown.grid),
+}
+"""The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
+another one confirms, ``unexplained`` the beams whose end nothing tells, as if nothing stopped them; ``blocker`` and
+``farthest`` tell how far the nearest obstacle and the farthest return of the azimuth lie beyond the cell."""
+
+
+def maps_of(names: Sequence[str], shown: Shown) -> Bytes:
+    """Return the maps (channels, cells, cells) of channels by their names."""
+    return np.stack([CHANNELS[name](shown) for name in names])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _heights(points: Any, height: Any, lattice: Any, lowest: Any, highest: Any) -> None:  # pragma: no cover - compiled
+    x0, y0, per_m, bottom, top = lattice
+    cells, scale = lowest.shape[0], np.float32(254.0) / (top - bottom)
+    for n in range(points.shape[0]):
+        u, v = (points[n, 0] - x0) * per_m, (points[n, 1] - y0) * per_m
+        if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
+            i, j = int(u), int(v)
+            code = np.uint8(1 + int(min(max(height[n] - bottom, np.float32(0.0)), top - bottom) * scale))
+            highest[i, j] = max(highest[i, j], code)
+            lowest[i, j] = code if lowest[i, j] == 0 else min(lowest[i, j], code)
