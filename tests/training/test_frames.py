@@ -162,6 +162,34 @@ def test_what_decides_kept_frames_decides_where_they_are(config: TrainConfig, tm
         assert len(set((tmp_path / "frames").iterdir()) - known) == 2
 
 
+def test_channels_of_the_same_frames_are_kept_once(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, attacks=("uniform",), attack_share=1.0, versions=1, inputs=("counts", "blocker"))
+    prepare(wanted, tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")}
+    more = replace(wanted, inputs=("expected", "counts"))
+    kept, made = prepare(more, tmp_path), prepare(replace(more, versions=0), tmp_path)
+    now = {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy") if "expected" not in path.name
+    }
+    truth = {path for path in before if "truth" in path.name}
+    assert {path: at for path, at in now.items() if path not in truth} == {
+        p: at for p, at in before.items() if p not in truth
+    }
+    for index in range(len(made.train)):
+        assert made.train[1, index]["inputs"].shape[0] == 2
+        assert _equal(made.train[1, index], kept.train[1, index])
+
+
+def test_a_share_of_the_clouds_has_no_rings(config: TrainConfig, tmp_path: Path) -> None:
+    bare = replace(config, attacks=(), attack_share=0.0, ringless_share=0.5, inputs=("counts", "unexplained"))
+    some, none = prepare(bare, tmp_path).train, prepare(replace(bare, ringless_share=0.0), tmp_path).train
+    known = [none[1, index]["inputs"][1].any() for index in range(len(none))]
+    told = [some[1, index]["inputs"][1].any() for index in range(len(none))]
+    assert all(known)
+    assert 0.2 < np.mean(told) < 0.8
+    assert all((some[1, index]["inputs"][0] == none[1, index]["inputs"][0]).all() for index in range(len(none)))
+
+
 def _turned(array: NDArray[np.float32], quarters: int, mirrored: bool) -> NDArray[np.float32]:
     """Cells of a square grid, moved one by one: (x, y) to (y, x), then a quarter turn to the left at a time."""
     last = len(array) - 1

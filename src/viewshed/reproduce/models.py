@@ -27,7 +27,7 @@ def config_of(plan: StudyPlan, folder: Path, model: Model) -> TrainConfig:
         data=(str(place_of(folder, model.domain, "train")),), train_split="train",
         validation_share=plan.validation_share, cells=plan.cells, half_extent_m=setting.grid.half_extent_m,
         target="car", truth=setting.truth, variant=model.variant, attacks=attacks, attack_share=share,
-        width=plan.width, depth=plan.depth, fold=1, dropout=plan.dropout, loss=plan.loss,
+        ringless_share=0.0, width=plan.width, depth=plan.depth, fold=1, dropout=plan.dropout, loss=plan.loss,
         learning_rate=plan.learning_rate,
         schedule=plan.schedule, batch=plan.batch, epochs=plan.epochs, patience=plan.patience,
         frames_per_epoch=plan.frames_per_epoch, fresh=False, versions=plan.versions,

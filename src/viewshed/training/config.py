@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
 }
 """What the keys that name one of a few may be."""
 _LIMITS: dict[str, tuple[float, float]] = {
-    "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "learning_rate": (1e-9, 10.0), "batch": (1, 4096),
-    "epochs": (1, 100_000), "patience": (1, 100_000), "frames_per_epoch": (0, 10**9), "versions": (0, 1000),
+    "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "ringless_share": (0.0, 1.0),
+    "learning_rate": (1e-9, 10.0), "batch": (1, 4096), "epochs": (1, 100_000), "patience": (1, 100_000),
+    "frames_per_epoch": (0, 10**9), "versions": (0, 1000),
     "workers": (0, 256), "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
 }  # fmt: skip
 
@@ -52,6 +53,7 @@ class TrainConfig:
         variant: ``mcd`` trains with dropout, ``mle`` without.
         attacks: names of ``ATTACKS``, one of which is drawn for a frame, or ``paper``; none is benign training.
         attack_share: share of the frames that are attacked (the paper's mixture leaves some of those alone).
+        ringless_share: share of the frames whose sweep loses rings and sensor: a cloud and nothing else.
         width: channels of the first stage.
         depth: poolings.
         fold: cells a side of the blocks that are folded into channels; 1 as published.
@@ -92,6 +94,7 @@ class TrainConfig:
     variant: str
     attacks: tuple[str, ...]
     attack_share: float
+    ringless_share: float
     width: int
     depth: int
     fold: int
@@ -173,6 +176,10 @@ class TrainConfig:
         """The network's shape; without dropout where it is trained without."""
         dropout = self.dropout if self.variant == "mcd" else 0.0
         return UNetShape(self.width, self.depth, dropout, len(self.inputs), self.fold)
+
+    def showing(self, inputs: tuple[str, ...]) -> TrainConfig:
+        """Return the config with other channels."""
+        return replace(self, inputs=inputs)
 
     def card(self, **trained: str) -> NetworkCard:
         """Return the card of the network, with facts of its training."""

@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.evaluation import unorganised_no_sensor
 from viewshed.training.attacking import attacked
 from viewshed.training.config import TrainConfig
 from viewshed.training.sources import CleanFrames
@@ -25,6 +26,7 @@ class _Purpose(IntEnum):
     ATTACK = 1
     MASKS = 2
     TURN = 3
+    RINGS = 4
 
 
 class KeptFrames(Protocol):
@@ -111,6 +113,8 @@ class TrainingFrames:
         clean = self.source.clean(epoch, index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
         sweep = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
+            sweep = unorganised_no_sensor(sweep)
         return Drawn(self.config.card().maps_of(sweep), clean.visible, clean.known)
 
     def _blank(self) -> Arrays:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,29 +20,34 @@ from viewshed.training.config import TrainConfig
 from viewshed.training.files import make_files
 from viewshed.training.frames import Drawn, TrainingFrames
 
-_LAYOUT = 2
+_LAYOUT = 3
 _BLOCK = 256
-_OPEN = 1024
+_OPEN = 4096
+_TRUTH = "truth"
 _DECIDE = (
-    "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "seed",
-    "max_range_m", "heights_m", "inputs",
+    "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "ringless_share", "seed",
+    "max_range_m", "heights_m",
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class KeptOnDisk:
-    """Frames of a config as rows of bytes: of a cell's channels, and a bit each for visible and known. 256 a file.
+    """Frames of a config in rows: a byte of each cell for each channel, two bits for visible and known. 256 a file.
+
+    Each channel has files of its own, so that trainings on other channels of the same frames share them.
 
     Attributes:
         folder: where the files are; its name tells what decides the frames.
-        shape: (channels, cells, cells) of the maps.
+        inputs: names of the channels.
+        cells: of the grid.
         frames: how many there are.
         first: epoch of the first version.
         versions: epochs that are kept; later ones show them again in turn.
     """
 
     folder: Path
-    shape: tuple[int, int, int]
+    inputs: tuple[str, ...]
+    cells: int
     frames: int
     first: int
     versions: int
@@ -58,14 +62,20 @@ class KeptOnDisk:
         if not 0 <= index < self.frames:
             raise IndexError(f"index must be below {self.frames}, the number of frames, got {index}")
         block, row = divmod(index, _BLOCK)
-        record = _rows(self.path((epoch - self.first) % self.versions, block))[row]
-        size, cells = math.prod(self.shape), self.shape[1:]
-        bits = np.unpackbits(record[size:].reshape(2, -1), axis=1, count=math.prod(cells)).astype(np.bool_)
-        return Drawn(record[:size].reshape(self.shape), *bits.reshape(2, *cells))
+        place, size = ((epoch - self.first) % self.versions, block), self.cells**2
+        maps = [_rows(self.path(*place, name))[row].reshape(self.cells, self.cells) for name in self.inputs]
+        bits = np.unpackbits(_rows(self.path(*place, _TRUTH))[row], axis=1, count=size).astype(np.bool_)
+        return Drawn(np.stack(maps), *bits.reshape(2, self.cells, self.cells))
 
-    def path(self, version: int, block: int) -> Path:
-        """Return where a block of a version is."""
-        return self.folder / f"{version}-{block}.npy"
+    def path(self, version: int, block: int, name: str) -> Path:
+        """Return where a channel, or the truth, of a block of a version is."""
+        return self.folder / f"{version}-{block}-{name}.npy"
+
+    def missing(self, version: int, block: int) -> tuple[str, ...]:
+        """Return the channels of a block that are not there; all of them if its truth is not."""
+        if not self.path(version, block, _TRUTH).is_file():
+            return self.inputs
+        return tuple(name for name in self.inputs if not self.path(version, block, name).is_file())
 
     def make(self, frames: TrainingFrames, workers: int, told: Callable[[int], None] | None = None) -> None:
         """Make the blocks that are not there yet.
@@ -80,10 +90,10 @@ class KeptOnDisk:
         """
         blocks = range(-(-self.frames // _BLOCK))
         places = [(version, block) for version in range(self.versions) for block in blocks]
-        missing = [_Job(self, frames, *place) for place in places if not self.path(*place).is_file()]
-        if missing:
+        jobs = [_Job(self, frames, *place, names) for place in places if (names := self.missing(*place))]
+        if jobs:
             self.folder.mkdir(parents=True, exist_ok=True)
-        make_files(_make_block, missing, workers, told)
+        make_files(_make_block, jobs, workers, told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +102,7 @@ class _Job:
     frames: TrainingFrames
     version: int
     block: int
+    names: tuple[str, ...]
 
 
 def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int) -> KeptOnDisk:
@@ -108,24 +119,26 @@ def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, fi
     shards = [shard.sha256 for archive in archives for shard in archive.shards]
     words = [_LAYOUT, viewshed.__version__, first, config.card().clip, {key: table[key] for key in _DECIDE}, shards]
     name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
-    shape = (len(config.inputs), config.cells, config.cells)
-    return KeptOnDisk(folder / name, shape, sum(map(len, archives)), first, versions)
+    return KeptOnDisk(folder / name, config.inputs, config.cells, sum(map(len, archives)), first, versions)
 
 
 def _make_block(job: _Job) -> int:
-    """Return the number of frames of a block, which is written."""
+    """Return the number of frames of a block, whose missing channels are written, the truth last."""
     start = job.block * _BLOCK
     numbers = range(start, min(start + _BLOCK, job.kept.frames))
-    rows = [_record(job.frames.draw(job.kept.first + job.version, number)) for number in numbers]
+    frames = replace(job.frames, config=job.frames.config.showing(job.names))
+    drawn = [frames.draw(job.kept.first + job.version, number) for number in numbers]
+    for k, name in enumerate(job.names):
+        _write(job, name, np.stack([each.maps[k].reshape(-1) for each in drawn]))
+    bits = np.stack([np.reshape([each.visible, each.known], (2, -1)) for each in drawn])
+    _write(job, _TRUTH, np.packbits(bits, axis=2))
+    return len(drawn)
+
+
+def _write(job: _Job, name: str, rows: NDArray[np.uint8]) -> None:
     buffer = io.BytesIO()
-    np.save(buffer, np.stack(rows))
-    write_bytes(job.kept.path(job.version, job.block), buffer.getvalue())
-    return len(rows)
-
-
-def _record(drawn: Drawn) -> NDArray[np.uint8]:
-    bits = np.packbits(np.reshape([drawn.visible, drawn.known], (2, -1)), axis=1)
-    return np.concatenate([drawn.maps.reshape(-1), bits.reshape(-1)])
+    np.save(buffer, rows)
+    write_bytes(job.kept.path(job.version, job.block, name), buffer.getvalue())
 
 
 @lru_cache(maxsize=_OPEN)

@@ -1,0 +1,60 @@
+"""The shipped networks on real sweeps, which they have never seen the like of."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed import ESTIMATORS, GRIDS, read_sweep
+from viewshed.estimators.learned import learned
+from viewshed.geometry import Rigid
+from viewshed.networks.shipped import manifest
+
+ROAD = GRIDS["road"]
+FILES = ("nuscenes/*.pcd.bin", "kitti/object/*.bin")
+Mask = NDArray[np.bool_]
+
+
+def agreement(one: Mask, two: Mask) -> float:
+    return float((one & two).sum() / (one | two).sum())
+
+
+def test_a_road_and_a_room_are_shipped_for_both_methods() -> None:
+    lines = manifest().values()
+    assert {(line.half_extent_m, line.target) for line in lines} >= {(64.0, "car"), (16.0, "pedestrian")}
+    for line in lines:
+        assert line.methods == ("unet", "mcd")
+
+
+def test_real_roads_look_as_the_shadow_map_sees_them(real_data: Path) -> None:
+    """Two ways to see the same streets agree on most of what is visible, and on far less once one is mirrored."""
+    same, mirrored = [], []
+    for path in sorted(path for pattern in FILES for path in real_data.glob(pattern)):
+        sweep = read_sweep(path)
+        mask = learned("unet", ROAD).estimate(sweep).visible()
+        other = ESTIMATORS["shadow_map"](ROAD).estimate(sweep).visible()
+        same.append(agreement(mask, other))
+        mirrored.append(max(agreement(mask, wrong) for wrong in (other[::-1], other[:, ::-1], other.T)))
+    assert len(same) >= 6
+    assert np.median(same) > 0.5
+    assert np.mean(same) > np.mean(mirrored) + 0.1
+
+
+def test_a_turned_sweep_has_a_turned_view(real_data: Path) -> None:
+    """A quarter turn of the sensor turns the view: x ahead becomes y at the left."""
+    sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0]).replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
+    turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
+    estimator = learned("unet", ROAD)
+    straight, left = estimator.estimate(sweep).visible(), estimator.estimate(turned).visible()
+    assert agreement(np.rot90(straight), left) > 0.8
+    assert agreement(np.rot90(straight), left) > agreement(straight, left) + 0.1
+
+
+def test_doubt_is_where_the_view_ends(real_data: Path) -> None:
+    sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0])
+    found = learned("mcd", ROAD).estimate(sweep)
+    assert found.std is not None
+    assert np.isfinite(found.std).all()
+    doubtful = (found.visible_prob > 0.2) & (found.visible_prob < 0.8)
+    sure = (found.visible_prob < 0.02) | (found.visible_prob > 0.98)
+    assert found.std[doubtful].mean() > 3 * found.std[sure].mean()
