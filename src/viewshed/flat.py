@@ -14,7 +14,11 @@ _TYPES: dict[str, Any] = {"str": str, "int": int, "float": (int, float), "bool":
 
 
 def values_of(
-    cls: type[Any], table: Mapping[str, Any], what: str, whole: Mapping[str, Iterable[str]] | None = None
+    cls: type[Any],
+    table: Mapping[str, Any],
+    what: str,
+    whole: Mapping[str, Iterable[str]] | None = None,
+    without: Iterable[str] = (),
 ) -> dict[str, Any]:
     """Return the fields of the dataclass ``cls`` from plain values: keys as its fields, lists for tuples.
 
@@ -23,11 +27,12 @@ def values_of(
         table: the plain values.
         what: a table of this kind is called in messages.
         whole: by key the names that ``all`` stands for.
+        without: fields that are no plain values, which the caller adds.
 
     Raises:
         ValueError: a key is missing or unknown, or a value is of another type.
     """
-    types = {item.name: str(item.type) for item in fields(cls)}
+    types = {item.name: str(item.type) for item in fields(cls) if item.name not in without}
     if table.keys() != types.keys():
         wrong = ", ".join(sorted(table.keys() ^ types.keys()))
         raise ValueError(f"a {what} must have the keys {', '.join(types)}; missing or unknown: {wrong}")

@@ -29,7 +29,7 @@ Told = list[tuple[str, int, int]]
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[JobStore, Told]]:
+def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[JobStore[StudyPlan], Told]]:
     """A study that has been run from start to end."""
     before, told = os.environ.get("OMP_NUM_THREADS"), Told()
     os.environ["OMP_NUM_THREADS"] = "1"
@@ -40,7 +40,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[JobStore, 
         del os.environ["OMP_NUM_THREADS"]
 
 
-def test_every_job_is_there_and_none_is_done_twice(study: tuple[JobStore, Told]) -> None:
+def test_every_job_is_there_and_none_is_done_twice(study: tuple[JobStore[StudyPlan], Told]) -> None:
     store, told = study
     wanted = {key for step in jobs.STEPS for key in jobs.keys_of(PLAN, step, ("paper", "strict"))}
     assert store.keys() == wanted
@@ -50,7 +50,7 @@ def test_every_job_is_there_and_none_is_done_twice(study: tuple[JobStore, Told])
     assert store.path.stat().st_size == size
 
 
-def test_scores_of_a_job_are_the_same_when_it_is_done_again(study: tuple[JobStore, Told]) -> None:
+def test_scores_of_a_job_are_the_same_when_it_is_done_again(study: tuple[JobStore[StudyPlan], Told]) -> None:
     store, _ = study
     key = ("pairs", "strict", "mcd-adversarial-ugv", "ugv")
     line = next(store.jobs(*key))
@@ -58,7 +58,7 @@ def test_scores_of_a_job_are_the_same_when_it_is_done_again(study: tuple[JobStor
     assert {"job": list(key), **again} == line
 
 
-def test_pages_hold_targets_facts_and_figures(study: tuple[JobStore, Told]) -> None:
+def test_pages_hold_targets_facts_and_figures(study: tuple[JobStore[StudyPlan], Told]) -> None:
     store, _ = study
     results = Results.read(store)
     for protocol in ("paper", "strict"):
@@ -71,7 +71,7 @@ def test_pages_hold_targets_facts_and_figures(study: tuple[JobStore, Told]) -> N
     assert "reproduce_paper_trade.png" in files_of(results, "paper")
 
 
-def test_pages_say_what_is_missing(study: tuple[JobStore, Told], tmp_path: Path) -> None:
+def test_pages_say_what_is_missing(study: tuple[JobStore[StudyPlan], Told], tmp_path: Path) -> None:
     store, _ = study
     part = JobStore.open(tmp_path, PLAN)
     for line in store.jobs("pairs", "paper"):
@@ -93,7 +93,7 @@ def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
     ]
 
 
-def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[JobStore, Told]) -> None:
+def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[JobStore[StudyPlan], Told]) -> None:
     store, _ = study
     train, test = (open_archive(store.folder, "ugv", split) for split in ("train", "test"))
     assert (len(train), len(test)) == (8, 45)
@@ -108,7 +108,9 @@ def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[JobSto
     assert not trained & {test[k].sweep.points.tobytes() for k in range(45)}
 
 
-def test_attacks_of_the_strict_pairs_take_turns_and_the_truth_is_the_clean_one(study: tuple[JobStore, Told]) -> None:
+def test_attacks_of_the_strict_pairs_take_turns_and_the_truth_is_the_clean_one(
+    study: tuple[JobStore[StudyPlan], Told],
+) -> None:
     store, _ = study
     setting = setting_of(PLAN, "strict", "ugv")
     tests = [held_out(PLAN, store.folder, setting, number) for number in range(3)]
@@ -131,7 +133,7 @@ class _Echo:
         return found
 
 
-def test_a_network_is_tried_on_the_grid_of_where_it_is_tried(study: tuple[JobStore, Told]) -> None:
+def test_a_network_is_tried_on_the_grid_of_where_it_is_tried(study: tuple[JobStore[StudyPlan], Told]) -> None:
     store, _ = study
     sweep = subject_of(PLAN, store.folder, "ugv", 0).sample.sweep
     setting = setting_of(PLAN, "paper", "ugv")

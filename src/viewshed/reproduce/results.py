@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.reproduce.plan import StudyPlan
 from viewshed.reproduce.scoring import Measured
 from viewshed.reproduce.store import JobStore
 from viewshed.vulnerability.cases import Case
@@ -107,7 +108,7 @@ class Results:
         commits: of the code that did the jobs.
     """
 
-    store: JobStore
+    store: JobStore[StudyPlan]
     pairs: dict[PairKey, Measured] = field(default_factory=dict)
     scenes: dict[tuple[str, str], list[str]] = field(default_factory=dict)
     strict: dict[StrictKey, Floats] = field(default_factory=dict)
@@ -118,7 +119,7 @@ class Results:
     commits: set[str] = field(default_factory=set)
 
     @classmethod
-    def read(cls, store: JobStore) -> Results:
+    def read(cls, store: JobStore[StudyPlan]) -> Results:
         """Return what is in a store; the order of its lines does not matter."""
         found, rows = cls(store), defaultdict[StrictKey, list[list[float]]](list)
         for line in sorted(store.jobs(), key=lambda line: [_sortable(name) for name in line["job"]]):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 from viewshed.engines import Engine, LocalEngine
 from viewshed.reproduce.data import SPLITS, make_archive, open_archive, preset_of
@@ -14,7 +15,7 @@ from viewshed.reproduce.jobs import STEPS, Job, do_job, keys_of, needed
 from viewshed.reproduce.models import check_training
 from viewshed.reproduce.plan import StudyPlan
 from viewshed.reproduce.protocols import PROTOCOLS
-from viewshed.reproduce.store import JobStore
+from viewshed.reproduce.store import JobStore, Key
 
 THREADS = "OMP_NUM_THREADS"
 """What tells a process how many threads a training has."""
@@ -55,7 +56,7 @@ class Scope:
         return LocalEngine(1 if alone else self.workers)
 
 
-def run_steps(store: JobStore, scope: Scope, told: Told) -> Iterator[str]:
+def run_steps(store: JobStore[StudyPlan], scope: Scope, told: Told) -> Iterator[str]:
     """Do what is not there yet, and yield one line for each job that failed or could not be done, as it happens.
 
     Args:
@@ -79,7 +80,7 @@ def run_steps(store: JobStore, scope: Scope, told: Told) -> Iterator[str]:
         yield from run_step(store, scope, step, told)
 
 
-def _check_data(store: JobStore) -> None:
+def _check_data(store: JobStore[StudyPlan]) -> None:
     for domain in store.plan.domains:
         for split in SPLITS:
             try:
@@ -88,7 +89,7 @@ def _check_data(store: JobStore) -> None:
                 raise ValueError(f"{error}; the other steps need the step data") from error
 
 
-def make_data(store: JobStore, scope: Scope, told: Told) -> None:
+def make_data(store: JobStore[StudyPlan], scope: Scope, told: Told) -> None:
     """Simulate the sweeps of all domains, as far as they are not there."""
     parts = [(domain, split) for domain in store.plan.domains for split in SPLITS]
     total, done = sum(preset_of(store.plan, *part).sweeps for part in parts), 0
@@ -102,7 +103,7 @@ def make_data(store: JobStore, scope: Scope, told: Told) -> None:
         make_archive(store.plan, store.folder, part, scope.engine("data", store.plan), more)
 
 
-def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> Iterator[str]:
+def run_step(store: JobStore[StudyPlan], scope: Scope, step: str, told: Told) -> Iterator[str]:
     """Do the jobs of a step that are not there, and yield one line for each that failed or has nothing to start from.
 
     Args:
@@ -116,19 +117,56 @@ def run_step(store: JobStore, scope: Scope, step: str, told: Told) -> Iterator[s
     left = [job for job in every if job.key not in done]
     ready = [job for job in left if all(key in done for key in needed(job))]
     yield from (f"{' '.join(job.key)}: not all of its models are trained" for job in left if job not in ready)
-    there = len(every) - len(left)
     if every:
-        told(step, there, len(every))
-    engine = scope.engine(step, store.plan)
-    with _one_thread_each(engine), contextlib.closing(engine.run(do_job, ready)) as run:
+        told(step, len(every) - len(left), len(every))
+        there = Counted(len(every) - len(left), len(every), lambda done, total: told(step, done, total))
+        yield from run_jobs(store, do_job, ready, scope.engine(step, store.plan), there)
+
+
+class Keyed(Protocol):
+    """Work with a name."""
+
+    @property
+    def key(self) -> Key:
+        """Its name."""
+        ...
+
+
+K = TypeVar("K", bound=Keyed)
+
+
+@dataclass(slots=True)
+class Counted:
+    """How many jobs of a step are done, and who is told.
+
+    Attributes:
+        done: of them.
+        total: how many there are.
+        told: is given both after each job.
+    """
+
+    done: int
+    total: int
+    told: Callable[[int, int], None]
+
+    def one_more(self) -> None:
+        """Count a job."""
+        self.done += 1
+        self.told(self.done, self.total)
+
+
+def run_jobs(
+    store: JobStore[Any], work: Callable[[K], dict[str, Any]], jobs: Sequence[K], engine: Engine, there: Counted
+) -> Iterator[str]:
+    """Do jobs, keep what each finds, and yield one line for each that failed."""
+    with _one_thread_each(engine), contextlib.closing(engine.run(work, jobs)) as run:
         for finished in run:
-            key = ready[finished.index].key
+            key = jobs[finished.index].key
             if finished.result is None:
                 yield f"{' '.join(key)}: {finished.error}"
             else:
                 store.append(key, finished.result)
-            there += 1
-            told(step, there, len(every))
+            there.one_more()
 
 
 @contextlib.contextmanager

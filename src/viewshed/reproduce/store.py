@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from viewshed import journal
-from viewshed.reproduce.plan import StudyPlan
 
 FILE = "results.jsonl"
 FORMAT = 1
@@ -18,8 +17,19 @@ Key = tuple[str, ...]
 """Names of a job: its step, then what tells it from the others of that step."""
 
 
+class Plan(Protocol):
+    """What is run, in plain values."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as plain values."""
+        ...
+
+
+P = TypeVar("P", bound=Plan)
+
+
 @dataclass(frozen=True, slots=True)
-class JobStore:
+class JobStore(Generic[P]):
     """Results of one plan in a folder: the first line tells the plan, each other one a finished job.
 
     A line is written at once and synced. What a crash left of a line at the end is cut off when the store is opened.
@@ -30,10 +40,10 @@ class JobStore:
     """
 
     folder: Path
-    plan: StudyPlan
+    plan: P
 
     @classmethod
-    def open(cls, folder: str | Path, plan: StudyPlan) -> JobStore:
+    def open(cls, folder: str | Path, plan: P) -> JobStore[P]:
         """Return the store in a folder, begun if there is none, mended if its last line is not whole.
 
         Raises:

@@ -1,0 +1,1 @@
+"""What each part of viewshed's own network is worth: ``viewshed reproduce successor``."""

@@ -1,0 +1,116 @@
+"""The page of the ablation: what each part is worth, and the shipped network on the reported scenes."""
+
+from __future__ import annotations
+
+from math import isnan
+
+from viewshed.metrics import Scores
+from viewshed.report import facts
+from viewshed.reproduce.store import JobStore
+from viewshed.successor.contest import CASES
+from viewshed.successor.plan import WHOLE, AblationPlan
+from viewshed.successor.results import OVER_CLAIM, Results, sure_from
+from viewshed.vulnerability.page import Block, Heading, Table, Text, to_markdown
+
+_ABLATION = """\
+Each network is trained by the same config but for what its line says, and tried on the same sweeps of other scenes,
+which no network was fitted to; the classical estimators stand below. F1 is of all cells whose truth is known, at a
+probability of .5. *Trained* and *unseen*: mean over the attacks that `whole` is trained on and over those that it never
+met, each with its default budget; jamming apart, which is in neither. *Wedge*: precision / recall in the azimuths that
+the attacker reaches, of attacks that open a view (those of the two groups). *No rings*: clouds without rings and
+sensor. ECE has 15 bins. One training each: differences of some thousandths are within the spread of trainings."""
+_TEST = """\
+Other scenes again. They were looked at once, with the networks that the package ships. *F1* of the view:"""
+_WEDGE = "Precision / recall in the wedge of attacks that have one:"
+_ABSTENTION = """\
+Cells in doubt become UNKNOWN: claimed is only what has at least the probability from which claims in attacked wedges
+were right often enough on the scenes of the ablation, over the attacks trained on. Precision / recall in the wedges of
+attacks that open a view, here:"""
+
+
+def page_of(store: JobStore[AblationPlan]) -> str:
+    """Return the page as Markdown; parts without results are left out."""
+    plan, blocks = store.plan, list[Block]()
+    validation, test = (Results.read(store, split) for split in ("validation", "test"))
+    if validation.said:
+        blocks += [
+            Heading(2, "What each part is worth"),
+            Text(_ABLATION),
+            _ablation(validation),
+            _changes(plan),
+        ]
+    if test.said:
+        blocks += [Heading(2, "The shipped networks"), Text(_TEST), _views(test), Text(_WEDGE), _wedges(test)]
+    if test.said and validation.said:
+        blocks += [Text(_ABSTENTION), _abstention(validation, test)]
+    told = facts(
+        plan=plan.name, config=plan.config, domain=plan.domain, sweeps=str(plan.sweeps), seed=str(plan.seed),
+        test_sweeps=str(plan.test_sweeps), test_seed=str(plan.test_seed),
+    )  # fmt: skip
+    return to_markdown("The network and what its parts are worth", told, blocks)
+
+
+def _ablation(results: Results) -> Table:
+    columns = list(results.figures(WHOLE))
+    names = list(results.said)
+    rows = []
+    for name in names:
+        size = results.plan.config_of(name).shape if name in results.plan.variants else None
+        cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
+        rows.append([name, cost, *(_three(value) for value in results.figures(name).values())])
+    return Table(["network", "GFLOP", *columns], rows)
+
+
+def _changes(plan: AblationPlan) -> Table:
+    rows = [[name, ", ".join(f"{key} = {value}" for key, value in changes.items()) or "–"]
+            for name, changes in plan.variants.items()]  # fmt: skip
+    return Table(["network", "what its line changes"], rows)
+
+
+def _views(results: Results) -> Table:
+    names = list(results.said)
+    rows = []
+    for case in CASES:
+        scores = [results.f1(name, [case]) for name in names]
+        most = max((score for score in scores if not isnan(score)), default=float("nan"))
+        rows.append([_kind(results, case), *(f"**{_three(s)}**" if s == most else _three(s) for s in scores)])
+    return Table(["case", *names], rows)
+
+
+def _wedges(results: Results) -> Table:
+    names = list(results.said)
+    rows = []
+    for case in CASES:
+        wedges = [results.wedge(name, [case]) for name in names]
+        if wedges[0].cells:
+            rows.append([_kind(results, case), *map(_both, wedges)])
+    return Table(["case", *names], rows)
+
+
+def _abstention(validation: Results, test: Results) -> Table:
+    rows = []
+    seen, unseen = ([case for case in OVER_CLAIM if case in group] for group in (test.trained, test.unseen))
+    for shown, tuned in ((name, _tuned(validation, name)) for name in test.said):
+        if tuned is None:
+            continue
+        step = sure_from(validation.wedge(tuned, seen), validation.plan.claim_precision)
+        cells = [_both(test.wedge(shown, cases), step) for cases in (seen, unseen)]
+        rows.append([shown, f"{step:g}", *cells])
+    return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], rows)
+
+
+def _tuned(validation: Results, shown: str) -> str | None:
+    """Return which contestant of the ablation a shipped network's threshold is taken from."""
+    return WHOLE if shown == "viewnet" else None
+
+
+def _kind(results: Results, case: str) -> str:
+    return f"{case} \\*" if case in results.plan.config_of(WHOLE).attacks else case
+
+
+def _both(scores: Scores, threshold: float = 0.5) -> str:
+    return f"{_three(scores.precision(threshold))} / {_three(scores.recall(threshold))}"
+
+
+def _three(value: float) -> str:
+    return "–" if isnan(value) else f"{value:.3f}".replace("0.", ".", 1)

@@ -1,0 +1,113 @@
+"""What the ablation runs: one training config, and what each variant changes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from viewshed import flat
+from viewshed.datasets.presets import MAX_SEED, preset_named
+from viewshed.training.config import TrainConfig, read_config
+
+_FOLDER = "successor/plans"
+WHOLE = "whole"
+"""The variant that changes nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class AblationPlan:
+    """What is trained and tried.
+
+    Attributes:
+        name: of the plan.
+        about: one line for people.
+        config: name of the training config that the variants change.
+        domain: preset whose scenes variants are tried on; the config's grid.
+        seed: of the scenes on which variants are compared.
+        test_seed: of the scenes on which the shipped network is reported.
+        sweeps: how many sweeps variants are compared on, each from a scene of its own.
+        test_sweeps: how many the shipped network is reported on.
+        chunk: sweeps of one job.
+        claim_precision: precision of cells claimed in attacked wedges after abstention, for which it is calibrated.
+        base: changes of the config that all variants share.
+        variants: by name, the further changes of each.
+
+    Raises:
+        ValueError: a value is wrong; the message says which.
+    """
+
+    name: str
+    about: str
+    config: str
+    domain: str
+    seed: int
+    test_seed: int
+    sweeps: int
+    test_sweeps: int
+    chunk: int
+    claim_precision: float
+    base: Mapping[str, Any]
+    variants: Mapping[str, Mapping[str, Any]]
+
+    def __post_init__(self) -> None:
+        for key in ("seed", "test_seed"):
+            if not 0 <= getattr(self, key) <= MAX_SEED:
+                raise ValueError(f"{key} must lie in [0, {MAX_SEED}], got {getattr(self, key)}")
+        if len({self.seed, self.test_seed, preset_named(self.domain).seed}) < 3:
+            raise ValueError(f"seed and test_seed must differ from each other and from that of {self.domain}")
+        if min(self.sweeps, self.test_sweeps, self.chunk) < 1:
+            raise ValueError("sweeps, test_sweeps and chunk must be at least 1")
+        if not 0.0 < self.claim_precision < 1.0:
+            raise ValueError(f"claim_precision must lie in (0, 1), got {self.claim_precision}")
+        if self.variants.get(WHOLE) != {}:
+            raise ValueError(f"variants must have one named {WHOLE} that changes nothing")
+        for name in self.variants:
+            _ = self.config_of(name)
+
+    def config_of(self, variant: str) -> TrainConfig:
+        """Return how a variant is trained.
+
+        Raises:
+            ValueError: there is no such variant, or it changes what a config does not have.
+        """
+        if variant not in self.variants:
+            raise ValueError(f"variant must be one of {', '.join(self.variants)}, got {variant!r}")
+        changes = {**self.base, **self.variants[variant]}
+        return TrainConfig.from_json(read_config(self.config).to_json() | changes | {"name": variant})
+
+    def count(self, split: str) -> int:
+        """Return how many sweeps a split has."""
+        return self.sweeps if split == "validation" else self.test_sweeps
+
+    def seed_of(self, split: str) -> int:
+        """Return the seed of a split's scenes."""
+        return self.seed if split == "validation" else self.test_seed
+
+    @classmethod
+    def from_json(cls, table: Mapping[str, Any]) -> AblationPlan:
+        """Return the plan in plain values: keys as the attributes.
+
+        Raises:
+            ValueError: a key is missing or unknown, or a value is wrong.
+        """
+        nested = {key: table.get(key) for key in ("base", "variants")}
+        rest = {key: value for key, value in table.items() if key not in nested}
+        for key, value in nested.items():
+            if not isinstance(value, dict):
+                raise ValueError(f"{key} must be a table, got {value!r}")
+        return cls(**flat.values_of(cls, rest, "plan", without=nested), **nested)  # type: ignore[arg-type]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as plain values."""
+        variants = {name: dict(changes) for name, changes in self.variants.items()}
+        return flat.plain(self) | {"base": dict(self.base), "variants": variants}
+
+
+def ablation_named(name: str) -> AblationPlan:
+    """Return the plan called ``name``.
+
+    Raises:
+        ValueError: there is none of that name; the message lists those that exist.
+    """
+    return AblationPlan.from_json(flat.shipped(_FOLDER, name))

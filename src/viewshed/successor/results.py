@@ -1,0 +1,102 @@
+"""What the ablation found, as figures of contestants."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from viewshed.metrics import STEPS, Scores
+from viewshed.reproduce.store import JobStore
+from viewshed.successor.contest import BARE, BENIGN, TOUCHING, Said
+from viewshed.successor.plan import WHOLE, AblationPlan
+
+JAMMING = "jamming"
+OVER_CLAIM = ("ghost_wall", "far_wall", "removal", "high_frequency_removal", "relay", "removal_and_far_wall")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """Everything that was said on one split.
+
+    Attributes:
+        plan: of the ablation.
+        said: by contestant and case, all sweeps together.
+    """
+
+    plan: AblationPlan
+    said: dict[str, dict[str, Said]]
+
+    @classmethod
+    def read(cls, store: JobStore[AblationPlan], split: str) -> Results:
+        """Return what the finished jobs of a split found.
+
+        Raises:
+            ValueError: a line is damaged.
+        """
+        found: dict[str, dict[str, Said]] = defaultdict(lambda: defaultdict(Said))
+        for line in store.jobs(split):
+            for name, cases in line["said"].items():
+                for case, told in cases.items():
+                    found[name][case] = found[name][case] + Said.from_json(told)
+        return cls(store.plan, {name: dict(cases) for name, cases in found.items()})
+
+    @property
+    def trained(self) -> tuple[str, ...]:
+        """Attacks that the whole network is trained on, jamming apart."""
+        attacks = self.plan.config_of(WHOLE).attacks
+        return tuple(name for name in TOUCHING if name in attacks and name != JAMMING)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Attacks that it never met."""
+        attacks = self.plan.config_of(WHOLE).attacks
+        return tuple(name for name in TOUCHING if name not in attacks)
+
+    def view(self, name: str, cases: Iterable[str]) -> list[Scores]:
+        """Return the scores of the whole view in those of the cases that there are."""
+        return [self.said[name][case].view for case in cases if case in self.said[name]]
+
+    def wedge(self, name: str, cases: Iterable[str]) -> Scores:
+        """Return the scores in the wedges of several cases together."""
+        return sum((self.said[name][case].wedge for case in cases if case in self.said[name]), Scores())
+
+    def f1(self, name: str, cases: Iterable[str]) -> float:
+        """Return the mean F1 of the view over cases; NaN for none."""
+        scores = self.view(name, cases)
+        return float(np.mean([each.f1() for each in scores])) if scores else float("nan")
+
+    def ece(self, name: str, cases: Iterable[str]) -> float:
+        """Return the expected calibration error of the view over cases together."""
+        return sum(self.view(name, cases), Scores()).ece()
+
+    def figures(self, name: str) -> dict[str, float]:
+        """Return what one line of the ablation says of a contestant."""
+        seen, unseen = (
+            self.wedge(name, [c for c in OVER_CLAIM if c in group]) for group in (self.trained, self.unseen)
+        )
+        return {
+            "benign": self.f1(name, [BENIGN]), "no rings": self.f1(name, [BARE]),
+            "trained": self.f1(name, self.trained), "unseen": self.f1(name, self.unseen),
+            "jamming": self.f1(name, [JAMMING]), "worst": min(s.f1() for s in self.view(name, TOUCHING)),
+            "wedge precision": seen.precision(), "wedge recall": seen.recall(),
+            "unseen wedge precision": unseen.precision(), "unseen wedge recall": unseen.recall(),
+            "ECE benign": self.ece(name, [BENIGN]), "ECE unseen": self.ece(name, self.unseen),
+        }  # fmt: skip
+
+
+def sure_from(scores: Scores, precision: float) -> float:
+    """Return the lowest probability from which claims have a precision, in whole steps; 1 if none does.
+
+    >>> scores = Scores()
+    >>> scores.add([0.4, 0.7, 0.9], [False, False, True])
+    >>> sure_from(scores, 0.8)
+    0.701
+    """
+    for step in range(1, STEPS + 1):
+        found = scores.precision(step / STEPS)
+        if found >= precision:
+            return step / STEPS
+    return 1.0

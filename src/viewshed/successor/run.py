@@ -1,0 +1,159 @@
+"""The ablation from start to end: trainings, then every variant and every classical estimator on the same sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from viewshed.bev import BevGrid
+from viewshed.datasets.manifest import code_version
+from viewshed.datasets.presets import preset_named
+from viewshed.engines import LocalEngine
+from viewshed.estimate import FovEstimator
+from viewshed.estimators import ESTIMATORS
+from viewshed.estimators.first_blocker import FirstBlocker
+from viewshed.estimators.learned import LEARNED, UnetEstimator
+from viewshed.networks.engine import OnnxRunner, load_runner
+from viewshed.networks.shipped import default_name
+from viewshed.reproduce.models import trained
+from viewshed.reproduce.run import Counted, run_jobs
+from viewshed.reproduce.store import JobStore, Key
+from viewshed.successor.contest import Enveloped, score
+from viewshed.successor.plan import WHOLE, AblationPlan
+from viewshed.training.data import prepare
+from viewshed.training.sources import on_grid
+from viewshed.visible import TARGETS
+from viewshed.vulnerability.subjects import subject_of_preset
+
+STEPS = ("models", "validation", "test", "page")
+"""What the command does, in order."""
+ENVELOPED = "whole, within first blocker"
+Told = Callable[[str, int, int], None]
+"""Is told the step, how many of its parts are there, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One line of results that is to be found.
+
+    Attributes:
+        plan: of the ablation.
+        folder: of the ablation.
+        key: its step, and what tells it from the others of that step.
+    """
+
+    plan: AblationPlan
+    folder: Path
+    key: Key
+
+
+def keys_of(plan: AblationPlan, step: str) -> list[Key]:
+    """Return the names of all jobs of a step, in the order in which they are done."""
+    if step == "models":
+        return [("models", name) for name in plan.variants]
+    chunks = -(-plan.count(step) // plan.chunk)
+    return [(step, str(number)) for number in range(chunks)]
+
+
+def run_steps(store: JobStore[AblationPlan], steps: tuple[str, ...], workers: int | None, told: Told) -> Iterator[str]:
+    """Do what is not there yet, and yield one line for each job that failed.
+
+    Args:
+        store: of the ablation.
+        steps: of ``STEPS``.
+        workers: processes; None is one for each core.
+        told: is told of what is there.
+
+    Raises:
+        ValueError: a step is not known.
+        ImportError: trainings are wanted and the extra for them is not installed.
+        OSError: something cannot be written.
+    """
+    for step in steps:
+        if step not in STEPS:
+            raise ValueError(f"only must be among {', '.join(STEPS)}, got {step!r}")
+    for step in STEPS[:-1]:
+        if step in steps:
+            yield from _run_step(store, step, workers, told)
+
+
+def _run_step(store: JobStore[AblationPlan], step: str, workers: int | None, told: Told) -> Iterator[str]:
+    keys, done = keys_of(store.plan, step), store.keys()
+    ready = [Job(store.plan, store.folder, key) for key in keys if key not in done]
+    if step == "models" and ready:
+        _keep_frames(store, told)
+    if step == "validation" and not {("models", name) for name in store.plan.variants} <= done:
+        yield "validation: not all variants are trained"
+        return
+    told(step, len(keys) - len(ready), len(keys))
+    there = Counted(len(keys) - len(ready), len(keys), lambda done, total: told(step, done, total))
+    yield from run_jobs(store, do_job, ready, LocalEngine(workers), there)
+
+
+def _keep_frames(store: JobStore[AblationPlan], told: Told) -> None:
+    """Make the frames of the whole network, which most variants share, with all cores."""
+    prepare(store.plan.config_of(WHOLE), cache_of(store.folder), told=told)
+
+
+def cache_of(folder: Path) -> Path:
+    """Return where simulated sweeps and kept frames are."""
+    return folder / "cache"
+
+
+def weights_of(folder: Path, variant: str) -> Path:
+    """Return where the weights of a variant are."""
+    return folder / "models" / variant / "network.onnx"
+
+
+def do_job(job: Job) -> dict[str, Any]:
+    """Return what a job found, as plain values."""
+    work = _train if job.key[0] == "models" else _score
+    return work(job) | {"commits": list(code_version()["commits"])}
+
+
+def _train(job: Job) -> dict[str, Any]:
+    variant = job.key[1]
+    out = weights_of(job.folder, variant).parent
+    return trained(job.plan.config_of(variant), out, cache_of(job.folder), "cpu")
+
+
+def _score(job: Job) -> dict[str, Any]:
+    plan, (split, chunk) = job.plan, job.key
+    first = int(chunk) * plan.chunk
+    numbers = range(first, min(first + plan.chunk, plan.count(split)))
+    preset, seed = on_grid(preset_named(plan.domain), plan.config_of(WHOLE)), plan.seed_of(split)
+    subjects = {number: subject_of_preset(preset, number, plan.count(split), seed) for number in numbers}
+    estimators = _variants(plan, job.folder) if split == "validation" else _shipped(plan)
+    return {"said": score(subjects, estimators | _classical(plan), seed)}
+
+
+def _variants(plan: AblationPlan, folder: Path) -> dict[str, FovEstimator]:
+    found: dict[str, FovEstimator] = {
+        name: UnetEstimator(OnnxRunner(weights_of(folder, name), threads=1), name=name) for name in plan.variants
+    }
+    return found | {ENVELOPED: Enveloped(found[WHOLE], FirstBlocker(_grid(plan), limit_farthest=False))}
+
+
+def _shipped(plan: AblationPlan) -> dict[str, FovEstimator]:
+    """Return the learned estimators with the weights that are shipped for the grid and the target."""
+    grid, target = _grid(plan), plan.config_of(WHOLE).target
+    found: dict[str, FovEstimator] = {}
+    for method, make in LEARNED.items():
+        try:
+            name = default_name(method, grid, target)
+        except ValueError:  # none is shipped for this grid and target
+            continue
+        found[method] = make(load_runner(name, threads=1))
+    return found
+
+
+def _classical(plan: AblationPlan) -> dict[str, FovEstimator]:
+    target = TARGETS[plan.config_of(WHOLE).target]
+    made = {name: make(_grid(plan)) for name, make in ESTIMATORS.items()}
+    return {name: replace(each, target=target) for name, each in made.items()}  # type: ignore[type-var]
+
+
+def _grid(plan: AblationPlan) -> BevGrid:
+    return plan.config_of(WHOLE).grid
