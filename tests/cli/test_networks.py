@@ -84,8 +84,8 @@ def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> Non
         ),
         (("--method", "mcd", "--grid", "65x7"), "method mcd needs weights, and this version ships none for a car on"),
         (("--method", "unet", "--weights", "NET", "--grid", "64x16", "--passes", "4"), "passes must be 1 for unet"),
-        (("--seed", "3"), "--weights, --passes and --seed go with --method unet or mcd, got method None"),
-        (("--method", "oracle"), "vote, unet, mcd, got 'oracle'"),
+        (("--seed", "3"), "--weights, --passes and --seed go with --method unet, mcd or viewnet, got method None"),
+        (("--method", "oracle"), "vote, unet, mcd, viewnet, got 'oracle'"),
     ],
 )
 def test_what_cannot_be_done_costs_one_line(
@@ -109,7 +109,7 @@ def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Pa
     ]  # fmt: skip
     code, _, err = run("compare", *words, "--methods", "shadow_map,vote")
     assert (code, err.count("\n")) == (2, 1)
-    assert "--weights, --passes and --seed go with unet or mcd, got methods shadow_map,vote" in err
+    assert "--weights, --passes and --seed go with unet, mcd or viewnet, got methods shadow_map,vote" in err
 
 
 def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -131,4 +131,4 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
     assert 0.1 < float(rows["unet"][0]) <= 1.0
     assert rows["unet"] != rows["first_blocker"]
     code, _, err = run(*evaluate, "--methods", "first_blocker")
-    assert (code, "--weights goes with unet or mcd among --methods, got first_blocker" in err) == (2, True)
+    assert (code, "--weights goes with unet, mcd or viewnet among --methods, got first_blocker" in err) == (2, True)

@@ -61,6 +61,18 @@ def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: B
     assert estimate.visible_prob.max() <= 1
 
 
+def test_a_second_head_tells_the_deviation_in_one_pass(street: Sweep) -> None:
+    shape = UNetShape(4, 2, 0.3, doubt=True)
+    runner = TorchRunner(card(shape, GRID), drawn(shape))
+    once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)
+    prob, std = runner.run_with_doubt(runner.card.input_of(street)[None])
+    assert np.array_equal(once.visible_prob, prob[0])
+    assert once.std is not None
+    assert np.array_equal(once.std, std[0])
+    assert several.std is not None
+    assert not np.array_equal(several.std, std[0])
+
+
 def test_mcd_has_a_deviation_and_mle_has_none(street: Sweep) -> None:
     runner = TorchRunner(card(SHAPE, GRID), drawn(SHAPE))
     once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)
@@ -134,7 +146,7 @@ def test_a_file_makes_an_estimator_for_its_grid_and_target_only(tmp_path: Path, 
         learned("unet", BevGrid(64, 8.0), "car", path)
     with pytest.raises(ValueError, match="target must be car for the network made, got pedestrian; train a network"):
         learned("unet", GRID, "pedestrian", path)
-    with pytest.raises(ValueError, match="method must be one of unet, mcd, got 'vote'"):
+    with pytest.raises(ValueError, match="method must be one of unet, mcd, viewnet, got 'vote'"):
         learned("vote", GRID, "car", path)
     with pytest.raises(ValueError, match="passes must be 1 for unet; use mcd, got 5"):
         learned("unet", GRID, "car", path, passes=5)

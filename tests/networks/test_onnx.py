@@ -42,6 +42,29 @@ def test_the_file_says_what_torch_says(shape: UNetShape, engine: str, tmp_path: 
     assert runner.card == card(shape)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_second_head_says_what_torch_says_and_leaves_the_first_alone(engine: str, tmp_path: Path) -> None:
+    shape = UNetShape(4, 2, 0.3, 3, 2, doubt=True)
+    module = drawn(shape)
+    export_onnx(tmp_path / "a.onnx", card(shape), module)
+    runner, torch_runner = OnnxRunner(tmp_path / "a.onnx", 1, engine), TorchRunner(card(shape), module)
+    x = inputs(2, shape)
+    for found, expected in zip(runner.run_with_doubt(x), torch_runner.run_with_doubt(x), strict=True):
+        assert found.shape == (2, *GRID.shape)
+        assert expected.std() > 0.001
+        np.testing.assert_allclose(found, expected, atol=2e-6)
+    prob, std = runner.run_with_doubt(x)
+    np.testing.assert_allclose(prob, runner.run(x, shape.no_masks(2)), atol=1e-7)
+    assert std.min() >= 0
+    assert std.max() <= 0.5
+    assert sum(value.numel() for value in module.parameters()) == shape.parameters
+
+
+def test_without_a_second_head_there_is_no_doubt_in_one_pass(path: Path) -> None:
+    with pytest.raises(ValueError, match="doubt in one pass needs a network with a head for it, and made has none"):
+        OnnxRunner(path, 1).run_with_doubt(inputs(1))
+
+
 def test_engines_agree_at_the_threshold(tmp_path: Path) -> None:
     pytest.importorskip("openvino")
     export_onnx(tmp_path / "a.onnx", card(), nearby())

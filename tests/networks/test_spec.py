@@ -1,4 +1,5 @@
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def test_masks_depend_on_the_seed_alone() -> None:
         ({"dropout": 1.0}, r"dropout must lie in \[0, 1\), got 1.0"),
     ],
 )
-def test_shapes_outside_their_range_are_refused(changes: dict[str, int], message: str) -> None:
+def test_shapes_outside_their_range_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         UNetShape(**changes)
 

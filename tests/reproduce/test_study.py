@@ -132,6 +132,9 @@ class _Echo:
         found[:, 0, 0] = masks.mean(axis=1) / 2
         return found
 
+    def run_with_doubt(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        raise NotImplementedError
+
 
 def test_a_network_is_tried_on_the_grid_of_where_it_is_tried(study: tuple[JobStore[StudyPlan], Told]) -> None:
     store, _ = study

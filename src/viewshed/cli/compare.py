@@ -23,7 +23,7 @@ _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "
 def compare(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every one but unet and mcd.")
+        str, typer.Option(help="Estimators, with commas; 'all' for every one but the networks.")
     ] = "shadow_map,vote,first_blocker",
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -69,9 +69,9 @@ def _estimators(
     from viewshed.estimators.learned import LEARNED
 
     if network != Network() and not set(names) & set(LEARNED):
-        raise ValueError(f"--weights, --passes and --seed go with unet or mcd, got methods {','.join(names)}")
+        raise ValueError(f"--weights, --passes and --seed go with unet, mcd or viewnet, got methods {','.join(names)}")
     one = Network(network.weights)
-    rules = {"unet": one, "mcd": network}
+    rules = {"unet": one, "mcd": network, "viewnet": one}
     return {name: rules.get(name, Network()).estimator(name, grid, target, profile) for name in names}
 
 

@@ -49,7 +49,7 @@ def crossview(
         Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
     ],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet and mcd by name.")
+        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet, mcd and viewnet by name.")
     ] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
     out: Annotated[

@@ -38,7 +38,7 @@ def truth(
         typer.Argument(metavar="ARCHIVE…", help="Folders or URIs of simulated data sets.", show_default=False),
     ],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet and mcd by name.")
+        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet, mcd and viewnet by name.")
     ] = _ALL,
     weights: Weights = None,
     target: TargetName = "car",
@@ -94,7 +94,7 @@ def _makers(methods: str, target: Target, weights: str | None) -> Mapping[str, C
         known[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
     names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
     if weights is not None and not set(names) & set(LEARNED):
-        raise ValueError(f"--weights goes with unet or mcd among --methods, got {methods}")
+        raise ValueError(f"--weights goes with unet, mcd or viewnet among --methods, got {methods}")
     known |= {name: partial(learned, name, target=target.name, weights=weights) for name in LEARNED}
     for name in names:
         if name not in known:

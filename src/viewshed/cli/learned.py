@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from viewshed.estimate import FovEstimator
 
 Weights = Annotated[
-    str | None, typer.Option("--weights", help="Network of unet and mcd: a file, or the name of shipped weights.")
+    str | None,
+    typer.Option("--weights", help="Network of unet, mcd and viewnet: a file, or the name of shipped weights."),
 ]
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mcd; 20 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of mcd's dropout masks; 0 if not given.")]
@@ -35,7 +36,9 @@ class Network:
         if method in LEARNED:
             return learned(method, grid, target, self.weights, self.passes, self.seed or 0)
         if self != Network():
-            raise ValueError(f"--weights, --passes and --seed go with --method unet or mcd, got method {method!r}")
+            raise ValueError(
+                f"--weights, --passes and --seed go with --method unet, mcd or viewnet, got method {method!r}"
+            )
         table = options.estimators_of(profile, grid)
         if method is not None and not {method, f"{profile}_{method}"} & set(table):
             raise ValueError(f"method must be one of {', '.join([*table, *LEARNED])}, got {method!r}")

@@ -32,7 +32,8 @@ _MAX_PASSES = 1000
 class UnetEstimator:
     """Probability of visible by the U-Net of arXiv 2503.07375, on the grid that it was trained for.
 
-    With one pass dropout is off (maximum likelihood) and there is no deviation. With more, ``visible_prob`` is the
+    With one pass dropout is off (maximum likelihood) and there is a deviation only if the network has a head that
+    tells it. With more, ``visible_prob`` is the
     mean over passes under random dropout masks and ``std`` their standard deviation. The masks depend on ``seed``
     alone: the same sweep gives the same estimate.
 
@@ -102,9 +103,13 @@ class UnetEstimator:
         )
 
     def probability(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Return probability (cells, cells) and deviation (cells, cells), or None for one pass, of one input."""
-        found = self.runner.run(inputs[None], self._masks)
-        return (found[0], None) if self.passes == 1 else moments(found)
+        """Return probability and deviation (cells, cells) of one input; None for a deviation that nothing tells."""
+        if self.passes > 1:
+            return moments(self.runner.run(inputs[None], self._masks))
+        if self.card.shape.doubt:
+            prob, std = self.runner.run_with_doubt(inputs[None])
+            return prob[0], std[0]
+        return self.runner.run(inputs[None], self._masks)[0], None
 
     def _state(self, level: LevelSweep, prob: NDArray[np.float32]) -> NDArray[np.uint8]:
         range_m, _ = polar_of_cells(self.grid)
@@ -121,6 +126,7 @@ class UnetEstimator:
 LEARNED: dict[str, Callable[[Runner], UnetEstimator]] = {
     "unet": UnetEstimator,
     "mcd": partial(UnetEstimator, passes=PASSES),
+    "viewnet": partial(UnetEstimator, name="viewnet"),
 }
 """The learned estimators by name; each is made of a network, which brings its grid and its target."""
 
@@ -136,7 +142,7 @@ def learned(
     """Return the estimator ``method`` on ``grid`` for the target of this name.
 
     Args:
-        method: ``unet`` (one pass, dropout off) or ``mcd``.
+        method: ``unet`` (one pass, dropout off), ``mcd``, or ``viewnet``, our own network in one pass.
         grid: must be the one that the weights were trained for.
         target: must be the one that the weights were trained for.
         weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target.
@@ -151,9 +157,9 @@ def learned(
 
     if method not in LEARNED:
         raise ValueError(f"method must be one of {', '.join(LEARNED)}, got {method!r}")
-    if passes is not None and (passes < 2) != (method == "unet"):
-        rule = "1 for unet; use mcd" if method == "unet" else "at least 2 for mcd; use unet for one pass"
+    if passes is not None and (passes < 2) != (method != "mcd"):
+        rule = "at least 2 for mcd; use unet for one pass" if method == "mcd" else f"1 for {method}; use mcd"
         raise ValueError(f"passes must be {rule}, got {passes}")
     runner = load_runner(default_name(method, grid, target) if weights is None else weights)
     runner.card.require(grid, target)
-    return UnetEstimator(runner, 1 if method == "unet" else passes or PASSES, seed, method)
+    return UnetEstimator(runner, passes or PASSES if method == "mcd" else 1, seed, method)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from viewshed.networks.seal import CARD_KEY, check_seal
 from viewshed.networks.shipped import shipped_content, shipped_names
-from viewshed.networks.spec import NetworkCard
+from viewshed.networks.spec import NetworkCard, require_doubt
 
 ENGINES = ("onnxruntime", "openvino")
 """What can run a network. A process that has used OpenVINO dies when workers of torch end: take it where none train."""
@@ -20,7 +20,9 @@ PRECISIONS = ("f32", "bf16")
 _CELLS_AT_ONCE = 1 << 21
 
 Floats = NDArray[np.float32]
-Call = Callable[[Floats, Floats], Floats]
+Call = Callable[[Floats, Floats, Sequence[str]], list[Floats]]
+"""From inputs, masks and names of outputs to these."""
+_PROBABILITY, _DEVIATION = "probability", "deviation"
 
 
 class OnnxRunner:
@@ -72,10 +74,22 @@ class OnnxRunner:
         self._check(inputs, masks)
         step = max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
         if len(masks) <= step:
-            return self._call(inputs, masks)
+            return self._call(inputs, masks, [_PROBABILITY])[0]
         parts = [slice(start, start + step) for start in range(0, len(masks), step)]
         shared = len(inputs) == 1
-        return np.concatenate([self._call(inputs if shared else inputs[part], masks[part]) for part in parts])
+        return np.concatenate([self.run(inputs if shared else inputs[part], masks[part]) for part in parts])
+
+    def run_with_doubt(self, inputs: Floats) -> tuple[Floats, Floats]:
+        """Return probabilities and deviations (N, cells, cells); see :class:`viewshed.networks.spec.Runner`.
+
+        Raises:
+            ValueError: the network has no head for deviations.
+        """
+        require_doubt(self.card)
+        masks = self.card.shape.no_masks(len(inputs))
+        self._check(inputs, masks)
+        prob, std = self._call(inputs, masks, [_PROBABILITY, _DEVIATION])
+        return prob, std
 
     def _check(self, inputs: Floats, masks: Floats) -> None:
         card = self.card
@@ -135,8 +149,8 @@ def _onnxruntime(content: bytes, threads: int | None, precision: str) -> tuple[s
         raise RuntimeError(_first(error)) from error
     card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
 
-    def call(inputs: Floats, masks: Floats) -> Floats:
-        found: Floats = session.run(None, {"inputs": inputs, "masks": masks})[0]
+    def call(inputs: Floats, masks: Floats, names: Sequence[str]) -> list[Floats]:
+        found: list[Floats] = session.run(names, {"inputs": inputs, "masks": masks})
         return found
 
     return card, call
@@ -156,9 +170,9 @@ def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str,
     place = ["framework", CARD_KEY]
     card = model.get_rt_info(place).astype(str) if model.has_rt_info(place) else ""
 
-    def call(inputs: Floats, masks: Floats) -> Floats:
-        found: Floats = request.infer({"inputs": inputs, "masks": masks})[0]
-        return found.copy()
+    def call(inputs: Floats, masks: Floats, names: Sequence[str]) -> list[Floats]:
+        found = request.infer({"inputs": inputs, "masks": masks})
+        return [found[name].copy() for name in names]
 
     return card, call
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from viewshed.atomic import write_bytes
 from viewshed.networks.seal import CARD_KEY, sealed
-from viewshed.networks.spec import NetworkCard
+from viewshed.networks.spec import MOST_DEVIATION, NetworkCard
 from viewshed.networks.unet import Stage, UNet
 
 _OPSET, _IR = 17, 9
@@ -23,6 +23,8 @@ _OPSET, _IR = 17, 9
 
 def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
     """Write ``module`` to a new ONNX file: inputs ``inputs`` and ``masks``, output ``probability``, and the card.
+
+    A network with a head for it has the output ``deviation`` as well.
 
     ``inputs`` (1 or N, channels, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
     folded into the convolutions. One input is enough for N masks: what comes before the first mask (encoder stages 1
@@ -42,8 +44,9 @@ def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
         helper.make_tensor_value_info("inputs", TensorProto.FLOAT, ["frames", card.shape.channels, cells, cells]),
         helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", total]),
     ]
-    output = helper.make_tensor_value_info("probability", TensorProto.FLOAT, ["passes", cells, cells])
-    made = helper.make_graph(graph.nodes, "unet", inputs, [output], graph.constants)
+    names = ["probability", "deviation"] if card.shape.doubt else ["probability"]
+    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["passes", cells, cells]) for name in names]
+    made = helper.make_graph(graph.nodes, "unet", inputs, outputs, graph.constants)
     model = helper.make_model(
         made, producer_name="viewshed", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
     )
@@ -76,10 +79,20 @@ class _Graph:
             last = i == shape.depth - 1
             x = self.split_stage(_stage(stage), x, skips.pop()) if last else self.joined(_stage(stage), x, skips.pop())
             x = x if last else self.node("Mul", [x, parts[shape.depth + i]])
-        x = self.node("Conv", [x, *self.weights(module.head.weight, module.head.bias)], kernel_shape=[1, 1])
-        x = x if shape.fold == 1 else self.node("DepthToSpace", [x], blocksize=shape.fold, mode="CRD")
-        x = self.node("Sigmoid", [x])
-        self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], ["probability"]))
+        self.output(self.head(x, module.head, shape.fold), "probability")
+        if module.doubt is not None:
+            x = self.node("Relu", [self.conv(x, module.doubt.first.weight, module.doubt.first.bias)])
+            most = self.constant(np.array(MOST_DEVIATION, np.float32))
+            self.output(self.node("Mul", [self.head(x, module.doubt.last, shape.fold), most]), "deviation")
+
+    def head(self, x: str, conv: nn.Conv2d, fold: int) -> str:
+        assert conv.bias is not None
+        x = self.node("Conv", [x, *self.weights(conv.weight, conv.bias)], kernel_shape=[1, 1])
+        x = x if fold == 1 else self.node("DepthToSpace", [x], blocksize=fold, mode="CRD")
+        return self.node("Sigmoid", [x])
+
+    def output(self, x: str, name: str) -> None:
+        self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], [name]))
 
     def parts(self, channels: tuple[int, ...]) -> list[str]:
         names = [f"part{i}" for i in range(len(channels))]

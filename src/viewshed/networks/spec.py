@@ -24,6 +24,8 @@ TRUTHS = ("probe", "paper_label")
 """What a network was taught: the exact truth of placed probes, or the label of arXiv 2503.07375."""
 COUNTS = ("linear", "log")
 """How the returns of a cell are shown: count / divisor, as published, or its logarithm."""
+MOST_DEVIATION = 0.5
+"""Largest standard deviation that values in [0, 1] can have; what a head for the deviation tells is in its units."""
 _LAYOUT = "viewshed network"
 
 
@@ -200,6 +202,12 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
         raise ValueError(f"card must be whole, got one that is damaged ({error}); export the network again") from error
 
 
+def require_doubt(card: NetworkCard) -> None:
+    """Raise a ValueError unless the network has a head for the deviation."""
+    if not card.shape.doubt:
+        raise ValueError(f"doubt in one pass needs a network with a head for it, and {card.name} has none; use mcd")
+
+
 class Runner(Protocol):
     """Anything that runs a network: torch while training, an engine without torch afterwards."""
 
@@ -213,4 +221,8 @@ class Runner(Protocol):
 
         One input with N masks is as good as N copies of it, and faster: what no mask touches is computed once.
         """
+        ...
+
+    def run_with_doubt(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return probabilities and deviations (N, cells, cells), of a network with a head for these; dropout off."""
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +21,7 @@ from viewshed.training.data import Frames
 from viewshed.training.files import save
 from viewshed.training.frames import TrainingFrames
 from viewshed.training.history import Epoch, best_of, csv_of, epoch_of, is_over
-from viewshed.training.learner import KEY, Learner, Progress
+from viewshed.training.learner import KEY, Learner, Progress, Step
 from viewshed.training.order import Share, TrainingOrder, ValidationOrder
 from viewshed.training.quiet import hush, own_cores, quiet
 from viewshed.training.run import CHECKPOINT, CURVES, HISTORY, STATE, WEIGHTS, Machines
@@ -76,7 +77,7 @@ def fit(
             _run(trainer, learner, loaders, str(last) if standing else None)
         if not trainer.is_global_zero:
             return learner.history
-    return _finish(config, out)
+    return _finish(config, frames, out, machines, progress)
 
 
 class Loaders(L.LightningDataModule):
@@ -193,7 +194,9 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
         raise OSError(f"a worker ended early; {what}; the same command goes on from the last whole epoch") from error
 
 
-def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
+def _finish(
+    config: TrainConfig, frames: Frames, out: Path, machines: Machines, progress: Progress | None
+) -> list[Epoch]:
     """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
     from viewshed.networks.onnx_file import export_onnx
     from viewshed.plot_training import curve_figure
@@ -204,6 +207,11 @@ def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
         return history
     module = UNet(config.shape)
     module.load_state_dict(found["best"])
+    if config.doubt_frames:
+        from viewshed.training.distill import with_doubt
+
+        told = None if progress is None else _doubting(progress, config)
+        module = with_doubt(config, module, frames.train, torch.device(machines.device), told)
     card = config.card(**_facts(config, history))
     with quiet():
         save_weights(out / STATE, card, module.eval())
@@ -211,6 +219,10 @@ def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
         save(out / CURVES, curve_figure(config.name, history))
         export_onnx(out / WEIGHTS, card, module.eval())
     return history
+
+
+def _doubting(progress: Progress, config: TrainConfig) -> Callable[[int, int, float], None]:
+    return lambda done, total, loss: progress(Step("doubt", config.epochs, config.epochs, done, total, loss))
 
 
 def _facts(config: TrainConfig, history: list[Epoch]) -> dict[str, str]:

@@ -1,0 +1,139 @@
+"""The ablation's parts: who says what of which sweep, and its tiny plan from start to end."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from viewshed.bev import BevGrid
+from viewshed.datasets.presets import preset_named
+from viewshed.estimate import CellState, FovEstimate
+from viewshed.estimators.first_blocker import FirstBlocker
+from viewshed.metrics import Scores
+from viewshed.reproduce.store import JobStore
+from viewshed.successor.contest import BARE, BENIGN, CASES, Enveloped, Said, score, shots_of
+from viewshed.successor.page import page_of
+from viewshed.successor.plan import WHOLE, AblationPlan, ablation_named
+from viewshed.successor.results import Results, sure_from
+from viewshed.successor.run import run_steps
+from viewshed.sweep import Sweep
+from viewshed.training.config import TrainConfig, read_config
+from viewshed.vulnerability.subjects import Subject, subject_of_preset
+
+GRID = BevGrid(32, 64.0)
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    preset = replace(preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=64.0)
+    return subject_of_preset(preset, 1, 3, 77)
+
+
+class Fixed:
+    """An estimator that says the same of every sweep."""
+
+    grid = GRID
+
+    def __init__(self, prob: NDArray[np.float32]) -> None:
+        self.prob = prob
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        return FovEstimate(GRID, self.prob, np.full(GRID.shape, CellState.FREE, np.uint8))
+
+
+def test_every_case_is_shown_and_only_bare_clouds_lose_their_rings(subject: Subject) -> None:
+    shots = {shot.case: shot for shot in shots_of(subject, 1, 0)}
+    assert set(shots) == set(CASES)
+    for case, shot in shots.items():
+        assert (shot.sweep.model is None) == (case == BARE)
+        if case not in (BENIGN, BARE):
+            assert not np.array_equal(shot.sweep.points, subject.sample.sweep.points)
+    assert shots["far_wall"].wedge is not None
+    assert 0 < shots["far_wall"].wedge.mean() < 0.5
+    again = {shot.case: shot for shot in shots_of(subject, 1, 0)}
+    assert all(np.array_equal(shot.sweep.points, again[case].sweep.points) for case, shot in shots.items())
+
+
+def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(subject: Subject) -> None:
+    visible, known = subject.sample.truth.visible(), subject.sample.known
+    right, none = Fixed(visible.astype(np.float32)), Fixed(np.zeros(GRID.shape, np.float32))
+    found = score({0: subject, 1: subject}, {"right": right, "none": none}, 1)
+    said = {name: {case: Said.from_json(told) for case, told in cases.items()} for name, cases in found.items()}
+    for case in CASES:
+        assert said["right"][case].view.f1() == 1.0
+        assert said["none"][case].view.recall() == 0.0
+        assert said["right"][case].view.cells == 2 * known.sum()
+        assert said["right"][case].sweeps == [[int((visible & known).sum()), 0, 0, int((~visible & known).sum())]] * 2
+    assert 0 < said["right"]["far_wall"].wedge.cells < said["right"]["far_wall"].view.cells
+    assert said["right"][BENIGN].wedge.cells == 0
+
+
+def test_nothing_behind_the_nearest_obstacle_is_claimed(subject: Subject) -> None:
+    bound = FirstBlocker(GRID, limit_farthest=False)
+    found = Enveloped(Fixed(np.ones(GRID.shape, np.float32)), bound).estimate(subject.sample.sweep)
+    assert np.array_equal(found.visible(), bound.estimate(subject.sample.sweep).visible())
+
+
+def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
+    scores, rng = Scores(), np.random.default_rng(0)
+    prob = rng.random(4000).astype(np.float32)
+    scores.add(prob, rng.random(4000) < prob)
+    sure = sure_from(scores, 0.9)
+    assert scores.precision(sure) >= 0.9
+    assert scores.precision(sure - 0.001) < 0.9
+    scores.add(np.ones(10**5, np.float32), np.zeros(10**5, np.bool_))
+    assert sure_from(scores, 0.9) == 1.0
+
+
+def test_variants_change_what_they_say_and_nothing_else() -> None:
+    plan = ablation_named("small")
+    whole = plan.config_of(WHOLE)
+    assert whole == TrainConfig.from_json(read_config("viewnet_road").to_json() | plan.base | {"name": WHOLE})
+    assert set(plan.base) == {"epochs", "frames_per_epoch", "doubt_frames"}
+    for name, changes in plan.variants.items():
+        table, other = whole.to_json(), plan.config_of(name).to_json()
+        assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
+    assert not set(Results(plan, {}).trained) & set(Results(plan, {}).unseen)
+    assert len(Results(plan, {}).unseen) >= 5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"variants": {}}, "variants must have one named whole that changes nothing"),
+        ({"variants": {"whole": {}, "a": {"colour": 1}}}, "missing or unknown: colour"),
+        ({"variants": 3}, "variants must be a table, got 3"),
+        ({"test_seed": 7301}, "seed and test_seed must differ"),
+        ({"chunk": 0}, "sweeps, test_sweeps and chunk must be at least 1"),
+        ({"claim_precision": 1.0}, r"claim_precision must lie in \(0, 1\), got 1.0"),
+        ({"more": 1}, "missing or unknown: more"),
+    ],
+)
+def test_wrong_plans_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        AblationPlan.from_json(ablation_named("tiny").to_json() | change)
+
+
+def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    plan, told = ablation_named("tiny"), list[tuple[str, int, int]]()
+    store = JobStore.open(tmp_path, plan)
+    assert list(run_steps(store, ("validation",), 1, lambda *step: None)) == [
+        "validation: not all variants are trained"
+    ]
+    assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: told.append(step))) == []
+    assert told[-1] == ("test", 1, 1)
+    page = page_of(store)
+    for words in ("| whole |", "| counts alone |", "| vote |", "## The shipped networks", "far_wall \\*", "| relay |"):
+        assert words in page
+    lines = store.path.read_text().splitlines()
+    store.path.write_text("\n".join(lines[:-1]) + "\n")
+    assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: None)) == []
+    assert [json.loads(line).get("said") for line in store.path.read_text().splitlines()[1:]] == [
+        json.loads(line).get("said") for line in lines[1:]
+    ]
+    with pytest.raises(ValueError, match="only must be among models, validation, test, page, got 'trade'"):
+        list(run_steps(store, ("trade",), 1, lambda *step: None))
