@@ -60,7 +60,7 @@ def test_wrong_values_are_refused(config: TrainConfig, change: dict[str, Any], m
 def test_wrong_files_are_refused(config: TrainConfig, tmp_path: Path) -> None:
     with pytest.raises(
         ValueError,
-        match=r"config must be a TOML file or one of indoor, road, viewnet_indoor, viewnet_road, got 'nowhere'",
+        match=r"config must be a TOML file or one of indoor, road, viewnet_indoor, viewnet_road, got .nowhere'",
     ):
         read_config("nowhere")
     text = toml_of(config)
