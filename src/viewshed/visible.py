@@ -15,8 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid, polar_of_cells
+from viewshed.bev import BevGrid
 from viewshed.ground import Ground
+from viewshed.windows import range_bins, windows_of
 
 AZIMUTH_COLUMNS = 2048
 """Columns in which beams are counted; windows are interpolated within a column."""
@@ -89,12 +90,11 @@ def expected_returns(
     column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
     below ground, the tolerance of a measured ground.
     """
-    limits = _Limits.of(sensor_height_m, ground, grid, target)
-    reached = limits.reached(beams)
-    aimed = _aimed(beams.azimuth, beams.slope, limits.bottom, limits.top)
-    ratio = np.float32((len(aimed) - 1) / AZIMUTH_COLUMNS)
-    aims = _windows(aimed, *polar_of_cells(grid), limits.half_columns, limits.per_m, ratio)
-    return limits.returns(reached, grid), aims
+    limits = _slope_limits(sensor_height_m, ground, grid, target)
+    reached = _reached(beams.azimuth, beams.slope, beams.depth_m, *limits, np.float32(grid.cell_m))
+    aimed = _aimed(beams.azimuth, beams.slope, *limits)
+    aims = windows_of(grid, target.width_m, _GROUND_SECTORS).sums(aimed, grid)
+    return _returns(reached, grid, target), aims
 
 
 def returns_by_kind(
@@ -104,45 +104,15 @@ def returns_by_kind(
 
     As :func:`expected_returns` counts them: over disjoint sets they add up to what it gives for all beams.
     """
-    limits = _Limits.of(sensor_height_m, ground, grid, target)
-    return np.stack([limits.returns(limits.reached(beams), grid) for beams in kinds])
+    limits, cell_m = _slope_limits(sensor_height_m, ground, grid, target), np.float32(grid.cell_m)
+    reached = (_reached(beams.azimuth, beams.slope, beams.depth_m, *limits, cell_m) for beams in kinds)
+    return np.stack([_returns(each, grid, target) for each in reached])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Limits:
-    """Which beams meet a target, by sector and range bin.
-
-    Attributes:
-        bottom: (sectors, bins) slope of a beam that passes a target's foot.
-        top: (sectors, bins) of one that passes its top.
-        half_columns: (bins,) half a target's width in azimuth columns.
-        cell_m: length of a range bin.
-    """
-
-    bottom: NDArray[np.float32]
-    top: NDArray[np.float32]
-    half_columns: NDArray[np.float32]
-    cell_m: np.float32
-
-    @classmethod
-    def of(cls, sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target) -> _Limits:
-        bins = int(np.ceil(float(polar_of_cells(grid)[0].max()) / grid.cell_m)) + 1
-        bottom, top = _slope_limits(sensor_height_m, ground, grid.cell_m, bins, target)
-        ranges = (np.arange(bins, dtype=np.float32) + np.float32(0.5)) * np.float32(grid.cell_m)
-        half = (np.arctan2(target.width_m / 2, ranges) * AZIMUTH_COLUMNS / (2 * np.pi)).astype(np.float32)
-        return cls(bottom, top, half, np.float32(grid.cell_m))
-
-    @property
-    def per_m(self) -> np.float32:
-        return np.float32(1.0) / self.cell_m
-
-    def reached(self, beams: Beams) -> Any:
-        return _reached(beams.azimuth, beams.slope, beams.depth_m, self.bottom, self.top, self.cell_m)
-
-    def returns(self, reached: Any, grid: BevGrid) -> NDArray[np.float32]:
-        counts = _windows(reached, *polar_of_cells(grid), self.half_columns, self.per_m, np.float32(1.0))
-        returns: NDArray[np.float32] = np.maximum(counts, np.float32(0.0), out=counts)
-        return returns
+def _returns(reached: NDArray[np.float32], grid: BevGrid, target: Target) -> NDArray[np.float32]:
+    counts = windows_of(grid, target.width_m, AZIMUTH_COLUMNS).sums(reached, grid)
+    returns: NDArray[np.float32] = np.maximum(counts, np.float32(0.0), out=counts)
+    return returns
 
 
 def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
@@ -174,10 +144,10 @@ def _poisson_table(min_returns: int) -> NDArray[np.float32]:
 
 
 def _slope_limits(
-    sensor_height_m: float, ground: Ground, cell_m: float, bins: int, target: Target
+    sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the slopes (sectors, bins) of beams that pass a target's foot and its top."""
-    xy, per_range = _polar_lattice(bins, cell_m)
+    xy, per_range = _polar_lattice(range_bins(grid), grid.cell_m)
     foot = ground.at(xy) - np.float32(sensor_height_m)
     return (foot - np.float32(_BELOW_GROUND_M)) * per_range, (foot + np.float32(target.height_m)) * per_range
 
@@ -251,35 +221,3 @@ def _cumulative(sums: Any, at: Any) -> Any:  # pragma: no cover - compiled
     at = min(max(at, np.float32(0.0)), np.float32(sums.shape[0] - 1.001))
     i = int(at)
     return sums[i] + (at - i) * (sums[i + 1] - sums[i])
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _turned(sums: Any, at: Any, k: Any) -> Any:  # pragma: no cover - compiled
-    """Sum over the columns before ``at`` (may lie up to one turn outside) of range bin ``k``."""
-    columns = sums.shape[0] - 1
-    turns = np.float32(0.0)
-    if at < 0:
-        at += columns
-        turns = -sums[columns, k]
-    elif at >= columns:
-        at -= columns
-        turns = sums[columns, k]
-    i = min(int(at), columns - 1)
-    return turns + sums[i, k] + (at - i) * (sums[i + 1, k] - sums[i, k])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _windows(
-    sums: Any, range_m: Any, azimuth: Any, half_columns: Any, per_m: Any, ratio: Any
-) -> Any:  # pragma: no cover - compiled
-    """Sums over the window of a target in each cell; ``ratio``: columns of ``sums`` per azimuth column."""
-    rows, columns = range_m.shape
-    counts = np.empty((rows, columns), np.float32)
-    per_rad = np.float32(AZIMUTH_COLUMNS / (2 * np.pi))
-    for i in range(rows):
-        for j in range(columns):
-            k = int(range_m[i, j] * per_m)
-            at = (azimuth[i, j] + np.float32(np.pi)) * per_rad
-            half = half_columns[k]
-            counts[i, j] = _turned(sums, (at + half) * ratio, k) - _turned(sums, (at - half) * ratio, k)
-    return counts

@@ -91,7 +91,7 @@ def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
 def test_variants_change_what_they_say_and_nothing_else() -> None:
     plan = ablation_named("small")
     whole = plan.config_of(WHOLE)
-    assert whole == TrainConfig.from_json(read_config("viewnet_road").to_json() | plan.base | {"name": WHOLE})
+    assert whole == TrainConfig.from_json(read_config("viewnet_road").to_json() | dict(plan.base) | {"name": WHOLE})
     assert set(plan.base) == {"epochs", "frames_per_epoch", "doubt_frames"}
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()

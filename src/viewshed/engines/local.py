@@ -183,6 +183,7 @@ def _serve(pipe: Connection, work: bytes) -> None:
         pipe.send_bytes(pickle.dumps(None))
         while True:
             pipe.send_bytes(_answer(work, pipe.recv_bytes()))
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is half-written now, and to raise while ending is noise
 
 
 def _answer(work: bytes, message: bytes) -> bytes:
