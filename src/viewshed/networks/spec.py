@@ -113,15 +113,19 @@ class NetworkCard:
 
     def shown(self, maps: Bytes) -> NDArray[np.float32]:
         """Return the network's input (channels, cells, cells) of what :meth:`maps_of` returns."""
-        return np.stack([table[each] for table, each in zip(self._tables(), maps, strict=True)])
+        found = np.empty(maps.shape, np.float32)
+        for name, codes, out in zip(self.inputs, maps, found, strict=True):
+            if name == "counts":
+                np.take(self._of_counts(), codes, out=out, mode="clip")
+            else:
+                np.multiply(codes, np.float32(1.0 / 255.0), out=out, dtype=np.float32)
+        return found
 
-    def _tables(self) -> list[NDArray[np.float32]]:
-        """Return what each byte of each channel is shown as."""
+    def _of_counts(self) -> NDArray[np.float32]:
+        """Return (256,) as what each number of returns is shown."""
         each = np.arange(256)
-        plain, counts = each / 255.0, each / self.divisor
-        if self.counts == "log":
-            counts = np.log1p(each) / np.log1p(self.clip)
-        return [(counts if name == "counts" else plain).astype(np.float32) for name in self.inputs]
+        shown = np.log1p(each) / np.log1p(self.clip) if self.counts == "log" else each / self.divisor
+        return shown.astype(np.float32)
 
     def _maps_of_level(self, level: LevelSweep) -> Bytes:
         counts = self._clipped(level.sweep.points, level.level_from_sensor.rotation)
