@@ -161,7 +161,8 @@ def test_command_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str
     text = page.read_text(encoding="utf-8")
     assert "3 of 8 samples" in text
     rows = [line for line in text.splitlines() if line.startswith("| shadow_map |")]
-    assert len(rows) == len(FORMS) + 1
+    assert len(rows) == len(FORMS) + 2
+    assert "### F1 by sensor, rings known" in text
     assert all(0 <= float(cell) <= 1 for cell in rows[0].split("|")[2:6])
     assert "| line_of_sight |" in text
     capsys.readouterr()

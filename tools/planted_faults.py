@@ -43,7 +43,7 @@ def read_faults(path: Path) -> list[Fault]:
 
 def copy_project(to: Path) -> None:
     """Copy package, tests, tools, pages and settings; compiled code comes along with the times of its sources."""
-    for name in ("src", "tests", "tools", "docs"):
+    for name in ("src", "tests", "tools", "docs", "configs"):
         shutil.copytree(ROOT / name, to / name)
     shutil.copy2(ROOT / "pyproject.toml", to / "pyproject.toml")
 

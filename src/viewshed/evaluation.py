@@ -20,6 +20,8 @@ from viewshed.visible import Target
 ALL = "all"
 CLEAR = "clear"
 """Names of the parts of a grid that are always told: every known cell; those not next to the threshold."""
+SENSOR = "sensor "
+"""What the names of the parts begin with that hold every known cell of one sensor's sweeps."""
 Mask = NDArray[np.bool_]
 Form = Callable[[Sweep], Sweep]
 
@@ -162,13 +164,15 @@ def compare_definitions(samples: Iterable[Sample], contest: Contest) -> Scores:
 
 
 def _parts(sample: Sample, contest: Contest) -> dict[str, Mask]:
-    """Return the parts of the grid by name: all that is known, clear of the threshold, and range bands."""
+    """Return the parts of the grid by name: all that is known, clear of the threshold, range bands, the sensor's."""
     target, grid = contest.target, sample.truth.grid
     gap = np.abs(sample.truth.expected_returns[target.name].astype(np.int16) - min(target.min_returns, 255))
     range_m, _ = polar_of_cells(grid)
     parts = {ALL: sample.known, CLEAR: sample.known & (gap > max(1, target.min_returns // 2))}
     for low, high in pairwise(edge * grid.half_extent_m for edge in contest.bands):
         parts[f"{low:g} to {high:.3g} m"] = sample.known & (range_m >= low) & (range_m < high)
+    if sample.sweep.model is not None:
+        parts[SENSOR + sample.sweep.model.name] = sample.known
     return parts
 
 

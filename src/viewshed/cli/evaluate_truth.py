@@ -117,6 +117,8 @@ def _sections(data: Archive, count: int, contest: Contest) -> Iterator[str]:
     form = next(iter(contest.forms))
     yield f"### F1 by range, {form}"
     yield _by_range(scores, names, form)
+    yield f"### F1 by sensor, {form}"
+    yield _by_sensor(scores, names, form)
     yield "### Other definitions"
     yield _DEFINITIONS
     yield _summary(others, list(dict.fromkeys(key[0] for key in others)), "")
@@ -148,8 +150,25 @@ def _three(rate: float) -> str:
 
 
 def _by_range(scores: Scores, names: list[str], form: str) -> str:
-    from viewshed.evaluation import ALL, CLEAR
+    from viewshed.evaluation import ALL, CLEAR, SENSOR
+
+    parts = dict.fromkeys(key[2] for key in scores)
+    bands = [part for part in parts if part not in {ALL, CLEAR} and not part.startswith(SENSOR)]
+    return _f1_of_parts(scores, names, form, {band: band for band in bands})
+
+
+def _by_sensor(scores: Scores, names: list[str], form: str) -> str:
+    from viewshed.evaluation import ALL, SENSOR
+
+    parts = sorted({key[2] for key in scores if key[2].startswith(SENSOR)})
+    counts = {part: scores[names[0], form, part].samples for part in parts if (names[0], form, part) in scores}
+    heads = {part: f"{part.removeprefix(SENSOR)} ({count})" for part, count in counts.items()}
+    return _f1_of_parts(scores, names, form, heads or {ALL: "all"})
+
+
+def _f1_of_parts(scores: Scores, names: list[str], form: str, heads: Mapping[str, str]) -> str:
+    """Return a table of F1 by part; ``heads`` are the columns' words by part."""
     from viewshed.report import table
 
-    bands = [part for part in dict.fromkeys(key[2] for key in scores) if part not in {ALL, CLEAR}]
-    return table(["", *bands], [[name, *(_three(scores[name, form, band].f1) for band in bands)] for name in names])
+    rows = [[name, *(_three(scores[name, form, part].f1) for part in heads)] for name in names]
+    return table(["", *heads.values()], rows)
