@@ -19,6 +19,7 @@ from viewshed.successor.page import page_of
 from viewshed.successor.plan import WHOLE, AblationPlan, ablation_named
 from viewshed.successor.results import Results, sure_from
 from viewshed.successor.run import run_steps
+from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_of
 from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig, read_config
 from viewshed.vulnerability.subjects import Subject, subject_of_preset
@@ -86,6 +87,30 @@ def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
     assert scores.precision(sure - 0.001) < 0.9
     scores.add(np.ones(10**5, np.float32), np.zeros(10**5, np.bool_))
     assert sure_from(scores, 0.9) == 1.0
+
+
+def _said(right: int, wrong: int) -> Said:
+    scores = Scores()
+    scores.add(np.full(right + wrong, 0.9, np.float32), np.arange(right + wrong) < right)
+    return Said(scores, scores, [])
+
+
+def test_targets_are_met_or_missed_by_what_was_said() -> None:
+    """A network that is right in 99 of 100 claims meets the first; one attack below the vote is named."""
+    plan, every = ablation_named("small"), dict.fromkeys(CASES)
+    ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
+    vote = {case: _said(90, 10) for case in every}
+    test = Results(plan, {OURS: ours, RIVAL: vote, SEVERAL: vote})
+    found = {each.what: each for each in targets_of(Results(plan, {WHOLE: ours}), test)}
+    assert found["F1, benign"].met
+    assert found["F1, benign"].found == "0.995"
+    assert found["the same less that of the vote"].met
+    least = found["least lead over the vote under any attack"]
+    assert (least.met, least.found.split()[1]) == (False, "(relay)")
+    assert found["precision / recall in opened wedges after abstention, trained on"].met
+    assert found["Brier score of one pass beside that of 20, benign"].met
+    assert not found["ECE, benign"].met
+    assert targets_of(Results(plan, {}), Results(plan, {RIVAL: vote})) == []
 
 
 def test_variants_change_what_they_say_and_nothing_else() -> None:

@@ -7,9 +7,10 @@ from math import isnan
 from viewshed.metrics import Scores
 from viewshed.report import facts
 from viewshed.reproduce.store import JobStore
-from viewshed.successor.contest import CASES
+from viewshed.successor.contest import BENIGN, CASES
 from viewshed.successor.plan import WHOLE, AblationPlan
 from viewshed.successor.results import OVER_CLAIM, Results, sure_from
+from viewshed.successor.targets import OURS, Target, targets_of
 from viewshed.vulnerability.page import Block, Heading, Table, Text, to_markdown
 
 _ABLATION = """\
@@ -28,10 +29,22 @@ were right often enough on the scenes of the ablation, over the attacks trained 
 attacks that open a view, here:"""
 
 
+_TARGETS = """\
+What was aimed at, beside the figure of the shipped `viewnet` on the reported scenes, one sweep at a time. An attack
+counts with its default budget. Probabilities from which claims are sure are taken from the scenes of the ablation."""
+_DOUBT = """\
+How good probabilities and doubts are, on all cells whose truth is known: expected calibration error, Brier score, and
+area under the risk-coverage curve (smaller is better) with cells ordered by |p - .5| and by the deviation. `viewnet`
+tells its deviation in the same pass as its probability."""
+
+
 def page_of(store: JobStore[AblationPlan]) -> str:
     """Return the page as Markdown; parts without results are left out."""
     plan, blocks = store.plan, list[Block]()
     validation, test = (Results.read(store, split) for split in ("validation", "test"))
+    targets = targets_of(validation, test)
+    if targets:
+        blocks += [Heading(2, "Targets"), Text(_TARGETS), _targets(targets)]
     if validation.said:
         blocks += [
             Heading(2, "What each part is worth"),
@@ -41,6 +54,7 @@ def page_of(store: JobStore[AblationPlan]) -> str:
         ]
     if test.said:
         blocks += [Heading(2, "The shipped networks"), Text(_TEST), _views(test), Text(_WEDGE), _wedges(test)]
+        blocks += [Heading(3, "Doubt"), Text(_DOUBT), _doubts(test)]
     if test.said and validation.said:
         blocks += [Text(_ABSTENTION), _abstention(validation, test)]
     told = facts(
@@ -48,6 +62,11 @@ def page_of(store: JobStore[AblationPlan]) -> str:
         test_sweeps=str(plan.test_sweeps), test_seed=str(plan.test_seed),
     )  # fmt: skip
     return to_markdown("The network and what its parts are worth", told, blocks)
+
+
+def _targets(targets: list[Target]) -> Table:
+    rows = [[each.what, each.wanted, each.found, "met" if each.met else "**missed**"] for each in targets]
+    return Table(["what", "target", "here", ""], rows)
 
 
 def _ablation(results: Results) -> Table:
@@ -99,9 +118,22 @@ def _abstention(validation: Results, test: Results) -> Table:
     return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], rows)
 
 
+def _doubts(results: Results) -> Table:
+    groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
+    rows = []
+    for name in results.said:
+        cells = []
+        for cases in groups.values():
+            scores = sum(results.view(name, cases), Scores())
+            cells += [_four(value) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
+        rows.append([name, *cells])
+    heads = [f"{what}, {group}" for group in groups for what in ("ECE", "Brier", "AURC", "AURC by deviation")]
+    return Table(["", *heads], rows)
+
+
 def _tuned(validation: Results, shown: str) -> str | None:
     """Return which contestant of the ablation a shipped network's threshold is taken from."""
-    return WHOLE if shown == "viewnet" else None
+    return WHOLE if shown == OURS else None
 
 
 def _kind(results: Results, case: str) -> str:
@@ -110,6 +142,10 @@ def _kind(results: Results, case: str) -> str:
 
 def _both(scores: Scores, threshold: float = 0.5) -> str:
     return f"{_three(scores.precision(threshold))} / {_three(scores.recall(threshold))}"
+
+
+def _four(value: float) -> str:
+    return "–" if isnan(value) else f"{value:.4f}"
 
 
 def _three(value: float) -> str:

@@ -14,7 +14,7 @@ from viewshed.engines import LocalEngine
 from viewshed.estimate import FovEstimator
 from viewshed.estimators import ESTIMATORS
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.learned import LEARNED, UnetEstimator
+from viewshed.estimators.learned import LEARNED, PASSES, UnetEstimator
 from viewshed.networks.engine import OnnxRunner, load_runner
 from viewshed.networks.shipped import default_name
 from viewshed.reproduce.models import trained
@@ -22,6 +22,7 @@ from viewshed.reproduce.run import Counted, run_jobs
 from viewshed.reproduce.store import JobStore, Key
 from viewshed.successor.contest import Enveloped, score
 from viewshed.successor.plan import WHOLE, AblationPlan
+from viewshed.successor.targets import OURS, SEVERAL
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
 from viewshed.visible import TARGETS
@@ -145,7 +146,10 @@ def _shipped(plan: AblationPlan) -> dict[str, FovEstimator]:
             name = default_name(method, grid, target)
         except ValueError:  # none is shipped for this grid and target
             continue
-        found[method] = make(load_runner(name, threads=1))
+        runner = load_runner(name, threads=1)
+        found[method] = make(runner)
+        if method == OURS and runner.card.shape.dropout:
+            found[SEVERAL] = UnetEstimator(runner, PASSES, name=SEVERAL)
     return found
 
 

@@ -1,0 +1,94 @@
+"""The figures that were aimed at, each beside what was found, met or missed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from viewshed.metrics import Scores
+from viewshed.successor.contest import BARE, BENIGN, TOUCHING
+from viewshed.successor.plan import WHOLE
+from viewshed.successor.results import JAMMING, OVER_CLAIM, Results, sure_from
+
+OURS, SEVERAL, RIVAL = "viewnet", "viewnet, 20 passes", "vote"
+"""Our network in one pass and with dropout passes, and the classical estimator that it must beat."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One figure.
+
+    Attributes:
+        what: it is of.
+        wanted: in words.
+        found: in words.
+        met: whether.
+    """
+
+    what: str
+    wanted: str
+    found: str
+    met: bool
+
+
+def targets_of(validation: Results, test: Results) -> list[Target]:
+    """Return the targets with what was found on the reported scenes; none where our network was not tried."""
+    if OURS not in test.said:
+        return []
+    return [*_agreement(test), *_wedges(validation, test), *_calibration(test), *_doubt(test)]
+
+
+def _agreement(test: Results) -> Iterator[Target]:
+    families = [case for case in TOUCHING if case != JAMMING]
+    benign, bare = (test.f1(OURS, [case]) for case in (BENIGN, BARE))
+    mean, rival = (test.f1(name, families) for name in (OURS, RIVAL))
+    worst = min(TOUCHING, key=lambda case: test.f1(OURS, [case]) - test.f1(RIVAL, [case]))
+    ahead = test.f1(OURS, [worst]) - test.f1(RIVAL, [worst])
+    jammed = test.f1(OURS, [JAMMING])
+    yield _at_least("F1, benign", benign, 0.96)
+    yield _at_least("mean F1 over the attacks, jamming apart", mean, 0.93)
+    yield Target("the same less that of the vote", "≥ .020", f"{mean - rival:+.3f}", mean - rival >= 0.02)
+    yield Target("least lead over the vote under any attack", "≥ 0", f"{ahead:+.3f} ({worst})", ahead >= 0)
+    yield _at_least("F1, jamming", jammed, 0.88)
+    yield Target("F1 without rings, less that with rings", "≥ -.020", f"{bare - benign:+.3f}", bare - benign >= -0.02)
+    seen, unseen = test.f1(OURS, test.trained), test.f1(OURS, test.unseen)
+    found = f"{unseen - seen:+.3f}"
+    yield Target("mean F1, unseen attacks less those trained on", "≥ -.020", found, unseen - seen >= -0.02)
+
+
+def _wedges(validation: Results, test: Results) -> Iterator[Target]:
+    if WHOLE not in validation.said:
+        return
+    seen, unseen = ([case for case in OVER_CLAIM if case in group] for group in (test.trained, test.unseen))
+    step = sure_from(validation.wedge(WHOLE, seen), validation.plan.claim_precision)
+    for words, cases, wanted in (("trained on", seen, 0.8), ("unseen", unseen, 0.5)):
+        scores = test.wedge(OURS, cases)
+        precision, recall = scores.precision(step), scores.recall(step)
+        told = f"{precision:.3f} / {recall:.3f} from {step:g}"
+        met = precision >= wanted and recall >= 0.5
+        what = f"precision / recall in opened wedges after abstention, {words}"
+        yield Target(what, f"≥ {wanted:.2f} / .50", told, met)
+
+
+def _calibration(test: Results) -> Iterator[Target]:
+    for words, cases, most in (("benign", (BENIGN,), 0.02), ("unseen attacks", test.unseen, 0.05)):
+        ece = test.ece(OURS, cases)
+        yield Target(f"ECE, {words}", f"≤ {most}", f"{ece:.4f}", ece <= most)
+
+
+def _doubt(test: Results) -> Iterator[Target]:
+    if SEVERAL not in test.said:
+        return
+    for words, cases in (("benign", (BENIGN,)), ("attacked", TOUCHING)):
+        one, several = (sum(test.view(name, cases), Scores()) for name in (OURS, SEVERAL))
+        for name in ("brier", "aurc", "aurc_std"):
+            ours, theirs = getattr(one, name)(), getattr(several, name)()
+            what = f"{_NAMES[name]} of one pass beside that of 20, {words}"
+            yield Target(what, f"≤ {theirs:.4f}", f"{ours:.4f}", ours <= theirs)
+
+
+_NAMES = {"brier": "Brier score", "aurc": "AURC", "aurc_std": "AURC by deviation"}
+
+
+def _at_least(what: str, found: float, wanted: float) -> Target:
+    return Target(what, f"≥ {wanted:.2f}", f"{found:.3f}", found >= wanted)
