@@ -101,7 +101,7 @@ def maps_picture(panel: Panel) -> bytes:
     maps = {"probability of visible": (estimate.visible_prob, "cividis", 1.0)}
     if estimate.std is not None and np.isfinite(estimate.std).any():
         top = max(float(np.nanmax(estimate.std)), 1e-3)
-        maps["standard deviation over the passes"] = (estimate.std, "magma", top)
+        maps["standard deviation of the probability"] = (estimate.std, "magma", top)
     page = _Page.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + 120)
     axes = page.axes(20, 52, side, side)
     _draw(axes, panel, side)
