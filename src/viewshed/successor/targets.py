@@ -64,7 +64,7 @@ def _wedges(validation: Results, test: Results) -> Iterator[Target]:
     for words, cases, wanted in (("trained on", seen, 0.8), ("unseen", unseen, 0.5)):
         scores = test.wedge(OURS, cases)
         precision, recall = scores.precision(step), scores.recall(step)
-        told = f"{precision:.3f} / {recall:.3f} from {step:g}"
+        told = f"{precision:.3f} / {recall:.3f} from {step:g}" if scores.counts(step)[0] else "no such probability"
         met = precision >= wanted and recall >= 0.5
         what = f"precision / recall in opened wedges after abstention, {words}"
         yield Target(what, f"≥ {wanted:.2f} / .50", told, met)
