@@ -80,7 +80,10 @@ def main() -> None:
         path = chosen.weights or Path(folder) / "drawn.onnx"
         if chosen.weights is None:
             alone(draw_weights, path)
-        timings = measured(names, (path, chosen.ours), chosen.threads)
+        tasks = [(name, "") for name in names]
+        if chosen.ours:
+            tasks += [(name, chosen.ours) for name in names if name in engine_names()]
+        timings = measured(tasks, path, chosen.threads)
         card = OnnxRunner(path, 1, "onnxruntime").card
         ours = load_runner(chosen.ours, 1).card if chosen.ours else None
     rows = rows_of(timings, card.shape.flops(card.grid.cells))
@@ -118,30 +121,32 @@ def draw_weights(path: Path) -> None:
     export_onnx(path, NetworkCard("drawn", UNetShape(8, 4)), UNet(UNetShape(8, 4)).eval())
 
 
-def measured(names: list[str], paths: tuple[Path, str], threads: int) -> dict[tuple[str, str], Timing]:
-    """Return the timing of each row and size of cloud, over all rounds."""
+def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tuple[str, str], Timing]:
+    """Return the timing of each row and size of cloud; a task is an engine and, if any, our network."""
     rng = np.random.default_rng(SEED)
     taken: dict[tuple[str, str], list[float]] = defaultdict(list)
     for turn in range(ROUNDS):
-        for pick in rng.permutation(len(names)):
-            for key, times in alone(measure, names[pick], paths, threads, turn).items():
+        for pick in rng.permutation(len(tasks)):
+            for key, times in alone(measure, tasks[pick], path, threads, turn).items():
                 taken[key] += times
     order = {name: k for k, name in enumerate((*engine_names(), TORCH, NONE))}
     keys = sorted(taken, key=lambda key: (SIZES.index(key[1]), order.get(key[0].partition(": ")[2], len(order))))
     return {key: summary(taken[key]) for key in keys}
 
 
-def measure(name: str, paths: tuple[Path, str], threads: int, turn: int) -> dict[tuple[str, str], list[float]]:
-    """Return the milliseconds of the rows of one engine, in this process."""
-    path, ours = paths
-    runner = None if name == NONE else runner_of(name, path, threads)
-    beside = load_runner(ours, threads, *engine_of(name)) if ours and name not in (NONE, TORCH) else None
+def measure(task: tuple[str, str], path: Path, threads: int, turn: int) -> dict[tuple[str, str], list[float]]:
+    """Return the milliseconds of the rows of one task, in this process; a second network's threads would slow it."""
+    name, ours = task
+    runner: Runner | None = None
+    if ours:
+        runner = load_runner(ours, threads, *engine_of(name))
+    elif name != NONE:
+        runner = runner_of(name, path, threads)
     found: dict[tuple[str, str], list[float]] = {}
     for size in SIZES:
         sweep = clouds.synthetic(size, np.random.default_rng(SEED))
-        jobs = jobs_of(name, runner, sweep, OnnxRunner(path, 1, "onnxruntime").card if runner is None else runner.card)
-        if beside is not None:
-            jobs |= our_jobs(beside, sweep)
+        card = OnnxRunner(path, 1, "onnxruntime").card if runner is None else runner.card
+        jobs = our_jobs(runner, sweep) if ours and runner else jobs_of(name, runner, sweep, card)
         times = times_of(jobs, np.random.default_rng([SEED, turn]), BUDGET_S)
         found |= {(f"{row}: {name}", size): each for row, each in times.items()}
     return found
