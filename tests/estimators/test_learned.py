@@ -61,6 +61,14 @@ def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: B
     assert estimate.visible_prob.max() <= 1
 
 
+def test_one_pass_is_the_network_without_dropout(street: Sweep) -> None:
+    runner = TorchRunner(card(SHAPE, GRID), drawn(SHAPE))
+    found = UnetEstimator(runner, seed=3).estimate(street).visible_prob
+    inputs = runner.card.input_of(street)[None]
+    assert np.array_equal(found, runner.run(inputs, SHAPE.no_masks(1))[0])
+    assert not np.allclose(found, runner.run(inputs, SHAPE.masks(1, np.random.default_rng(3)))[0])
+
+
 def test_a_second_head_tells_the_deviation_in_one_pass(street: Sweep) -> None:
     shape = UNetShape(4, 2, 0.3, doubt=True)
     runner = TorchRunner(card(shape, GRID), drawn(shape))

@@ -11,11 +11,12 @@ from viewshed.datasets.simulate import ScenePlan, simulate_frame
 from viewshed.estimators import ESTIMATORS
 from viewshed.geometry import Rigid
 from viewshed.level import LevelSweep, level_sweep
+from viewshed.missing import told_beams
 from viewshed.networks.channels import CHANNELS, MOST_RETURNS, Shown, maps_of, returns_code
 from viewshed.networks.shape import UNetShape
 from viewshed.networks.spec import NetworkCard
 from viewshed.sweep import Sweep
-from viewshed.visible import CAR
+from viewshed.visible import CAR, returns_by_kind
 
 GRID = BevGrid(64, 64.0)
 Maps = dict[str, NDArray[np.uint8]]
@@ -51,6 +52,16 @@ def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
     assert returns.shape == (3, *GRID.shape)
     assert (returns >= 0).all()
     assert (returns.max(axis=(1, 2)) > CAR.min_returns).all()
+
+
+def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Frame) -> None:
+    level = level_sweep(frame.sweep, GRID)
+    beams = told_beams(level, CAR.height_m).unexplained
+    assert np.isinf(beams.depth_m).all()
+    returns = returns_by_kind([beams], level.sensor_height_m, level.ground, GRID, CAR)[0]
+    found = maps(frame.sweep)["unexplained"]
+    assert np.array_equal(found, returns_code(returns))
+    assert found.any()
 
 
 def test_codes_ascend_with_the_returns() -> None:
