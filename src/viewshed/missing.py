@@ -109,10 +109,7 @@ def confirmed_and_explained_beams(level: LevelSweep, top_m: float) -> Beams:
     A lone return is no evidence of a depth: its beam counts as one without a return.
     """
     told = told_beams(level, top_m)
-    if not len(told.explained.azimuth):
-        return told.confirmed
-    pairs = ((getattr(told.confirmed, name), getattr(told.explained, name)) for name in ("azimuth", "slope", "depth_m"))
-    return Beams(*map(np.concatenate, pairs))
+    return told.confirmed + told.explained if len(told.explained.azimuth) else told.confirmed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -78,6 +78,11 @@ class Beams:
         if not (self.azimuth.shape == self.slope.shape == self.depth_m.shape) or self.azimuth.ndim != 1:
             raise ValueError("azimuth, slope and depth_m must have one shape (B,)")
 
+    def __add__(self, other: Beams) -> Beams:
+        """Return both together, the other's last."""
+        pairs = ((self.azimuth, other.azimuth), (self.slope, other.slope), (self.depth_m, other.depth_m))
+        return Beams(*map(np.concatenate, pairs))
+
 
 def expected_returns(
     beams: Beams, sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target

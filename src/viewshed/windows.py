@@ -43,6 +43,7 @@ class Windows:
         return found
 
 
+@lru_cache(maxsize=16)
 def range_bins(grid: BevGrid) -> int:
     """Return how many range bins of a cell's length reach the farthest cell of a grid."""
     return int(np.ceil(float(polar_of_cells(grid)[0].max()) / grid.cell_m)) + 1

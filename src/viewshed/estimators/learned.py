@@ -33,9 +33,8 @@ class UnetEstimator:
     """Probability of visible by the U-Net of arXiv 2503.07375, on the grid that it was trained for.
 
     With one pass dropout is off (maximum likelihood) and there is a deviation only if the network has a head that
-    tells it. With more, ``visible_prob`` is the
-    mean over passes under random dropout masks and ``std`` their standard deviation. The masks depend on ``seed``
-    alone: the same sweep gives the same estimate.
+    tells it. With more, ``visible_prob`` is the mean over passes under random dropout masks and ``std`` their standard
+    deviation. The masks depend on ``seed`` alone: the same sweep gives the same estimate.
 
     A cell is FREE or SURFACE if its probability reaches the card's threshold. The network does not tell why it calls
     a cell not visible, so the returns must: HIDDEN behind the nearest obstacle of its azimuth, else UNKNOWN. Beyond

@@ -74,12 +74,7 @@ def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
     beams = _without_behind(level)
     if rule == "unknown" or len(level.sweep) == 0:
         return beams
-    missing = missing_beams(level, fill=rule == "fill")
-    return Beams(
-        np.concatenate([beams.azimuth, missing.azimuth]),
-        np.concatenate([beams.slope, missing.slope]),
-        np.concatenate([beams.depth_m, missing.depth_m]),
-    )
+    return beams + missing_beams(level, fill=rule == "fill")
 
 
 def _without_behind(level: LevelSweep) -> Beams:

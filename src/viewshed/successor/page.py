@@ -9,9 +9,10 @@ from viewshed.report import facts
 from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BENIGN, CASES
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.results import OVER_CLAIM, Results, sure_from
+from viewshed.successor.results import Results
 from viewshed.successor.targets import OURS, Target, targets_of
 from viewshed.vulnerability.page import Block, Heading, Table, Text, to_markdown
+from viewshed.vulnerability.tables import three
 
 _ABLATION = """\
 Each network is trained by the same config but for what its line says, and tried on the same sweeps of other scenes,
@@ -76,7 +77,7 @@ def _ablation(results: Results) -> Table:
     for name in names:
         size = results.plan.config_of(name).shape if name in results.plan.variants else None
         cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
-        rows.append([name, cost, *(_three(value) for value in results.figures(name).values())])
+        rows.append([name, cost, *(three(value) for value in results.figures(name).values())])
     return Table(["network", "GFLOP", *columns], rows)
 
 
@@ -92,7 +93,7 @@ def _views(results: Results) -> Table:
     for case in CASES:
         scores = [results.f1(name, [case]) for name in names]
         most = max((score for score in scores if not isnan(score)), default=float("nan"))
-        rows.append([_kind(results, case), *(f"**{_three(s)}**" if s == most else _three(s) for s in scores)])
+        rows.append([_kind(results, case), *(f"**{three(s)}**" if s == most else three(s) for s in scores)])
     return Table(["case", *names], rows)
 
 
@@ -107,14 +108,9 @@ def _wedges(results: Results) -> Table:
 
 
 def _abstention(validation: Results, test: Results) -> Table:
-    rows = []
-    seen, unseen = ([case for case in OVER_CLAIM if case in group] for group in (test.trained, test.unseen))
-    for shown, tuned in ((name, _tuned(validation, name)) for name in test.said):
-        if tuned is None:
-            continue
-        step = sure_from(validation.wedge(tuned, seen), validation.plan.claim_precision)
-        cells = [_both(test.wedge(shown, cases), step) for cases in (seen, unseen)]
-        rows.append([shown, f"{step:g}", *cells])
+    step = validation.sure
+    ours = [OURS] if OURS in test.said else []
+    rows = [[name, f"{step:g}", *(_both(test.wedge(name, cases), step) for cases in test.opening)] for name in ours]
     return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], rows)
 
 
@@ -131,22 +127,13 @@ def _doubts(results: Results) -> Table:
     return Table(["", *heads], rows)
 
 
-def _tuned(validation: Results, shown: str) -> str | None:
-    """Return which contestant of the ablation a shipped network's threshold is taken from."""
-    return WHOLE if shown == OURS else None
-
-
 def _kind(results: Results, case: str) -> str:
     return f"{case} \\*" if case in results.plan.config_of(WHOLE).attacks else case
 
 
 def _both(scores: Scores, threshold: float = 0.5) -> str:
-    return f"{_three(scores.precision(threshold))} / {_three(scores.recall(threshold))}"
+    return f"{three(scores.precision(threshold))} / {three(scores.recall(threshold))}"
 
 
 def _four(value: float) -> str:
     return "–" if isnan(value) else f"{value:.4f}"
-
-
-def _three(value: float) -> str:
-    return "–" if isnan(value) else f"{value:.3f}".replace("0.", ".", 1)

@@ -55,6 +55,17 @@ class Results:
         attacks = self.plan.config_of(WHOLE).attacks
         return tuple(name for name in TOUCHING if name not in attacks)
 
+    @property
+    def opening(self) -> tuple[list[str], list[str]]:
+        """Attacks that open a view: those that the whole network is trained on, and those it never met."""
+        seen, unseen = ([case for case in OVER_CLAIM if case in group] for group in (self.trained, self.unseen))
+        return seen, unseen
+
+    @property
+    def sure(self) -> float:
+        """Probability from which the whole network's claims in opened wedges have the plan's precision."""
+        return sure_from(self.wedge(WHOLE, self.opening[0]), self.plan.claim_precision)
+
     def view(self, name: str, cases: Iterable[str]) -> list[Scores]:
         """Return the scores of the whole view in those of the cases that there are."""
         return [self.said[name][case].view for case in cases if case in self.said[name]]
@@ -74,9 +85,7 @@ class Results:
 
     def figures(self, name: str) -> dict[str, float]:
         """Return what one line of the ablation says of a contestant."""
-        seen, unseen = (
-            self.wedge(name, [c for c in OVER_CLAIM if c in group]) for group in (self.trained, self.unseen)
-        )
+        seen, unseen = (self.wedge(name, cases) for cases in self.opening)
         return {
             "benign": self.f1(name, [BENIGN]), "no rings": self.f1(name, [BARE]),
             "trained": self.f1(name, self.trained), "unseen": self.f1(name, self.unseen),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from viewshed.metrics import Scores
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING
 from viewshed.successor.plan import WHOLE
-from viewshed.successor.results import JAMMING, OVER_CLAIM, Results, sure_from
+from viewshed.successor.results import JAMMING, Results
 
 OURS, SEVERAL, RIVAL = "viewnet", "viewnet, 20 passes", "vote"
 """Our network in one pass and with dropout passes, and the classical estimator that it must beat."""
@@ -59,8 +59,7 @@ def _agreement(test: Results) -> Iterator[Target]:
 def _wedges(validation: Results, test: Results) -> Iterator[Target]:
     if WHOLE not in validation.said:
         return
-    seen, unseen = ([case for case in OVER_CLAIM if case in group] for group in (test.trained, test.unseen))
-    step = sure_from(validation.wedge(WHOLE, seen), validation.plan.claim_precision)
+    step, (seen, unseen) = validation.sure, test.opening
     for words, cases, wanted in (("trained on", seen, 0.8), ("unseen", unseen, 0.5)):
         scores = test.wedge(OURS, cases)
         precision, recall = scores.precision(step), scores.recall(step)
