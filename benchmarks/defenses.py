@@ -14,10 +14,10 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.timing import interleaved
-from viewshed.beams import infer_sensor
 from viewshed.bev import BevGrid
 from viewshed.defenses import DEFENSES, Defense, TemporalConsistency
 from viewshed.geometry import Rigid
+from viewshed.inference import infer_sensor
 from viewshed.io import read_index, read_indexed
 from viewshed.level import level_sweep
 from viewshed.report import facts, page, table

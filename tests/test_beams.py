@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed.beams import DEFAULT_COLUMNS, Beams, infer_sensor, recover_beams
+from viewshed.beams import DEFAULT_COLUMNS, Beams, recover_beams
+from viewshed.inference import infer_sensor
 from viewshed.io import read_index, read_indexed
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep

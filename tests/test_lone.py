@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
+from viewshed.inference import told_rings
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.lone import placed_by_rings
+from viewshed.lone import Placed, placed_by_rings
 from viewshed.missing_kernels import silent_columns
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -28,8 +29,12 @@ def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int =
     return sweep.replace(points=points), np.asarray(lie)
 
 
+def placed_of(sweep: Sweep) -> Placed | None:
+    return placed_by_rings(sweep.points, told_rings(sweep), LIMITS_M)
+
+
 def lone_of(sweep: Sweep) -> Mask:
-    found = placed_by_rings(sweep, LIMITS_M)
+    found = placed_of(sweep)
     assert found is not None
     return found.lone
 
@@ -80,11 +85,11 @@ def test_points_added_to_a_few_rings_leave_the_image() -> None:
     added = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(300, slope)], axis=1) * range_m[:, None]
     points = np.concatenate([STREET.points, added.astype(np.float32)])
     ring = np.concatenate([STREET.ring, np.full(300, 11, np.int16)])
-    found = placed_by_rings(of_model(points, ring), LIMITS_M)
+    found = placed_of(of_model(points, ring))
     assert found is not None
     assert found.fits
     twice = of_model(np.concatenate([STREET.points] * 2), np.concatenate([STREET.ring] * 2))
-    found = placed_by_rings(twice, LIMITS_M)
+    found = placed_of(twice)
     assert found is not None
     assert not found.fits
 

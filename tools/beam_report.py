@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from viewshed.beams import Beams, infer_sensor, recover_beams
+from viewshed.beams import Beams, recover_beams
+from viewshed.inference import infer_sensor
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep

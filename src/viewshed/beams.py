@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.beam_kernels import count_alone, nearest_beams, order_rings, polar, ring_medians
-from viewshed.geometry import FloatArray
-from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 Angles = NDArray[np.float32]
@@ -24,8 +23,10 @@ DEFAULT_COLUMNS = 1024
 """Columns of a revolution where neither the points nor a model tell."""
 PSEUDO_RINGS = 64
 """Elevation bins of a cloud without beams and without a model."""
-_EXPLAINED = 0.5
-_NEAR_M = 1.0
+EXPLAINED = 0.3
+"""Least ``excess`` of a match from which a beam table is believed to explain a cloud."""
+NEAR_M = 1.0
+"""Returns nearer than this do not tell elevations."""
 _SAMPLED_RINGS = 6
 
 
@@ -104,31 +105,6 @@ def told_beams(sweep: Sweep) -> Beams:
     return beams
 
 
-def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
-    """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
-
-    The score is the share of returns near a beam, less what chance would give, times the share of the table's beams
-    that were hit. Where the rings are known (given, or told by the order of the points) it is the larger of that and
-    the share of returns whose ring lies, in the median, where the table has it.
-
-    >>> infer_sensor(np.zeros((0, 3)))
-    (None, 0.0)
-    """
-    azimuth, slope, range_m = polar(np.ascontiguousarray(points, dtype=np.float32))
-    if ring is None:
-        ring = _file_order(azimuth, slope)
-    best: LidarModel | None = None
-    best_score = 0.0
-    for name in sensor_names():
-        model = lidar_model(name)
-        score = _cluster_score(slope, range_m, model)
-        if ring is not None:
-            score = max(score, _ring_score(np.asarray(ring, np.int16), slope, range_m, model))
-        if score > best_score:
-            best, best_score = model, score
-    return (best if best_score >= _EXPLAINED else None), best_score
-
-
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     array = array.view()
     array.setflags(write=False)
@@ -142,17 +118,17 @@ def _rings(
     if sweep.ring is not None:
         known = int(sweep.ring.max(initial=0)) + 1
         return sweep.ring, known if model is None else max(known, model.rings), "file"
-    ordered = _file_order(azimuth, slope)
+    ordered = rings_by_order(azimuth, slope)
     if ordered is not None and (model is None or ordered.max() < model.rings):
         return ordered, int(ordered.max()) + 1, "file order"
     if model is not None:
-        match = _match(slope, range_m, model)
-        if match.excess >= _EXPLAINED:
+        match = match_beams(slope, range_m, model)
+        if match.excess >= EXPLAINED:
             return match.ring, model.rings, "beam table"
     return *_elevation_bins(slope, range_m, model), "elevation bins"
 
 
-def _file_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
+def rings_by_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
     """Return the rings told by the order of the points, or None where they are not stored ring after ring."""
     for start in (0.0, np.pi):
         for turn in (1.0, -1.0):
@@ -167,7 +143,7 @@ def _file_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
     return None
 
 
-class _Match(NamedTuple):
+class BeamMatch(NamedTuple):
     """How a beam table fits: nearest beam of each point, points close to each beam, their share less chance."""
 
     ring: NDArray[np.int16]
@@ -175,7 +151,7 @@ class _Match(NamedTuple):
     excess: float
 
 
-def _match(slope: Angles, range_m: Angles, model: LidarModel) -> _Match:
+def match_beams(slope: Angles, range_m: Angles, model: LidarModel) -> BeamMatch:
     """Return the nearest beam of each point and how much better than chance the returns gather at the beams.
 
     Close is within a quarter of the gap to the next beam, and within 0.1° and 1.5 cm; chance is the share of the gap
@@ -186,30 +162,8 @@ def _match(slope: Angles, range_m: Angles, model: LidarModel) -> _Match:
     beams = np.stack([np.tan(model.elevation), model.origin_m, gap / 4], axis=1)
     ring, hits, tried, chance = nearest_beams(slope, range_m, beams)
     if tried == 0 or chance >= tried:
-        return _Match(ring, hits, 0.0)
-    return _Match(ring, hits, max(0.0, (int(hits.sum()) - chance) / (tried - chance)))
-
-
-def _cluster_score(slope: Angles, range_m: Angles, model: LidarModel) -> float:
-    """Return ``excess`` times the share of beams that were hit, among those inside the elevations of the returns."""
-    match = _match(slope, range_m, model)
-    hit = match.hits > max(2.0, 0.02 * match.hits.sum() / model.rings)
-    if not hit.any():
-        return 0.0
-    first, last = np.flatnonzero(hit)[[0, -1]]
-    return match.excess * float(hit[first : last + 1].mean())
-
-
-def _ring_score(ring: NDArray[np.int16], slope: Angles, range_m: Angles, model: LidarModel) -> float:
-    """Return the share of returns whose ring's median lies within half a gap, and 0.5°, of the table's beam."""
-    rings = int(ring.max(initial=0)) + 1
-    if len(ring) == 0 or rings != model.rings:
-        return 0.0
-    corrected = slope - (model.origin_m[ring] / np.maximum(range_m, _NEAR_M)).astype(np.float32)
-    medians = np.arctan(ring_medians(ring, np.where(range_m > _NEAR_M, corrected, np.nan), rings))
-    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
-    limit = np.minimum(np.minimum(gap[:-1], gap[1:]) / 2, np.deg2rad(0.5))
-    return float((np.abs(medians - model.elevation) < limit)[ring].mean())
+        return BeamMatch(ring, hits, 0.0)
+    return BeamMatch(ring, hits, max(0.0, (int(hits.sum()) - chance) / (tried - chance)))
 
 
 def _elevation_bins(slope: Angles, range_m: Angles, model: LidarModel | None) -> tuple[NDArray[np.int16], int]:
@@ -229,7 +183,7 @@ def _columns(
 ) -> int:
     """Return the columns of a revolution: measured, else the model's, else ``DEFAULT_COLUMNS``."""
     fallback = DEFAULT_COLUMNS if model is None else model.azimuth_columns
-    used = (ring >= 0) & (range_m > _NEAR_M)
+    used = (ring >= 0) & (range_m > NEAR_M)
     if source == "elevation bins" or not used.any():
         return fallback
     sizes = np.bincount(ring[used])
@@ -265,7 +219,7 @@ def _elevations(
     ring: NDArray[np.int16], slope: Angles, range_m: Angles, rings: int, model: LidarModel | None
 ) -> NDArray[np.float64]:
     """Return (rings,) median elevations; the model's, or interpolated, where a ring has no return beyond 1 m."""
-    medians = np.arctan(ring_medians(ring, np.where(range_m > _NEAR_M, slope, np.float32(np.nan)), rings))
+    medians = np.arctan(ring_medians(ring, np.where(range_m > NEAR_M, slope, np.float32(np.nan)), rings))
     seen = np.isfinite(medians)
     if model is not None and model.rings == rings:
         return np.where(seen, medians, model.elevation).astype(np.float64)

@@ -2,20 +2,22 @@
 
 A surface that a beam meets is met by some of the beams beside it as well, unless it is thinner than the gaps between
 them or seen through a hole. So a lone return is no proof of a surface, nor of a free way to it: it may be noise, rain,
-light of another sensor, or a point that somebody put there. Of a benign sweep they are about one return in 200.
+light of another sensor, or a point that somebody put there. Of a sweep in clear air they are about one return in 200.
+Where they are many, in snow, fog or under jamming, chance makes random returns alike: then several of those around a
+return must confirm it, or it is clutter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.inference import Told
 from viewshed.missing_kernels import place, silent_columns
-from viewshed.sweep import Sweep
 
 ALIKE = 1.25
 """Two ranges are alike if their ratio is below this."""
@@ -27,6 +29,12 @@ _MOST_RING = 1.05
 """... this share. A few rings with points added do not matter."""
 USUAL_COLUMNS = 1024
 """Columns of a revolution where the sensor is not known."""
+CLUTTERED = ((0.02, 2), (0.12, 4))
+"""Shares of lone returns from which on so many returns around one must be alike."""
+CONFIRMING = 1.1
+"""Those are alike if the ratio of the ranges is below this, ..."""
+_AROUND_RINGS, _AROUND_COLUMNS = 1, 4
+"""... and lie at most so many rings and columns away."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,12 +42,14 @@ class Placed:
     """Where the returns of a sweep lie on its range image.
 
     Attributes:
-        column: (N,) int32 azimuth column of each return, -1 where it has no ring.
+        column: (N,) int32 azimuth column of each return, -1 where it has no ring or is clutter.
         phase: (rings,) float32 where in a column the firings of a ring lie, in columns.
         counts: (rings, columns) uint8 returns of each pixel, up to 255.
-        lone: (N,) bool, returns that none around confirms: the next ones in the ring, the six pixels above and below.
+        lone: (N,) bool, returns that none around confirms: the next ones in the ring, the six pixels above and below;
+            and clutter.
         behind: (N,) bool, lone returns behind another one of their own pixel: a beam cannot have passed that one.
         fits: the rings are as full as those of a sensor with so many columns; else a pixel need not be a beam.
+        clutter: (N,) bool, returns that too few around confirm, of a sweep with many lone ones; None for any other.
     """
 
     column: NDArray[np.int32]
@@ -48,18 +58,19 @@ class Placed:
     lone: NDArray[np.bool_]
     behind: NDArray[np.bool_]
     fits: bool
+    clutter: NDArray[np.bool_] | None = None
 
 
-def placed_by_rings(sweep: Sweep, limits_m: tuple[float, float]) -> Placed | None:
-    """Return the places by the sweep's rings and its sensor's columns; None where it has no rings.
+def placed_by_rings(points: NDArray[np.float32], told: Told, limits_m: tuple[float, float]) -> Placed | None:
+    """Return the places of points (N, 3) by their rings and their sensor's columns; None where nothing tells the rings.
 
     Columns somewhat too wide or too narrow still tell which returns are lone.
     """
-    if sweep.ring is None or len(sweep) == 0:
+    if told.ring is None or len(points) == 0:
         return None
-    if sweep.model is None:
-        return placed(sweep.points, sweep.ring, (int(sweep.ring.max()) + 1, USUAL_COLUMNS), limits_m)
-    return placed(sweep.points, sweep.ring, (sweep.model.rings, sweep.model.azimuth_columns), limits_m)
+    if told.model is None:
+        return placed(points, told.ring, (int(told.ring.max()) + 1, USUAL_COLUMNS), limits_m)
+    return placed(points, told.ring, (told.model.rings, told.model.azimuth_columns), limits_m)
 
 
 def placed(
@@ -80,7 +91,31 @@ def placed(
     _mark(points, (ring, column), silent_columns(counts), limits, nearest2, (lone, behind))
     full = sizes[sizes >= _FULL_RING * shape[1]]
     fits = bool(full.size and np.median(full) <= _MOST_RING * shape[1])
-    return Placed(column, phase, counts, lone, behind, fits)
+    found = Placed(column, phase, counts, lone, behind, fits)
+    least = _least_alike(lone)
+    return _without_clutter(found, ring, _alike(points, (ring, column), limits, nearest2) < least) if least else found
+
+
+def _least_alike(lone: NDArray[np.bool_]) -> int:
+    """Return how many returns around one must be alike in a sweep with these lone returns; 0 where none need be."""
+    share = np.count_nonzero(lone) / max(len(lone), 1)
+    return max((least for over, least in CLUTTERED if share > over), default=0)
+
+
+def _without_clutter(found: Placed, ring: NDArray[np.int16], denied: NDArray[np.bool_]) -> Placed:
+    """Return the places without clutter: returns that were ``denied`` (N,) and have a pixel."""
+    clutter = denied & (found.column >= 0)
+    lone, behind = found.lone | clutter, found.behind & ~clutter
+    return replace(taken_out(found, ring, clutter), lone=lone, behind=behind, clutter=clutter)
+
+
+def taken_out(found: Placed, ring: NDArray[np.int16], out: NDArray[np.bool_]) -> Placed:
+    """Return the places with these returns (N,) bool taken out of their pixels."""
+    column, counts, rows = found.column.copy(), found.counts.copy(), np.flatnonzero(out & (found.column >= 0))
+    few = rows[counts[ring[rows], column[rows]] < 255]
+    np.subtract.at(counts, (ring[few], column[few]), 1)
+    column[rows] = -1
+    return replace(found, column=column, counts=counts)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -104,6 +139,27 @@ def _mark(
             behind_own = away2[n] > nearest2[r, c]
             if (behind_own or not sure[r, c]) and _denied(nearest2, r, c, away2[n], silent[c]):
                 lone[n], behind[n] = True, behind_own
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _alike(points: Any, pixel: Any, limits: Any, nearest2: Any) -> Any:  # pragma: no cover - compiled
+    """Return how many of the pixels around each point's hold a return at a like range (N,); many for unusable ones."""
+    ring, column = pixel
+    rings, columns = nearest2.shape
+    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
+    down, up = np.float32(1.0 / CONFIRMING**2), np.float32(CONFIRMING**2)
+    alike = np.full(points.shape[0], 255, np.uint8)
+    for n in range(points.shape[0]):
+        d2 = points[n, 0] * points[n, 0] + points[n, 1] * points[n, 1] + points[n, 2] * points[n, 2]
+        if d2 < near2 or d2 > far2 or column[n] < 0:
+            continue
+        found, r, c = 0, ring[n], column[n]
+        for p in range(max(r - _AROUND_RINGS, 0), min(r + _AROUND_RINGS + 1, rings)):
+            for q in range(c - _AROUND_COLUMNS, c + _AROUND_COLUMNS + 1):
+                at = q + columns if q < 0 else (q - columns if q >= columns else q)
+                found += (p != r or q != c) and _between(nearest2[p, at], d2 * down, d2 * up)
+        alike[n] = found
+    return alike
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -6,7 +6,7 @@ within four columns of its ring holds two: then the azimuth only jittered.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,7 +16,7 @@ from viewshed import missing_hints as hints
 from viewshed import missing_kernels as kernels
 from viewshed.beams import recover_beams
 from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, range_limits
-from viewshed.lone import Placed, placed
+from viewshed.lone import Placed, placed, taken_out
 from viewshed.visible import Beams
 
 FILL_COLUMNS = 16
@@ -142,8 +142,7 @@ def _no_beams() -> Beams:
 
 def _told_image(level: LevelSweep) -> _Image | None:
     """Return the range image without lone returns, or None where nothing tells which beams there are."""
-    unorganised = level.sweep.ring is None and level.sweep.model is None
-    image = None if unorganised else _image(level, alone=False)
+    image = None if level.told.ring is None else _image(level, alone=False)
     return None if image is None or image.guessed else image
 
 
@@ -181,25 +180,21 @@ def _obstructions(
 
 
 def _image(level: LevelSweep, alone: bool) -> _Image:
-    """Return the range image, lone returns in it or not: by a ring column and a model if they fit, else recovered."""
-    sweep, model, found = level.sweep, level.sweep.model, level.placed
-    if found is not None and found.fits and sweep.ring is not None and model is not None:
-        return _filled(level, sweep.ring, _thinned(sweep.ring, found, alone), (False, model.elevation, model.origin_m))
-    beams = recover_beams(sweep)
+    """Return the range image, lone returns in it or not: by the rings and the sensor if they fit, else recovered."""
+    sweep, (ring, model), found = level.sweep, (level.told.ring, level.told.model), level.placed
+    if found is not None and found.fits and ring is not None and model is not None:
+        return _filled(level, ring, _thinned(ring, found, alone), (False, model.elevation, model.origin_m))
+    beams = recover_beams(sweep, model)
+    known = None if found is None else found.clutter
     found = placed(sweep.points, beams.ring, (beams.rings, beams.columns), range_limits(sweep))
+    found = found if known is None else taken_out(found, beams.ring, known)
     lines = beams.source == "elevation bins", beams.elevation, np.zeros(beams.rings)
     return _filled(level, beams.ring, _thinned(beams.ring, found, alone), lines)
 
 
 def _thinned(ring: NDArray[np.int16], found: Placed, alone: bool) -> Placed:
     """Return the places without those of lone returns, unless these stay (``alone``)."""
-    if alone:
-        return found
-    column, counts, lone = found.column.copy(), found.counts.copy(), np.flatnonzero(found.lone)
-    few = lone[counts[ring[lone], column[lone]] < 255]
-    np.subtract.at(counts, (ring[few], column[few]), 1)
-    column[lone] = -1
-    return replace(found, column=column, counts=counts)
+    return found if alone else taken_out(found, ring, found.lone)
 
 
 def _filled(

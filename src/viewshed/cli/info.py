@@ -54,7 +54,8 @@ def _points(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
 
 
 def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
-    from viewshed.beams import infer_sensor, recover_beams
+    from viewshed.beams import recover_beams
+    from viewshed.inference import infer_sensor
     from viewshed.sensors import lidar_model
 
     if sensor == AUTO:

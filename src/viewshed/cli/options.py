@@ -106,7 +106,7 @@ def _told(problems: list[str], line: str) -> None:
 
 def with_inferred_sensor(sweep: Sweep) -> Sweep:
     """Return the sweep with the beam table that explains it, or as it is where none does."""
-    from viewshed.beams import infer_sensor
+    from viewshed.inference import infer_sensor
 
     if sweep.model is not None:
         return sweep

@@ -19,7 +19,8 @@ from viewshed.labels.image import BeamImage, beam_image
 from viewshed.labels.motion import Drift
 from viewshed.labels.stop_kernels import OPEN, SURFACE
 from viewshed.labels.stops import Stops, stops_of
-from viewshed.level import EGO_BOX_M, EGO_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.level import LevelSweep, level_sweep
+from viewshed.level_kernels import EGO_BOX_M, EGO_HEIGHTS_M
 from viewshed.sim.truth_bins import BLOCKS, RETURNS, stop_limits
 from viewshed.sim.truth_kernels import mark_stops
 from viewshed.sweep import Sweep

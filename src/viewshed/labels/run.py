@@ -9,7 +9,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from viewshed.beams import infer_sensor
 from viewshed.datasets.archive import Archive
 from viewshed.datasets.archive_source import ArchiveSource, is_archive
 from viewshed.datasets.frame import Frame
@@ -22,6 +21,7 @@ from viewshed.datasets.sources import open_source
 from viewshed.datasets.store import Store
 from viewshed.datasets.writer import FRAMES_PER_SHARD
 from viewshed.engines import Engine
+from viewshed.inference import infer_sensor
 from viewshed.labels.labeller import TARGETS, Rules
 from viewshed.labels.track import Track
 from viewshed.sensors import LidarModel, lidar_model

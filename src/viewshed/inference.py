@@ -1,0 +1,136 @@
+"""What a cloud tells of the sensor that measured it: the beam table that explains it, and the ring of each return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.beam_kernels import polar, ring_medians
+from viewshed.beams import EXPLAINED, NEAR_M, Angles, match_beams, rings_by_order
+from viewshed.geometry import FloatArray
+from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sweep import Sweep
+
+SAMPLE = 16_384
+"""Returns by which a sensor is told."""
+_SURE = 0.5
+_CROWDED = 1.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What is known of a sweep's beams.
+
+    Attributes:
+        ring: (N,) int16 beam of each return, 0 the lowest, -1 where no beam explains it; None where nothing tells.
+        model: the sensor, or None where nothing tells.
+    """
+
+    ring: NDArray[np.int16] | None
+    model: LidarModel | None
+
+
+NOTHING_TOLD = Told(None, None)
+
+
+def told_rings(sweep: Sweep) -> Told:
+    """Return the sweep's own rings and sensor; where it has none, those that its points tell.
+
+    Rings come from the order of the points, else from the nearest beam of the sensor, which :func:`infer_sensor` finds
+    if it is not known. Neither is guessed: a cloud that no beam table explains has none.
+    """
+    if len(sweep) == 0 or (sweep.ring is not None and sweep.model is not None):
+        return Told(sweep.ring, sweep.model)
+    if sweep.ring is not None:
+        model = infer_sensor(sweep.points, sweep.ring)[0]
+        fits = model is not None and int(sweep.ring.max()) < model.rings
+        return Told(sweep.ring, model if fits else None)
+    azimuth, slope, range_m = polar(sweep.points)
+    ordered, model = rings_by_order(azimuth, slope), sweep.model
+    if model is None:
+        chosen = _sample(len(sweep))
+        few = None if ordered is None else ordered[chosen]
+        model = _best(slope[chosen], range_m[chosen], few, len(sweep))[0]
+    if ordered is not None and (model is None or int(ordered.max()) < model.rings):
+        return Told(ordered, model)
+    if model is None:
+        return Told(None, None)
+    match = match_beams(slope, range_m, model)
+    return Told(match.ring if match.excess >= EXPLAINED else None, model)
+
+
+def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
+    """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
+
+    The score is the share of returns near a beam, less what chance would give, times the share of the table's beams
+    that were hit. Where the rings are known (given, or told by the order of the points) it is the larger of that and
+    the share of returns whose ring lies, in the median, where the table has it. A score of at least 0.3 explains the
+    cloud (a moving sensor's points lie beside its beams), below 0.5 only if no ring has more returns than columns: two
+    sensors in one frame are none. Of large clouds ``SAMPLE`` returns are looked at, drawn by a fixed seed.
+
+    >>> infer_sensor(np.zeros((0, 3)))
+    (None, 0.0)
+    """
+    points = np.ascontiguousarray(points, dtype=np.float32)
+    if ring is None:
+        azimuth, slope, _ = polar(points)
+        ring = rings_by_order(azimuth, slope)
+    chosen = _sample(len(points))
+    _, slope, range_m = polar(points[chosen])
+    return _best(slope, range_m, None if ring is None else np.asarray(ring[chosen], np.int16), len(points))
+
+
+def _sample(count: int) -> slice | NDArray[np.int64]:
+    if count <= SAMPLE:
+        return slice(None)
+    return np.random.default_rng(0).integers(count, size=SAMPLE)
+
+
+def _best(
+    slope: Angles, range_m: Angles, ring: NDArray[np.int16] | None, count: int
+) -> tuple[LidarModel | None, float]:
+    """Return the best table for a sample of ``count`` returns and its score, None where it explains too little."""
+    best: LidarModel | None = None
+    best_score = 0.0
+    for name in sensor_names():
+        model = lidar_model(name)
+        score = _cluster_score(slope, range_m, model)
+        if ring is not None:
+            score = max(score, _ring_score(ring, slope, range_m, model))
+        if score > best_score:
+            best, best_score = model, score
+    if best is None or best_score < EXPLAINED or (best_score < _SURE and _crowded(slope, range_m, best, count)):
+        return None, best_score
+    return best, best_score
+
+
+def _crowded(slope: Angles, range_m: Angles, model: LidarModel, count: int) -> bool:
+    """Return whether the median of the table's rings would hold clearly more returns than a revolution has columns."""
+    ring = match_beams(slope, range_m, model).ring
+    sizes = np.bincount(ring[ring >= 0], minlength=model.rings) * (count / max(len(slope), 1))
+    return bool(np.median(sizes) > _CROWDED * model.azimuth_columns)
+
+
+def _cluster_score(slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return ``excess`` times the share of beams that were hit, among those inside the elevations of the returns."""
+    match = match_beams(slope, range_m, model)
+    hit = match.hits > max(2.0, 0.02 * match.hits.sum() / model.rings)
+    if not hit.any():
+        return 0.0
+    first, last = np.flatnonzero(hit)[[0, -1]]
+    return match.excess * float(hit[first : last + 1].mean())
+
+
+def _ring_score(ring: NDArray[np.int16], slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return the share of returns whose ring's median lies within half a gap, and 0.5°, of the table's beam."""
+    rings = int(ring.max(initial=0)) + 1
+    if len(ring) == 0 or rings != model.rings:
+        return 0.0
+    corrected = slope - (model.origin_m[ring] / np.maximum(range_m, NEAR_M)).astype(np.float32)
+    medians = np.arctan(ring_medians(ring, np.where(range_m > NEAR_M, corrected, np.nan), rings))
+    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
+    limit = np.minimum(np.minimum(gap[:-1], gap[1:]) / 2, np.deg2rad(0.5))
+    return float((np.abs(medians - model.elevation) < limit)[ring].mean())
