@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from viewshed.inference import Told
 from viewshed.missing_kernels import place, silent_columns
 
+Floats = NDArray[np.float32]
+
 ALIKE = 1.25
 """Two ranges are alike if their ratio is below this."""
 BESIDE = 8
@@ -29,12 +31,19 @@ _MOST_RING = 1.05
 """... this share. A few rings with points added do not matter."""
 USUAL_COLUMNS = 1024
 """Columns of a revolution where the sensor is not known."""
-CLUTTERED = ((0.02, 2), (0.12, 4))
-"""Shares of lone returns from which on so many returns around one must be alike."""
+CLUTTERED = 0.02
+"""A sweep with a larger share of lone returns is cluttered: ..."""
+BY_CHANCE = 0.01
+"""... so many of its random returns may be confirmed by chance, and all others are clutter."""
 CONFIRMING = 1.1
-"""Those are alike if the ratio of the ranges is below this, ..."""
+"""A return confirms another one if the ratio of their ranges is below this, ..."""
 _AROUND_RINGS, _AROUND_COLUMNS = 1, 4
-"""... and lie at most so many rings and columns away."""
+"""... and it lies at most so many rings and columns away."""
+_AROUND = (2 * _AROUND_RINGS + 1) * (2 * _AROUND_COLUMNS + 1) - 1
+_LEAST_ALIKE = 2
+_BINS = 128
+_FOUND_LONE = 0.6
+"""About so many of the returns at random ranges are lone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,21 +101,40 @@ def placed(
     full = sizes[sizes >= _FULL_RING * shape[1]]
     fits = bool(full.size and np.median(full) <= _MOST_RING * shape[1])
     found = Placed(column, phase, counts, lone, behind, fits)
-    least = _least_alike(lone)
-    return _without_clutter(found, ring, _alike(points, (ring, column), limits, nearest2) < least) if least else found
+    if np.count_nonzero(lone) <= CLUTTERED * len(lone):
+        return found
+    return _without_clutter(found, (points, ring), limits, nearest2)
 
 
-def _least_alike(lone: NDArray[np.bool_]) -> int:
-    """Return how many returns around one must be alike in a sweep with these lone returns; 0 where none need be."""
-    share = np.count_nonzero(lone) / max(len(lone), 1)
-    return max((least for over, least in CLUTTERED if share > over), default=0)
+def _without_clutter(
+    found: Placed, returns: tuple[NDArray[np.float32], NDArray[np.int16]], limits: Floats, nearest2: Floats
+) -> Placed:
+    """Return the places without clutter.
+
+    Returns at random ranges confirm each other by chance, and the more so the more of them have like ranges: their
+    number around a return is Poisson with the mean that the lone returns tell. A return is clutter unless more confirm
+    it than ``BY_CHANCE`` allows (an a contrario test, Desolneux et al. 2000).
+    """
+    points, ring = returns
+    range_m, alike = _alike(points, (ring, found.column), limits, nearest2)
+    step = np.log(np.maximum(range_m, limits[0]) / limits[0]) * np.float32(1.0 / np.log(CONFIRMING))
+    bins = np.minimum(step.astype(np.intp), _BINS - 1)
+    tally = np.convolve(np.bincount(bins[found.lone], minlength=_BINS), [0.5, 1.0, 0.5], "same")
+    least = _least_alike(tally * (_AROUND / (_FOUND_LONE * found.counts.size)))
+    clutter = (alike < least[bins]) & (found.column >= 0)
+    left = taken_out(found, ring, clutter)
+    lone, behind, again = clutter.copy(), np.zeros_like(clutter), np.full_like(nearest2, np.inf)
+    _mark(points, (ring, left.column), silent_columns(left.counts), limits, again, (lone, behind))
+    return replace(left, lone=lone, behind=behind, clutter=clutter)
 
 
-def _without_clutter(found: Placed, ring: NDArray[np.int16], denied: NDArray[np.bool_]) -> Placed:
-    """Return the places without clutter: returns that were ``denied`` (N,) and have a pixel."""
-    clutter = denied & (found.column >= 0)
-    lone, behind = found.lone | clutter, found.behind & ~clutter
-    return replace(taken_out(found, ring, clutter), lone=lone, behind=behind, clutter=clutter)
+def _least_alike(mean: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the least number that a Poisson variable of each mean (…) reaches with at most ``BY_CHANCE``."""
+    numbers = np.arange(1, _AROUND + 1)
+    terms = np.cumprod(np.concatenate([np.ones((*mean.shape, 1)), mean[..., None] / numbers], axis=-1), axis=-1)
+    below = np.exp(-mean)[..., None] * np.cumsum(terms, axis=-1)  # P(N < number), from number 1 on
+    least: NDArray[np.intp] = 1 + (1.0 - below > BY_CHANCE).sum(axis=-1)
+    return np.maximum(least, _LEAST_ALIKE)
 
 
 def taken_out(found: Placed, ring: NDArray[np.int16], out: NDArray[np.bool_]) -> Placed:
@@ -143,12 +171,15 @@ def _mark(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _alike(points: Any, pixel: Any, limits: Any, nearest2: Any) -> Any:  # pragma: no cover - compiled
-    """Return how many of the pixels around each point's hold a return at a like range (N,); many for unusable ones."""
+    """Return each point's range (N,), and how many pixels around its own hold a return at a like one (N,).
+
+    Unusable points have range 0 and very many.
+    """
     ring, column = pixel
     rings, columns = nearest2.shape
     near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
     down, up = np.float32(1.0 / CONFIRMING**2), np.float32(CONFIRMING**2)
-    alike = np.full(points.shape[0], 255, np.uint8)
+    range_m, alike = np.zeros(points.shape[0], np.float32), np.full(points.shape[0], 255, np.uint8)
     for n in range(points.shape[0]):
         d2 = points[n, 0] * points[n, 0] + points[n, 1] * points[n, 1] + points[n, 2] * points[n, 2]
         if d2 < near2 or d2 > far2 or column[n] < 0:
@@ -158,8 +189,8 @@ def _alike(points: Any, pixel: Any, limits: Any, nearest2: Any) -> Any:  # pragm
             for q in range(c - _AROUND_COLUMNS, c + _AROUND_COLUMNS + 1):
                 at = q + columns if q < 0 else (q - columns if q >= columns else q)
                 found += (p != r or q != c) and _between(nearest2[p, at], d2 * down, d2 * up)
-        alike[n] = found
-    return alike
+        range_m[n], alike[n] = np.sqrt(d2), found
+    return range_m, alike
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
