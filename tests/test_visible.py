@@ -7,7 +7,7 @@ from scipy.stats import poisson
 
 from viewshed.bev import BevGrid
 from viewshed.ground import Ground
-from viewshed.visible import CAR, PEDESTRIAN, Beams, Target, expected_returns, probability_of_visible
+from viewshed.visible import CAR, PEDESTRIAN, Beams, Target, expected_returns, probability_of_visible, returns_by_kind
 
 GRID = BevGrid(32, 16.0, (2.0, -1.0))
 
@@ -40,6 +40,25 @@ def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, targ
         assert abs(returns[cell] - reach) <= 1 + np.sqrt(reach)
         # `aimed` is averaged over neighboring sectors, so random beams differ from the window's own by chance
         assert abs(aimed[cell] - aim) <= 4 + 4 * np.sqrt(aim)
+
+
+def test_kinds_of_beams_are_counted_each_alone_and_as_often_as_one_asks() -> None:
+    rng = np.random.default_rng(6)
+    kinds = [_random_beams(rng, 4000), _random_beams(rng, 0), _random_beams(rng, 900)]
+    found = returns_by_kind(kinds, 1.8, Ground.flat(20.0), GRID, CAR)
+    for _ in range(2):
+        alone = [expected_returns(beams, 1.8, Ground.flat(20.0), GRID, CAR)[0] for beams in kinds]
+        assert np.array_equal(found, np.stack(alone))
+    assert found[0].max() > found[2].max() > 0
+    assert not found[1].any()
+
+
+def test_a_beam_above_every_target_counts_nowhere() -> None:
+    up = Beams(np.zeros(50, np.float32), np.full(50, 0.5, np.float32), np.full(50, np.inf, np.float32))
+    straight = Beams(up.azimuth, np.full(50, np.inf, np.float32), up.depth_m)
+    assert not returns_by_kind([up, straight], 1.8, Ground.flat(20.0), GRID, CAR)[:, :20].any()
+    low = Beams(up.azimuth, np.full(50, -0.1, np.float32), up.depth_m)
+    assert returns_by_kind([low], 1.8, Ground.flat(20.0), GRID, CAR).any()
 
 
 def test_a_wall_ahead_hides_only_what_is_behind_it() -> None:

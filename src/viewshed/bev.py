@@ -92,10 +92,12 @@ class BevGrid:
         *,
         max_range_m: float = np.inf,
         height_m: tuple[float, float] = (-np.inf, np.inf),
+        null_range_m: float = 0.0,
     ) -> NDArray[np.int32]:
         """Return (cells, cells) int32 counts of points (N, 3) after the transform to ``level``.
 
-        Points farther than ``max_range_m`` (horizontal) or outside ``height_m`` (z in ``level``) are left out.
+        Points farther than ``max_range_m`` (horizontal) or outside ``height_m`` (z in ``level``) are left out, and so
+        are null returns: nearer than ``null_range_m`` to the origin of ``points``.
 
         >>> int(BevGrid(4, 2.0).count(np.array([[0.5, 0.5, 0.0], [9.0, 0.0, 0.0]])).sum())
         1
@@ -107,7 +109,7 @@ class BevGrid:
             transform.rotation.astype(np.float32),
             transform.translation.astype(np.float32),
             np.array([*self.origin_m, 1.0 / self.cell_m, self.cells], np.float32),
-            np.array([*height_m, min(max_range_m, 1e18) ** 2], np.float32),
+            np.array([*height_m, min(max_range_m, 1e18) ** 2, null_range_m**2], np.float32),
             counts,
         )
         return counts
@@ -133,7 +135,7 @@ def _cells(
     points: Any, rotation: Any, translation: Any, lattice: Any, limits: Any, cells: Any
 ) -> None:  # pragma: no cover - compiled
     x0, y0, per_m, last = lattice
-    low, high, max_range2 = limits
+    low, high, max_range2, null2 = limits
     xx, xy, xz, x_off = rotation[0, 0], rotation[0, 1], rotation[0, 2], translation[0]
     yx, yy, yz, y_off = rotation[1, 0], rotation[1, 1], rotation[1, 2], translation[1]
     zx, zy, zz, z_off = rotation[2, 0], rotation[2, 1], rotation[2, 2], translation[2]
@@ -144,9 +146,8 @@ def _cells(
         y = yx * px + yy * py + yz * pz + y_off
         z = zx * px + zy * py + zz * pz + z_off
         u, v = (x - x0) * per_m, (y - y0) * per_m
-        inside = (
-            (u >= 0) & (v >= 0) & (u < last) & (v < last) & (z >= low) & (z <= high) & (x * x + y * y <= max_range2)
-        )
+        inside = (u >= 0) & (v >= 0) & (u < last) & (v < last) & (z >= low) & (z <= high)
+        inside &= (x * x + y * y <= max_range2) & (px * px + py * py + pz * pz >= null2)
         i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
         cells[k] = i * side + j if inside else np.int32(-1)
 

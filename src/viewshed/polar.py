@@ -66,6 +66,12 @@ class Crop:
         columns = {name: getattr(level, name)[keep] for name in ("points", "range_m", "azimuth", "height_m", "rows")}
         return replace(level, **columns)
 
+    def any_on(self, level: LevelSweep, grid: BevGrid) -> bool:
+        """Return whether a return that counts lies on ``grid``."""
+        limits = np.array([self.max_range_m, *self.height_m, level.sensor_height_m], np.float32)
+        lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells])
+        return bool(_any_on(level.points, level.range_m, limits, lattice))
+
 
 ALL_RETURNS = Crop()
 """No crop."""
@@ -111,6 +117,9 @@ def bins_of_cells(grid: BevGrid, bins: int) -> NDArray[np.int16]:
 def farthest_in_bins(level: LevelSweep, bins: int, drop: int = 0) -> NDArray[np.float32]:
     """Return the range (bins,) in metres of the farthest return but ``drop`` in each azimuth bin; -1 where none."""
     best = np.full((bins, drop + 1), -1.0, np.float32)
+    if drop == 0:
+        _farthest(level.azimuth, level.range_m, best[:, 0])
+        return best[:, 0]
     _largest(level.azimuth, level.range_m, best)
     return best[:, drop]
 
@@ -177,6 +186,19 @@ def fov_of_state(level: LevelSweep, grid: BevGrid, state: NDArray[np.uint8], nam
     )
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _any_on(points: Any, range_m: Any, limits: Any, lattice: Any) -> Any:  # pragma: no cover - compiled
+    far, low, high, sensor = limits
+    x0, y0, per_m, cells = lattice
+    for n in range(points.shape[0]):
+        z = points[n, 2] - sensor
+        if range_m[n] <= far and low <= z <= high:
+            u, v = (points[n, 0] - x0) * per_m, (points[n, 1] - y0) * per_m
+            if 0 <= u < cells and 0 <= v < cells:
+                return True
+    return False
+
+
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
     position = int((np.float64(azimuth) + np.pi) * (bins / (2.0 * np.pi)))
@@ -187,6 +209,13 @@ def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
 def _occupy(azimuth: Any, occupied: Any) -> None:  # pragma: no cover - compiled
     for n in range(azimuth.shape[0]):
         occupied[_bin(azimuth[n], occupied.shape[0])] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _farthest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover - compiled
+    for n in range(azimuth.shape[0]):
+        b = _bin(azimuth[n], best.shape[0])
+        best[b] = max(best[b], range_m[n])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

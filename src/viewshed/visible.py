@@ -5,6 +5,7 @@ A cell is visible to a sweep if a target standing there would have given at leas
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +26,8 @@ _GROUND_SECTORS = 128
 _SLOPE_BINS = 512
 _SLOPE_LIMIT = 1.0
 _BELOW_GROUND_M = 0.3
+_KEPT = threading.local()
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +99,9 @@ def expected_returns(
     below ground, the tolerance of a measured ground.
     """
     limits = _slope_limits(sensor_height_m, ground, grid, target)
-    reached = _reached(beams.azimuth, beams.slope, beams.depth_m, *limits, np.float32(grid.cell_m))
     aimed = _aimed(beams.azimuth, beams.slope, *limits)
     aims = windows_of(grid, target.width_m, _GROUND_SECTORS).sums(aimed, grid)
-    return _returns(reached, grid, target), aims
+    return _returns(beams, limits, grid, target), aims
 
 
 def returns_by_kind(
@@ -109,15 +111,28 @@ def returns_by_kind(
 
     As :func:`expected_returns` counts them: over disjoint sets they add up to what it gives for all beams.
     """
-    limits, cell_m = _slope_limits(sensor_height_m, ground, grid, target), np.float32(grid.cell_m)
-    reached = (_reached(beams.azimuth, beams.slope, beams.depth_m, *limits, cell_m) for beams in kinds)
-    return np.stack([_returns(each, grid, target) for each in reached])
+    limits = _slope_limits(sensor_height_m, ground, grid, target)
+    return np.stack([_returns(beams, limits, grid, target) for beams in kinds])
 
 
-def _returns(reached: NDArray[np.float32], grid: BevGrid, target: Target) -> NDArray[np.float32]:
+def _returns(beams: Beams, limits: tuple[Floats, Floats], grid: BevGrid, target: Target) -> Floats:
+    if not len(beams.azimuth):
+        return np.zeros(grid.shape, np.float32)
+    reached = _room((AZIMUTH_COLUMNS + 1, range_bins(grid)))
+    _reached((beams.azimuth, beams.slope, beams.depth_m), *limits, np.float32(grid.cell_m), reached)
     counts = windows_of(grid, target.width_m, AZIMUTH_COLUMNS).sums(reached, grid)
-    returns: NDArray[np.float32] = np.maximum(counts, np.float32(0.0), out=counts)
+    returns: Floats = np.maximum(counts, np.float32(0.0), out=counts)
     return returns
+
+
+def _room(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return zeros in memory that this thread uses again and again: to ask for megabytes anew costs page faults."""
+    size = int(np.prod(shape))
+    if len(getattr(_KEPT, "room", ())) < size:
+        _KEPT.room = np.empty(size, np.float32)
+    found: NDArray[np.float32] = _KEPT.room[:size].reshape(shape)
+    found.fill(0.0)
+    return found
 
 
 def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
@@ -167,14 +182,17 @@ def _polar_lattice(bins: int, cell_m: float) -> tuple[NDArray[np.float32], NDArr
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _reached(azimuth: Any, slope: Any, depth: Any, bottom: Any, top: Any, cell_m: Any) -> Any:  # pragma: no cover
-    """Beams that reach (column, range bin), summed over the columns before: (columns + 1, bins)."""
+def _reached(beams: Any, bottom: Any, top: Any, cell_m: Any, counts: Any) -> None:  # pragma: no cover - compiled
+    """Beams that reach (column, range bin), summed over the columns before, into zeros (columns + 1, bins)."""
+    azimuth, slope, depth = beams
     sectors, bins = top.shape
-    counts = np.zeros((AZIMUTH_COLUMNS + 1, bins), np.float32)
+    highest = np.array([row.max() for row in top])
     per_rad = np.float32(AZIMUTH_COLUMNS / (2 * np.pi))
     for n in range(azimuth.shape[0]):
         column = min(max(int((azimuth[n] + np.float32(np.pi)) * per_rad), 0), AZIMUTH_COLUMNS - 1)
         sector = column * sectors // AZIMUTH_COLUMNS
+        if slope[n] > highest[sector]:
+            continue
         last = int(min(depth[n] / cell_m + np.float32(0.5), np.float32(bins - 1)))
         row, low, high, s = counts[column + 1], bottom[sector], top[sector], slope[n]
         for k in range(last + 1):
@@ -182,7 +200,6 @@ def _reached(azimuth: Any, slope: Any, depth: Any, bottom: Any, top: Any, cell_m
     for column in range(AZIMUTH_COLUMNS):
         for k in range(bins):
             counts[column + 1, k] += counts[column, k]
-    return counts
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

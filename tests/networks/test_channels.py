@@ -12,9 +12,10 @@ from viewshed.estimators import ESTIMATORS
 from viewshed.geometry import Rigid
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.missing import told_beams
-from viewshed.networks.channels import CHANNELS, MOST_RETURNS, Shown, maps_of, returns_code
+from viewshed.networks.channels import CHANNELS, FARTHEST_M, MOST_RETURNS, Shown, away_code, maps_of, returns_code
 from viewshed.networks.shape import UNetShape
 from viewshed.networks.spec import NetworkCard
+from viewshed.polar import bins_of_cells
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, returns_by_kind
 
@@ -69,6 +70,20 @@ def test_codes_ascend_with_the_returns() -> None:
     assert (np.diff(codes) >= 0).all()
     around = returns_code(np.arange(2, 12, dtype=np.float32)).astype(int)
     assert (np.diff(around) >= 4).all()
+
+
+def test_the_code_of_a_limit_is_that_of_its_distance() -> None:
+    """Tables give what the logarithm does, cell by cell, also where one code ends and the next begins."""
+    rng, seen = np.random.default_rng(2), shown(level_sweep(Sweep(np.zeros((0, 3), np.float32)), GRID))
+    bins, range_m = bins_of_cells(GRID, seen.bins), polar_of_cells(GRID)[0]
+    edges = np.expm1(np.arange(1, 254, 2) * np.log1p(FARTHEST_M) / 254)
+    for limit_m in (
+        rng.uniform(-1.0, 200.0, seen.bins),
+        rng.choice([-1.0, np.inf], seen.bins),
+        rng.choice(range_m.reshape(-1), seen.bins) + rng.choice(edges, seen.bins) * rng.choice([-1, 1], seen.bins),
+    ):
+        limit = limit_m.astype(np.float32)
+        assert np.array_equal(seen.beyond(limit), away_code(limit[bins] - range_m))
 
 
 def test_limits_are_where_their_code_crosses_the_middle() -> None:

@@ -5,28 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.estimate import CellState, FovEstimate
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.level import LevelSweep, level_sweep
+from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.spec import NetworkCard, Runner
-from viewshed.polar import (
-    Crop,
-    bins_of_cells,
-    measured_azimuth_bins,
-    nearest_obstacle_in_bins,
-    reach_of,
-)
+from viewshed.polar import Crop, bins_of_cells, reach_of
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
 
 PASSES = 20
 """Passes of Monte Carlo dropout where none are asked for."""
 _MAX_PASSES = 1000
+_UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
+    int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
+)  # fmt: skip
 
 
 class UnetEstimator:
@@ -82,13 +82,12 @@ class UnetEstimator:
 
     def estimate_level(self, level: LevelSweep) -> FovEstimate:
         """Return the estimate for a sweep that is already levelled."""
-        usable = Crop(self.card.max_range_m, self.card.heights_m).apply(level)
         prob, std = np.zeros(self.grid.shape, np.float32), None
         state = np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
-        if self.grid.index(usable.points)[1].any():
-            prob, std = self.probability(self.card.input_of_level(level))
-            prob = np.where(polar_of_cells(self.grid)[0] <= self.card.max_range_m, prob, np.float32(0.0))
-            state = self._state(level, prob)
+        if Crop(self.card.max_range_m, self.card.heights_m).any_on(level, self.grid):
+            seen = self.card.seen(level)
+            told, std = self.probability(self.card.shown(maps_of(self.card.inputs, seen)))
+            self._claim(seen, told, prob, state)
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
@@ -110,16 +109,14 @@ class UnetEstimator:
             return prob[0], std[0]
         return self.runner.run(inputs[None], self._masks)[0], None
 
-    def _state(self, level: LevelSweep, prob: NDArray[np.float32]) -> NDArray[np.uint8]:
-        range_m, _ = polar_of_cells(self.grid)
-        bins = measured_azimuth_bins(level.azimuth)
-        blocker_m = nearest_obstacle_in_bins(level, bins, 1, OBSTACLE_HEIGHTS_M)[bins_of_cells(self.grid, bins)]
-        hidden = (range_m > blocker_m) & (range_m <= min(reach_of(level), self.card.max_range_m))
-        state = np.where(hidden, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-        visible = prob >= np.float32(self.card.threshold)
-        state[visible] = CellState.FREE
-        state[visible & level.obstacle_cells(self.grid)] = CellState.SURFACE
-        return state
+    def _claim(
+        self, seen: Shown, told: NDArray[np.float32], prob: NDArray[np.float32], state: NDArray[np.uint8]
+    ) -> None:
+        """Fill in probability and state (cells, cells), both of nothing so far, from what the network ``told``."""
+        reach_m = min(reach_of(seen.level), self.card.max_range_m)
+        limits = np.array([self.card.max_range_m, reach_m, self.card.threshold], np.float32)
+        cells = bins_of_cells(self.grid, seen.bins), polar_of_cells(self.grid)[0], seen.level.obstacle_cells(self.grid)
+        _claims(told, cells, seen.blocker_m, limits, prob, state)
 
 
 LEARNED: dict[str, Callable[[Runner], UnetEstimator]] = {
@@ -162,3 +159,17 @@ def learned(
     runner = load_runner(default_name(method, grid, target) if weights is None else weights)
     runner.card.require(grid, target)
     return UnetEstimator(runner, passes or PASSES if method == "mcd" else 1, seed, method)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _claims(told: Any, cells: Any, blocker_m: Any, limits: Any, prob: Any, state: Any) -> None:  # pragma: no cover
+    bins, range_m, obstacle = cells
+    most, reach, threshold = limits
+    for i in range(state.shape[0]):
+        for j in range(state.shape[1]):
+            r = range_m[i, j]
+            p = told[i, j] if r <= most else np.float32(0.0)
+            hidden = (r > blocker_m[bins[i, j]]) & (r <= reach)
+            visible = _SURFACE if obstacle[i, j] else _FREE
+            prob[i, j] = p
+            state[i, j] = visible if p >= threshold else (_HIDDEN if hidden else _UNKNOWN)

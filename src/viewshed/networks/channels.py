@@ -29,6 +29,7 @@ MOST_RETURNS = 127
 FARTHEST_M = 100.0
 """Distances that ``blocker``, ``farthest`` and ``range`` tell apart."""
 _STEPS = 16
+_STEPS_A_METRE = 32
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
@@ -69,12 +70,50 @@ class Shown:
         """Azimuth bins."""
         return measured_azimuth_bins(self.level.azimuth)
 
+    @cached_property
+    def blocker_m(self) -> Floats:
+        """(bins,) range in metres of the nearest obstacle of each azimuth bin; inf where none."""
+        return nearest_obstacle_in_bins(self.level, self.bins, 1, OBSTACLE_HEIGHTS_M)
+
+    @cached_property
+    def farthest_m(self) -> Floats:
+        """(bins,) range in metres of the farthest return of each azimuth bin; -1 where none."""
+        return farthest_in_bins(self.level, self.bins)
+
     def beyond(self, limit_m: Floats) -> Bytes:
         """Return the code (cells, cells) of how far a limit (bins,) lies beyond each cell; 128 where they meet."""
-        away = limit_m[bins_of_cells(self.grid, self.bins)] - polar_of_cells(self.grid)[0]
-        size = np.log1p(np.minimum(np.abs(away), np.float32(FARTHEST_M))) * np.float32(127.0 / np.log1p(FARTHEST_M))
-        code: Bytes = (np.float32(128.5) + np.copysign(size, away)).astype(np.uint8)
+        code = np.empty(self.grid.shape, np.uint8)
+        _beyond(limit_m, bins_of_cells(self.grid, self.bins), polar_of_cells(self.grid)[0], *_away_table(), code)
         return code
+
+
+def away_code(away_m: Floats) -> Bytes:
+    """Return the code (…) of signed distances (…): 128.5, more or less their logarithm, cut to a whole number.
+
+    >>> away_code(np.array([-np.inf, -1.0, 0.0, 1.0, np.inf], np.float32)).tolist()
+    [1, 109, 128, 147, 255]
+    """
+    size = np.log1p(np.minimum(np.abs(away_m), np.float32(FARTHEST_M))) * np.float32(127.0 / np.log1p(FARTHEST_M))
+    code: Bytes = (np.float32(128.5) + np.copysign(size, away_m)).astype(np.uint8)
+    return code
+
+
+@lru_cache(maxsize=1)
+def _away_table() -> tuple[NDArray[np.int32], Floats]:
+    """Return the code at each step of distance from -``FARTHEST_M`` on, and the distances (257,) where codes begin.
+
+    A step is shorter than any code is wide, so that a distance has the code of its step or the next one.
+    """
+    ends = np.array([-FARTHEST_M, FARTHEST_M], np.float32)
+    low, high = np.full(256, ends[0]), np.full(256, ends[1])
+    codes = np.arange(256)
+    for _ in range(64):
+        middle = (low + high) / np.float32(2.0)
+        reached = away_code(middle) >= codes
+        low, high = np.where(reached, low, middle), np.where(reached, middle, high)
+    steps = np.arange(int(2 * FARTHEST_M) * _STEPS_A_METRE + 1, dtype=np.float32) / np.float32(_STEPS_A_METRE) + ends[0]
+    table = away_code(np.maximum(steps - np.float32(1e-4), ends[0])).astype(np.int32)
+    return table, np.append(high, np.float32(np.inf))
 
 
 def returns_code(returns: Floats) -> Bytes:
@@ -83,8 +122,8 @@ def returns_code(returns: Floats) -> Bytes:
     >>> returns_code(np.array([0.0, 5.0, 1000.0], np.float32)).tolist()
     [0, 94, 255]
     """
-    table = _returns_table()
-    code: Bytes = table[np.minimum(returns * np.float32(_STEPS), np.float32(len(table) - 1)).astype(np.int32)]
+    code = np.empty(returns.shape, np.uint8)
+    _looked_up(np.ascontiguousarray(returns, np.float32).reshape(-1), _returns_table(), code.reshape(-1))
     return code
 
 
@@ -101,10 +140,6 @@ def _range_code(grid: BevGrid) -> Bytes:
     return code
 
 
-def _blocker(shown: Shown) -> Bytes:
-    return shown.beyond(nearest_obstacle_in_bins(shown.level, shown.bins, 1, OBSTACLE_HEIGHTS_M))
-
-
 CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "counts": lambda shown: shown.counts,
     "lowest": lambda shown: shown.heights[0],
@@ -112,8 +147,8 @@ CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "confirmed": lambda shown: returns_code(shown.returns[0]),
     "expected": lambda shown: returns_code(shown.returns[0] + shown.returns[1]),
     "unexplained": lambda shown: returns_code(shown.returns[2]),
-    "blocker": _blocker,
-    "farthest": lambda shown: shown.beyond(farthest_in_bins(shown.level, shown.bins)),
+    "blocker": lambda shown: shown.beyond(shown.blocker_m),
+    "farthest": lambda shown: shown.beyond(shown.farthest_m),
     "range": lambda shown: _range_code(shown.grid),
 }
 """The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
@@ -137,3 +172,21 @@ def _heights(points: Any, height: Any, lattice: Any, lowest: Any, highest: Any) 
             code = np.uint8(1 + int(min(max(height[n] - bottom, np.float32(0.0)), top - bottom) * scale))
             highest[i, j] = max(highest[i, j], code)
             lowest[i, j] = code if lowest[i, j] == 0 else min(lowest[i, j], code)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beyond(limit_m: Any, bins: Any, range_m: Any, table: Any, begins: Any, codes: Any) -> None:  # pragma: no cover
+    most, per_m = np.float32(FARTHEST_M), np.float32(_STEPS_A_METRE)
+    for i in range(codes.shape[0]):
+        for j in range(codes.shape[1]):
+            away = limit_m[bins[i, j]] - range_m[i, j]
+            near = min(max(away, -most), most)
+            code = table[np.uint32((near + most) * per_m)]
+            codes[i, j] = code + np.int32(near >= begins[np.uint32(code + 1)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _looked_up(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+    steps, last = np.float32(_STEPS), np.float32(table.shape[0] - 1)
+    for n in range(returns.shape[0]):
+        codes[n] = table[np.int32(min(returns[n] * steps, last))]

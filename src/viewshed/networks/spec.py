@@ -102,13 +102,18 @@ class NetworkCard:
 
     def input_of_level(self, level: LevelSweep) -> NDArray[np.float32]:
         """Return the network's input (channels, cells, cells) of a sweep that is already levelled."""
-        return self.shown(self._maps_of_level(level))
+        return self.shown(maps_of(self.inputs, self.seen(level)))
+
+    def seen(self, level: LevelSweep) -> Shown:
+        """Return what the channels of a levelled sweep are made of, of which :func:`maps_of` makes those asked for."""
+        counts = self._clipped(level.sweep.points, level.level_from_sensor.rotation)
+        return Shown(level, self.grid, TARGETS[self.target], counts)
 
     def maps_of(self, sweep: Sweep) -> Bytes:
         """Return what the network is shown of ``sweep`` as bytes (channels, cells, cells); see :meth:`shown`."""
         attitude = sweep.known_attitude
         if attitude is None or self.inputs != ("counts",):
-            return self._maps_of_level(level_sweep(sweep, self.grid))
+            return maps_of(self.inputs, self.seen(level_sweep(sweep, self.grid)))
         return self._clipped(sweep.points, rotation_from_quaternion(attitude))[None]
 
     def shown(self, maps: Bytes) -> NDArray[np.float32]:
@@ -127,21 +132,15 @@ class NetworkCard:
         shown = np.log1p(each) / np.log1p(self.clip) if self.counts == "log" else each / self.divisor
         return shown.astype(np.float32)
 
-    def _maps_of_level(self, level: LevelSweep) -> Bytes:
-        counts = self._clipped(level.sweep.points, level.level_from_sensor.rotation)
-        return maps_of(self.inputs, Shown(level, self.grid, TARGETS[self.target], counts))
-
     def _clipped(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> Bytes:
-        counts = self._counts(points, rotation)
-        near = np.flatnonzero((np.abs(points[:, 0]) < NULL_RANGE_M) & (np.abs(points[:, 1]) < NULL_RANGE_M))
-        null = near[np.square(points[near]).sum(axis=1) < NULL_RANGE_M**2]
-        if len(null):
-            counts = counts - self._counts(points[null], rotation)
+        counts = self.grid.count(
+            points,
+            Rigid(rotation, np.zeros(3)),
+            max_range_m=self.max_range_m,
+            height_m=self.heights_m,
+            null_range_m=NULL_RANGE_M,
+        )
         return np.minimum(counts, self.clip).astype(np.uint8)
-
-    def _counts(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.int32]:
-        level = Rigid(rotation, np.zeros(3))
-        return self.grid.count(points, level, max_range_m=self.max_range_m, height_m=self.heights_m)
 
     def require(self, grid: BevGrid, target: str) -> None:
         """Raise a ValueError unless the network was trained for this grid and for the target of this name."""
