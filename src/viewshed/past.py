@@ -1,7 +1,7 @@
 """What earlier sweeps of a moving sensor tell of the one now: the obstacles that they saw, seen from where it is now.
 
-A single sweep cannot tell a far return that somebody spoofed from a true one. But what stood there a moment ago, and did
-not move, still stands there, whatever the beams say now.
+A single sweep cannot tell a far return that somebody spoofed from a true one. But what stood there a moment ago and did
+not move still stands there, whatever the beams say now.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from viewshed.angles import atan2
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep
+from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.sweep import Sweep
 from viewshed.visible import Beams
 
 PAST_SWEEPS = 5
@@ -28,8 +29,8 @@ SLOPES = (-0.75, 0.35)
 """Least and greatest rise over range at which obstacles are remembered, ..."""
 ROWS = 160
 """... in so many steps of 0.4°."""
-GAP_ROWS = 8
-"""Narrow gaps between obstacles above each other have fewer rows than this."""
+GAP_ROWS = 20
+"""Narrow gaps between obstacles above each other have at most so many rows."""
 _ALIKE = 1.25
 _NEAREST_M = 1.0
 Floats = NDArray[np.float32]
@@ -49,14 +50,14 @@ class Past:
     points: Floats
 
     @classmethod
-    def of(cls, level: LevelSweep, earlier: Sequence[LevelSweep]) -> Past:
-        """Return what ``earlier`` sweeps tell of one.
+    def of(cls, level: LevelSweep, earlier: Sequence[LevelSweep]) -> Past | None:
+        """Return what ``earlier`` sweeps tell of one, levelled on the same grid; None where there are none.
 
         Raises:
-            ValueError: there is no earlier sweep, or one of all has no pose.
+            ValueError: one of them has no pose.
         """
         if not earlier:
-            raise ValueError("earlier must hold at least one sweep, got none")
+            return None
         now_from_world = _pose(level).inverse()
         images = np.full((len(earlier), ROWS, COLUMNS), np.inf, np.float32)
         points = []
@@ -77,6 +78,15 @@ class Past:
         points = np.zeros((len(self.points), 3), np.float32)
         points[:, :2] = self.points
         return grid.count(points, Rigid(np.eye(3), np.zeros(3)))
+
+
+def past_of(level: LevelSweep, earlier: Sequence[Sweep], grid: BevGrid) -> Past | None:
+    """Return what ``earlier`` sweeps tell of one that was levelled on ``grid``; None where there are none.
+
+    Raises:
+        ValueError: one of them has no pose.
+    """
+    return Past.of(level, [level_sweep(sweep, grid) for sweep in earlier if len(sweep)])
 
 
 def _pose(level: LevelSweep) -> Rigid:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep
-from viewshed.missing import told_beams
+from viewshed.missing import ToldBeams, told_beams
+from viewshed.past import Past
 from viewshed.polar import bins_of_cells, farthest_in_bins, measured_azimuth_bins, nearest_obstacle_in_bins
-from viewshed.visible import Target, returns_by_kind
+from viewshed.visible import Beams, Target, returns_by_kind
 
 HEIGHTS_M = (-2.0, 4.0)
 """Heights above local ground that ``lowest`` and ``highest`` tell apart."""
@@ -43,12 +44,14 @@ class Shown:
         grid: of the maps.
         target: what would have to be seen.
         counts: (cells, cells) uint8, returns of each cell as the network's card counts them.
+        past: what earlier sweeps saw, or None where there are none.
     """
 
     level: LevelSweep
     grid: BevGrid
     target: Target
     counts: Bytes
+    past: Past | None = None
 
     @cached_property
     def heights(self) -> tuple[Bytes, Bytes]:
@@ -59,10 +62,31 @@ class Shown:
         return codes
 
     @cached_property
+    def told(self) -> ToldBeams:
+        """The beams by what is known of them."""
+        return told_beams(self.level, self.target.height_m)
+
+    @cached_property
     def returns(self) -> Floats:
         """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
-        level, told = self.level, told_beams(self.level, self.target.height_m)
-        kinds = told.confirmed, told.explained, told.unexplained
+        told = self.told
+        return self._returns_by(told.confirmed, told.explained, told.unexplained)
+
+    @cached_property
+    def returns_in_past(self) -> Floats:
+        """(2, cells, cells) expected returns by beams that end no farther than at obstacles which the past remembers.
+
+        The first by confirmed and explained beams, which also end where they do now. The second by all that aim, as if
+        the sweep now did not tell where any of them ends.
+        """
+        assert self.past is not None
+        told = self.told
+        deep = told.confirmed + told.explained
+        every = (deep + told.unexplained).endless()
+        return self._returns_by(self.past.within(deep), self.past.within(every))
+
+    def _returns_by(self, *kinds: Beams) -> Floats:
+        level = self.level
         return returns_by_kind(kinds, level.sensor_height_m, level.ground, self.grid, self.target)
 
     @cached_property
@@ -140,6 +164,20 @@ def _range_code(grid: BevGrid) -> Bytes:
     return code
 
 
+def _agreed(shown: Shown) -> Bytes:
+    return returns_code(shown.returns[0] + shown.returns[1] if shown.past is None else shown.returns_in_past[0])
+
+
+def _remembered(shown: Shown) -> Bytes:
+    return returns_code(np.zeros(shown.grid.shape, np.float32) if shown.past is None else shown.returns_in_past[1])
+
+
+def _recalled(shown: Shown) -> Bytes:
+    if shown.past is None:
+        return np.zeros(shown.grid.shape, np.uint8)
+    return returns_code(shown.past.counts(shown.grid).astype(np.float32))
+
+
 CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "counts": lambda shown: shown.counts,
     "lowest": lambda shown: shown.heights[0],
@@ -150,10 +188,19 @@ CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "blocker": lambda shown: shown.beyond(shown.blocker_m),
     "farthest": lambda shown: shown.beyond(shown.farthest_m),
     "range": lambda shown: _range_code(shown.grid),
+    "agreed": _agreed,
+    "remembered": _remembered,
+    "recalled": _recalled,
 }
 """The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
 another one confirms, ``unexplained`` the beams whose end nothing tells, as if nothing stopped them; ``blocker`` and
-``farthest`` tell how far the nearest obstacle and the farthest return of the azimuth lie beyond the cell."""
+``farthest`` tell how far the nearest obstacle and the farthest return of the azimuth lie beyond the cell.
+
+Three are of earlier sweeps. ``agreed`` is ``expected`` by beams that end no farther than at the obstacles of the past,
+and the same as it without a past; ``remembered`` counts all beams that aim, ended by those obstacles alone, and
+``recalled`` the returns of the past; both are 0 without one."""
+PAST_CHANNELS = ("agreed", "remembered", "recalled")
+"""Channels that earlier sweeps change."""
 
 
 def maps_of(names: Sequence[str], shown: Shown) -> Bytes:

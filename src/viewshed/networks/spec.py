@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Protocol
 
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.level import NULL_RANGE_M, LevelSweep, level_sweep
-from viewshed.networks.channels import CHANNELS, Bytes, Shown, maps_of
+from viewshed.networks.channels import CHANNELS, PAST_CHANNELS, Bytes, Shown, maps_of
 from viewshed.networks.shape import UNetShape
+from viewshed.past import Past, past_of
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS
 
@@ -100,20 +101,33 @@ class NetworkCard:
         """
         return self.shown(self.maps_of(sweep))
 
-    def input_of_level(self, level: LevelSweep) -> NDArray[np.float32]:
+    def input_of_level(self, level: LevelSweep, past: Past | None = None) -> NDArray[np.float32]:
         """Return the network's input (channels, cells, cells) of a sweep that is already levelled."""
-        return self.shown(maps_of(self.inputs, self.seen(level)))
+        return self.shown(maps_of(self.inputs, self.seen(level, past)))
 
-    def seen(self, level: LevelSweep) -> Shown:
+    def seen(self, level: LevelSweep, past: Past | None = None) -> Shown:
         """Return what the channels of a levelled sweep are made of, of which :func:`maps_of` makes those asked for."""
         counts = self._clipped(level.sweep.points, level.level_from_sensor.rotation)
-        return Shown(level, self.grid, TARGETS[self.target], counts)
+        return Shown(level, self.grid, TARGETS[self.target], counts, past)
 
-    def maps_of(self, sweep: Sweep) -> Bytes:
-        """Return what the network is shown of ``sweep`` as bytes (channels, cells, cells); see :meth:`shown`."""
+    @property
+    def uses_past(self) -> bool:
+        """Whether earlier sweeps change what the network is shown."""
+        return not set(PAST_CHANNELS).isdisjoint(self.inputs)
+
+    def maps_of(self, sweep: Sweep, earlier: Sequence[Sweep] = ()) -> Bytes:
+        """Return what the network is shown of ``sweep`` as bytes (channels, cells, cells); see :meth:`shown`.
+
+        ``earlier`` sweeps of the same sensor tell of the past.
+
+        Raises:
+            ValueError: there are earlier sweeps, and one of all has no pose.
+        """
         attitude = sweep.known_attitude
         if attitude is None or self.inputs != ("counts",):
-            return maps_of(self.inputs, self.seen(level_sweep(sweep, self.grid)))
+            level = level_sweep(sweep, self.grid)
+            past = past_of(level, earlier, self.grid) if self.uses_past else None
+            return maps_of(self.inputs, self.seen(level, past))
         return self._clipped(sweep.points, rotation_from_quaternion(attitude))[None]
 
     def shown(self, maps: Bytes) -> NDArray[np.float32]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,15 +17,50 @@ from viewshed.attacks import (
     SEVERITIES,
     Attack,
     Knowledge,
+    Wedge,
     at_severity,
 )
+from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 from viewshed.training.config import PAPER, TrainConfig
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Struck:
+    """A sweep as the network is shown it.
+
+    Attributes:
+        sweep: attacked, or as it was measured.
+        attack: what was done to it, None for nothing.
+        wedge: where the attacker works, None if anywhere.
+    """
+
+    sweep: Sweep
+    attack: Attack | None = None
+    wedge: Wedge | None = None
+
+    def before(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
+        """Return earlier sweeps as if the attack had lasted: each attacked as well, in the same direction of the map.
+
+        One that does not allow the attack stays as it is.
+        """
+        return tuple(self._struck(sweep, rng) for sweep in earlier)
+
+    def _struck(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
+        attack, now, then = self.attack, self.sweep.world_from_sensor, sweep.world_from_sensor
+        if attack is None:
+            return sweep
+        if self.wedge is not None and hasattr(attack, "azimuth") and now is not None and then is not None:
+            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))  # type: ignore[type-var]
+        try:
+            return attack.apply(sweep, rng).sweep
+        except ValueError:
+            return sweep
+
+
 def attacked(
     config: TrainConfig, sweep: Sweep, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
-) -> Sweep:
+) -> Struck:
     """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
 
     Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
@@ -37,12 +73,22 @@ def attacked(
         rng: all that is random.
     """
     if not config.attacks or rng.random() >= config.attack_share:
-        return sweep
+        return Struck(sweep)
     name = config.attacks[rng.integers(len(config.attacks))]
     try:
-        return _made(config, name, earlier, rng).apply(sweep, rng).sweep
+        attack = _made(config, name, earlier, rng)
+        found = attack.apply(sweep, rng)
     except ValueError:
-        return sweep
+        return Struck(sweep)
+    return Struck(found.sweep, attack, found.wedge)
+
+
+def _heading(pose: Rigid) -> float:
+    return float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+
+
+def _wrapped(azimuth: float) -> float:
+    return float((azimuth + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _made(config: TrainConfig, name: str, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator) -> Attack:

@@ -12,6 +12,7 @@ from viewshed import flat
 from viewshed.attacks import ATTACKS
 from viewshed.bev import BevGrid
 from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
+from viewshed.networks.channels import PAST_CHANNELS
 from viewshed.networks.shape import UNetShape
 from viewshed.networks.spec import COUNTS, TRUTHS, NetworkCard
 
@@ -30,6 +31,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 """What the keys that name one of a few may be."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "ringless_share": (0.0, 1.0),
+    "past_share": (0.0, 1.0),
     "learning_rate": (1e-9, 10.0), "batch": (1, 4096), "epochs": (1, 100_000), "patience": (1, 100_000),
     "frames_per_epoch": (0, 10**9), "versions": (0, 1000), "doubt_frames": (0, 10**9),
     "workers": (0, 256), "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
@@ -54,6 +56,8 @@ class TrainConfig:
         attacks: names of ``ATTACKS``, one of which is drawn for a frame, or ``paper``; none is benign training.
         attack_share: share of the frames that are attacked (the paper's mixture leaves some of those alone).
         ringless_share: share of the frames whose sweep loses rings and sensor: a cloud and nothing else.
+        past_share: share of the frames that are shown with earlier sweeps, one to five of them as far as there are.
+            Under half of the attacks these are attacked as well.
         width: channels of the first stage.
         depth: poolings.
         fold: cells a side of the blocks that are folded into channels; 1 as published.
@@ -97,6 +101,7 @@ class TrainConfig:
     attacks: tuple[str, ...]
     attack_share: float
     ringless_share: float
+    past_share: float
     width: int
     depth: int
     fold: int
@@ -132,6 +137,8 @@ class TrainConfig:
         self._check_data()
         if self.doubt_frames and not self.shape.dropout:
             raise ValueError("doubt_frames must be 0 without dropout: there is no deviation to learn; use variant mcd")
+        if not self.past_share and not set(PAST_CHANNELS).isdisjoint(self.inputs):
+            raise ValueError(f"past_share must be above 0 with the inputs {', '.join(PAST_CHANNELS)}, got 0")
         _ = self.card()
 
     def _check_attacks(self) -> None:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.evaluation import unorganised_no_sensor
-from viewshed.training.attacking import attacked
+from viewshed.past import PAST_SWEEPS
+from viewshed.sweep import Sweep
+from viewshed.training.attacking import Struck, attacked
 from viewshed.training.config import TrainConfig
 from viewshed.training.sources import CleanFrames
 
@@ -20,6 +22,8 @@ Key = tuple[int, int]
 """Epoch and number of a frame."""
 BLANK = -1
 """Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
+_LASTING = 0.5
+"""Share of the attacks that had begun before the earlier sweeps."""
 
 
 class _Purpose(IntEnum):
@@ -27,6 +31,7 @@ class _Purpose(IntEnum):
     MASKS = 2
     TURN = 3
     RINGS = 4
+    PAST = 5
 
 
 class KeptFrames(Protocol):
@@ -112,10 +117,19 @@ class TrainingFrames:
         """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(epoch, index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
-        sweep = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        struck = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        shown = struck.sweep, *self._past(epoch, index, struck)
         if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
-            sweep = unorganised_no_sensor(sweep)
-        return Drawn(self.config.card().maps_of(sweep), clean.visible, clean.known)
+            shown = tuple(map(unorganised_no_sensor, shown))
+        return Drawn(self.config.card().maps_of(shown[0], shown[1:]), clean.visible, clean.known)
+
+    def _past(self, epoch: int, index: int, struck: Struck) -> tuple[Sweep, ...]:
+        """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks."""
+        rng = self._rng(epoch, index, _Purpose.PAST)
+        if rng.random() >= self.config.past_share or not self.config.card().uses_past:
+            return ()
+        earlier = self.source.earlier(epoch, index, int(rng.integers(1, PAST_SWEEPS + 1)))
+        return struck.before(earlier, rng) if rng.random() < _LASTING else earlier
 
     def _blank(self) -> Arrays:
         zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape

@@ -20,12 +20,12 @@ from viewshed.training.config import TrainConfig
 from viewshed.training.files import make_files
 from viewshed.training.frames import Drawn, TrainingFrames
 
-_LAYOUT = 3
+_LAYOUT = 4
 _BLOCK = 256
 _OPEN = 4096
 _TRUTH = "truth"
 _DECIDE = (
-    "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "ringless_share", "seed",
+    "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "ringless_share", "past_share", "seed",
     "max_range_m", "heights_m",
 )  # fmt: skip
 

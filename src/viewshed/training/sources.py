@@ -53,8 +53,11 @@ class CleanFrames(Protocol):
         """Return one frame."""
         ...
 
-    def earlier(self, epoch: int, index: int) -> tuple[Sweep, ...]:
-        """Return the last sweep before it of the same sensor and scene, or nothing."""
+    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        """Return the last ``count`` sweeps before it of the same sensor and scene, or as many as there are.
+
+        The oldest comes first.
+        """
         ...
 
 
@@ -90,17 +93,18 @@ class Archived:
             return _with_truth(frame, self.config)
         return _with_label(frame.sweep, self.labels.of_frame(shard, _row(archive, at)))
 
-    def earlier(self, epoch: int, index: int) -> tuple[Sweep, ...]:
-        """Return the last sweep before it of the same sensor and scene, or nothing."""
+    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        """Return the last sweeps before it of the same sensor and scene, the oldest first."""
         archive, at = self._place(index)
         frame, shard = archive.frame(at)
+        found: list[Sweep] = []
         for before in range(at - 1, max(at - _LOOK_BACK, 0) - 1, -1):
             other, facts = archive.frame(before)
-            if facts.scene != shard.scene:
+            if facts.scene != shard.scene or len(found) == count:
                 break
             if other.measured.agent == frame.measured.agent:
-                return (other.sweep,)
-        return ()
+                found.insert(0, other.sweep)
+        return tuple(found)
 
     def _place(self, index: int) -> tuple[Archive, int]:
         for archive in self.archives:
@@ -138,11 +142,11 @@ class Fresh:
         sweep = frame.sweep
         return _with_label(sweep, paper_label(sweep, self.config.grid, self.config.indoor))
 
-    def earlier(self, epoch: int, index: int) -> tuple[Sweep, ...]:
-        """Return the sweep of the same agent just before it, or nothing at the start of a scene."""
+    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        """Return the sweeps of the same agent just before it, the oldest first; fewer at the start of a scene."""
         scene, number = self._place(epoch, index)
-        before = number - scene.preset.agents
-        return (simulate_frame(scene, before).sweep,) if before >= 0 else ()
+        before = range(number - scene.preset.agents, -1, -scene.preset.agents)[:count]
+        return tuple(simulate_frame(scene, each).sweep for each in reversed(before))
 
     def _place(self, epoch: int, index: int) -> tuple[ScenePlan, int]:
         number, turn = divmod(index, FRESH_PER_SCENE)
