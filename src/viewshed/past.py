@@ -6,9 +6,10 @@ not move still stands there, whatever the beams say now.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from viewshed.angles import atan2
 from viewshed.bev import BevGrid
+from viewshed.estimate import FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
 from viewshed.sweep import Sweep
@@ -29,8 +31,8 @@ SLOPES = (-0.75, 0.35)
 """Least and greatest rise over range at which obstacles are remembered, ..."""
 ROWS = 160
 """... in so many steps of 0.4°."""
-GAP_ROWS = 20
-"""Narrow gaps between obstacles above each other have at most so many rows."""
+GAP_ROWS, GAP_COLUMNS = 20, 4
+"""What lies at like depths at most so many rows or columns (8° or 2°) apart is one obstacle."""
 _ALIKE = 1.25
 _NEAREST_M = 1.0
 Floats = NDArray[np.float32]
@@ -65,7 +67,8 @@ class Past:
             transform = (now_from_world @ _pose(before)).as_matrix()[:3].astype(np.float32)
             obstacle = np.float32(OBSTACLE_HEIGHTS_M[0]), np.float32(level.sensor_height_m)
             points.append(_remember(before.points, before.height_m, transform, obstacle, image))
-            _fill(image, np.float32(_ALIKE))
+            _fill(image, GAP_ROWS, np.float32(_ALIKE))
+            _fill(image.T, GAP_COLUMNS, np.float32(_ALIKE))
         return cls(_often(images), np.concatenate(points))
 
     def within(self, beams: Beams) -> Beams:
@@ -78,6 +81,84 @@ class Past:
         points = np.zeros((len(self.points), 3), np.float32)
         points[:, :2] = self.points
         return grid.count(points, Rigid(np.eye(3), np.zeros(3)))
+
+
+@dataclass(slots=True)
+class Memory:
+    """The last sweeps of each agent of a stream, as many and as far apart as a :class:`Past` is made of.
+
+    Attributes:
+        sweeps: how many are kept of an agent.
+        every_s: least time in seconds between two of them.
+    """
+
+    sweeps: int = PAST_SWEEPS
+    every_s: float = 1.0
+    _kept: dict[str, deque[LevelSweep]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.sweeps < 1 or not self.every_s >= 0.0:
+            raise ValueError(f"sweeps must be at least 1 and every_s at least 0, got {self.sweeps} and {self.every_s}")
+
+    def past(self, level: LevelSweep) -> Past | None:
+        """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
+        now_ns, kept = level.sweep.t_ns, self._kept.get(level.sweep.agent, ())
+        if now_ns is None or level.world_from_level is None:
+            return None
+        return Past.of(level, [each for each in kept if (each.sweep.t_ns or 0) < now_ns])
+
+    def add(self, level: LevelSweep) -> None:
+        """Keep a sweep, if it has a pose and a time at least ``every_s`` after the last one that was kept.
+
+        One from before it begins a new stream.
+        """
+        t_ns, kept = level.sweep.t_ns, self._kept.setdefault(level.sweep.agent, deque(maxlen=self.sweeps))
+        if t_ns is None or level.world_from_level is None:
+            return
+        if kept and t_ns < (kept[-1].sweep.t_ns or 0):
+            kept.clear()
+        if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
+            kept.append(level)
+
+
+class PastEstimator(Protocol):
+    """An estimator that earlier sweeps help."""
+
+    @property
+    def grid(self) -> BevGrid:
+        """The grid of every estimate that comes back."""
+        ...
+
+    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Remembering:
+    """An estimator for a stream: each estimate uses what the agent's earlier sweeps saw.
+
+    Sweeps without a pose or a time are estimated by themselves.
+
+    Attributes:
+        inner: what estimates.
+        memory: what it is told of the past.
+    """
+
+    inner: PastEstimator
+    memory: Memory = field(default_factory=Memory)
+
+    @property
+    def grid(self) -> BevGrid:
+        """Grid of the estimates."""
+        return self.inner.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate for the next sweep of the stream, and remember the sweep."""
+        level = level_sweep(sweep, self.grid)
+        found = self.inner.estimate_level(level, self.memory.past(level))
+        self.memory.add(level)
+        return found
 
 
 def past_of(level: LevelSweep, earlier: Sequence[Sweep], grid: BevGrid) -> Past | None:
@@ -97,8 +178,8 @@ def _pose(level: LevelSweep) -> Rigid:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill(image: Any, ratio: Any) -> None:  # pragma: no cover - compiled
-    """Fill narrow gaps between pixels of a column that lie above each other at like depths: the rings' gaps."""
+def _fill(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compiled
+    """Fill gaps of at most so many rows between pixels of a column with like depths, as those between rings are."""
     last = np.full(image.shape[1], -1, np.int32)
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
@@ -106,7 +187,7 @@ def _fill(image: Any, ratio: Any) -> None:  # pragma: no cover - compiled
             if depth == np.inf:
                 continue
             before = last[column]
-            if before >= 0 and 1 < row - before <= GAP_ROWS:
+            if before >= 0 and 1 < row - before <= gap:
                 other = image[before, column]
                 if depth < other * ratio and other < depth * ratio:
                     for between in range(before + 1, row):

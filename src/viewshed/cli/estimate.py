@@ -50,6 +50,10 @@ def estimate(
         float | None,
         typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
     ] = None,
+    past: Annotated[
+        int,
+        typer.Option(min=0, max=20, help="Earlier sweeps that help, a second or more apart, with poses; 5 do well."),
+    ] = 0,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
@@ -61,7 +65,7 @@ def estimate(
     reading = Reading(sensor, format, file_frame, height, attitude)
     network = Network(weights, passes, seed)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out)
+    run = Run(network.remembering(estimator, past), network.threshold(threshold, estimator, profile), out)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((out / f"{name}{suffix}" for name in names for suffix in _RESULTS), (file for file, _ in jobs))

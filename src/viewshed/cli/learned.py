@@ -44,6 +44,24 @@ class Network:
             raise ValueError(f"method must be one of {', '.join([*table, *LEARNED])}, got {method!r}")
         return options.make_estimator(method, grid, target, profile)
 
+    def remembering(self, estimator: FovEstimator, sweeps: int) -> FovEstimator:
+        """Return the estimator with so many earlier sweeps to help it; as it is for none.
+
+        Raises:
+            ValueError: earlier sweeps do not help it.
+        """
+        from viewshed.estimators.learned import UnetEstimator
+        from viewshed.estimators.shadow_map import ShadowMap
+        from viewshed.past import Memory, Remembering
+
+        if sweeps == 0:
+            return estimator
+        if isinstance(estimator, UnetEstimator) and estimator.card.uses_past:
+            return Remembering(estimator, Memory(sweeps))
+        if isinstance(estimator, ShadowMap):
+            return Remembering(estimator, Memory(sweeps))
+        raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
+
     def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:
         """Return the probability from which a cell counts as visible; a network's card has its own."""
         from viewshed.estimators.learned import UnetEstimator

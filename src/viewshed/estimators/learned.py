@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from viewshed.level import LevelSweep, level_sweep
 from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.spec import NetworkCard, Runner
+from viewshed.past import Past, past_of
 from viewshed.polar import Crop, bins_of_cells, reach_of
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
@@ -76,16 +77,27 @@ class UnetEstimator:
         """The target that the network was trained for."""
         return TARGETS[self.card.target]
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate for one sweep; see the class for what it means."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+    def estimate(self, sweep: Sweep, earlier: Sequence[Sweep] = ()) -> FovEstimate:
+        """Return the estimate for one sweep; see the class for what it means.
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Return the estimate for a sweep that is already levelled."""
+        Args:
+            sweep: what the sensor measured.
+            earlier: sweeps that it measured before, the oldest first, all with poses in the same map.
+
+        Raises:
+            ValueError: the network does not use earlier sweeps, or a pose is missing.
+        """
+        level = level_sweep(sweep, self.grid)
+        return self.estimate_level(level, past_of(level, earlier, self.grid))
+
+    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
+        if past is not None and not self.card.uses_past:
+            raise ValueError(f"earlier sweeps are of no use to the network {self.card.name}: it was trained without")
         prob, std = np.zeros(self.grid.shape, np.float32), None
         state = np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
         if Crop(self.card.max_range_m, self.card.heights_m).any_on(level, self.grid):
-            seen = self.card.seen(level)
+            seen = self.card.seen(level, past)
             told, std = self.probability(self.card.shown(maps_of(self.card.inputs, seen)))
             self._claim(seen, told, prob, state)
         return FovEstimate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,6 +13,7 @@ from viewshed.bev import BevGrid
 from viewshed.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.missing import confirmed_and_explained_beams, missing_beams
+from viewshed.past import Past, past_of
 from viewshed.sweep import Sweep
 from viewshed.visible import CAR, Beams, Target, expected_returns, probability_of_visible
 
@@ -46,13 +48,24 @@ class ShadowMap:
         if self.no_return not in NO_RETURN_RULES:
             raise ValueError(f"no_return must be one of {', '.join(NO_RETURN_RULES)}, got {self.no_return!r}")
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate for one sweep; see the class for what it means."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+    def estimate(self, sweep: Sweep, earlier: Sequence[Sweep] = ()) -> FovEstimate:
+        """Return the estimate for one sweep; see the class for what it means.
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Return the estimate for a sweep that is already levelled."""
+        Args:
+            sweep: what the sensor measured.
+            earlier: sweeps that it measured before, all with poses in the same map; beams end at the obstacles that
+                they saw (:mod:`viewshed.past`), whatever the sweep says.
+
+        Raises:
+            ValueError: there are earlier sweeps, and a pose is missing.
+        """
+        level = level_sweep(sweep, self.grid)
+        return self.estimate_level(level, past_of(level, earlier, self.grid))
+
+    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
         beams = _with_missing(level, self.no_return, self.target)
+        beams = beams if past is None else past.within(beams)
         returns, aimed = expected_returns(beams, level.sensor_height_m, level.ground, self.grid, self.target)
         prob = probability_of_visible(returns, self.target.min_returns)
         state = _state(prob, probability_of_visible(aimed, self.target.min_returns), level.obstacle_cells(self.grid))
