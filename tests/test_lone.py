@@ -8,9 +8,9 @@ from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.inference import told_rings
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.lone import Placed, placed_by_rings
+from viewshed.lone import Placed, _least_alike, placed_by_rings
 from viewshed.missing_kernels import silent_columns
-from viewshed.sensors import LidarModel
+from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
 
 MODEL = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 17)), azimuth_columns=720, max_range_m=100.0)
@@ -151,3 +151,62 @@ def test_a_few_points_in_a_dropped_sector_open_nothing() -> None:
     added = of_model(points, np.concatenate([dropped.ring, ring.astype(np.int16)]))
     assert _in_sector(claimed(STREET)) > 200
     assert _in_sector(claimed(added)) <= _in_sector(claimed(dropped)) + 60
+
+
+def jammed(sweep: Sweep, share: float = 0.3, seed: int = 5) -> tuple[Sweep, Mask]:
+    """Some of the beams, drawn at random, return at random ranges up to 100 m."""
+    rng = np.random.default_rng(seed)
+    lie = rng.random(len(sweep)) < share
+    points, range_m = sweep.points.copy(), np.linalg.norm(sweep.points, axis=1)
+    points[lie] *= (rng.uniform(0.5, 100.0, int(lie.sum())) / range_m[lie])[:, None].astype(np.float32)
+    return sweep.replace(points=points), np.asarray(lie)
+
+
+def test_a_clear_sweep_has_no_clutter_and_neither_has_one_with_few_lies() -> None:
+    for sweep in (STREET, spoofed(STREET, 0.01, (1.5, 4.0))[0]):
+        found = placed_of(sweep)
+        assert found is not None
+        assert found.clutter is None
+        assert len(level_of(sweep).points) == len(sweep)
+
+
+def test_most_random_returns_of_a_jammed_sweep_are_clutter_and_few_true_ones() -> None:
+    sweep, lie = jammed(STREET)
+    found = placed_of(sweep)
+    assert found is not None
+    assert found.clutter is not None
+    moved = np.linalg.norm(sweep.points - STREET.points, axis=1) > 0.3 * np.linalg.norm(STREET.points, axis=1)
+    assert found.clutter[lie & moved].mean() > 0.9
+    assert found.clutter[~lie].mean() < 0.1
+    assert found.lone[found.clutter].all()
+    assert (found.column[found.clutter] == -1).all()
+    assert found.counts.sum() == (~found.clutter).sum()
+
+
+def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_view() -> None:
+    sweep, _ = jammed(STREET)
+    level, clear = level_of(sweep), level_of(STREET)
+    assert level.placed is not None
+    assert level.placed.clutter is not None
+    assert set(level.rows) == set(np.flatnonzero(~level.placed.clutter))
+    assert np.abs(level.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8].max() < 0.3
+    assert (claimed(sweep) == claimed(STREET)).mean() > 0.96
+
+
+def test_so_many_confirm_by_chance_as_a_poisson_variable_tells() -> None:
+    least = _least_alike(np.array([0.0, 0.1, 1.0, 3.0]))
+    numbers = np.random.default_rng(0).poisson([0.0, 0.1, 1.0, 3.0], (200_000, 4))
+    assert least.tolist() == [2, 2, 5, 9]
+    assert ((numbers >= least).mean(axis=0) <= 0.011).all()
+    assert ((numbers >= least - 1).mean(axis=0)[2:] > 0.01).all()
+
+
+def test_a_bare_jammed_cloud_is_cleared_by_the_rings_that_its_sensor_tells() -> None:
+    clear = cast(lidar_model("hdl32e"), Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9))), 1.8)
+    sweep, lie = jammed(clear)
+    order = np.random.default_rng(1).permutation(len(sweep))
+    level = level_of(sweep.select(order).replace(ring=None, model=None))
+    assert level.placed is not None
+    assert level.placed.clutter is not None
+    assert level.placed.clutter[lie[order]].mean() > 0.85
+    assert level.placed.clutter[~lie[order]].mean() < 0.1

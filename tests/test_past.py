@@ -74,7 +74,7 @@ def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
     moving = [seen([Box(12, 2 + 9 * step, 1, 6, 3), FAR], pose) for step, pose in enumerate(POSES, start=-1)]
     now = seen([FAR], at(0, 0))
     assert claimed(now, moving)[behind_wall()].mean() > 0.9
-    assert claimed(now, moving[1:2])[behind_wall()].mean() < 0.1  # a single earlier sweep is believed
+    assert claimed(now, moving[1:2])[behind_wall()].mean() < 0.5  # a single earlier sweep is believed
 
 
 def test_depths_are_those_from_where_the_sensor_is_now() -> None:

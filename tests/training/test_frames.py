@@ -9,12 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed import Archive, BevGrid, Sample
+from viewshed import Archive, BevGrid, Sample, Sweep
+from viewshed.attacks.removal import PhysicalRemoval
 from viewshed.estimators import PAPER_ESTIMATORS
+from viewshed.evaluation import unorganised_no_sensor
+from viewshed.geometry import Rigid
+from viewshed.networks.channels import PAST_CHANNELS
+from viewshed.sensors import LidarModel
+from viewshed.sim import Box, Scene, cast
 from viewshed.training import TrainConfig
+from viewshed.training.attacking import Struck
 from viewshed.training.data import prepare
 from viewshed.training.frames import BLANK, TrainingFrames
 from viewshed.training.order import Share, TrainingOrder, ValidationOrder
+from viewshed.training.sources import Fresh
 
 
 def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
@@ -180,14 +188,67 @@ def test_channels_of_the_same_frames_are_kept_once(config: TrainConfig, tmp_path
         assert _equal(made.train[1, index], kept.train[1, index])
 
 
-def test_a_share_of_the_clouds_has_no_rings(config: TrainConfig, tmp_path: Path) -> None:
-    bare = replace(config, attacks=(), attack_share=0.0, ringless_share=0.5, inputs=("counts", "unexplained"))
+def test_a_share_of_the_clouds_has_no_rings(
+    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stripped: list[Sweep] = []
+
+    def strip(sweep: Sweep) -> Sweep:
+        stripped.append(unorganised_no_sensor(sweep))
+        return stripped[-1]
+
+    monkeypatch.setattr("viewshed.training.frames.unorganised_no_sensor", strip)
+    bare = replace(config, attacks=(), attack_share=0.0, ringless_share=0.5)
     some, none = prepare(bare, tmp_path).train, prepare(replace(bare, ringless_share=0.0), tmp_path).train
-    known = [none[1, index]["inputs"][1].any() for index in range(len(none))]
-    told = [some[1, index]["inputs"][1].any() for index in range(len(none))]
-    assert all(known)
-    assert 0.2 < np.mean(told) < 0.8
-    assert all((some[1, index]["inputs"][0] == none[1, index]["inputs"][0]).all() for index in range(len(none)))
+    same = [(some[1, index]["inputs"] == none[1, index]["inputs"]).all() for index in range(len(none))]
+    assert all(same)
+    assert 0.2 < len(stripped) / len(none) < 0.8
+    assert all(sweep.ring is None and sweep.model is None for sweep in stripped)
+
+
+def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig, tmp_path: Path) -> None:
+    names = ("counts", "expected", *PAST_CHANNELS)
+    wanted = replace(config, attacks=(), attack_share=0.0, past_share=0.5, inputs=names)
+    frames = prepare(wanted, tmp_path).train
+    shown = [frames[1, index]["inputs"] for index in range(len(frames))]
+    with_past = [bool(maps[4].any()) for maps in shown]
+    assert 0.15 < np.mean(with_past) < 0.6  # the first sweep of each scene has none before it
+    for maps, past in zip(shown, with_past, strict=True):
+        assert past or not maps[3].any()
+        assert past or (maps[1] == maps[2]).all()
+        assert (maps[2] <= maps[1]).all()
+    other = prepare(replace(wanted, inputs=("agreed",)), tmp_path).train
+    assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
+
+
+def test_earlier_sweeps_are_the_last_of_the_scene_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
+    for source in (prepare(config, tmp_path).train.source, Fresh(replace(config, data=("nuscenes-small",)), 16)):
+        longest = 0
+        for index in range(len(source)):
+            now, few = source.clean(1, index).sweep, source.earlier(1, index, 2)
+            times = [sweep.t_ns or 0 for sweep in (*few, now)]
+            assert times == sorted(set(times))
+            assert {sweep.agent for sweep in few} <= {now.agent}
+            assert source.earlier(1, index) == () or source.earlier(1, index)[0].t_ns == few[-1].t_ns
+            longest = max(longest, len(few))
+        assert longest == 2
+
+
+def test_an_attack_that_lasted_struck_the_same_place_before() -> None:
+    street = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
+    model = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 17)), azimuth_columns=720)
+    then = cast(model, street, 1.8).replace(world_from_sensor=Rigid.from_yaw(0.0, (0, 0, 1.8)))
+    turned = (then.points @ Rigid.from_yaw(0.5).rotation).astype(np.float32)  # the sensor turned left by half a radian
+    now = then.replace(points=turned, world_from_sensor=Rigid.from_yaw(0.5, (0, 0, 1.8)))
+    attack, rng = PhysicalRemoval(azimuth=-0.5), np.random.default_rng(0)
+    found = attack.apply(now, rng)
+    struck = Struck(found.sweep, attack, found.wedge)
+    (before,) = struck.before([then], rng)
+    gone = ~np.isin(then.points.view("f4,f4,f4"), before.points.view("f4,f4,f4")).ravel()
+    azimuth = np.arctan2(then.points[gone, 1], then.points[gone, 0])
+    assert gone.sum() > 100
+    assert np.abs(azimuth).max() < np.deg2rad(16)
+    assert Struck(now).before([then], rng) == (then,)
 
 
 def _turned(array: NDArray[np.float32], quarters: int, mirrored: bool) -> NDArray[np.float32]:
