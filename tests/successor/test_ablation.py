@@ -16,12 +16,14 @@ from viewshed.metrics import Scores
 from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BARE, BENIGN, CASES, Enveloped, Said, score, shots_of
 from viewshed.successor.page import page_of
+from viewshed.successor.parts import CLEAR, parts_of
 from viewshed.successor.plan import WHOLE, AblationPlan, ablation_named
 from viewshed.successor.results import Results, sure_from
 from viewshed.successor.run import run_steps
-from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_of
+from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_elsewhere, targets_of
 from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig, read_config
+from viewshed.visible import CAR, PEDESTRIAN
 from viewshed.vulnerability.subjects import Subject, subject_of_preset
 
 GRID = BevGrid(32, 64.0)
@@ -72,6 +74,46 @@ def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(subject:
     assert said["right"][BENIGN].wedge.cells == 0
 
 
+def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_it_was(subject: Subject) -> None:
+    truth = subject.sample.truth
+    parts = dict(parts_of(subject, CAR))
+    assert np.array_equal(parts[CLEAR], ~np.isin(truth.expected_returns["car"], [3, 4, 5, 6, 7]))
+    assert np.array_equal(
+        dict(parts_of(subject, PEDESTRIAN))[CLEAR], ~np.isin(truth.expected_returns["pedestrian"], [1, 2, 3, 4, 5])
+    )
+    range_m = np.hypot(GRID.centers[..., 0], GRID.centers[..., 1])
+    bands = [parts[name] for name in ("0 to 20 m", "20 to 40 m", "40 to 64 m", "from 64 m on")]
+    assert (np.sum(bands, axis=0) == 1).all()
+    assert range_m[bands[0]].max() < 20
+    assert 40 < range_m[bands[2]].min() < range_m[bands[2]].max() < 64
+    assert parts["sensor HDL-32E"].all()
+    near = replace(truth, grid=BevGrid(32, 16.0))
+    indoor = Subject(replace(subject.sample, truth=near))
+    assert [name for name, _ in parts_of(indoor, CAR)][1:4] == ["0 to 5 m", "5 to 10 m", "10 to 16 m"]
+
+
+def test_parts_are_counted_untouched_and_add_up(subject: Subject) -> None:
+    truth, known = subject.sample.truth.visible(), subject.sample.known
+    wrong_far = truth ^ (np.hypot(GRID.centers[..., 0], GRID.centers[..., 1]) >= 40)
+    told = score({0: subject, 1: subject}, {OURS: Fixed(wrong_far.astype(np.float32))}, 1)[OURS]
+    said = {case: Said.from_json(each) for case, each in told.items()}
+    assert not said["far_wall"].parts
+    found = Results(ablation_named("small"), "roads", {OURS: {case: each + each for case, each in said.items()}})
+    assert found.parts["sensor HDL-32E"] == 4
+    assert list(found.parts)[-1] == "sensor HDL-32E"
+    assert [found.f1_of_part(OURS, part) for part in ("0 to 20 m", "20 to 40 m", "40 to 64 m")] == [1.0, 1.0, 0.0]
+    assert sum(said[BENIGN].parts["0 to 20 m"][1:]) == 2 * (known & (np.hypot(*GRID.centers.T).T < 20)).sum()
+    assert found.f1_of_part(OURS, "sensor HDL-32E") == found.f1(OURS, [BENIGN])
+
+
+def test_truth_is_that_of_the_target(subject: Subject) -> None:
+    known = subject.sample.known
+    truth = subject.sample.truth.visible(PEDESTRIAN)
+    assert (truth != subject.sample.truth.visible(CAR))[known].any()
+    told = score({0: subject}, {"right": Fixed(truth.astype(np.float32))}, 1, PEDESTRIAN)
+    assert Said.from_json(told["right"][BENIGN]).view.f1() == 1.0
+
+
 def test_nothing_behind_the_nearest_obstacle_is_claimed(subject: Subject) -> None:
     bound = FirstBlocker(GRID, limit_farthest=False)
     found = Enveloped(Fixed(np.ones(GRID.shape, np.float32)), bound).estimate(subject.sample.sweep)
@@ -100,8 +142,8 @@ def test_targets_are_met_or_missed_by_what_was_said() -> None:
     plan, every = ablation_named("small"), dict.fromkeys(CASES)
     ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
     vote = {case: _said(90, 10) for case in every}
-    test = Results(plan, {OURS: ours, RIVAL: vote, SEVERAL: vote})
-    found = {each.what: each for each in targets_of(Results(plan, {WHOLE: ours}), test)}
+    test = Results(plan, plan.domain, {OURS: ours, RIVAL: vote, SEVERAL: vote})
+    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test)}
     assert found["F1, benign"].met
     assert found["F1, benign"].found == "0.995"
     assert found["the same less that of the vote"].met
@@ -110,7 +152,30 @@ def test_targets_are_met_or_missed_by_what_was_said() -> None:
     assert found["precision / recall in opened wedges after abstention, trained on"].met
     assert found["Brier score of one pass beside that of 20, benign"].met
     assert not found["ECE, benign"].met
-    assert targets_of(Results(plan, {}), Results(plan, {RIVAL: vote})) == []
+    assert not any("sensor" in what or CLEAR in what for what in found)
+    for case in (ours, vote):
+        case[BENIGN].parts = {CLEAR: [2, 99, 1, 1, 0], "sensor A": [1, 9, 1, 1, 0], "sensor B": [1, 90, 0, 0, 0]}
+    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test)}
+    assert found[f"F1, benign, cells {CLEAR}"].met
+    least = found["least F1 of any sensor, benign"]
+    assert (least.met, least.found) == (False, "0.900 (A)")
+    assert targets_of(Results(plan, plan.domain, {}), Results(plan, plan.domain, {RIVAL: vote})) == []
+
+
+def test_rooms_have_targets_of_their_own() -> None:
+    plan = ablation_named("small")
+    good = {case: _said(99, 1) for case in CASES}
+    level = good | {BENIGN: _said(90, 10)}
+    found = targets_elsewhere(Results(plan, "rooms", {OURS: level, RIVAL: good}))
+    assert [(each.what, each.met) for each in found] == [
+        ("F1, benign", False),
+        ("the same, as aimed at for a pedestrian", True),
+        ("mean F1 over the attacks, jamming apart", True),
+        ("least lead over the vote, benign and under any attack", False),
+    ]
+    assert found[-1].found.endswith("(benign)")
+    assert targets_elsewhere(Results(plan, "rooms", {})) == []
+    assert Results(plan, "rooms", {}).attacks == read_config("viewnet_indoor").attacks
 
 
 def test_variants_change_what_they_say_and_nothing_else() -> None:
@@ -121,8 +186,8 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
-    assert not set(Results(plan, {}).trained) & set(Results(plan, {}).unseen)
-    assert len(Results(plan, {}).unseen) >= 5
+    assert not set(Results(plan, plan.domain, {}).trained) & set(Results(plan, plan.domain, {}).unseen)
+    assert len(Results(plan, plan.domain, {}).unseen) >= 5
 
 
 @pytest.mark.parametrize(
@@ -132,7 +197,11 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
         ({"variants": {"whole": {}, "a": {"colour": 1}}}, "missing or unknown: colour"),
         ({"variants": 3}, "variants must be a table, got 3"),
         ({"test_seed": 7301}, "seed and test_seed must differ"),
-        ({"chunk": 0}, "sweeps, test_sweeps and chunk must be at least 1"),
+        ({"chunk": 0}, "sweeps, test_sweeps, other_sweeps and chunk must be at least 1"),
+        ({"others": {"nuscenes-small": "viewnet_road"}}, "others must not hold nuscenes-small, the domain itself"),
+        ({"others": {"rooms": "viewnet_attic"}}, "config must be a TOML file or one of"),
+        ({"others": {"attic": "viewnet_indoor"}}, "preset must be one of"),
+        ({"others": 3}, "others must be a table, got 3"),
         ({"claim_precision": 1.0}, r"claim_precision must lie in \(0, 1\), got 1.0"),
         ({"more": 1}, "missing or unknown: more"),
     ],
@@ -150,10 +219,18 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
         "validation: not all variants are trained"
     ]
     assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: told.append(step))) == []
-    assert told[-1] == ("test", 1, 1)
+    assert told[-1] == ("test", 2, 2)
     page = page_of(store)
-    for words in ("| whole |", "| counts alone |", "| vote |", "## The shipped networks", "far_wall \\*", "| relay |"):
+    for words in ("| whole |", "| counts alone |", "| vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
+    road, indoor = page.split("## The shipped networks, nuscenes-small")[1].split("## The shipped networks, ugv-small")
+    assert "the target is a car" in road
+    assert "| viewnet |" not in road
+    assert "Cells in doubt become UNKNOWN" not in page
+    assert "the target is a pedestrian" in indoor
+    assert "| viewnet |" in indoor
+    assert "### Targets, nuscenes-small" not in page
+    assert page.index("### Targets, ugv-small") < page.index("| the same, as aimed at for a pedestrian |")
     lines = store.path.read_text().splitlines()
     store.path.write_text("\n".join(lines[:-1]) + "\n")
     assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: None)) == []

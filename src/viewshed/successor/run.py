@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from viewshed.bev import BevGrid
 from viewshed.datasets.manifest import code_version
 from viewshed.datasets.presets import preset_named
 from viewshed.engines import LocalEngine
@@ -23,10 +22,11 @@ from viewshed.reproduce.store import JobStore, Key
 from viewshed.successor.contest import Enveloped, score
 from viewshed.successor.plan import WHOLE, AblationPlan
 from viewshed.successor.targets import OURS, SEVERAL
+from viewshed.training.config import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
 from viewshed.visible import TARGETS
-from viewshed.vulnerability.subjects import subject_of_preset
+from viewshed.vulnerability.subjects import Subject, subject_of_preset
 
 STEPS = ("models", "validation", "test", "page")
 """What the command does, in order."""
@@ -54,8 +54,9 @@ def keys_of(plan: AblationPlan, step: str) -> list[Key]:
     """Return the names of all jobs of a step, in the order in which they are done."""
     if step == "models":
         return [("models", name) for name in plan.variants]
-    chunks = -(-plan.count(step) // plan.chunk)
-    return [(step, str(number)) for number in range(chunks)]
+    domains = plan.domains if step == "test" else (plan.domain,)
+    chunks = {domain: -(-plan.count(step, domain) // plan.chunk) for domain in domains}
+    return [(step, domain, str(number)) for domain in domains for number in range(chunks[domain])]
 
 
 def run_steps(store: JobStore[AblationPlan], steps: tuple[str, ...], workers: int | None, told: Told) -> Iterator[str]:
@@ -121,29 +122,34 @@ def _train(job: Job) -> dict[str, Any]:
 
 
 def _score(job: Job) -> dict[str, Any]:
-    plan, (split, chunk) = job.plan, job.key
-    first = int(chunk) * plan.chunk
-    numbers = range(first, min(first + plan.chunk, plan.count(split)))
-    preset, seed = on_grid(preset_named(plan.domain), plan.config_of(WHOLE)), plan.seed_of(split)
-    subjects = {number: subject_of_preset(preset, number, plan.count(split), seed) for number in numbers}
-    estimators = _variants(plan, job.folder) if split == "validation" else _shipped(plan)
-    return {"said": score(subjects, estimators | _classical(plan), seed)}
+    plan, (split, domain, chunk) = job.plan, job.key
+    config, first = plan.config_in(domain), int(chunk) * plan.chunk
+    numbers = range(first, min(first + plan.chunk, plan.count(split, domain)))
+    subjects = {number: subject_in(plan, split, domain, number) for number in numbers}
+    estimators = _variants(plan, job.folder) if split == "validation" else _shipped(config)
+    return {"said": score(subjects, estimators | _classical(config), plan.seed_of(split), TARGETS[config.target])}
+
+
+def subject_in(plan: AblationPlan, split: str, domain: str, number: int) -> Subject:
+    """Return one sweep of a split of a domain, with its truth on the grid that counts there."""
+    preset = on_grid(preset_named(domain), plan.config_in(domain))
+    return subject_of_preset(preset, number, plan.count(split, domain), plan.seed_of(split))
 
 
 def _variants(plan: AblationPlan, folder: Path) -> dict[str, FovEstimator]:
     found: dict[str, FovEstimator] = {
         name: UnetEstimator(OnnxRunner(weights_of(folder, name), threads=1), name=name) for name in plan.variants
     }
-    return found | {ENVELOPED: Enveloped(found[WHOLE], FirstBlocker(_grid(plan), limit_farthest=False))}
+    bound = FirstBlocker(plan.config_of(WHOLE).grid, limit_farthest=False)
+    return found | {ENVELOPED: Enveloped(found[WHOLE], bound)}
 
 
-def _shipped(plan: AblationPlan) -> dict[str, FovEstimator]:
-    """Return the learned estimators with the weights that are shipped for the grid and the target."""
-    grid, target = _grid(plan), plan.config_of(WHOLE).target
+def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
+    """Return the learned estimators with the weights that are shipped for the grid and the target of a config."""
     found: dict[str, FovEstimator] = {}
     for method, make in LEARNED.items():
         try:
-            name = default_name(method, grid, target)
+            name = default_name(method, config.grid, config.target)
         except ValueError:  # none is shipped for this grid and target
             continue
         runner = load_runner(name, threads=1)
@@ -153,11 +159,7 @@ def _shipped(plan: AblationPlan) -> dict[str, FovEstimator]:
     return found
 
 
-def _classical(plan: AblationPlan) -> dict[str, FovEstimator]:
-    target = TARGETS[plan.config_of(WHOLE).target]
-    made = {name: make(_grid(plan)) for name, make in ESTIMATORS.items()}
+def _classical(config: TrainConfig) -> dict[str, FovEstimator]:
+    target = TARGETS[config.target]
+    made = {name: make(config.grid) for name, make in ESTIMATORS.items()}
     return {name: replace(each, target=target) for name, each in made.items()}  # type: ignore[type-var]
-
-
-def _grid(plan: AblationPlan) -> BevGrid:
-    return plan.config_of(WHOLE).grid
