@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
-from viewshed.datasets.presets import preset_named
 from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.metrics import Scores
@@ -19,20 +18,14 @@ from viewshed.successor.page import page_of
 from viewshed.successor.parts import CLEAR, parts_of
 from viewshed.successor.plan import WHOLE, AblationPlan, ablation_named
 from viewshed.successor.results import Results, sure_from
-from viewshed.successor.run import run_steps
-from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_elsewhere, targets_of
+from viewshed.successor.run import STEPS, run_steps
+from viewshed.successor.targets import OURS
 from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig, read_config
 from viewshed.visible import CAR, PEDESTRIAN
-from viewshed.vulnerability.subjects import Subject, subject_of_preset
+from viewshed.vulnerability.subjects import Subject
 
 GRID = BevGrid(32, 64.0)
-
-
-@pytest.fixture(scope="module")
-def subject() -> Subject:
-    preset = replace(preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=64.0)
-    return subject_of_preset(preset, 1, 3, 77)
 
 
 class Fixed:
@@ -131,53 +124,6 @@ def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
     assert sure_from(scores, 0.9) == 1.0
 
 
-def _said(right: int, wrong: int) -> Said:
-    scores = Scores()
-    scores.add(np.full(right + wrong, 0.9, np.float32), np.arange(right + wrong) < right)
-    return Said(scores, scores, [])
-
-
-def test_targets_are_met_or_missed_by_what_was_said() -> None:
-    """A network that is right in 99 of 100 claims meets the first; one attack below the vote is named."""
-    plan, every = ablation_named("small"), dict.fromkeys(CASES)
-    ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
-    vote = {case: _said(90, 10) for case in every}
-    test = Results(plan, plan.domain, {OURS: ours, RIVAL: vote, SEVERAL: vote})
-    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test)}
-    assert found["F1, benign"].met
-    assert found["F1, benign"].found == "0.995"
-    assert found["the same less that of the vote"].met
-    least = found["least lead over the vote under any attack"]
-    assert (least.met, least.found.split()[1]) == (False, "(relay)")
-    assert found["precision / recall in opened wedges after abstention, trained on"].met
-    assert found["Brier score of one pass beside that of 20, benign"].met
-    assert not found["ECE, benign"].met
-    assert not any("sensor" in what or CLEAR in what for what in found)
-    for case in (ours, vote):
-        case[BENIGN].parts = {CLEAR: [2, 99, 1, 1, 0], "sensor A": [1, 9, 1, 1, 0], "sensor B": [1, 90, 0, 0, 0]}
-    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test)}
-    assert found[f"F1, benign, cells {CLEAR}"].met
-    least = found["least F1 of any sensor, benign"]
-    assert (least.met, least.found) == (False, "0.900 (A)")
-    assert targets_of(Results(plan, plan.domain, {}), Results(plan, plan.domain, {RIVAL: vote})) == []
-
-
-def test_rooms_have_targets_of_their_own() -> None:
-    plan = ablation_named("small")
-    good = {case: _said(99, 1) for case in CASES}
-    level = good | {BENIGN: _said(90, 10)}
-    found = targets_elsewhere(Results(plan, "rooms", {OURS: level, RIVAL: good}))
-    assert [(each.what, each.met) for each in found] == [
-        ("F1, benign", False),
-        ("the same, as aimed at for a pedestrian", True),
-        ("mean F1 over the attacks, jamming apart", True),
-        ("least lead over the vote, benign and under any attack", False),
-    ]
-    assert found[-1].found.endswith("(benign)")
-    assert targets_elsewhere(Results(plan, "rooms", {})) == []
-    assert Results(plan, "rooms", {}).attacks == read_config("viewnet_indoor").attacks
-
-
 def test_variants_change_what_they_say_and_nothing_else() -> None:
     plan = ablation_named("small")
     whole = plan.config_of(WHOLE)
@@ -202,6 +148,8 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
         ({"others": {"rooms": "viewnet_attic"}}, "config must be a TOML file or one of"),
         ({"others": {"attic": "viewnet_indoor"}}, "preset must be one of"),
         ({"others": 3}, "others must be a table, got 3"),
+        ({"chosen_sweeps": 3}, r"chosen_sweeps must lie in \[0, 2\], got 3"),
+        ({"questions": [20, 20]}, r"questions must be different numbers of at least 1, got \[20, 20\]"),
         ({"claim_precision": 1.0}, r"claim_precision must lie in \(0, 1\), got 1.0"),
         ({"more": 1}, "missing or unknown: more"),
     ],
@@ -218,11 +166,13 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert list(run_steps(store, ("validation",), 1, lambda *step: None)) == [
         "validation: not all variants are trained"
     ]
-    assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: told.append(step))) == []
-    assert told[-1] == ("test", 2, 2)
+    assert list(run_steps(store, STEPS, 1, lambda *step: told.append(step))) == []
+    assert ("test", 2, 2) in told
+    assert told[-1] == ("chosen", 1, 1)
     page = page_of(store)
     for words in ("| whole |", "| counts alone |", "| vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
+    assert "| shadow_map | 20 |" in page
     road, indoor = page.split("## The shipped networks, nuscenes-small")[1].split("## The shipped networks, ugv-small")
     assert "the target is a car" in road
     assert "| viewnet |" not in road
@@ -233,9 +183,9 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert page.index("### Targets, ugv-small") < page.index("| the same, as aimed at for a pedestrian |")
     lines = store.path.read_text().splitlines()
     store.path.write_text("\n".join(lines[:-1]) + "\n")
-    assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: None)) == []
+    assert list(run_steps(store, STEPS, 1, lambda *step: None)) == []
     assert [json.loads(line).get("said") for line in store.path.read_text().splitlines()[1:]] == [
         json.loads(line).get("said") for line in lines[1:]
     ]
-    with pytest.raises(ValueError, match="only must be among models, validation, test, page, got 'trade'"):
+    with pytest.raises(ValueError, match="only must be among models, validation, test, chosen, page, got 'trade'"):
         list(run_steps(store, ("trade",), 1, lambda *step: None))

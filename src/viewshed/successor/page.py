@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from viewshed.report import facts
 from viewshed.reproduce.store import JobStore
+from viewshed.successor.chosen import POINTS, SECTOR_DEG
 from viewshed.successor.parts import CLEAR, MARGIN
 from viewshed.successor.plan import AblationPlan
 from viewshed.successor.results import Results
@@ -13,6 +14,7 @@ from viewshed.successor.tables import (
     ablation_table,
     abstention_table,
     changes_table,
+    chosen_table,
     doubts_table,
     parts_table,
     targets_table,
@@ -35,6 +37,12 @@ _WEDGE = "Precision / recall in the wedge of attacks that have one:"
 _PARTS = f"""\
 F1 of parts of the untouched view: cells {CLEAR}, whose true number of returns is more than {MARGIN}
 from that from which on the target is visible; bands of range; and the sweeps of one sensor."""
+_CHOSEN = f"""\
+An attacker who has the victim itself (weights, channels, everything but the truth) adds {POINTS} points anywhere in a
+wedge of {SECTOR_DEG:g}° aimed at a near obstacle, and wants cells claimed there that the victim did not claim before.
+The channels count returns, so there is no gradient: plans are searched by an evolution strategy that asks the victim.
+What it finds is a lower bound of what can be found. Each victim meets the points chosen against it, in the same wedge
+of the first of the reported scenes. Precision / recall at a probability of .5:"""
 _ABSTENTION = """\
 Cells in doubt become UNKNOWN: claimed is only what has at least the probability from which claims in attacked wedges
 were right often enough on the scenes of the ablation, over the attacks trained on. Precision / recall in the wedges of
@@ -55,8 +63,8 @@ def page_of(store: JobStore[AblationPlan]) -> str:
     plan, blocks = store.plan, list[Block]()
     validation = Results.read(store, "validation", plan.domain)
     tests = {domain: Results.read(store, "test", domain) for domain in plan.domains}
-    test = tests[plan.domain]
-    blocks += _aimed({plan.domain: targets_of(validation, test)}
+    test, chosen = tests[plan.domain], Results.read(store, "chosen", plan.domain)
+    blocks += _aimed({plan.domain: targets_of(validation, test, chosen)}
                      | {domain: targets_elsewhere(tests[domain]) for domain in plan.others})  # fmt: skip
     if validation.said:
         blocks += [
@@ -68,6 +76,8 @@ def page_of(store: JobStore[AblationPlan]) -> str:
     blocks += _shipped(test)
     if OURS in test.said and validation.said:
         blocks += [Text(_ABSTENTION), abstention_table(validation, test)]
+    if chosen.said:
+        blocks += [Heading(2, "Points chosen against their victim"), Text(_CHOSEN), chosen_table(chosen)]
     for domain in plan.others:
         blocks += _shipped(tests[domain])
     return to_markdown("The network and what its parts are worth", _facts(plan), blocks)
@@ -100,5 +110,5 @@ def _facts(plan: AblationPlan) -> dict[str, str]:
         plan=plan.name, config=plan.config, domain=plan.domain, sweeps=str(plan.sweeps), seed=str(plan.seed),
         test_sweeps=str(plan.test_sweeps), test_seed=str(plan.test_seed),
         others=", ".join(f"{domain} ({config})" for domain, config in plan.others.items()) or "none",
-        other_sweeps=str(plan.other_sweeps),
+        other_sweeps=str(plan.other_sweeps), chosen_sweeps=str(plan.chosen_sweeps),
     )  # fmt: skip

@@ -19,17 +19,20 @@ from viewshed.networks.shipped import default_name
 from viewshed.reproduce.models import trained
 from viewshed.reproduce.run import Counted, run_jobs
 from viewshed.reproduce.store import JobStore, Key
+from viewshed.successor.chosen import duels
 from viewshed.successor.contest import Enveloped, score
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.targets import OURS, SEVERAL
+from viewshed.successor.targets import OURS, RIVAL, SEVERAL
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
 from viewshed.visible import TARGETS
 from viewshed.vulnerability.subjects import Subject, subject_of_preset
 
-STEPS = ("models", "validation", "test", "page")
+STEPS = ("models", "validation", "test", "chosen", "page")
 """What the command does, in order."""
+VICTIMS = (OURS, "unet", "shadow_map", RIVAL)
+"""Against whom points are chosen, as far as they are there."""
 ENVELOPED = "whole, within first blocker"
 Told = Callable[[str, int, int], None]
 """Is told the step, how many of its parts are there, and how many there are."""
@@ -54,6 +57,8 @@ def keys_of(plan: AblationPlan, step: str) -> list[Key]:
     """Return the names of all jobs of a step, in the order in which they are done."""
     if step == "models":
         return [("models", name) for name in plan.variants]
+    if step == "chosen":
+        return [(step, plan.domain, str(number)) for number in range(plan.chosen_sweeps)]
     domains = plan.domains if step == "test" else (plan.domain,)
     chunks = {domain: -(-plan.count(step, domain) // plan.chunk) for domain in domains}
     return [(step, domain, str(number)) for domain in domains for number in range(chunks[domain])]
@@ -111,8 +116,8 @@ def weights_of(folder: Path, variant: str) -> Path:
 
 def do_job(job: Job) -> dict[str, Any]:
     """Return what a job found, as plain values."""
-    work = _train if job.key[0] == "models" else _score
-    return work(job) | {"commits": list(code_version()["commits"])}
+    works = {"models": _train, "chosen": _choose}
+    return works.get(job.key[0], _score)(job) | {"commits": list(code_version()["commits"])}
 
 
 def _train(job: Job) -> dict[str, Any]:
@@ -128,6 +133,16 @@ def _score(job: Job) -> dict[str, Any]:
     subjects = {number: subject_in(plan, split, domain, number) for number in numbers}
     estimators = _variants(plan, job.folder) if split == "validation" else _shipped(config)
     return {"said": score(subjects, estimators | _classical(config), plan.seed_of(split), TARGETS[config.target])}
+
+
+def _choose(job: Job) -> dict[str, Any]:
+    plan, (_, domain, number) = job.plan, job.key
+    config = plan.config_in(domain)
+    there = _shipped(config) | _classical(config)
+    victims = {name: there[name] for name in VICTIMS if name in there}
+    questions = {name: plan.questions if name == OURS else plan.questions[:1] for name in victims}
+    subject = subject_in(plan, "test", domain, int(number))
+    return {"said": duels(subject, victims, questions, (plan.test_seed, int(number)), TARGETS[config.target])}
 
 
 def subject_in(plan: AblationPlan, split: str, domain: str, number: int) -> Subject:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isnan
 
 from viewshed.metrics import Scores
+from viewshed.successor.chosen import UNTOUCHED
 from viewshed.successor.contest import BENIGN, CASES
 from viewshed.successor.plan import WHOLE, AblationPlan
 from viewshed.successor.results import Results
@@ -69,6 +70,19 @@ def parts_table(results: Results) -> Table:
 def _best_in_bold(scores: list[float]) -> list[str]:
     most = max((score for score in scores if not isnan(score)), default=float("nan"))
     return [f"**{three(score)}**" if score == most else three(score) for score in scores]
+
+
+def chosen_table(chosen: Results) -> Table:
+    """Return precision / recall of each victim, untouched and with points chosen against it."""
+    cell_m2 = chosen.plan.config_in(chosen.domain).grid.cell_area_m2
+    rows = []
+    for name, cases in chosen.said.items():
+        for case, said in cases.items():
+            false_m2 = said.wedge.counts()[1] * cell_m2 / len(said.sweeps)
+            rows.append(
+                [name, case if case != UNTOUCHED else "–", _both(said.view), _both(said.wedge), f"{false_m2:.0f}"]
+            )
+    return Table(["victim", "questions", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"], rows)
 
 
 def abstention_table(validation: Results, test: Results) -> Table:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from viewshed.metrics import Scores
+from viewshed.successor.chosen import POINTS, UNTOUCHED
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING
 from viewshed.successor.parts import CLEAR, SENSOR
 from viewshed.successor.plan import WHOLE
@@ -32,11 +33,18 @@ class Target:
     met: bool
 
 
-def targets_of(validation: Results, test: Results) -> list[Target]:
+def targets_of(validation: Results, test: Results, chosen: Results) -> list[Target]:
     """Return the targets with what was found on the reported scenes; none where our network was not tried."""
     if OURS not in test.said:
         return []
-    return [*_agreement(test), *_parts(test), *_wedges(validation, test), *_calibration(test), *_doubt(test)]
+    return [
+        *_agreement(test),
+        *_parts(test),
+        *_wedges(validation, test),
+        *_chosen(chosen),
+        *_calibration(test),
+        *_doubt(test),
+    ]
 
 
 def targets_elsewhere(test: Results) -> list[Target]:
@@ -96,6 +104,14 @@ def _wedges(validation: Results, test: Results) -> Iterator[Target]:
         met = precision >= wanted and recall >= 0.5
         what = f"precision / recall in opened wedges after abstention, {words}"
         yield Target(what, f"≥ {wanted:.2f} / .50", told, met)
+
+
+def _chosen(chosen: Results) -> Iterator[Target]:
+    for case, said in chosen.said.get(OURS, {}).items():
+        if case != UNTOUCHED:
+            precision, wedge = said.view.precision(), said.wedge.precision()
+            what = f"precision against {POINTS} points chosen with {case} questions"
+            yield Target(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9)
 
 
 def _calibration(test: Results) -> Iterator[Target]:
