@@ -9,28 +9,23 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid
-from viewshed.datasets.presets import preset_named
 from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.metrics import Scores
 from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BARE, BENIGN, CASES, Enveloped, Said, score, shots_of
 from viewshed.successor.page import page_of
+from viewshed.successor.parts import CLEAR, parts_of
 from viewshed.successor.plan import WHOLE, AblationPlan, ablation_named
 from viewshed.successor.results import Results, sure_from
-from viewshed.successor.run import run_steps
-from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_of
+from viewshed.successor.run import STEPS, run_steps
+from viewshed.successor.targets import OURS
 from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig, read_config
-from viewshed.vulnerability.subjects import Subject, subject_of_preset
+from viewshed.visible import CAR, PEDESTRIAN
+from viewshed.vulnerability.subjects import Subject
 
 GRID = BevGrid(32, 64.0)
-
-
-@pytest.fixture(scope="module")
-def subject() -> Subject:
-    preset = replace(preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=64.0)
-    return subject_of_preset(preset, 1, 3, 77)
 
 
 class Fixed:
@@ -72,6 +67,46 @@ def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(subject:
     assert said["right"][BENIGN].wedge.cells == 0
 
 
+def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_it_was(subject: Subject) -> None:
+    truth = subject.sample.truth
+    parts = dict(parts_of(subject, CAR))
+    assert np.array_equal(parts[CLEAR], ~np.isin(truth.expected_returns["car"], [3, 4, 5, 6, 7]))
+    assert np.array_equal(
+        dict(parts_of(subject, PEDESTRIAN))[CLEAR], ~np.isin(truth.expected_returns["pedestrian"], [1, 2, 3, 4, 5])
+    )
+    range_m = np.hypot(GRID.centers[..., 0], GRID.centers[..., 1])
+    bands = [parts[name] for name in ("0 to 20 m", "20 to 40 m", "40 to 64 m", "from 64 m on")]
+    assert (np.sum(bands, axis=0) == 1).all()
+    assert range_m[bands[0]].max() < 20
+    assert 40 < range_m[bands[2]].min() < range_m[bands[2]].max() < 64
+    assert parts["sensor HDL-32E"].all()
+    near = replace(truth, grid=BevGrid(32, 16.0))
+    indoor = Subject(replace(subject.sample, truth=near))
+    assert [name for name, _ in parts_of(indoor, CAR)][1:4] == ["0 to 5 m", "5 to 10 m", "10 to 16 m"]
+
+
+def test_parts_are_counted_untouched_and_add_up(subject: Subject) -> None:
+    truth, known = subject.sample.truth.visible(), subject.sample.known
+    wrong_far = truth ^ (np.hypot(GRID.centers[..., 0], GRID.centers[..., 1]) >= 40)
+    told = score({0: subject, 1: subject}, {OURS: Fixed(wrong_far.astype(np.float32))}, 1)[OURS]
+    said = {case: Said.from_json(each) for case, each in told.items()}
+    assert not said["far_wall"].parts
+    found = Results(ablation_named("small"), "roads", {OURS: {case: each + each for case, each in said.items()}})
+    assert found.parts["sensor HDL-32E"] == 4
+    assert list(found.parts)[-1] == "sensor HDL-32E"
+    assert [found.f1_of_part(OURS, part) for part in ("0 to 20 m", "20 to 40 m", "40 to 64 m")] == [1.0, 1.0, 0.0]
+    assert sum(said[BENIGN].parts["0 to 20 m"][1:]) == 2 * (known & (np.hypot(*GRID.centers.T).T < 20)).sum()
+    assert found.f1_of_part(OURS, "sensor HDL-32E") == found.f1(OURS, [BENIGN])
+
+
+def test_truth_is_that_of_the_target(subject: Subject) -> None:
+    known = subject.sample.known
+    truth = subject.sample.truth.visible(PEDESTRIAN)
+    assert (truth != subject.sample.truth.visible(CAR))[known].any()
+    told = score({0: subject}, {"right": Fixed(truth.astype(np.float32))}, 1, PEDESTRIAN)
+    assert Said.from_json(told["right"][BENIGN]).view.f1() == 1.0
+
+
 def test_nothing_behind_the_nearest_obstacle_is_claimed(subject: Subject) -> None:
     bound = FirstBlocker(GRID, limit_farthest=False)
     found = Enveloped(Fixed(np.ones(GRID.shape, np.float32)), bound).estimate(subject.sample.sweep)
@@ -89,30 +124,6 @@ def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
     assert sure_from(scores, 0.9) == 1.0
 
 
-def _said(right: int, wrong: int) -> Said:
-    scores = Scores()
-    scores.add(np.full(right + wrong, 0.9, np.float32), np.arange(right + wrong) < right)
-    return Said(scores, scores, [])
-
-
-def test_targets_are_met_or_missed_by_what_was_said() -> None:
-    """A network that is right in 99 of 100 claims meets the first; one attack below the vote is named."""
-    plan, every = ablation_named("small"), dict.fromkeys(CASES)
-    ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
-    vote = {case: _said(90, 10) for case in every}
-    test = Results(plan, {OURS: ours, RIVAL: vote, SEVERAL: vote})
-    found = {each.what: each for each in targets_of(Results(plan, {WHOLE: ours}), test)}
-    assert found["F1, benign"].met
-    assert found["F1, benign"].found == "0.995"
-    assert found["the same less that of the vote"].met
-    least = found["least lead over the vote under any attack"]
-    assert (least.met, least.found.split()[1]) == (False, "(relay)")
-    assert found["precision / recall in opened wedges after abstention, trained on"].met
-    assert found["Brier score of one pass beside that of 20, benign"].met
-    assert not found["ECE, benign"].met
-    assert targets_of(Results(plan, {}), Results(plan, {RIVAL: vote})) == []
-
-
 def test_variants_change_what_they_say_and_nothing_else() -> None:
     plan = ablation_named("small")
     whole = plan.config_of(WHOLE)
@@ -121,8 +132,8 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
-    assert not set(Results(plan, {}).trained) & set(Results(plan, {}).unseen)
-    assert len(Results(plan, {}).unseen) >= 5
+    assert not set(Results(plan, plan.domain, {}).trained) & set(Results(plan, plan.domain, {}).unseen)
+    assert len(Results(plan, plan.domain, {}).unseen) >= 5
 
 
 @pytest.mark.parametrize(
@@ -132,7 +143,13 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
         ({"variants": {"whole": {}, "a": {"colour": 1}}}, "missing or unknown: colour"),
         ({"variants": 3}, "variants must be a table, got 3"),
         ({"test_seed": 7301}, "seed and test_seed must differ"),
-        ({"chunk": 0}, "sweeps, test_sweeps and chunk must be at least 1"),
+        ({"chunk": 0}, "sweeps, test_sweeps, other_sweeps and chunk must be at least 1"),
+        ({"others": {"nuscenes-small": "viewnet_road"}}, "others must not hold nuscenes-small, the domain itself"),
+        ({"others": {"rooms": "viewnet_attic"}}, "config must be a TOML file or one of"),
+        ({"others": {"attic": "viewnet_indoor"}}, "preset must be one of"),
+        ({"others": 3}, "others must be a table, got 3"),
+        ({"chosen_sweeps": 3}, r"chosen_sweeps must lie in \[0, 2\], got 3"),
+        ({"questions": [20, 20]}, r"questions must be different numbers of at least 1, got \[20, 20\]"),
         ({"claim_precision": 1.0}, r"claim_precision must lie in \(0, 1\), got 1.0"),
         ({"more": 1}, "missing or unknown: more"),
     ],
@@ -149,16 +166,26 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert list(run_steps(store, ("validation",), 1, lambda *step: None)) == [
         "validation: not all variants are trained"
     ]
-    assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: told.append(step))) == []
-    assert told[-1] == ("test", 1, 1)
+    assert list(run_steps(store, STEPS, 1, lambda *step: told.append(step))) == []
+    assert ("test", 2, 2) in told
+    assert told[-1] == ("chosen", 1, 1)
     page = page_of(store)
-    for words in ("| whole |", "| counts alone |", "| vote |", "## The shipped networks", "far_wall \\*", "| relay |"):
+    for words in ("| whole |", "| counts alone |", "| vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
+    assert "| shadow_map | 20 |" in page
+    road, indoor = page.split("## The shipped networks, nuscenes-small")[1].split("## The shipped networks, ugv-small")
+    assert "the target is a car" in road
+    assert "| viewnet |" not in road
+    assert "Cells in doubt become UNKNOWN" not in page
+    assert "the target is a pedestrian" in indoor
+    assert "| viewnet |" in indoor
+    assert "### Targets, nuscenes-small" not in page
+    assert page.index("### Targets, ugv-small") < page.index("| the same, as aimed at for a pedestrian |")
     lines = store.path.read_text().splitlines()
     store.path.write_text("\n".join(lines[:-1]) + "\n")
-    assert list(run_steps(store, ("models", "validation", "test"), 1, lambda *step: None)) == []
+    assert list(run_steps(store, STEPS, 1, lambda *step: None)) == []
     assert [json.loads(line).get("said") for line in store.path.read_text().splitlines()[1:]] == [
         json.loads(line).get("said") for line in lines[1:]
     ]
-    with pytest.raises(ValueError, match="only must be among models, validation, test, page, got 'trade'"):
+    with pytest.raises(ValueError, match="only must be among models, validation, test, chosen, page, got 'trade'"):
         list(run_steps(store, ("trade",), 1, lambda *step: None))

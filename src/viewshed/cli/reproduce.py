@@ -28,7 +28,7 @@ def reproduce(
         typer.Option(
             metavar="STEPS",
             help="With commas: data, models, pairs, strict, trade, monitor, pages; "
-            "of successor models, validation, test, page.",
+            "of successor models, validation, test, chosen, page.",
         ),
     ] = None,
     protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,

@@ -17,7 +17,9 @@ from viewshed.evaluation import unorganised_no_sensor
 from viewshed.level import level_sweep
 from viewshed.metrics import Scores
 from viewshed.reproduce.protocols import generator
+from viewshed.successor.parts import parts_of
 from viewshed.sweep import Sweep
+from viewshed.visible import CAR, Target
 from viewshed.vulnerability.contestants import estimate_of
 from viewshed.vulnerability.scoring import counts
 from viewshed.vulnerability.subjects import Subject
@@ -28,6 +30,7 @@ TOUCHING = tuple(name for name in ATTACKS if name != "pose_spoof")
 """Attacks that touch returns, each with its default budget."""
 CASES = (BENIGN, BARE, *TOUCHING)
 Mask = NDArray[np.bool_]
+_ROW = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,11 +71,13 @@ class Said:
         view: all cells whose truth is known.
         wedge: those of them that the attacker reaches.
         sweeps: (sweeps, 4) cells of each sweep: both, only claimed, only true, neither.
+        parts: by part of the view: sweeps that have it, and its cells as in ``sweeps``.
     """
 
     view: Scores = field(default_factory=Scores)
     wedge: Scores = field(default_factory=Scores)
     sweeps: list[list[int]] = field(default_factory=list)
+    parts: dict[str, list[int]] = field(default_factory=dict)
 
     def add(self, estimate: FovEstimate, shot: Shot, visible: Mask, known: Mask) -> None:
         """Count one sweep."""
@@ -84,13 +89,21 @@ class Said:
             self.wedge.add(prob[among], visible[among], None if doubt is None else doubt[among])
         self.sweeps.append(list(counts(estimate.visible()[known], visible[known])))
 
+    def add_parts(self, estimate: FovEstimate, visible: Mask, known: Mask, parts: Mapping[str, Mask]) -> None:
+        """Count the parts of one sweep, masks (cells, cells) by name."""
+        for name, part in parts.items():
+            among = known & part
+            self.parts[name] = _sum(self.parts.get(name), [1, *counts(estimate.visible()[among], visible[among])])
+
     def __add__(self, other: Said) -> Said:
         """Return both together."""
-        return Said(self.view + other.view, self.wedge + other.wedge, self.sweeps + other.sweeps)
+        parts = {name: _sum(self.parts.get(name), other.parts.get(name)) for name in {**self.parts, **other.parts}}
+        return Said(self.view + other.view, self.wedge + other.wedge, self.sweeps + other.sweeps, parts)
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return {"view": self.view.to_json(), "wedge": self.wedge.to_json(), "sweeps": self.sweeps}
+        scores = {"view": self.view.to_json(), "wedge": self.wedge.to_json()}
+        return scores | {"sweeps": self.sweeps, "parts": self.parts}
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Said:
@@ -99,24 +112,36 @@ class Said:
         Raises:
             ValueError: it is damaged or of another version.
         """
-        return cls(Scores.from_json(told["view"]), Scores.from_json(told["wedge"]), told["sweeps"])
+        return cls(Scores.from_json(told["view"]), Scores.from_json(told["wedge"]), told["sweeps"], told["parts"])
 
 
-def score(subjects: Mapping[int, Subject], estimators: Mapping[str, FovEstimator], seed: int) -> dict[str, Any]:
+def _sum(one: list[int] | None, other: list[int] | None) -> list[int]:
+    """Return two rows of counts together; None is a row of zeros."""
+    return [a + b for a, b in zip(one or [0] * _ROW, other or [0] * _ROW, strict=True)]
+
+
+def score(
+    subjects: Mapping[int, Subject], estimators: Mapping[str, FovEstimator], seed: int, target: Target = CAR
+) -> dict[str, Any]:
     """Return what every estimator says of the subjects in every case, as plain values.
 
     Args:
         subjects: by their number, all on the estimators' grid.
         estimators: by name.
         seed: of the attacks.
+        target: what would have to be seen.
     """
     found: dict[str, dict[str, Said]] = {name: defaultdict(Said) for name in estimators}
     for number, subject in subjects.items():
-        visible, known = subject.sample.truth.visible(), subject.sample.known
+        visible, known = subject.sample.truth.visible(target), subject.sample.known
+        parts = dict(parts_of(subject, target))
         for shot in shots_of(subject, seed, number):
             level = level_sweep(shot.sweep, subject.sample.truth.grid)
             for name, estimator in estimators.items():
-                found[name][shot.case].add(estimate_of(estimator, level, shot.sweep), shot, visible, known)
+                estimate, said = estimate_of(estimator, level, shot.sweep), found[name][shot.case]
+                said.add(estimate, shot, visible, known)
+                if shot.case == BENIGN:
+                    said.add_parts(estimate, visible, known, parts)
     return {name: {case: said.to_json() for case, said in cases.items()} for name, cases in found.items()}
 
 

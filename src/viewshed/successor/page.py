@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from math import isnan
+from collections.abc import Mapping
 
-from viewshed.metrics import Scores
 from viewshed.report import facts
 from viewshed.reproduce.store import JobStore
-from viewshed.successor.contest import BENIGN, CASES
-from viewshed.successor.plan import WHOLE, AblationPlan
+from viewshed.successor.chosen import POINTS, SECTOR_DEG
+from viewshed.successor.parts import CLEAR, MARGIN
+from viewshed.successor.plan import AblationPlan
 from viewshed.successor.results import Results
-from viewshed.successor.targets import OURS, Target, targets_of
-from viewshed.vulnerability.page import Block, Heading, Table, Text, to_markdown
-from viewshed.vulnerability.tables import three
+from viewshed.successor.tables import (
+    ablation_table,
+    abstention_table,
+    changes_table,
+    chosen_table,
+    doubts_table,
+    parts_table,
+    targets_table,
+    views_table,
+    wedges_table,
+)
+from viewshed.successor.targets import OURS, Target, targets_elsewhere, targets_of
+from viewshed.vulnerability.page import Block, Heading, Text, to_markdown
 
 _ABLATION = """\
 Each network is trained by the same config but for what its line says, and tried on the same sweeps of other scenes,
@@ -24,6 +34,15 @@ sensor. ECE has 15 bins. One training each: differences of some thousandths are 
 _TEST = """\
 Other scenes again. They were looked at once, with the networks that the package ships. *F1* of the view:"""
 _WEDGE = "Precision / recall in the wedge of attacks that have one:"
+_PARTS = f"""\
+F1 of parts of the untouched view: cells {CLEAR}, whose true number of returns is more than {MARGIN}
+from that from which on the target is visible; bands of range; and the sweeps of one sensor."""
+_CHOSEN = f"""\
+An attacker who has the victim itself (weights, channels, everything but the truth) adds {POINTS} points anywhere in a
+wedge of {SECTOR_DEG:g}° aimed at a near obstacle, and wants cells claimed there that the victim did not claim before.
+The channels count returns, so there is no gradient: plans are searched by an evolution strategy that asks the victim.
+What it finds is a lower bound of what can be found. Each victim meets the points chosen against it, in the same wedge
+of the first of the reported scenes. Precision / recall at a probability of .5:"""
 _ABSTENTION = """\
 Cells in doubt become UNKNOWN: claimed is only what has at least the probability from which claims in attacked wedges
 were right often enough on the scenes of the ablation, over the attacks trained on. Precision / recall in the wedges of
@@ -42,98 +61,54 @@ tells its deviation in the same pass as its probability."""
 def page_of(store: JobStore[AblationPlan]) -> str:
     """Return the page as Markdown; parts without results are left out."""
     plan, blocks = store.plan, list[Block]()
-    validation, test = (Results.read(store, split) for split in ("validation", "test"))
-    targets = targets_of(validation, test)
-    if targets:
-        blocks += [Heading(2, "Targets"), Text(_TARGETS), _targets(targets)]
+    validation = Results.read(store, "validation", plan.domain)
+    tests = {domain: Results.read(store, "test", domain) for domain in plan.domains}
+    test, chosen = tests[plan.domain], Results.read(store, "chosen", plan.domain)
+    blocks += _aimed({plan.domain: targets_of(validation, test, chosen)}
+                     | {domain: targets_elsewhere(tests[domain]) for domain in plan.others})  # fmt: skip
     if validation.said:
         blocks += [
             Heading(2, "What each part is worth"),
             Text(_ABLATION),
-            _ablation(validation),
-            _changes(plan),
+            ablation_table(validation),
+            changes_table(plan),
         ]
-    if test.said:
-        blocks += [Heading(2, "The shipped networks"), Text(_TEST), _views(test), Text(_WEDGE), _wedges(test)]
-        blocks += [Heading(3, "Doubt"), Text(_DOUBT), _doubts(test)]
-    if test.said and validation.said:
-        blocks += [Text(_ABSTENTION), _abstention(validation, test)]
-    told = facts(
+    blocks += _shipped(test)
+    if OURS in test.said and validation.said:
+        blocks += [Text(_ABSTENTION), abstention_table(validation, test)]
+    if chosen.said:
+        blocks += [Heading(2, "Points chosen against their victim"), Text(_CHOSEN), chosen_table(chosen)]
+    for domain in plan.others:
+        blocks += _shipped(tests[domain])
+    return to_markdown("The network and what its parts are worth", _facts(plan), blocks)
+
+
+def _aimed(targets: Mapping[str, list[Target]]) -> list[Block]:
+    """Return what was aimed at in each domain, and what was found there."""
+    tables: list[Block] = []
+    for domain, found in targets.items():
+        tables += [Heading(3, f"Targets, {domain}"), targets_table(found)] if found else []
+    return [Heading(2, "Targets"), Text(_TARGETS), *tables] if tables else []
+
+
+def _shipped(test: Results) -> list[Block]:
+    """Return what is said of the shipped networks in one domain."""
+    if not test.said:
+        return []
+    config = test.plan.config_in(test.domain)
+    cells = f"{config.cells} cells a side of {config.grid.cell_m:g} m"
+    about = f"Preset `{test.domain}`: {cells}; the target is a {config.target}."
+    return [
+        Heading(2, f"The shipped networks, {test.domain}"), Text(about), Text(_TEST), views_table(test),
+        Text(_WEDGE), wedges_table(test), Text(_PARTS), parts_table(test),
+        Heading(3, f"Doubt, {test.domain}"), Text(_DOUBT), doubts_table(test),
+    ]  # fmt: skip
+
+
+def _facts(plan: AblationPlan) -> dict[str, str]:
+    return facts(
         plan=plan.name, config=plan.config, domain=plan.domain, sweeps=str(plan.sweeps), seed=str(plan.seed),
         test_sweeps=str(plan.test_sweeps), test_seed=str(plan.test_seed),
+        others=", ".join(f"{domain} ({config})" for domain, config in plan.others.items()) or "none",
+        other_sweeps=str(plan.other_sweeps), chosen_sweeps=str(plan.chosen_sweeps),
     )  # fmt: skip
-    return to_markdown("The network and what its parts are worth", told, blocks)
-
-
-def _targets(targets: list[Target]) -> Table:
-    rows = [[each.what, each.wanted, each.found, "met" if each.met else "**missed**"] for each in targets]
-    return Table(["what", "target", "here", ""], rows)
-
-
-def _ablation(results: Results) -> Table:
-    columns = list(results.figures(WHOLE))
-    names = list(results.said)
-    rows = []
-    for name in names:
-        size = results.plan.config_of(name).shape if name in results.plan.variants else None
-        cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
-        rows.append([name, cost, *(three(value) for value in results.figures(name).values())])
-    return Table(["network", "GFLOP", *columns], rows)
-
-
-def _changes(plan: AblationPlan) -> Table:
-    rows = [[name, ", ".join(f"{key} = {value}" for key, value in changes.items()) or "–"]
-            for name, changes in plan.variants.items()]  # fmt: skip
-    return Table(["network", "what its line changes"], rows)
-
-
-def _views(results: Results) -> Table:
-    names = list(results.said)
-    rows = []
-    for case in CASES:
-        scores = [results.f1(name, [case]) for name in names]
-        most = max((score for score in scores if not isnan(score)), default=float("nan"))
-        rows.append([_kind(results, case), *(f"**{three(s)}**" if s == most else three(s) for s in scores)])
-    return Table(["case", *names], rows)
-
-
-def _wedges(results: Results) -> Table:
-    names = list(results.said)
-    rows = []
-    for case in CASES:
-        wedges = [results.wedge(name, [case]) for name in names]
-        if wedges[0].cells:
-            rows.append([_kind(results, case), *map(_both, wedges)])
-    return Table(["case", *names], rows)
-
-
-def _abstention(validation: Results, test: Results) -> Table:
-    step = validation.sure
-    ours = [OURS] if OURS in test.said else []
-    rows = [[name, f"{step:g}", *(_both(test.wedge(name, cases), step) for cases in test.opening)] for name in ours]
-    return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], rows)
-
-
-def _doubts(results: Results) -> Table:
-    groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
-    rows = []
-    for name in results.said:
-        cells = []
-        for cases in groups.values():
-            scores = sum(results.view(name, cases), Scores())
-            cells += [_four(value) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
-        rows.append([name, *cells])
-    heads = [f"{what}, {group}" for group in groups for what in ("ECE", "Brier", "AURC", "AURC by deviation")]
-    return Table(["", *heads], rows)
-
-
-def _kind(results: Results, case: str) -> str:
-    return f"{case} \\*" if case in results.plan.config_of(WHOLE).attacks else case
-
-
-def _both(scores: Scores, threshold: float = 0.5) -> str:
-    return f"{three(scores.precision(threshold))} / {three(scores.recall(threshold))}"
-
-
-def _four(value: float) -> str:
-    return "–" if isnan(value) else f"{value:.4f}"

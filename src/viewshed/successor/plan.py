@@ -24,11 +24,16 @@ class AblationPlan:
         about: one line for people.
         config: name of the training config that the variants change.
         domain: preset whose scenes variants are tried on; the config's grid.
+        others: further presets in which the shipped networks are reported, each with the name of the training config
+            whose grid, target and attacks count there.
         seed: of the scenes on which variants are compared.
         test_seed: of the scenes on which the shipped network is reported.
         sweeps: how many sweeps variants are compared on, each from a scene of its own.
         test_sweeps: how many the shipped network is reported on.
-        chunk: sweeps of one job.
+        other_sweeps: the same in each of ``others``.
+        chosen_sweeps: how many of those of the domain are attacked by points chosen against their victim.
+        questions: that such an attacker asks: the first number of every victim, each number of our network.
+        chunk: sweeps of one job; points are chosen for one at a time.
         claim_precision: precision of cells claimed in attacked wedges after abstention, for which it is calibrated.
         base: changes of the config that all variants share.
         variants: by name, the further changes of each.
@@ -41,29 +46,55 @@ class AblationPlan:
     about: str
     config: str
     domain: str
+    others: Mapping[str, str]
     seed: int
     test_seed: int
     sweeps: int
     test_sweeps: int
+    other_sweeps: int
+    chosen_sweeps: int
+    questions: tuple[int, ...]
     chunk: int
     claim_precision: float
     base: Mapping[str, Any]
     variants: Mapping[str, Mapping[str, Any]]
 
     def __post_init__(self) -> None:
-        for key in ("seed", "test_seed"):
-            if not 0 <= getattr(self, key) <= MAX_SEED:
-                raise ValueError(f"{key} must lie in [0, {MAX_SEED}], got {getattr(self, key)}")
-        if len({self.seed, self.test_seed, preset_named(self.domain).seed}) < 3:
-            raise ValueError(f"seed and test_seed must differ from each other and from that of {self.domain}")
-        if min(self.sweeps, self.test_sweeps, self.chunk) < 1:
-            raise ValueError("sweeps, test_sweeps and chunk must be at least 1")
+        self._check_seeds()
+        if min(self.sweeps, self.test_sweeps, self.other_sweeps, self.chunk) < 1:
+            raise ValueError("sweeps, test_sweeps, other_sweeps and chunk must be at least 1")
+        if not 0 <= self.chosen_sweeps <= self.test_sweeps:
+            raise ValueError(f"chosen_sweeps must lie in [0, {self.test_sweeps}], got {self.chosen_sweeps}")
+        if not self.questions or min(self.questions) < 1 or len(set(self.questions)) < len(self.questions):
+            raise ValueError(f"questions must be different numbers of at least 1, got {list(self.questions)}")
         if not 0.0 < self.claim_precision < 1.0:
             raise ValueError(f"claim_precision must lie in (0, 1), got {self.claim_precision}")
         if self.variants.get(WHOLE) != {}:
             raise ValueError(f"variants must have one named {WHOLE} that changes nothing")
-        for name in self.variants:
-            _ = self.config_of(name)
+        if self.domain in self.others:
+            raise ValueError(f"others must not hold {self.domain}, the domain itself")
+        _ = [self.config_of(name) for name in self.variants], [self.config_in(domain) for domain in self.others]
+
+    def _check_seeds(self) -> None:
+        for key in ("seed", "test_seed"):
+            if not 0 <= getattr(self, key) <= MAX_SEED:
+                raise ValueError(f"{key} must lie in [0, {MAX_SEED}], got {getattr(self, key)}")
+        for domain in self.domains:
+            if len({self.seed, self.test_seed, preset_named(domain).seed}) < 3:
+                raise ValueError(f"seed and test_seed must differ from each other and from that of {domain}")
+
+    @property
+    def domains(self) -> tuple[str, ...]:
+        """The domain of the ablation, then the others."""
+        return self.domain, *self.others
+
+    def config_in(self, domain: str) -> TrainConfig:
+        """Return the training config whose grid, target and attacks count in a domain.
+
+        Raises:
+            ValueError: there is no such config.
+        """
+        return self.config_of(WHOLE) if domain == self.domain else read_config(self.others[domain])
 
     def config_of(self, variant: str) -> TrainConfig:
         """Return how a variant is trained.
@@ -76,9 +107,11 @@ class AblationPlan:
         changes = {**self.base, **self.variants[variant]}
         return TrainConfig.from_json(read_config(self.config).to_json() | changes | {"name": variant})
 
-    def count(self, split: str) -> int:
-        """Return how many sweeps a split has."""
-        return self.sweeps if split == "validation" else self.test_sweeps
+    def count(self, split: str, domain: str) -> int:
+        """Return how many sweeps of a domain a split has."""
+        if split == "validation":
+            return self.sweeps
+        return self.test_sweeps if domain == self.domain else self.other_sweeps
 
     def seed_of(self, split: str) -> int:
         """Return the seed of a split's scenes."""
@@ -91,7 +124,7 @@ class AblationPlan:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        nested = {key: table.get(key) for key in ("base", "variants")}
+        nested = {key: table.get(key) for key in ("base", "others", "variants")}
         rest = {key: value for key, value in table.items() if key not in nested}
         for key, value in nested.items():
             if not isinstance(value, dict):
@@ -101,7 +134,7 @@ class AblationPlan:
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain values."""
         variants = {name: dict(changes) for name, changes in self.variants.items()}
-        return flat.plain(self) | {"base": dict(self.base), "variants": variants}
+        return flat.plain(self) | {"base": dict(self.base), "others": dict(self.others), "variants": variants}
 
 
 def ablation_named(name: str) -> AblationPlan:

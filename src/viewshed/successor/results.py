@@ -11,6 +11,7 @@ import numpy as np
 from viewshed.metrics import STEPS, Scores
 from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING, Said
+from viewshed.successor.parts import SENSOR
 from viewshed.successor.plan import WHOLE, AblationPlan
 
 JAMMING = "jamming"
@@ -19,45 +20,50 @@ OVER_CLAIM = ("ghost_wall", "far_wall", "removal", "high_frequency_removal", "re
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """Everything that was said on one split.
+    """Everything that was said on one split of one domain.
 
     Attributes:
         plan: of the ablation.
+        domain: of the plan's.
         said: by contestant and case, all sweeps together.
     """
 
     plan: AblationPlan
+    domain: str
     said: dict[str, dict[str, Said]]
 
     @classmethod
-    def read(cls, store: JobStore[AblationPlan], split: str) -> Results:
-        """Return what the finished jobs of a split found.
+    def read(cls, store: JobStore[AblationPlan], split: str, domain: str) -> Results:
+        """Return what the finished jobs of a split found in a domain.
 
         Raises:
             ValueError: a line is damaged.
         """
         found: dict[str, dict[str, Said]] = defaultdict(lambda: defaultdict(Said))
-        for line in store.jobs(split):
+        for line in store.jobs(split, domain):
             for name, cases in line["said"].items():
                 for case, told in cases.items():
                     found[name][case] = found[name][case] + Said.from_json(told)
-        return cls(store.plan, {name: dict(cases) for name, cases in found.items()})
+        return cls(store.plan, domain, {name: dict(cases) for name, cases in found.items()})
+
+    @property
+    def attacks(self) -> tuple[str, ...]:
+        """Attacks that our network is trained on."""
+        return self.plan.config_in(self.domain).attacks
 
     @property
     def trained(self) -> tuple[str, ...]:
-        """Attacks that the whole network is trained on, jamming apart."""
-        attacks = self.plan.config_of(WHOLE).attacks
-        return tuple(name for name in TOUCHING if name in attacks and name != JAMMING)
+        """Those of the attacks that our network is trained on, jamming apart."""
+        return tuple(name for name in TOUCHING if name in self.attacks and name != JAMMING)
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """Attacks that it never met."""
-        attacks = self.plan.config_of(WHOLE).attacks
-        return tuple(name for name in TOUCHING if name not in attacks)
+        return tuple(name for name in TOUCHING if name not in self.attacks)
 
     @property
     def opening(self) -> tuple[list[str], list[str]]:
-        """Attacks that open a view: those that the whole network is trained on, and those it never met."""
+        """Attacks that open a view: those that our network is trained on, and those it never met."""
         seen, unseen = ([case for case in OVER_CLAIM if case in group] for group in (self.trained, self.unseen))
         return seen, unseen
 
@@ -78,6 +84,17 @@ class Results:
         """Return the mean F1 of the view over cases; NaN for none."""
         scores = self.view(name, cases)
         return float(np.mean([each.f1() for each in scores])) if scores else float("nan")
+
+    @property
+    def parts(self) -> dict[str, int]:
+        """Parts of the untouched view, sensors last and in alphabetical order, with the sweeps that have them."""
+        parts = {name: row[0] for cases in self.said.values() for name, row in cases[BENIGN].parts.items()}
+        return dict(sorted(parts.items(), key=lambda part: part[0] if part[0].startswith(SENSOR) else ""))
+
+    def f1_of_part(self, name: str, part: str) -> float:
+        """Return the F1 of a part of the untouched view; NaN where nothing of it is visible or claimed."""
+        _, both, over, under, _ = self.said[name][BENIGN].parts[part]
+        return 2 * both / (2 * both + over + under) if both + over + under else float("nan")
 
     def ece(self, name: str, cases: Iterable[str]) -> float:
         """Return the expected calibration error of the view over cases together."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from viewshed.bev import BevGrid
 from viewshed.datasets.manifest import code_version
 from viewshed.datasets.presets import preset_named
 from viewshed.engines import LocalEngine
@@ -20,16 +19,20 @@ from viewshed.networks.shipped import default_name
 from viewshed.reproduce.models import trained
 from viewshed.reproduce.run import Counted, run_jobs
 from viewshed.reproduce.store import JobStore, Key
+from viewshed.successor.chosen import duels
 from viewshed.successor.contest import Enveloped, score
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.targets import OURS, SEVERAL
+from viewshed.successor.targets import OURS, RIVAL, SEVERAL
+from viewshed.training.config import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
 from viewshed.visible import TARGETS
-from viewshed.vulnerability.subjects import subject_of_preset
+from viewshed.vulnerability.subjects import Subject, subject_of_preset
 
-STEPS = ("models", "validation", "test", "page")
+STEPS = ("models", "validation", "test", "chosen", "page")
 """What the command does, in order."""
+VICTIMS = (OURS, "unet", "shadow_map", RIVAL)
+"""Against whom points are chosen, as far as they are there."""
 ENVELOPED = "whole, within first blocker"
 Told = Callable[[str, int, int], None]
 """Is told the step, how many of its parts are there, and how many there are."""
@@ -54,8 +57,11 @@ def keys_of(plan: AblationPlan, step: str) -> list[Key]:
     """Return the names of all jobs of a step, in the order in which they are done."""
     if step == "models":
         return [("models", name) for name in plan.variants]
-    chunks = -(-plan.count(step) // plan.chunk)
-    return [(step, str(number)) for number in range(chunks)]
+    if step == "chosen":
+        return [(step, plan.domain, str(number)) for number in range(plan.chosen_sweeps)]
+    domains = plan.domains if step == "test" else (plan.domain,)
+    chunks = {domain: -(-plan.count(step, domain) // plan.chunk) for domain in domains}
+    return [(step, domain, str(number)) for domain in domains for number in range(chunks[domain])]
 
 
 def run_steps(store: JobStore[AblationPlan], steps: tuple[str, ...], workers: int | None, told: Told) -> Iterator[str]:
@@ -110,8 +116,8 @@ def weights_of(folder: Path, variant: str) -> Path:
 
 def do_job(job: Job) -> dict[str, Any]:
     """Return what a job found, as plain values."""
-    work = _train if job.key[0] == "models" else _score
-    return work(job) | {"commits": list(code_version()["commits"])}
+    works = {"models": _train, "chosen": _choose}
+    return works.get(job.key[0], _score)(job) | {"commits": list(code_version()["commits"])}
 
 
 def _train(job: Job) -> dict[str, Any]:
@@ -121,29 +127,44 @@ def _train(job: Job) -> dict[str, Any]:
 
 
 def _score(job: Job) -> dict[str, Any]:
-    plan, (split, chunk) = job.plan, job.key
-    first = int(chunk) * plan.chunk
-    numbers = range(first, min(first + plan.chunk, plan.count(split)))
-    preset, seed = on_grid(preset_named(plan.domain), plan.config_of(WHOLE)), plan.seed_of(split)
-    subjects = {number: subject_of_preset(preset, number, plan.count(split), seed) for number in numbers}
-    estimators = _variants(plan, job.folder) if split == "validation" else _shipped(plan)
-    return {"said": score(subjects, estimators | _classical(plan), seed)}
+    plan, (split, domain, chunk) = job.plan, job.key
+    config, first = plan.config_in(domain), int(chunk) * plan.chunk
+    numbers = range(first, min(first + plan.chunk, plan.count(split, domain)))
+    subjects = {number: subject_in(plan, split, domain, number) for number in numbers}
+    estimators = _variants(plan, job.folder) if split == "validation" else _shipped(config)
+    return {"said": score(subjects, estimators | _classical(config), plan.seed_of(split), TARGETS[config.target])}
+
+
+def _choose(job: Job) -> dict[str, Any]:
+    plan, (_, domain, number) = job.plan, job.key
+    config = plan.config_in(domain)
+    there = _shipped(config) | _classical(config)
+    victims = {name: there[name] for name in VICTIMS if name in there}
+    questions = {name: plan.questions if name == OURS else plan.questions[:1] for name in victims}
+    subject = subject_in(plan, "test", domain, int(number))
+    return {"said": duels(subject, victims, questions, (plan.test_seed, int(number)), TARGETS[config.target])}
+
+
+def subject_in(plan: AblationPlan, split: str, domain: str, number: int) -> Subject:
+    """Return one sweep of a split of a domain, with its truth on the grid that counts there."""
+    preset = on_grid(preset_named(domain), plan.config_in(domain))
+    return subject_of_preset(preset, number, plan.count(split, domain), plan.seed_of(split))
 
 
 def _variants(plan: AblationPlan, folder: Path) -> dict[str, FovEstimator]:
     found: dict[str, FovEstimator] = {
         name: UnetEstimator(OnnxRunner(weights_of(folder, name), threads=1), name=name) for name in plan.variants
     }
-    return found | {ENVELOPED: Enveloped(found[WHOLE], FirstBlocker(_grid(plan), limit_farthest=False))}
+    bound = FirstBlocker(plan.config_of(WHOLE).grid, limit_farthest=False)
+    return found | {ENVELOPED: Enveloped(found[WHOLE], bound)}
 
 
-def _shipped(plan: AblationPlan) -> dict[str, FovEstimator]:
-    """Return the learned estimators with the weights that are shipped for the grid and the target."""
-    grid, target = _grid(plan), plan.config_of(WHOLE).target
+def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
+    """Return the learned estimators with the weights that are shipped for the grid and the target of a config."""
     found: dict[str, FovEstimator] = {}
     for method, make in LEARNED.items():
         try:
-            name = default_name(method, grid, target)
+            name = default_name(method, config.grid, config.target)
         except ValueError:  # none is shipped for this grid and target
             continue
         runner = load_runner(name, threads=1)
@@ -153,11 +174,7 @@ def _shipped(plan: AblationPlan) -> dict[str, FovEstimator]:
     return found
 
 
-def _classical(plan: AblationPlan) -> dict[str, FovEstimator]:
-    target = TARGETS[plan.config_of(WHOLE).target]
-    made = {name: make(_grid(plan)) for name, make in ESTIMATORS.items()}
+def _classical(config: TrainConfig) -> dict[str, FovEstimator]:
+    target = TARGETS[config.target]
+    made = {name: make(config.grid) for name, make in ESTIMATORS.items()}
     return {name: replace(each, target=target) for name, each in made.items()}  # type: ignore[type-var]
-
-
-def _grid(plan: AblationPlan) -> BevGrid:
-    return plan.config_of(WHOLE).grid

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from viewshed.metrics import Scores
+from viewshed.successor.chosen import POINTS, UNTOUCHED
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING
+from viewshed.successor.parts import CLEAR, SENSOR
 from viewshed.successor.plan import WHOLE
 from viewshed.successor.results import JAMMING, Results
 
@@ -31,29 +33,64 @@ class Target:
     met: bool
 
 
-def targets_of(validation: Results, test: Results) -> list[Target]:
+def targets_of(validation: Results, test: Results, chosen: Results) -> list[Target]:
     """Return the targets with what was found on the reported scenes; none where our network was not tried."""
     if OURS not in test.said:
         return []
-    return [*_agreement(test), *_wedges(validation, test), *_calibration(test), *_doubt(test)]
+    return [
+        *_agreement(test),
+        *_parts(test),
+        *_wedges(validation, test),
+        *_chosen(chosen),
+        *_calibration(test),
+        *_doubt(test),
+    ]
+
+
+def targets_elsewhere(test: Results) -> list[Target]:
+    """Return the targets of another domain, whose target is a pedestrian; none where our network was not tried."""
+    return list(_elsewhere(test)) if OURS in test.said else []
+
+
+def _elsewhere(test: Results) -> Iterator[Target]:
+    families = [case for case in TOUCHING if case != JAMMING]
+    benign, mean = test.f1(OURS, [BENIGN]), test.f1(OURS, families)
+    yield _at_least("F1, benign", benign, 0.96)
+    yield _at_least(f"the same, as aimed at for a {test.plan.config_in(test.domain).target}", benign, 0.94)
+    yield _at_least("mean F1 over the attacks, jamming apart", mean, 0.93)
+    yield _lead(test, (BENIGN, *TOUCHING), "least lead over the vote, benign and under any attack")
 
 
 def _agreement(test: Results) -> Iterator[Target]:
     families = [case for case in TOUCHING if case != JAMMING]
     benign, bare = (test.f1(OURS, [case]) for case in (BENIGN, BARE))
     mean, rival = (test.f1(name, families) for name in (OURS, RIVAL))
-    worst = min(TOUCHING, key=lambda case: test.f1(OURS, [case]) - test.f1(RIVAL, [case]))
-    ahead = test.f1(OURS, [worst]) - test.f1(RIVAL, [worst])
     jammed = test.f1(OURS, [JAMMING])
     yield _at_least("F1, benign", benign, 0.96)
     yield _at_least("mean F1 over the attacks, jamming apart", mean, 0.93)
     yield Target("the same less that of the vote", "≥ .020", f"{mean - rival:+.3f}", mean - rival >= 0.02)
-    yield Target("least lead over the vote under any attack", "≥ 0", f"{ahead:+.3f} ({worst})", ahead >= 0)
+    yield _lead(test, TOUCHING, "least lead over the vote under any attack")
     yield _at_least("F1, jamming", jammed, 0.88)
     yield Target("F1 without rings, less that with rings", "≥ -.020", f"{bare - benign:+.3f}", bare - benign >= -0.02)
     seen, unseen = test.f1(OURS, test.trained), test.f1(OURS, test.unseen)
     found = f"{unseen - seen:+.3f}"
     yield Target("mean F1, unseen attacks less those trained on", "≥ -.020", found, unseen - seen >= -0.02)
+
+
+def _lead(test: Results, cases: Iterable[str], what: str) -> Target:
+    leads = {case: test.f1(OURS, [case]) - test.f1(RIVAL, [case]) for case in cases if case in test.said[OURS]}
+    worst = min(leads, key=lambda case: leads[case])
+    return Target(what, "≥ 0", f"{leads[worst]:+.3f} ({worst})", leads[worst] >= 0)
+
+
+def _parts(test: Results) -> Iterator[Target]:
+    sensors = {part: test.f1_of_part(OURS, part) for part in test.parts if part.startswith(SENSOR)}
+    if CLEAR in test.parts:
+        yield _at_least(f"F1, benign, cells {CLEAR}", test.f1_of_part(OURS, CLEAR), 0.98)
+    if sensors:
+        worst = min(sensors, key=lambda part: sensors[part])
+        found = f"{sensors[worst]:.3f} ({worst.removeprefix(SENSOR)})"
+        yield Target("least F1 of any sensor, benign", "≥ 0.93", found, sensors[worst] >= 0.93)
 
 
 def _wedges(validation: Results, test: Results) -> Iterator[Target]:
@@ -67,6 +104,14 @@ def _wedges(validation: Results, test: Results) -> Iterator[Target]:
         met = precision >= wanted and recall >= 0.5
         what = f"precision / recall in opened wedges after abstention, {words}"
         yield Target(what, f"≥ {wanted:.2f} / .50", told, met)
+
+
+def _chosen(chosen: Results) -> Iterator[Target]:
+    for case, said in chosen.said.get(OURS, {}).items():
+        if case != UNTOUCHED:
+            precision, wedge = said.view.precision(), said.wedge.precision()
+            what = f"precision against {POINTS} points chosen with {case} questions"
+            yield Target(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9)
 
 
 def _calibration(test: Results) -> Iterator[Target]:

@@ -1,0 +1,118 @@
+"""The tables of the ablation's page."""
+
+from __future__ import annotations
+
+from math import isnan
+
+from viewshed.metrics import Scores
+from viewshed.successor.chosen import UNTOUCHED
+from viewshed.successor.contest import BENIGN, CASES
+from viewshed.successor.plan import WHOLE, AblationPlan
+from viewshed.successor.results import Results
+from viewshed.successor.targets import OURS, Target
+from viewshed.vulnerability.page import Table
+from viewshed.vulnerability.tables import three
+
+
+def targets_table(targets: list[Target]) -> Table:
+    """Return targets beside what was found."""
+    rows = [[each.what, each.wanted, each.found, "met" if each.met else "**missed**"] for each in targets]
+    return Table(["what", "target", "here", ""], rows)
+
+
+def ablation_table(results: Results) -> Table:
+    """Return one line of figures for each contestant of the ablation."""
+    columns = list(results.figures(WHOLE))
+    names = list(results.said)
+    rows = []
+    for name in names:
+        size = results.plan.config_of(name).shape if name in results.plan.variants else None
+        cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
+        rows.append([name, cost, *(three(value) for value in results.figures(name).values())])
+    return Table(["network", "GFLOP", *columns], rows)
+
+
+def changes_table(plan: AblationPlan) -> Table:
+    """Return what the line of each variant changes."""
+    rows = [[name, ", ".join(f"{key} = {value}" for key, value in changes.items()) or "–"]
+            for name, changes in plan.variants.items()]  # fmt: skip
+    return Table(["network", "what its line changes"], rows)
+
+
+def views_table(results: Results) -> Table:
+    """Return the F1 of the view, case by case."""
+    names = list(results.said)
+    rows = [[_kind(results, case), *_best_in_bold([results.f1(name, [case]) for name in names])] for case in CASES]
+    return Table(["case", *names], rows)
+
+
+def wedges_table(results: Results) -> Table:
+    """Return precision / recall in the wedge, case by case."""
+    names = list(results.said)
+    rows = []
+    for case in CASES:
+        wedges = [results.wedge(name, [case]) for name in names]
+        if wedges[0].cells:
+            rows.append([_kind(results, case), *map(_both, wedges)])
+    return Table(["case", *names], rows)
+
+
+def parts_table(results: Results) -> Table:
+    """Return the F1 of parts of the untouched view."""
+    names = list(results.said)
+    rows = []
+    for part, sweeps in results.parts.items():
+        scores = [results.f1_of_part(name, part) for name in names]
+        rows.append([part, str(sweeps), *_best_in_bold(scores)])
+    return Table(["part", "sweeps", *names], rows)
+
+
+def _best_in_bold(scores: list[float]) -> list[str]:
+    most = max((score for score in scores if not isnan(score)), default=float("nan"))
+    return [f"**{three(score)}**" if score == most else three(score) for score in scores]
+
+
+def chosen_table(chosen: Results) -> Table:
+    """Return precision / recall of each victim, untouched and with points chosen against it."""
+    cell_m2 = chosen.plan.config_in(chosen.domain).grid.cell_area_m2
+    rows = []
+    for name, cases in chosen.said.items():
+        for case, said in cases.items():
+            false_m2 = said.wedge.counts()[1] * cell_m2 / len(said.sweeps)
+            rows.append(
+                [name, case if case != UNTOUCHED else "–", _both(said.view), _both(said.wedge), f"{false_m2:.0f}"]
+            )
+    return Table(["victim", "questions", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"], rows)
+
+
+def abstention_table(validation: Results, test: Results) -> Table:
+    """Return precision / recall in opened wedges of those claims of our network that are sure."""
+    step = validation.sure
+    row = [OURS, f"{step:g}", *(_both(test.wedge(OURS, cases), step) for cases in test.opening)]
+    return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], [row])
+
+
+def doubts_table(results: Results) -> Table:
+    """Return how good probabilities and doubts are."""
+    groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
+    rows = []
+    for name in results.said:
+        cells = []
+        for cases in groups.values():
+            scores = sum(results.view(name, cases), Scores())
+            cells += [_four(value) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
+        rows.append([name, *cells])
+    heads = [f"{what}, {group}" for group in groups for what in ("ECE", "Brier", "AURC", "AURC by deviation")]
+    return Table(["", *heads], rows)
+
+
+def _kind(results: Results, case: str) -> str:
+    return f"{case} \\*" if case in results.attacks else case
+
+
+def _both(scores: Scores, threshold: float = 0.5) -> str:
+    return f"{three(scores.precision(threshold))} / {three(scores.recall(threshold))}"
+
+
+def _four(value: float) -> str:
+    return "–" if isnan(value) else f"{value:.4f}"

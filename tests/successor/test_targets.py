@@ -1,0 +1,72 @@
+"""What was aimed at, met or missed."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from viewshed.metrics import Scores
+from viewshed.successor.chosen import UNTOUCHED
+from viewshed.successor.contest import BENIGN, CASES, Said
+from viewshed.successor.parts import CLEAR
+from viewshed.successor.plan import WHOLE, ablation_named
+from viewshed.successor.results import Results
+from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_elsewhere, targets_of
+from viewshed.training.config import read_config
+
+
+def _said(right: int, wrong: int) -> Said:
+    scores = Scores()
+    scores.add(np.full(right + wrong, 0.9, np.float32), np.arange(right + wrong) < right)
+    return Said(scores, scores, [])
+
+
+def test_targets_are_met_or_missed_by_what_was_said() -> None:
+    """A network that is right in 99 of 100 claims meets the first; one attack below the vote is named."""
+    plan, every = ablation_named("small"), dict.fromkeys(CASES)
+    ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
+    vote = {case: _said(90, 10) for case in every}
+    test, none = Results(plan, plan.domain, {OURS: ours, RIVAL: vote, SEVERAL: vote}), Results(plan, plan.domain, {})
+    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test, none)}
+    assert found["F1, benign"].met
+    assert found["F1, benign"].found == "0.995"
+    assert found["the same less that of the vote"].met
+    least = found["least lead over the vote under any attack"]
+    assert (least.met, least.found.split()[1]) == (False, "(relay)")
+    assert found["precision / recall in opened wedges after abstention, trained on"].met
+    assert found["Brier score of one pass beside that of 20, benign"].met
+    assert not found["ECE, benign"].met
+    assert not any("sensor" in what or CLEAR in what for what in found)
+    for case in (ours, vote):
+        case[BENIGN].parts = {CLEAR: [2, 99, 1, 1, 0], "sensor A": [1, 9, 1, 1, 0], "sensor B": [1, 90, 0, 0, 0]}
+    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test, none)}
+    assert found[f"F1, benign, cells {CLEAR}"].met
+    least = found["least F1 of any sensor, benign"]
+    assert (least.met, least.found) == (False, "0.900 (A)")
+    assert targets_of(none, Results(plan, plan.domain, {RIVAL: vote}), none) == []
+
+
+def test_each_number_of_questions_has_a_target_and_the_untouched_sweep_none() -> None:
+    plan = ablation_named("small")
+    test = Results(plan, plan.domain, {name: {case: _said(9, 1) for case in CASES} for name in (OURS, RIVAL)})
+    met = {UNTOUCHED: _said(1, 9), "200": _said(95, 5), "1000": replace(_said(85, 15), wedge=_said(1, 3).view)}
+    chosen = Results(plan, plan.domain, {OURS: met, RIVAL: met})
+    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {}), test, chosen)}
+    few, many = (found[f"precision against 150 points chosen with {asked} questions"] for asked in (200, 1000))
+    assert (few.met, many.met, many.found) == (True, False, "0.850 (wedge 0.250)")
+    assert sum("chosen" in what for what in found) == 2
+
+
+def test_rooms_have_targets_of_their_own() -> None:
+    plan = ablation_named("small")
+    good = {case: _said(99, 1) for case in CASES}
+    level = good | {BENIGN: _said(90, 10)}
+    found = targets_elsewhere(Results(plan, "rooms", {OURS: level, RIVAL: good}))
+    assert [(each.what, each.met) for each in found] == [
+        ("F1, benign", False),
+        ("the same, as aimed at for a pedestrian", True),
+        ("mean F1 over the attacks, jamming apart", True),
+        ("least lead over the vote, benign and under any attack", False),
+    ]
+    assert found[-1].found.endswith("(benign)")
+    assert targets_elsewhere(Results(plan, "rooms", {})) == []
+    assert Results(plan, "rooms", {}).attacks == read_config("viewnet_indoor").attacks
