@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from viewshed.level import level_sweep
 from viewshed.metrics import Scores
 from viewshed.reproduce.protocols import generator
 from viewshed.successor.parts import parts_of
+from viewshed.successor.remembered import Remembered, estimates
 from viewshed.sweep import Sweep
+from viewshed.training.attacking import Struck
 from viewshed.visible import CAR, Target
 from viewshed.vulnerability.contestants import estimate_of
 from viewshed.vulnerability.scoring import counts
@@ -41,26 +44,29 @@ class Shot:
         case: of ``CASES``.
         sweep: what they see.
         wedge: (cells, cells) bool, cells whose azimuth the attacker reaches, or None if it is everywhere.
+        struck: the attack, by which earlier sweeps can be attacked as well; None where the rings were taken.
     """
 
     case: str
     sweep: Sweep
     wedge: Mask | None = None
+    struck: Struck | None = None
 
 
 def shots_of(subject: Subject, seed: int, number: int) -> Iterator[Shot]:
     """Yield a subject in every case; attacks that its sweep does not allow are left out."""
     sweep, grid = subject.sample.sweep, subject.sample.truth.grid
-    yield Shot(BENIGN, sweep)
+    yield Shot(BENIGN, sweep, struck=Struck(sweep))
     yield Shot(BARE, unorganised_no_sensor(sweep))
     knowledge = Knowledge(subject.earlier[:1], half_extent_m=grid.half_extent_m)
     for name in TOUCHING:
+        attack = ATTACKS[name](None, knowledge)
         try:
-            found = ATTACKS[name](None, knowledge).apply(sweep, generator(seed, "ablation", number, name))
+            found = attack.apply(sweep, generator(seed, "ablation", number, name))
         except ValueError:
             continue
         wedge = None if found.wedge is None else found.wedge.holds(polar_of_cells(grid)[1])
-        yield Shot(name, found.sweep, wedge)
+        yield Shot(name, found.sweep, wedge, Struck(found.sweep, attack, found.wedge))
 
 
 @dataclass(slots=True, eq=False)
@@ -121,7 +127,11 @@ def _sum(one: list[int] | None, other: list[int] | None) -> list[int]:
 
 
 def score(
-    subjects: Mapping[int, Subject], estimators: Mapping[str, FovEstimator], seed: int, target: Target = CAR
+    subjects: Mapping[int, Subject],
+    estimators: Mapping[str, FovEstimator],
+    seed: int,
+    target: Target = CAR,
+    remembering: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Return what every estimator says of the subjects in every case, as plain values.
 
@@ -130,18 +140,20 @@ def score(
         estimators: by name.
         seed: of the attacks.
         target: what would have to be seen.
+        remembering: names of estimators that are also told of the past, as contestants of their own.
     """
-    found: dict[str, dict[str, Said]] = {name: defaultdict(Said) for name in estimators}
+    found: dict[str, dict[str, Said]] = defaultdict(lambda: defaultdict(Said))
     for number, subject in subjects.items():
         visible, known = subject.sample.truth.visible(target), subject.sample.known
-        parts = dict(parts_of(subject, target))
+        parts, memory = dict(parts_of(subject, target)), Remembered.of(subject) if remembering else None
         for shot in shots_of(subject, seed, number):
             level = level_sweep(shot.sweep, subject.sample.truth.grid)
-            for name, estimator in estimators.items():
-                estimate, said = estimate_of(estimator, level, shot.sweep), found[name][shot.case]
-                said.add(estimate, shot, visible, known)
+            pasts = {} if memory is None else memory.pasts(level, shot.struck, (seed, number, shot.case))
+            alone = ((name, estimate_of(each, level, shot.sweep)) for name, each in estimators.items())
+            for name, estimate in chain(alone, estimates(estimators, remembering, level, pasts)):
+                found[name][shot.case].add(estimate, shot, visible, known)
                 if shot.case == BENIGN:
-                    said.add_parts(estimate, visible, known, parts)
+                    found[name][shot.case].add_parts(estimate, visible, known, parts)
     return {name: {case: said.to_json() for case, said in cases.items()} for name, cases in found.items()}
 
 

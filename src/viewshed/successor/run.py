@@ -33,6 +33,8 @@ STEPS = ("models", "validation", "test", "chosen", "page")
 """What the command does, in order."""
 VICTIMS = (OURS, "unet", "shadow_map", RIVAL)
 """Against whom points are chosen, as far as they are there."""
+REMEMBERING = (WHOLE, OURS, "shadow_map")
+"""Who is also told of the past."""
 ENVELOPED = "whole, within first blocker"
 Told = Callable[[str, int, int], None]
 """Is told the step, how many of its parts are there, and how many there are."""
@@ -132,7 +134,8 @@ def _score(job: Job) -> dict[str, Any]:
     numbers = range(first, min(first + plan.chunk, plan.count(split, domain)))
     subjects = {number: subject_in(plan, split, domain, number) for number in numbers}
     estimators = _variants(plan, job.folder) if split == "validation" else _shipped(config)
-    return {"said": score(subjects, estimators | _classical(config), plan.seed_of(split), TARGETS[config.target])}
+    every, target = estimators | _classical(config), TARGETS[config.target]
+    return {"said": score(subjects, every, plan.seed_of(split), target, REMEMBERING)}
 
 
 def _choose(job: Job) -> dict[str, Any]:
