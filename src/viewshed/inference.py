@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,10 @@ from viewshed.sweep import Sweep
 
 SAMPLE = 16_384
 """Returns by which a sensor is told."""
+Rings = tuple[NDArray[np.int16], int]
+"""Ring of each return, and how many rings there are."""
 _SURE = 0.5
+_FEW, _LIKELY = 2048, 2
 _CROWDED = 1.3
 
 
@@ -52,8 +56,7 @@ def told_rings(sweep: Sweep) -> Told:
     ordered, model = rings_by_order(azimuth, slope), sweep.model
     if model is None:
         chosen = _sample(len(sweep))
-        few = None if ordered is None else ordered[chosen]
-        model = _best(slope[chosen], range_m[chosen], few, len(sweep))[0]
+        model = _best(slope[chosen], range_m[chosen], _drawn(ordered, chosen), len(sweep))[0]
     if ordered is not None and (model is None or int(ordered.max()) < model.rings):
         return Told(ordered, model)
     if model is None:
@@ -65,11 +68,12 @@ def told_rings(sweep: Sweep) -> Told:
 def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
     """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
 
-    The score is the share of returns near a beam, less what chance would give, times the share of the table's beams
-    that were hit. Where the rings are known (given, or told by the order of the points) it is the larger of that and
-    the share of returns whose ring lies, in the median, where the table has it. A score of at least 0.3 explains the
-    cloud (a moving sensor's points lie beside its beams), below 0.5 only if no ring has more returns than columns: two
-    sensors in one frame are none. Of large clouds ``SAMPLE`` returns are looked at, drawn by a fixed seed.
+    Where the rings are known (given, or told by the order of the points) the score is the share of returns whose ring
+    lies, in the median, where the table has it. Where that is below 0.5, or nothing tells the rings, it is the share of
+    returns near a beam, less what chance would give, times the share of the table's beams that were hit. A score of at
+    least 0.3 explains the cloud (a moving sensor's points lie beside its beams), below 0.5 only if no ring has more
+    returns than columns: two sensors in one frame are none. Of large clouds ``SAMPLE`` returns are looked at, drawn by
+    a fixed seed.
 
     >>> infer_sensor(np.zeros((0, 3)))
     (None, 0.0)
@@ -80,31 +84,40 @@ def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = Non
         ring = rings_by_order(azimuth, slope)
     chosen = _sample(len(points))
     _, slope, range_m = polar(points[chosen])
-    return _best(slope, range_m, None if ring is None else np.asarray(ring[chosen], np.int16), len(points))
+    return _best(slope, range_m, _drawn(ring, chosen), len(points))
 
 
-def _sample(count: int) -> slice | NDArray[np.int64]:
-    if count <= SAMPLE:
-        return slice(None)
-    return np.random.default_rng(0).integers(count, size=SAMPLE)
+def _sample(count: int) -> NDArray[np.int64]:
+    """Return rows of a cloud in random order: all of them, or as many as are looked at."""
+    rng = np.random.default_rng(0)
+    return rng.permutation(count) if count <= SAMPLE else rng.integers(count, size=SAMPLE)
 
 
-def _best(
-    slope: Angles, range_m: Angles, ring: NDArray[np.int16] | None, count: int
-) -> tuple[LidarModel | None, float]:
+def _drawn(ring: NDArray[np.integer[Any]] | None, chosen: NDArray[np.int64]) -> Rings | None:
+    """Return the rings of a sample, and how many the whole cloud has."""
+    return None if ring is None else (np.asarray(ring[chosen], np.int16), int(ring.max(initial=0)) + 1)
+
+
+def _best(slope: Angles, range_m: Angles, rings: Rings | None, count: int) -> tuple[LidarModel | None, float]:
     """Return the best table for a sample of ``count`` returns and its score, None where it explains too little."""
-    best: LidarModel | None = None
-    best_score = 0.0
-    for name in sensor_names():
-        model = lidar_model(name)
-        score = _cluster_score(slope, range_m, model)
-        if ring is not None:
-            score = max(score, _ring_score(ring, slope, range_m, model))
-        if score > best_score:
-            best, best_score = model, score
-    if best is None or best_score < EXPLAINED or (best_score < _SURE and _crowded(slope, range_m, best, count)):
-        return None, best_score
-    return best, best_score
+    few = slope[:_FEW], range_m[:_FEW]
+    if rings is not None:
+        told = rings[0][:_FEW], rings[1]
+        best, score = _most({name: _ring_score(told, *few, lidar_model(name)) for name in sensor_names()})
+        if score >= _SURE:
+            return best, score
+    roughly = {name: _cluster_score(*few, lidar_model(name)) for name in sensor_names()}
+    likely = sorted(roughly, key=lambda name: roughly[name], reverse=True)[:_LIKELY]
+    best, score = _most({name: _cluster_score(slope, range_m, lidar_model(name)) for name in likely})
+    if best is None or score < EXPLAINED or (score < _SURE and _crowded(slope, range_m, best, count)):
+        return None, score
+    return best, score
+
+
+def _most(scores: Mapping[str, float]) -> tuple[LidarModel | None, float]:
+    """Return the sensor with the highest score, None where none has any."""
+    name = max(scores, key=lambda name: scores[name])
+    return (lidar_model(name) if scores[name] > 0.0 else None), scores[name]
 
 
 def _crowded(slope: Angles, range_m: Angles, model: LidarModel, count: int) -> bool:
@@ -124,9 +137,9 @@ def _cluster_score(slope: Angles, range_m: Angles, model: LidarModel) -> float:
     return match.excess * float(hit[first : last + 1].mean())
 
 
-def _ring_score(ring: NDArray[np.int16], slope: Angles, range_m: Angles, model: LidarModel) -> float:
+def _ring_score(told: Rings, slope: Angles, range_m: Angles, model: LidarModel) -> float:
     """Return the share of returns whose ring's median lies within half a gap, and 0.5°, of the table's beam."""
-    rings = int(ring.max(initial=0)) + 1
+    ring, rings = told
     if len(ring) == 0 or rings != model.rings:
         return 0.0
     corrected = slope - (model.origin_m[ring] / np.maximum(range_m, NEAR_M)).astype(np.float32)

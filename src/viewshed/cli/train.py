@@ -14,7 +14,10 @@ if TYPE_CHECKING:
     from viewshed.training.learner import Step
     from viewshed.training.run import Trained
 
-Config = Annotated[str, typer.Argument(metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor.")]
+Config = Annotated[
+    str,
+    typer.Argument(metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor, viewnet_road, viewnet_indoor."),
+]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 
 
