@@ -140,9 +140,19 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
     assert estimator.grid == GRID
 
 
+def test_what_lies_long_before_is_forgotten() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    for late_s, known in ((12.0, True), (14.0, False)):
+        estimator = Remembering(ShadowMap(GRID))
+        for sweep in stream:
+            estimator.estimate(sweep)
+        lie = seen([FAR], at(0, 0), late_s)
+        assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie)) != known
+
+
 @pytest.mark.parametrize(("sweeps", "every_s"), [(0, 1.0), (5, -1.0), (5, float("nan"))])
 def test_a_memory_of_nothing_is_refused(sweeps: int, every_s: float) -> None:
-    with pytest.raises(ValueError, match="sweeps must be at least 1 and every_s"):
+    with pytest.raises(ValueError, match="sweeps must be at least 1, every_s at least 0 and forget_s"):
         Memory(sweeps, every_s)
 
 

@@ -90,22 +90,27 @@ class Memory:
     Attributes:
         sweeps: how many are kept of an agent.
         every_s: least time in seconds between two of them.
+        forget_s: those from longer before are not used any more.
     """
 
     sweeps: int = PAST_SWEEPS
     every_s: float = 1.0
+    forget_s: float = 10.0
     _kept: dict[str, deque[LevelSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        if self.sweeps < 1 or not self.every_s >= 0.0:
-            raise ValueError(f"sweeps must be at least 1 and every_s at least 0, got {self.sweeps} and {self.every_s}")
+        if self.sweeps < 1 or not (self.every_s >= 0.0 and self.forget_s > 0.0):
+            raise ValueError(
+                "sweeps must be at least 1, every_s at least 0 and forget_s above 0, got "
+                f"{self.sweeps}, {self.every_s} and {self.forget_s}"
+            )
 
     def past(self, level: LevelSweep) -> Past | None:
         """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
         now_ns, kept = level.sweep.t_ns, self._kept.get(level.sweep.agent, ())
         if now_ns is None or level.world_from_level is None:
             return None
-        return Past.of(level, [each for each in kept if (each.sweep.t_ns or 0) < now_ns])
+        return Past.of(level, [each for each in kept if 0 < now_ns - (each.sweep.t_ns or 0) <= self.forget_s * 1e9])
 
     def add(self, level: LevelSweep) -> None:
         """Keep a sweep, if it has a pose and a time at least ``every_s`` after the last one that was kept.

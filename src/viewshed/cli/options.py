@@ -73,6 +73,7 @@ class Reading:
 
     def _recorded(self, path: Path) -> Iterator[Sweep]:
         """Yield the sweeps of a recording; what cannot be read costs one line each and an error at the end."""
+        from viewshed.datasets.archive_source import ArchiveSource, is_archive
         from viewshed.datasets.source import each_sweep
         from viewshed.datasets.sources import open_source
 
@@ -80,7 +81,8 @@ class Reading:
             raise ValueError("--file-frame does not go with a recording, which knows its own axes")
         problems: list[str] = []
         found = 0
-        for _, sweep in each_sweep(open_source(path), on_damage=lambda scene, line: _told(problems, line)):
+        source = ArchiveSource.open(path) if is_archive(path) else open_source(path)
+        for _, sweep in each_sweep(source, on_damage=lambda scene, line: _told(problems, line)):
             found += 1
             yield self._overridden(sweep)
         if problems or not found:
