@@ -26,6 +26,8 @@ from viewshed.visible import TARGETS, Target
 
 PASSES = 20
 """Passes of Monte Carlo dropout where none are asked for."""
+EVEN = 0.5
+"""Probability that says nothing: to be as sure as that is to tell everything."""
 _MAX_PASSES = 1000
 
 
@@ -38,28 +40,43 @@ class UnetEstimator:
 
     A cell is FREE or SURFACE if its probability reaches the card's threshold. The network does not tell why it calls
     a cell not visible, so the returns must: HIDDEN behind the nearest obstacle of its azimuth, else UNKNOWN. Beyond
-    the card's range nothing is claimed, and neither is anything for a sweep without a usable return.
+    the card's range nothing is claimed, and neither is anything for a sweep without a usable return. With ``sure``
+    above one half, a cell is claimed from that probability on (or the card's threshold, if that is higher), denied as
+    above up to ``1 - sure``, and UNKNOWN between; its probability stays what it is.
 
     Args:
         runner: the network.
         passes: 1, or how many passes of Monte Carlo dropout.
         seed: of the masks.
         name: goes into the estimate's ``method``; by default ``unet`` for one pass and ``mcd`` for more.
+        sure: probability from which states are told, of visible or of not visible; .5 tells all of them.
 
     Raises:
-        ValueError: ``passes`` lies outside [1, 1000], or is more than 1 for a network without dropout.
+        ValueError: ``passes`` lies outside [1, 1000], or is more than 1 for a network without dropout; or ``sure`` lies
+            outside [.5, 1].
     """
 
-    def __init__(self, runner: Runner, passes: int = 1, seed: int = 0, name: str = "") -> None:
+    def __init__(self, runner: Runner, passes: int = 1, seed: int = 0, name: str = "", sure: float = EVEN) -> None:
         if not 1 <= passes <= _MAX_PASSES:
             raise ValueError(f"passes must lie in [1, {_MAX_PASSES}], got {passes}")
         shape = runner.card.shape
         if passes > 1 and shape.dropout == 0.0:
             raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
-        self.runner, self.passes, self.seed = runner, passes, seed
+        if not EVEN <= sure <= 1.0:
+            raise ValueError(f"sure must lie in [0.5, 1], got {sure}")
+        self.runner, self.passes, self.seed, self.sure = runner, passes, seed, sure
         self.name = name or ("unet" if passes == 1 else "mcd")
         rng = np.random.Generator(np.random.PCG64(seed))
         self._masks = shape.no_masks(1) if passes == 1 else shape.masks(passes, rng)
+
+    def when_sure(self, sure: float) -> UnetEstimator:
+        """Return the same estimator, which tells states from another probability on."""
+        return UnetEstimator(self.runner, self.passes, self.seed, self.name, sure)
+
+    @property
+    def claims_from(self) -> float:
+        """Probability from which a cell is FREE or SURFACE: the card's threshold, or ``sure`` if that is higher."""
+        return self.card.threshold if self.sure == EVEN else max(self.card.threshold, self.sure)
 
     @property
     def card(self) -> NetworkCard:
@@ -116,9 +133,11 @@ class UnetEstimator:
         blocker_m = nearest_obstacle_in_bins(level, bins, 1, OBSTACLE_HEIGHTS_M)[bins_of_cells(self.grid, bins)]
         hidden = (range_m > blocker_m) & (range_m <= min(reach_of(level), self.card.max_range_m))
         state = np.where(hidden, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-        visible = prob >= np.float32(self.card.threshold)
+        visible = prob >= np.float32(self.claims_from)
         state[visible] = CellState.FREE
         state[visible & level.obstacle_cells(self.grid)] = CellState.SURFACE
+        if self.sure > EVEN:
+            state[~visible & (prob > np.float32(1.0 - self.sure))] = CellState.UNKNOWN
         return state
 
 
