@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from tests.networks.made import card, nearby
+from tests.networks.made import card, drawn, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.cli import main
+from viewshed.estimate import CellState
 from viewshed.export import read_npz
 from viewshed.networks.onnx_file import export_onnx
 from viewshed.networks.shape import UNetShape
@@ -69,9 +70,35 @@ def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> Non
     assert not np.array_equal(found[0], found[3])
 
 
+def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp_path: Path) -> None:
+    sweep, net = files[0], tmp_path / "doubtful.onnx"
+    export_onnx(net, card(SHAPE, BevGrid(64, 16.0), threshold=0.45), drawn(SHAPE))
+    words = ("estimate", sweep, "--method", "unet", "--weights", net, "--grid", "64x16", "--height", 1.8)
+    found = []
+    for sure, claims_from in ((0.5, 0.45), (0.55, 0.55)):
+        code, out, _ = run(*words, "--sure", sure, "--out", tmp_path / str(sure))
+        found.append(read_npz(tmp_path / str(sure) / "sweep.npz"))
+        assert (code, f"visible {found[-1].area_m2(claims_from):.0f} m²" in out) == (0, True)
+    every, sure_ones = found
+    doubtful = (every.visible_prob < 0.55) & (every.visible_prob > np.float32(1 - 0.55))
+    assert (every.state[doubtful] != CellState.UNKNOWN).any()
+    assert (sure_ones.state[doubtful] == CellState.UNKNOWN).all()
+    assert (sure_ones.state != CellState.UNKNOWN).any()
+    assert np.array_equal(sure_ones.state[~doubtful], every.state[~doubtful])
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (
+            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--sure", "0.9", "--threshold", "0.8"),
+            "--threshold must be at least --sure 0.9, got 0.8; leave one of them out",
+        ),
+        (("--method", "vote", "--sure", "0.9"), "--sure goes with --method unet, mcd or viewnet, got method 'vote'"),
+        (
+            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--sure", "0.3"),
+            "sure must lie in [0.5, 1], got 0.3",
+        ),
         (("--method", "unet", "--weights", "NET"), "grid must be 64x16 for the network made, got 256x64; ask for that"),
         (
             ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--target", "pedestrian"),

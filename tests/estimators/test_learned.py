@@ -128,6 +128,28 @@ def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
     assert not np.array_equal(found.visible(0.5), claimed)
 
 
+@pytest.mark.parametrize(("threshold", "sure"), [(0.5, 0.7), (0.2, 0.7), (0.9, 0.7), (0.5, 0.6)])
+def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: float, sure: float) -> None:
+    plain = UnetEstimator(TorchRunner(card(SHAPE, GRID, threshold=threshold), drawn(SHAPE)))
+    every, found = plain.estimate(street), plain.when_sure(sure).estimate(street)
+    assert np.array_equal(every.visible_prob, found.visible_prob)
+    claimed, denied = found.visible_prob >= max(threshold, sure), found.visible_prob <= np.float32(1 - sure)
+    assert claimed.any() or threshold == 0.9
+    assert (denied & (every.state == CellState.HIDDEN)).any()
+    assert (~claimed & ~denied & (every.state != CellState.UNKNOWN)).any()
+    assert np.array_equal(np.isin(found.state, [CellState.FREE, CellState.SURFACE]), claimed)
+    assert (found.state[~claimed & ~denied] == CellState.UNKNOWN).all()
+    kept = claimed | (denied & (every.visible_prob < threshold))
+    assert np.array_equal(found.state[kept], every.state[kept])
+    assert np.array_equal(plain.when_sure(0.5).estimate(street).state, every.state)
+
+
+@pytest.mark.parametrize("sure", [0.49, 1.01, float("nan")])
+def test_to_be_less_sure_than_even_is_refused(sure: float) -> None:
+    with pytest.raises(ValueError, match=r"sure must lie in \[0.5, 1\], got"):
+        UnetEstimator(TorchRunner(card(SHAPE), drawn(SHAPE)), sure=sure)
+
+
 @pytest.mark.parametrize(
     ("passes", "dropout", "message"),
     [

@@ -179,6 +179,7 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert "Cells in doubt become UNKNOWN" not in page
     assert "the target is a pedestrian" in indoor
     assert "| viewnet |" in indoor
+    assert [part.count("\n| 0.95 | ") for part in (road, indoor)] == [0, 2]
     assert "### Targets, nuscenes-small" not in page
     assert page.index("### Targets, ugv-small") < page.index("| the same, as aimed at for a pedestrian |")
     lines = store.path.read_text().splitlines()

@@ -9,7 +9,8 @@ from viewshed.successor.chosen import UNTOUCHED
 from viewshed.successor.contest import BENIGN, CASES, Said
 from viewshed.successor.parts import CLEAR
 from viewshed.successor.plan import WHOLE, ablation_named
-from viewshed.successor.results import Results
+from viewshed.successor.results import Results, Sure
+from viewshed.successor.tables import SURE, sure_table
 from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_elsewhere, targets_of
 from viewshed.training.config import read_config
 
@@ -70,3 +71,32 @@ def test_rooms_have_targets_of_their_own() -> None:
     assert found[-1].found.endswith("(benign)")
     assert targets_elsewhere(Results(plan, "rooms", {})) == []
     assert Results(plan, "rooms", {}).attacks == read_config("viewnet_indoor").attacks
+
+
+def test_what_is_sure_is_told_and_nothing_else() -> None:
+    rng = np.random.default_rng(3)
+    prob = rng.random(5000).astype(np.float32)
+    prob[:3] = 0.9, 0.1, np.nextafter(np.float32(0.1), np.float32(0))
+    visible = rng.random(5000) < prob
+    scores = Scores()
+    scores.add(prob, visible)
+    for sure in SURE:
+        claimed, denied = prob >= np.float32(sure), prob < np.float32(1 - sure)
+        found = Sure.of(scores, sure)
+        assert found.share == (claimed | denied).mean()
+        assert found.claims == visible[claimed].mean()
+        assert found.denials == (~visible[denied]).mean()
+    assert Sure.of(scores, 0.5).share == 1.0
+    assert np.isnan([Sure.of(Scores(), 0.9).share, Sure.of(Scores(), 0.9).claims, Sure.of(Scores(), 0.9).denials]).all()
+
+
+def test_what_is_sure_is_told_by_group_in_view_and_in_wedges() -> None:
+    plan = ablation_named("small")
+    said = {case: _said(99, 1) for case in CASES} | {"jamming": _said(1, 3), "relay": _said(1, 1)}
+    view, wedge = (sure_table(Results(plan, plan.domain, {OURS: said}), wedge=wedge) for wedge in (False, True))
+    assert view.header == ["sure", "benign", "trained", "unseen", "jamming"]
+    assert list(view.rows[4]) == ["0.9", "1.000 / .990 / –", "1.000 / .990 / –", "1.000 / .988 / –", "1.000 / .250 / –"]
+    assert list(view.rows[5][1:]) == [".000 / – / –"] * 4
+    assert wedge.header[1:] == ["trained", "unseen", "jamming", "trained, opening a view", "unseen, opening a view"]
+    assert [row[3] for row in wedge.rows][:5] == ["1.000 / .250 / –"] * 5
+    assert wedge.rows[0][5] == f"1.000 / {(2 * 99 + 1) / 202:.3f} / –".replace("0.", ".")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.learned import Network, Passes, Seed, Weights
+from viewshed.cli.learned import Network, Passes, Seed, Sure, Weights
 from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line, timed
 from viewshed.cli.outputs import free_name, output_names, refuse_inputs
 
@@ -46,6 +46,7 @@ def estimate(
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
+    sure: Sure = None,
     threshold: Annotated[
         float | None,
         typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
@@ -63,7 +64,7 @@ def estimate(
     Example: viewshed estimate sweep.pcd.bin --out out
     """
     reading = Reading(sensor, format, file_frame, height, attitude)
-    network = Network(weights, passes, seed)
+    network = Network(weights, passes, seed, sure)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     run = Run(network.remembering(estimator, past), network.threshold(threshold, estimator, profile), out)
     jobs = list(options.chosen(files or [], index))

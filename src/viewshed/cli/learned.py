@@ -20,6 +20,14 @@ Weights = Annotated[
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mcd; 20 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of mcd's dropout masks; 0 if not given.")]
 
+Sure = Annotated[
+    float | None,
+    typer.Option(
+        "--sure",
+        help="Of unet, mcd and viewnet: claim from this probability, deny up to 1 less it, leave the rest unknown.",
+    ),
+]
+
 
 @dataclass(frozen=True, slots=True)
 class Network:
@@ -28,13 +36,17 @@ class Network:
     weights: str | None = None
     passes: int | None = None
     seed: int | None = None
+    sure: float | None = None
 
     def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
         """Return the estimator called ``method``, a network or not."""
         from viewshed.estimators.learned import LEARNED, learned
 
         if method in LEARNED:
-            return learned(method, grid, target, self.weights, self.passes, self.seed or 0)
+            made = learned(method, grid, target, self.weights, self.passes, self.seed or 0)
+            return made if self.sure is None else made.when_sure(self.sure)
+        if self.sure is not None:
+            raise ValueError(f"--sure goes with --method unet, mcd or viewnet, got method {method!r}")
         if self != Network():
             raise ValueError(
                 f"--weights, --passes and --seed go with --method unet, mcd or viewnet, got method {method!r}"
@@ -63,8 +75,10 @@ class Network:
         raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
 
     def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:
-        """Return the probability from which a cell counts as visible; a network's card has its own."""
+        """Return the probability from which a cell counts as visible; a network has its own."""
         from viewshed.estimators.learned import UnetEstimator
 
-        own = estimator.card.threshold if given is None and isinstance(estimator, UnetEstimator) else given
+        if given is not None and self.sure is not None and given < self.sure:
+            raise ValueError(f"--threshold must be at least --sure {self.sure:g}, got {given:g}; leave one of them out")
+        own = estimator.claims_from if given is None and isinstance(estimator, UnetEstimator) else given
         return options.parse_threshold(own, profile)

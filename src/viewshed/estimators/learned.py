@@ -24,6 +24,8 @@ from viewshed.visible import TARGETS, Target
 
 PASSES = 20
 """Passes of Monte Carlo dropout where none are asked for."""
+EVEN = 0.5
+"""Probability that says nothing: to be as sure as that is to tell everything."""
 _MAX_PASSES = 1000
 _UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
     int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
@@ -39,28 +41,43 @@ class UnetEstimator:
 
     A cell is FREE or SURFACE if its probability reaches the card's threshold. The network does not tell why it calls
     a cell not visible, so the returns must: HIDDEN behind the nearest obstacle of its azimuth, else UNKNOWN. Beyond
-    the card's range nothing is claimed, and neither is anything for a sweep without a usable return.
+    the card's range nothing is claimed, and neither is anything for a sweep without a usable return. With ``sure``
+    above one half, a cell is claimed from that probability on (or the card's threshold, if that is higher), denied as
+    above up to ``1 - sure``, and UNKNOWN between; its probability stays what it is.
 
     Args:
         runner: the network.
         passes: 1, or how many passes of Monte Carlo dropout.
         seed: of the masks.
         name: goes into the estimate's ``method``; by default ``unet`` for one pass and ``mcd`` for more.
+        sure: probability from which states are told, of visible or of not visible; .5 tells all of them.
 
     Raises:
-        ValueError: ``passes`` lies outside [1, 1000], or is more than 1 for a network without dropout.
+        ValueError: ``passes`` lies outside [1, 1000], or is more than 1 for a network without dropout; or ``sure`` lies
+            outside [.5, 1].
     """
 
-    def __init__(self, runner: Runner, passes: int = 1, seed: int = 0, name: str = "") -> None:
+    def __init__(self, runner: Runner, passes: int = 1, seed: int = 0, name: str = "", sure: float = EVEN) -> None:
         if not 1 <= passes <= _MAX_PASSES:
             raise ValueError(f"passes must lie in [1, {_MAX_PASSES}], got {passes}")
         shape = runner.card.shape
         if passes > 1 and shape.dropout == 0.0:
             raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
-        self.runner, self.passes, self.seed = runner, passes, seed
+        if not EVEN <= sure <= 1.0:
+            raise ValueError(f"sure must lie in [0.5, 1], got {sure}")
+        self.runner, self.passes, self.seed, self.sure = runner, passes, seed, sure
         self.name = name or ("unet" if passes == 1 else "mcd")
         rng = np.random.Generator(np.random.PCG64(seed))
         self._masks = shape.no_masks(1) if passes == 1 else shape.masks(passes, rng)
+
+    def when_sure(self, sure: float) -> UnetEstimator:
+        """Return the same estimator, which tells states from another probability on."""
+        return UnetEstimator(self.runner, self.passes, self.seed, self.name, sure)
+
+    @property
+    def claims_from(self) -> float:
+        """Probability from which a cell is FREE or SURFACE: the card's threshold, or ``sure`` if that is higher."""
+        return self.card.threshold if self.sure == EVEN else max(self.card.threshold, self.sure)
 
     @property
     def card(self) -> NetworkCard:
@@ -126,7 +143,8 @@ class UnetEstimator:
     ) -> None:
         """Fill in probability and state (cells, cells), both of nothing so far, from what the network ``told``."""
         reach_m = min(reach_of(seen.level), self.card.max_range_m)
-        limits = np.array([self.card.max_range_m, reach_m, self.card.threshold], np.float32)
+        doubted_above = 1.0 - self.sure if self.sure > EVEN else 1.0
+        limits = np.array([self.card.max_range_m, reach_m, self.claims_from, doubted_above], np.float32)
         cells = bins_of_cells(self.grid, seen.bins), polar_of_cells(self.grid)[0], seen.level.obstacle_cells(self.grid)
         _claims(told, cells, seen.blocker_m, limits, prob, state)
 
@@ -176,12 +194,12 @@ def learned(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _claims(told: Any, cells: Any, blocker_m: Any, limits: Any, prob: Any, state: Any) -> None:  # pragma: no cover
     bins, range_m, obstacle = cells
-    most, reach, threshold = limits
+    most, reach, claimed_from, doubted_above = limits
     for i in range(state.shape[0]):
         for j in range(state.shape[1]):
             r = range_m[i, j]
             p = told[i, j] if r <= most else np.float32(0.0)
-            hidden = (r > blocker_m[bins[i, j]]) & (r <= reach)
+            hidden = (r > blocker_m[bins[i, j]]) & (r <= reach) & (p <= doubted_above)
             visible = _SURFACE if obstacle[i, j] else _FREE
             prob[i, j] = p
-            state[i, j] = visible if p >= threshold else (_HIDDEN if hidden else _UNKNOWN)
+            state[i, j] = visible if p >= claimed_from else (_HIDDEN if hidden else _UNKNOWN)

@@ -17,6 +17,7 @@ from viewshed.successor.tables import (
     chosen_table,
     doubts_table,
     parts_table,
+    sure_table,
     targets_table,
     views_table,
     wedges_table,
@@ -43,6 +44,11 @@ wedge of {SECTOR_DEG:g}° aimed at a near obstacle, and wants cells claimed ther
 The channels count returns, so there is no gradient: plans are searched by an evolution strategy that asks the victim.
 What it finds is a lower bound of what can be found. Each victim meets the points chosen against it, in the same wedge
 of the first of the reported scenes. Precision / recall at a probability of .5:"""
+_SURE = """\
+With `--sure` cells in doubt are UNKNOWN: a cell with probability p is claimed from p = *sure* on and denied below
+1 - *sure*, and nothing is told of the others. Share of the cells of which `viewnet` tells anything / precision of its
+claims / precision of its denials, of the view:"""
+_SURE_WEDGE = "The same in the wedges of attacks that have one; those that open a view once more on their own:"
 _ABSTENTION = """\
 Cells in doubt become UNKNOWN: claimed is only what has at least the probability from which claims in attacked wedges
 were right often enough on the scenes of the ablation, over the attacks trained on. Precision / recall in the wedges of
@@ -102,7 +108,12 @@ def _shipped(test: Results) -> list[Block]:
         Heading(2, f"The shipped networks, {test.domain}"), Text(about), Text(_TEST), views_table(test),
         Text(_WEDGE), wedges_table(test), Text(_PARTS), parts_table(test),
         Heading(3, f"Doubt, {test.domain}"), Text(_DOUBT), doubts_table(test),
+        *(_told_where_sure(test) if OURS in test.said else []),
     ]  # fmt: skip
+
+
+def _told_where_sure(test: Results) -> list[Block]:
+    return [Text(_SURE), sure_table(test, wedge=False), Text(_SURE_WEDGE), sure_table(test, wedge=True)]
 
 
 def _facts(plan: AblationPlan) -> dict[str, str]:

@@ -113,6 +113,39 @@ class Results:
         }  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class Sure:
+    """What is told where only sure cells are: claimed from a probability on, denied below 1 less it.
+
+    Attributes:
+        share: of the cells of which anything is told.
+        claims: share of the claimed cells that are visible; NaN where none is claimed.
+        denials: share of the denied cells that are not visible; NaN where none is denied.
+    """
+
+    share: float
+    claims: float
+    denials: float
+
+    @classmethod
+    def of(cls, scores: Scores, sure: float) -> Sure:
+        """Return what is told of the cells of some scores from ``sure`` on, a multiple of .001 in [.5, 1).
+
+        >>> scores = Scores()
+        >>> scores.add([0.95, 0.9, 0.5, 0.05], [True, False, True, False])
+        >>> Sure.of(scores, 0.9)
+        Sure(share=0.75, claims=0.5, denials=1.0)
+        """
+        step = round(sure * STEPS)
+        claimed, denied = scores.steps[step:].sum(axis=0), scores.steps[: STEPS - step].sum(axis=0)
+        told, nan = int(claimed.sum() + denied.sum()), float("nan")
+        return cls(
+            told / scores.cells if scores.cells else nan,
+            float(claimed[1] / claimed.sum()) if claimed.any() else nan,
+            float(denied[0] / denied.sum()) if denied.any() else nan,
+        )
+
+
 def sure_from(scores: Scores, precision: float) -> float:
     """Return the lowest probability from which claims have a precision, in whole steps; 1 if none does.
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import isnan
 
 from viewshed.metrics import Scores
 from viewshed.successor.chosen import UNTOUCHED
 from viewshed.successor.contest import BENIGN, CASES
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.results import Results
+from viewshed.successor.results import JAMMING, Results, Sure
 from viewshed.successor.targets import OURS, Target
 from viewshed.vulnerability.page import Table
 from viewshed.vulnerability.tables import three
+
+SURE = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""How sure a network must be before it tells anything of a cell."""
 
 
 def targets_table(targets: list[Target]) -> Table:
@@ -90,6 +94,27 @@ def abstention_table(validation: Results, test: Results) -> Table:
     step = validation.sure
     row = [OURS, f"{step:g}", *(_both(test.wedge(OURS, cases), step) for cases in test.opening)]
     return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], [row])
+
+
+def sure_table(results: Results, *, wedge: bool) -> Table:
+    """Return the share of cells told / precision of claims / of denials of our network, by how sure it must be."""
+    groups: dict[str, Iterable[str]] = {
+        "trained": results.trained, "unseen": results.unseen, "jamming": (JAMMING,),
+    }  # fmt: skip
+    groups = groups | dict(zip(_OPENED, results.opening, strict=True)) if wedge else {"benign": (BENIGN,)} | groups
+    scores = {
+        group: results.wedge(OURS, cases) if wedge else sum(results.view(OURS, cases), Scores())
+        for group, cases in groups.items()
+    }
+    rows = [[f"{sure:g}", *(_told(Sure.of(each, sure)) for each in scores.values())] for sure in SURE]
+    return Table(["sure", *scores], rows)
+
+
+_OPENED = ("trained, opening a view", "unseen, opening a view")
+
+
+def _told(sure: Sure) -> str:
+    return " / ".join(map(three, (sure.share, sure.claims, sure.denials)))
 
 
 def doubts_table(results: Results) -> Table:
