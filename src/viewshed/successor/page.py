@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from viewshed.past import PAST_SWEEPS
 from viewshed.report import facts
 from viewshed.reproduce.store import JobStore
 from viewshed.successor.chosen import POINTS, SECTOR_DEG
@@ -22,7 +23,7 @@ from viewshed.successor.tables import (
     views_table,
     wedges_table,
 )
-from viewshed.successor.targets import OURS, Target, targets_elsewhere, targets_of
+from viewshed.successor.targets import OURS, SHADOW_MAP, Target, targets_elsewhere, targets_of
 from viewshed.vulnerability.page import Block, Heading, Text, to_markdown
 
 _ABLATION = """\
@@ -55,6 +56,10 @@ were right often enough on the scenes of the ablation, over the attacks trained 
 attacks that open a view, here:"""
 
 
+_PAST = f"""\
+The same with up to {PAST_SWEEPS} earlier sweeps of the sensor, a second apart, as far as the scene has them. *Past*: no
+one touched them; the attack has just begun. *Attacked past*: it has lasted, at the same place in the map. F1 of the
+view:"""
 _TARGETS = """\
 What was aimed at, beside the figure of the shipped `viewnet` on the reported scenes, one sweep at a time. An attack
 counts with its default budget. Probabilities from which claims are sure are taken from the scenes of the ablation."""
@@ -105,11 +110,20 @@ def _shipped(test: Results) -> list[Block]:
     cells = f"{config.cells} cells a side of {config.grid.cell_m:g} m"
     about = f"Preset `{test.domain}`: {cells}; the target is a {config.target}."
     return [
-        Heading(2, f"The shipped networks, {test.domain}"), Text(about), Text(_TEST), views_table(test),
-        Text(_WEDGE), wedges_table(test), Text(_PARTS), parts_table(test),
+        Heading(2, f"The shipped networks, {test.domain}"), Text(about), Text(_TEST), views_table(test, test.alone),
+        Text(_WEDGE), wedges_table(test, test.alone), Text(_PARTS), parts_table(test), *_with_past(test),
         Heading(3, f"Doubt, {test.domain}"), Text(_DOUBT), doubts_table(test),
         *(_told_where_sure(test) if OURS in test.said else []),
     ]  # fmt: skip
+
+
+def _with_past(test: Results) -> list[Block]:
+    """Return what earlier sweeps are worth to those whom they help; nothing where nobody was told of them."""
+    names = [each for name in (OURS, SHADOW_MAP) if name in test.said for each in test.remembering(name)]
+    if names == [name for name in names if name in test.alone]:
+        return []
+    heading = Heading(3, f"Earlier sweeps, {test.domain}")
+    return [heading, Text(_PAST), views_table(test, names), Text(_WEDGE), wedges_table(test, names)]
 
 
 def _told_where_sure(test: Results) -> list[Block]:

@@ -13,8 +13,10 @@ from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING, Said
 from viewshed.successor.parts import SENSOR
 from viewshed.successor.plan import WHOLE, AblationPlan
+from viewshed.successor.remembered import ATTACKED, HONEST
 
 JAMMING = "jamming"
+_PASTS = (f", {HONEST}", f", {ATTACKED}")
 OVER_CLAIM = ("ghost_wall", "far_wall", "removal", "high_frequency_removal", "relay", "removal_and_far_wall")
 
 
@@ -45,6 +47,15 @@ class Results:
                 for case, told in cases.items():
                     found[name][case] = found[name][case] + Said.from_json(told)
         return cls(store.plan, domain, {name: dict(cases) for name, cases in found.items()})
+
+    @property
+    def alone(self) -> list[str]:
+        """Contestants that see one sweep alone."""
+        return [name for name in self.said if not name.endswith(_PASTS)]
+
+    def remembering(self, name: str) -> list[str]:
+        """Return a contestant and those that are it with a past."""
+        return [name, *(each for each in self.said if each.startswith(f"{name}, ") and each.endswith(_PASTS))]
 
     @property
     def attacks(self) -> tuple[str, ...]:
@@ -88,7 +99,7 @@ class Results:
     @property
     def parts(self) -> dict[str, int]:
         """Parts of the untouched view, sensors last and in alphabetical order, with the sweeps that have them."""
-        parts = {name: row[0] for cases in self.said.values() for name, row in cases[BENIGN].parts.items()}
+        parts = {part: row[0] for name in self.alone for part, row in self.said[name][BENIGN].parts.items()}
         return dict(sorted(parts.items(), key=lambda part: part[0] if part[0].startswith(SENSOR) else ""))
 
     def f1_of_part(self, name: str, part: str) -> float:

@@ -22,7 +22,7 @@ from viewshed.reproduce.store import JobStore, Key
 from viewshed.successor.chosen import duels
 from viewshed.successor.contest import Enveloped, score
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.targets import OURS, RIVAL, SEVERAL
+from viewshed.successor.targets import OURS, RIVAL, SEVERAL, SHADOW_MAP
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
@@ -31,9 +31,9 @@ from viewshed.vulnerability.subjects import Subject, subject_of_preset
 
 STEPS = ("models", "validation", "test", "chosen", "page")
 """What the command does, in order."""
-VICTIMS = (OURS, "unet", "shadow_map", RIVAL)
+VICTIMS = (OURS, "unet", SHADOW_MAP, RIVAL)
 """Against whom points are chosen, as far as they are there."""
-REMEMBERING = (WHOLE, OURS, "shadow_map")
+REMEMBERING = (WHOLE, OURS, SHADOW_MAP)
 """Who is also told of the past."""
 ENVELOPED = "whole, within first blocker"
 Told = Callable[[str, int, int], None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import isnan
 
 from viewshed.metrics import Scores
@@ -43,16 +43,14 @@ def changes_table(plan: AblationPlan) -> Table:
     return Table(["network", "what its line changes"], rows)
 
 
-def views_table(results: Results) -> Table:
+def views_table(results: Results, names: Sequence[str]) -> Table:
     """Return the F1 of the view, case by case."""
-    names = list(results.said)
     rows = [[_kind(results, case), *_best_in_bold([results.f1(name, [case]) for name in names])] for case in CASES]
     return Table(["case", *names], rows)
 
 
-def wedges_table(results: Results) -> Table:
+def wedges_table(results: Results, names: Sequence[str]) -> Table:
     """Return precision / recall in the wedge, case by case."""
-    names = list(results.said)
     rows = []
     for case in CASES:
         wedges = [results.wedge(name, [case]) for name in names]
@@ -63,7 +61,7 @@ def wedges_table(results: Results) -> Table:
 
 def parts_table(results: Results) -> Table:
     """Return the F1 of parts of the untouched view."""
-    names = list(results.said)
+    names = results.alone
     rows = []
     for part, sweeps in results.parts.items():
         scores = [results.f1_of_part(name, part) for name in names]
@@ -121,7 +119,7 @@ def doubts_table(results: Results) -> Table:
     """Return how good probabilities and doubts are."""
     groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
     rows = []
-    for name in results.said:
+    for name in results.alone:
         cells = []
         for cases in groups.values():
             scores = sum(results.view(name, cases), Scores())

@@ -10,10 +10,13 @@ from viewshed.successor.chosen import POINTS, UNTOUCHED
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING
 from viewshed.successor.parts import CLEAR, SENSOR
 from viewshed.successor.plan import WHOLE
+from viewshed.successor.remembered import ATTACKED, HONEST
 from viewshed.successor.results import JAMMING, Results
 
 OURS, SEVERAL, RIVAL = "viewnet", "viewnet, 20 passes", "vote"
 """Our network in one pass and with dropout passes, and the classical estimator that it must beat."""
+SHADOW_MAP = "shadow_map"
+"""The classical estimator that earlier sweeps help."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,7 @@ def targets_of(validation: Results, test: Results, chosen: Results) -> list[Targ
         *_agreement(test),
         *_parts(test),
         *_wedges(validation, test),
+        *_remembering(test),
         *_chosen(chosen),
         *_calibration(test),
         *_doubt(test),
@@ -104,6 +108,20 @@ def _wedges(validation: Results, test: Results) -> Iterator[Target]:
         met = precision >= wanted and recall >= 0.5
         what = f"precision / recall in opened wedges after abstention, {words}"
         yield Target(what, f"≥ {wanted:.2f} / .50", told, met)
+
+
+def _remembering(test: Results) -> Iterator[Target]:
+    for kind, honest in ((HONEST, True), (ATTACKED, False)):
+        name = f"{OURS}, {kind}"
+        for words, cases in zip(("trained on", "unseen"), test.opening, strict=True):
+            if name in test.said:
+                scores = test.wedge(name, cases)
+                precision, recall = scores.precision(), scores.recall()
+                what = (
+                    f"precision / recall in opened wedges with earlier sweeps{'' if honest else ', attacked as well'}"
+                )
+                met = precision >= 0.9 and recall >= 0.5
+                yield Target(f"{what}, {words}", "≥ 0.90 / .50", f"{precision:.3f} / {recall:.3f}", met)
 
 
 def _chosen(chosen: Results) -> Iterator[Target]:

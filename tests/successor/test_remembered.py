@@ -1,0 +1,76 @@
+"""Contestants that are told of the past: which, of what, and what becomes of them on the page."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from viewshed.attacks import ATTACKS
+from viewshed.bev import BevGrid
+from viewshed.estimate import FovEstimator
+from viewshed.estimators.first_blocker import FirstBlocker
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.level import level_sweep
+from viewshed.successor.contest import BARE, BENIGN, Said, score, shots_of
+from viewshed.successor.plan import ablation_named
+from viewshed.successor.remembered import ATTACKED, HONEST, Remembered
+from viewshed.successor.results import Results
+from viewshed.successor.tables import ablation_table, views_table
+from viewshed.vulnerability.subjects import Subject
+
+GRID = BevGrid(32, 64.0)
+SM = ShadowMap(GRID)
+
+
+def test_up_to_five_sweeps_of_the_same_agent_come_before(subject: Subject) -> None:
+    memory, now = Remembered.of(subject), subject.sample.sweep
+    assert 2 <= len(memory.sweeps) <= 5
+    times = [sweep.t_ns or 0 for sweep in (*memory.sweeps, now)]
+    assert times == sorted(set(times))
+    assert {sweep.agent for sweep in memory.sweeps} == {now.agent}
+    assert np.allclose(np.diff(times), times[-1] - times[-2])
+    recorded = replace(subject, frame=None)
+    assert Remembered.of(recorded).sweeps == subject.earlier
+
+
+def test_the_past_is_honest_or_attacked_as_well(subject: Subject) -> None:
+    memory = Remembered.of(subject)
+    for shot in shots_of(subject, 5, 1):
+        level = level_sweep(shot.sweep, GRID)
+        pasts = memory.pasts(level, shot.struck, (5, 1, shot.case))
+        assert list(pasts) == ([HONEST] if shot.case in (BENIGN, BARE) else [HONEST, ATTACKED])
+        assert all(past is not None for past in pasts.values())
+        if shot.case == "jamming":
+            honest, attacked = pasts[HONEST], pasts[ATTACKED]
+            assert honest is not None
+            assert attacked is not None
+            assert len(honest.points) != len(attacked.points)
+
+
+def test_only_those_whom_the_past_helps_are_told_of_it(subject: Subject) -> None:
+    estimators: dict[str, FovEstimator] = {"shadow_map": SM, "first_blocker": FirstBlocker(GRID)}
+    found = score({1: subject}, estimators, 5, remembering=("shadow_map", "first_blocker", "nobody"))
+    assert list(found) == ["shadow_map", "first_blocker", f"shadow_map, {HONEST}", f"shadow_map, {ATTACKED}"]
+    assert {BENIGN, BARE} & set(found[f"shadow_map, {ATTACKED}"]) == set()
+    assert set(found[f"shadow_map, {HONEST}"]) == set(found["shadow_map"])
+    assert score({1: subject}, estimators, 5) == {name: found[name] for name in estimators}
+    alone, told = (
+        Said.from_json(found[name]["far_wall"]).wedge.counts() for name in ("shadow_map", "shadow_map, past")
+    )
+    assert told[0] <= alone[0]
+    assert told[1] <= alone[1]
+
+
+def test_the_page_has_them_apart_and_nothing_where_nothing_was_said() -> None:
+    right = Said()
+    right.view.add(np.array([0.9]), np.array([True]))
+    cases = dict.fromkeys(ATTACKS, right)
+    both = {BENIGN: right, BARE: right, **cases}
+    said = {"whole": both, "viewnet": both, f"viewnet, {HONEST}": both, f"viewnet, {ATTACKED}": cases, "vote": both}
+    results = Results(ablation_named("small"), "roads", said)
+    assert results.alone == ["whole", "viewnet", "vote"]
+    names = results.remembering("viewnet")
+    assert names == ["viewnet", f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]
+    table = views_table(results, names)
+    assert table.header == ["case", *names]
+    assert table.rows[0][1:] == ["**1.000**", "**1.000**", "–"]
+    assert [row[0] for row in ablation_table(results).rows] == list(said)
