@@ -22,7 +22,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="ship_weights.py", description=__doc__)
     parser.add_argument("file", type=Path, help="network.onnx of a training")
     parser.add_argument("--name", required=True, help="what users ask for")
-    parser.add_argument("--methods", default="unet,mcd", help="estimators that take it where no weights are named")
+    parser.add_argument(
+        "--methods", default="unet,mcd", help="estimators that take it where no weights are named; may be none"
+    )
     parser.add_argument("--folder", type=Path, default=WEIGHTS)
     chosen = parser.parse_args(words)
     content = chosen.file.read_bytes()
@@ -31,7 +33,7 @@ def main(words: Sequence[str] | None = None) -> None:
     digest, grid = hashlib.sha256(content).hexdigest(), card.grid
     if grid.offset_m != (0.0, 0.0):
         raise ValueError(f"shipped weights must have a grid about the sensor, got offset {grid.offset_m}")
-    methods = tuple(chosen.methods.split(","))
+    methods = tuple(filter(None, chosen.methods.split(",")))
     line = Shipped(chosen.name, f"{chosen.name}.onnx", digest, grid.cells, grid.half_extent_m, card.target, methods)
     ship(content, line, chosen.folder)
     print(f"{line.file}: {len(content)} bytes, {digest[:10]}…, for {', '.join(methods)}")
@@ -40,7 +42,8 @@ def main(words: Sequence[str] | None = None) -> None:
 def _run_once(content: bytes, file: Path) -> None:
     runner = OnnxRunner.of_content(content, str(file), 1, "onnxruntime")
     card = runner.card
-    found = runner.run(np.zeros((1, card.shape.channels, *card.grid.shape), np.float32), card.shape.no_masks(1))
+    nothing = card.shown(np.zeros((card.shape.channels, *card.grid.shape), np.uint8))
+    found = runner.run(nothing[None], card.shape.no_masks(1))
     if not ((found >= 0) & (found <= 1)).all():
         raise ValueError(f"{file} must give probabilities, got values outside [0, 1]; train it again")
 

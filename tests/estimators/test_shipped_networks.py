@@ -62,3 +62,17 @@ def test_doubt_is_where_the_view_ends(real_data: Path, method: str) -> None:
     doubtful = (found.visible_prob > 0.2) & (found.visible_prob < 0.8)
     sure = (found.visible_prob < 0.02) | (found.visible_prob > 0.98)
     assert found.std[doubtful].mean() > 3 * found.std[sure].mean()
+
+
+def test_our_network_in_bytes_sees_what_it_sees_in_float32(real_data: Path) -> None:
+    assert learned("viewnet", ROAD).card.precision == "int8"
+    estimators = [learned("viewnet", ROAD, weights=name) for name in ("viewnet_road", "viewnet_road_int8")]
+    assert [each.card.precision for each in estimators] == ["f32", "int8"]
+    for pattern in FILES:
+        sweep = read_sweep(min(real_data.glob(pattern)))
+        whole, small = (each.estimate(sweep) for each in estimators)
+        assert agreement(whole.visible(), small.visible()) > 0.98
+        assert np.abs(whole.visible_prob - small.visible_prob).mean() < 0.005
+        assert whole.std is not None
+        assert small.std is not None
+        assert np.corrcoef(whole.std.reshape(-1), small.std.reshape(-1))[0, 1] > 0.99

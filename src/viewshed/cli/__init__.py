@@ -18,6 +18,7 @@ from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
 from viewshed.cli.options import BAD_INPUTS, one_line
+from viewshed.cli.quantize import quantize
 from viewshed.cli.record import record_app
 from viewshed.cli.report import report_app
 from viewshed.cli.reproduce import reproduce
@@ -29,7 +30,10 @@ INTERRUPTED = 130
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for _command in (estimate, info, compare, export, demo, simulate, label, attack, corrupt, train, crossval, reproduce):
+_COMMANDS = (
+    estimate, info, compare, export, demo, simulate, label, attack, corrupt, train, crossval, quantize, reproduce,
+)  # fmt: skip
+for _command in _COMMANDS:
     app.command()(_command)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")

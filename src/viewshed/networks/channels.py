@@ -237,3 +237,19 @@ def _looked_up(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cove
     steps, last = np.float32(_STEPS), np.float32(table.shape[0] - 1)
     for n in range(returns.shape[0]):
         codes[n] = table[np.int32(min(returns[n] * steps, last))]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def folded(maps: Any, tables: Any, fold: int, out: Any) -> None:  # pragma: no cover - compiled
+    """Put maps (channels, cells, cells) through tables (channels, 256) into blocks (side, side, channels · fold²).
+
+    The last axis is ordered by channel, row in the block, column in the block.
+    """
+    for i in range(out.shape[0]):
+        for c in range(maps.shape[0]):
+            for di in range(fold):
+                row, table = maps[c, i * fold + di], tables[c]
+                for dj in range(fold):
+                    at = (c * fold + di) * fold + dj
+                    for j in range(out.shape[1]):
+                        out[i, j, at] = table[row[j * fold + dj]]

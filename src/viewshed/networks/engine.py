@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from viewshed.networks.seal import CARD_KEY, check_seal
 from viewshed.networks.shipped import shipped_content, shipped_names
-from viewshed.networks.spec import NetworkCard, require_doubt
+from viewshed.networks.spec import INT8, NetworkCard, require_doubt
 
 ENGINES = ("onnxruntime", "openvino")
 """What can run a network. A process that has used OpenVINO dies when workers of torch end: take it where none train."""
@@ -20,7 +20,7 @@ PRECISIONS = ("f32", "bf16")
 _CELLS_AT_ONCE = 1 << 21
 
 Floats = NDArray[np.float32]
-Call = Callable[[Floats, Floats, Sequence[str]], list[Floats]]
+Call = Callable[[NDArray[Any], Floats, Sequence[str]], list[Floats]]
 """From inputs, masks and names of outputs to these."""
 _PROBABILITY, _DEVIATION = "probability", "deviation"
 
@@ -69,7 +69,7 @@ class OnnxRunner:
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
 
-    def run(self, inputs: Floats, masks: Floats) -> Floats:
+    def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.spec.Runner`."""
         self._check(inputs, masks)
         step = max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
@@ -79,7 +79,7 @@ class OnnxRunner:
         shared = len(inputs) == 1
         return np.concatenate([self.run(inputs if shared else inputs[part], masks[part]) for part in parts])
 
-    def run_with_doubt(self, inputs: Floats) -> tuple[Floats, Floats]:
+    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
         """Return probabilities and deviations (N, cells, cells); see :class:`viewshed.networks.spec.Runner`.
 
         Raises:
@@ -91,11 +91,11 @@ class OnnxRunner:
         prob, std = self._call(inputs, masks, [_PROBABILITY, _DEVIATION])
         return prob, std
 
-    def _check(self, inputs: Floats, masks: Floats) -> None:
+    def _check(self, inputs: NDArray[Any], masks: Floats) -> None:
         card = self.card
-        one = (card.shape.channels, *card.grid.shape)
-        if inputs.ndim != 4 or inputs.shape[1:] != one or inputs.dtype != np.float32:
-            raise ValueError(f"inputs must be float32 of shape (N, {', '.join(map(str, one))}), got {_kind(inputs)}")
+        one, dtype = card.input_shape, "uint8" if card.precision == INT8 else "float32"
+        if inputs.ndim != 4 or inputs.shape[1:] != one or inputs.dtype != dtype:
+            raise ValueError(f"inputs must be {dtype} of shape (N, {', '.join(map(str, one))}), got {_kind(inputs)}")
         total = sum(card.shape.masked_channels)
         if masks.ndim != 2 or masks.shape[1] != total or not len(masks) or masks.dtype != np.float32:
             raise ValueError(f"masks must be float32 of shape (N, {total}) with N at least 1, got {_kind(masks)}")
@@ -138,22 +138,33 @@ def _resolved(engine: str, precision: str) -> str:
 
 
 def _onnxruntime(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+    session = _session(content, threads)
+    card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
+
+    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
+        found: list[Floats] = session.run(names, {"inputs": inputs, "masks": masks})
+        return found
+
+    return card, call
+
+
+def values_of(content: bytes) -> Call:
+    """Return what runs a model without card and checksum for any of its outputs, to look into a network."""
+    session = _session(content, None)
+    return lambda inputs, masks, names: list(session.run(names, {"inputs": inputs, "masks": masks}))
+
+
+def _session(content: bytes, threads: int | None) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads or 0
     options.log_severity_level = 3
+    options.add_session_config_entry("session.x64quantprecision", "1")  # no saturation where a processor lacks VNNI
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class but this
         raise RuntimeError(_first(error)) from error
-    card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
-
-    def call(inputs: Floats, masks: Floats, names: Sequence[str]) -> list[Floats]:
-        found: list[Floats] = session.run(names, {"inputs": inputs, "masks": masks})
-        return found
-
-    return card, call
 
 
 def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
@@ -170,7 +181,7 @@ def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str,
     place = ["framework", CARD_KEY]
     card = model.get_rt_info(place).astype(str) if model.has_rt_info(place) else ""
 
-    def call(inputs: Floats, masks: Floats, names: Sequence[str]) -> list[Floats]:
+    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
         found = request.infer({"inputs": inputs, "masks": masks})
         return [found[name].copy() for name in names]
 

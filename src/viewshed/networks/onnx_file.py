@@ -24,7 +24,7 @@ _OPSET, _IR = 17, 9
 def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
     """Write ``module`` to a new ONNX file: inputs ``inputs`` and ``masks``, output ``probability``, and the card.
 
-    A network with a head for it has the output ``deviation`` as well.
+    A network with a head for it has the output ``deviation`` as well, one for each of the inputs.
 
     ``inputs`` (1 or N, channels, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
     folded into the convolutions. One input is enough for N masks: what comes before the first mask (encoder stages 1
@@ -45,7 +45,8 @@ def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
         helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", total]),
     ]
     names = ["probability", "deviation"] if card.shape.doubt else ["probability"]
-    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["passes", cells, cells]) for name in names]
+    counts = dict(zip(names, ("passes", "frames"), strict=False))
+    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [counts[name], cells, cells]) for name in names]
     made = helper.make_graph(graph.nodes, "unet", inputs, outputs, graph.constants)
     model = helper.make_model(
         made, producer_name="viewshed", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
@@ -81,9 +82,15 @@ class _Graph:
             x = x if last else self.node("Mul", [x, parts[shape.depth + i]])
         self.output(self.head(x, module.head, shape.fold), "probability")
         if module.doubt is not None:
+            x = self.once(x)
             x = self.node("Relu", [self.conv(x, module.doubt.first.weight, module.doubt.first.bias)])
             most = self.constant(np.array(MOST_DEVIATION, np.float32))
             self.output(self.node("Mul", [self.head(x, module.doubt.last, shape.fold), most]), "deviation")
+
+    def once(self, x: str) -> str:
+        """As many of ``x`` as there are inputs: the deviation of one input is not computed for each of its masks."""
+        frames = self.node("Shape", ["inputs"], start=0, end=1)
+        return self.node("Slice", [x, self.constant(np.array([0])), frames, self.constant(np.array([0]))])
 
     def head(self, x: str, conv: nn.Conv2d, fold: int) -> str:
         assert conv.bias is not None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.level import NULL_RANGE_M, LevelSweep, level_sweep
-from viewshed.networks.channels import CHANNELS, PAST_CHANNELS, Bytes, Shown, maps_of
+from viewshed.networks.channels import CHANNELS, PAST_CHANNELS, Bytes, Shown, folded, maps_of
 from viewshed.networks.shape import UNetShape
 from viewshed.past import Past, past_of
 from viewshed.sweep import Sweep
@@ -25,6 +25,8 @@ TRUTHS = ("probe", "paper_label")
 """What a network was taught: the exact truth of placed probes, or the label of arXiv 2503.07375."""
 COUNTS = ("linear", "log")
 """How the returns of a cell are shown: count / divisor, as published, or its logarithm."""
+INT8 = "int8"
+"""What the facts of a training say of the ``precision`` of a network that takes and multiplies bytes."""
 MOST_DEVIATION = 0.5
 """Largest standard deviation that values in [0, 1] can have; what a head for the deviation tells is in its units."""
 _LAYOUT = "viewshed network"
@@ -92,8 +94,8 @@ class NetworkCard:
                 f"inputs must be {self.shape.channels} different ones of {', '.join(CHANNELS)}, got {list(self.inputs)}"
             )
 
-    def input_of(self, sweep: Sweep) -> NDArray[np.float32]:
-        """Return the network's input (channels, cells, cells) of ``sweep``.
+    def input_of(self, sweep: Sweep) -> NDArray[Any]:
+        """Return the network's input of ``sweep``; see :meth:`shown`.
 
         The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. Of the
         ``counts`` null returns, nearer than 0.5 m, are left out; the vehicle's own roof counts, as in the published
@@ -101,8 +103,8 @@ class NetworkCard:
         """
         return self.shown(self.maps_of(sweep))
 
-    def input_of_level(self, level: LevelSweep, past: Past | None = None) -> NDArray[np.float32]:
-        """Return the network's input (channels, cells, cells) of a sweep that is already levelled."""
+    def input_of_level(self, level: LevelSweep, past: Past | None = None) -> NDArray[Any]:
+        """Return the network's input of a sweep that is already levelled."""
         return self.shown(maps_of(self.inputs, self.seen(level, past)))
 
     def seen(self, level: LevelSweep, past: Past | None = None) -> Shown:
@@ -130,14 +132,43 @@ class NetworkCard:
             return maps_of(self.inputs, self.seen(level, past))
         return self._clipped(sweep.points, rotation_from_quaternion(attitude))[None]
 
-    def shown(self, maps: Bytes) -> NDArray[np.float32]:
-        """Return the network's input (channels, cells, cells) of what :meth:`maps_of` returns."""
+    @property
+    def precision(self) -> str:
+        """What the network multiplies: ``f32``, or ``int8`` for one in bytes."""
+        return INT8 if self.trained.get("precision") == INT8 else "f32"
+
+    @property
+    def input_shape(self) -> tuple[int, int, int]:
+        """Shape of one input: (channels, cells, cells), or for a network in bytes folded and with channels last."""
+        if self.precision != INT8:
+            return self.shape.channels, *self.grid.shape
+        side = self.grid.cells // self.shape.fold
+        return side, side, self.shape.channels * self.shape.fold**2
+
+    def shown(self, maps: Bytes) -> NDArray[Any]:
+        """Return the network's input of what :meth:`maps_of` returns, of :attr:`input_shape`: float32, or bytes."""
+        if self.precision == INT8:
+            return self._folded(maps)
         found = np.empty(maps.shape, np.float32)
         for name, codes, out in zip(self.inputs, maps, found, strict=True):
             if name == "counts":
                 np.take(self._of_counts(), codes, out=out, mode="clip")
             else:
                 np.multiply(codes, np.float32(1.0 / 255.0), out=out, dtype=np.float32)
+        return found
+
+    @property
+    def most_shown(self) -> NDArray[np.float32]:
+        """Value (channels,) that byte 255 stands for in the input of a network in bytes."""
+        linear = np.float32(255.0 / self.divisor if self.counts == "linear" else 1.0)
+        return np.array([linear if name == "counts" else 1.0 for name in self.inputs], np.float32)
+
+    def _folded(self, maps: Bytes) -> Bytes:
+        tables = np.tile(np.arange(256, dtype=np.uint8), (len(maps), 1))
+        if "counts" in self.inputs and self.counts == "log":
+            tables[self.inputs.index("counts")] = np.round(self._of_counts() * np.float32(255.0))
+        found = np.empty(self.input_shape, np.uint8)
+        folded(maps, tables, self.shape.fold, found)
         return found
 
     def _of_counts(self) -> NDArray[np.float32]:
@@ -233,13 +264,15 @@ class Runner(Protocol):
         """What the network is."""
         ...
 
-    def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32]) -> NDArray[np.float32]:
+    def run(self, inputs: NDArray[Any], masks: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return probabilities (N, cells, cells) of inputs (N, channels, cells, cells) under masks (N, M).
+
+        A network in bytes takes its inputs as :meth:`NetworkCard.shown` gives them.
 
         One input with N masks is as good as N copies of it, and faster: what no mask touches is computed once.
         """
         ...
 
-    def run_with_doubt(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return probabilities and deviations (N, cells, cells), of a network with a head for these; dropout off."""
         ...
