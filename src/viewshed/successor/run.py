@@ -16,13 +16,14 @@ from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.learned import LEARNED, PASSES, UnetEstimator
 from viewshed.networks.engine import OnnxRunner, load_runner
 from viewshed.networks.shipped import default_name
+from viewshed.networks.spec import INT8
 from viewshed.reproduce.models import trained
 from viewshed.reproduce.run import Counted, run_jobs
 from viewshed.reproduce.store import JobStore, Key
 from viewshed.successor.chosen import duels
 from viewshed.successor.contest import Enveloped, score
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.targets import OURS, RIVAL, SEVERAL, SHADOW_MAP
+from viewshed.successor.targets import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
@@ -172,6 +173,8 @@ def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
             continue
         runner = load_runner(name, threads=1)
         found[method] = make(runner)
+        if method == OURS and runner.card.precision == INT8:
+            found[FLOAT] = UnetEstimator(load_runner(name.removesuffix(f"_{INT8}"), threads=1), name=FLOAT)
         if method == OURS and runner.card.shape.dropout:
             found[SEVERAL] = UnetEstimator(runner, PASSES, name=SEVERAL)
     return found

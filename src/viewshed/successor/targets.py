@@ -13,8 +13,8 @@ from viewshed.successor.plan import WHOLE
 from viewshed.successor.remembered import ATTACKED, HONEST
 from viewshed.successor.results import JAMMING, Results
 
-OURS, SEVERAL, RIVAL = "viewnet", "viewnet, 20 passes", "vote"
-"""Our network in one pass and with dropout passes, and the classical estimator that it must beat."""
+OURS, FLOAT, SEVERAL, RIVAL = "viewnet", "viewnet, float32", "viewnet, 20 passes", "vote"
+"""Our network in bytes, in float32 and with dropout passes, and the classical estimator that it must beat."""
 SHADOW_MAP = "shadow_map"
 """The classical estimator that earlier sweeps help."""
 
@@ -76,6 +76,10 @@ def _agreement(test: Results) -> Iterator[Target]:
     yield _lead(test, TOUCHING, "least lead over the vote under any attack")
     yield _at_least("F1, jamming", jammed, 0.88)
     yield Target("F1 without rings, less that with rings", "≥ -.020", f"{bare - benign:+.3f}", bare - benign >= -0.02)
+    if FLOAT in test.said:
+        for words, cases in (("benign", [BENIGN]), ("mean over the attacks", list(TOUCHING))):
+            less = test.f1(OURS, cases) - test.f1(FLOAT, cases)
+            yield Target(f"F1 in bytes, less that in float32, {words}", "≥ -.002", f"{less:+.4f}", less >= -0.002)
     seen, unseen = test.f1(OURS, test.trained), test.f1(OURS, test.unseen)
     found = f"{unseen - seen:+.3f}"
     yield Target("mean F1, unseen attacks less those trained on", "≥ -.020", found, unseen - seen >= -0.02)
