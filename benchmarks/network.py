@@ -23,7 +23,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.networks.engine import OnnxRunner, load_runner
 from viewshed.networks.mcd import moments
 from viewshed.networks.shape import UNetShape
-from viewshed.networks.spec import NetworkCard, Runner
+from viewshed.networks.spec import INT8, NetworkCard, Runner
 from viewshed.report import facts, page, table
 from viewshed.sweep import Sweep
 
@@ -59,7 +59,8 @@ the first mask, and the half of the last decoder stage that reads stage 1, is co
 
 OUR_TEXT = """\
 The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
-levelled sweep and its beams; with doubt: probability and deviation by one pass and two heads. """
+levelled sweep and its beams; with doubt: probability and deviation by one pass and two heads; int8: the same network
+in bytes. "Channels alone" begin with a sweep whose attitude is known, levelling it included. """
 
 
 def main() -> None:
@@ -70,7 +71,7 @@ def main() -> None:
         "--weights", type=Path, help="a network that viewshed train exported; drawn weights if not given"
     )
     parser.add_argument(
-        "--ours", default="", help="our network to stand beside it: a file, or a name of shipped weights"
+        "--ours", default="", help="our networks to stand beside it, by commas: files, or names of shipped weights"
     )
     parser.add_argument("--only", default="", help="measure only the engines with this word, and write no page")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
@@ -81,11 +82,13 @@ def main() -> None:
         if chosen.weights is None:
             alone(draw_weights, path)
         tasks = [(name, "") for name in names]
-        if chosen.ours:
-            tasks += [(name, chosen.ours) for name in names if name in engine_names()]
+        mine = [each for each in chosen.ours.split(",") if each]
+        for each in mine:
+            only = ["onnxruntime"] if load_runner(each, 1).card.precision == INT8 else engine_names()
+            tasks += [(name, each) for name in names if name in only]
         timings = measured(tasks, path, chosen.threads)
         card = OnnxRunner(path, 1, "onnxruntime").card
-        ours = load_runner(chosen.ours, 1).card if chosen.ours else None
+        ours = load_runner(mine[0], 1).card if mine else None
     rows = rows_of(timings, card.shape.flops(card.grid.cells))
     if chosen.only:
         return
@@ -129,7 +132,7 @@ def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tup
         for pick in rng.permutation(len(tasks)):
             for key, times in alone(measure, tasks[pick], path, threads, turn).items():
                 taken[key] += times
-    order = {name: k for k, name in enumerate((*engine_names(), TORCH, NONE))}
+    order = {name: k for k, name in enumerate((f"onnxruntime {INT8}", *engine_names(), TORCH, NONE))}
     keys = sorted(taken, key=lambda key: (SIZES.index(key[1]), order.get(key[0].partition(": ")[2], len(order))))
     return {key: summary(taken[key]) for key in keys}
 
@@ -148,7 +151,8 @@ def measure(task: tuple[str, str], path: Path, threads: int, turn: int) -> dict[
         card = OnnxRunner(path, 1, "onnxruntime").card if runner is None else runner.card
         jobs = our_jobs(runner, sweep) if ours and runner else jobs_of(name, runner, sweep, card)
         times = times_of(jobs, np.random.default_rng([SEED, turn]), BUDGET_S)
-        found |= {(f"{row}: {name}", size): each for row, each in times.items()}
+        label = f"{name} {INT8}" if card.precision == INT8 else name
+        found |= {(f"{row}: {label}", size): each for row, each in times.items()}
     return found
 
 
