@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.learned import Network, Passes, Seed, Sure, Weights
+from viewshed.cli.learned import Network, Passes, PastSweeps, Seed, Sure, Weights
 from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line, timed
 from viewshed.cli.outputs import free_name, output_names, refuse_inputs
 
@@ -51,10 +51,7 @@ def estimate(
         float | None,
         typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
     ] = None,
-    past: Annotated[
-        int,
-        typer.Option(min=0, max=20, help="Earlier sweeps that help, a second or more apart, with poses; 5 do well."),
-    ] = 0,
+    past: PastSweeps = 0,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.

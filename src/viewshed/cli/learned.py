@@ -19,7 +19,13 @@ Weights = Annotated[
 ]
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mcd; 20 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of mcd's dropout masks; 0 if not given.")]
-
+PastSweeps = Annotated[
+    int,
+    typer.Option(
+        "--past", min=0, max=20,
+        help="Earlier sweeps of a recording that help viewnet and shadow_map, a second or more apart; 5 do well.",
+    ),
+]  # fmt: skip
 Sure = Annotated[
     float | None,
     typer.Option(
