@@ -69,6 +69,11 @@ class OnnxRunner:
             self.card = NetworkCard.from_json(card)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
+        if self.card.precision == INT8 and self.engine != "onnxruntime":
+            raise ValueError(
+                f"engine must be onnxruntime for {name}, a network in bytes, got {engine}, which computes its masks"
+                " wrong; give the network in float32"
+            )
 
     def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.spec.Runner`."""
