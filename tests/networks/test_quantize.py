@@ -136,6 +136,23 @@ def test_what_cannot_be_quantized_is_refused(tmp_path: Path) -> None:
         whole.run(small.card.shown(frame)[None], whole.card.shape.no_masks(1))
 
 
+def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
+    made(SHAPES[0], tmp_path)
+    graph = onnx.load_from_string(quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))).graph
+    scales = {each.name: float(onnx.numpy_helper.to_array(each)) for each in graph.initializer if not each.dims}
+    of = {name: scales.get(node.input[1]) for node in graph.node if "Linear" in node.op_type for name in node.output}
+    told = {node.input[0]: scales.get(node.input[1]) for node in graph.node if node.op_type == "QuantizeLinear"}
+    pairs = [
+        (of[node.input[0]], told[node.output[0]])
+        for node in graph.node
+        if node.op_type == "Mul" and node.input[0] in of
+    ]
+    assert len(pairs) == len(SHAPES[0].masked_channels)
+    for before, after in pairs:
+        assert before is not None
+        assert after == pytest.approx(before / (1.0 - SHAPES[0].dropout))
+
+
 def test_an_engine_that_computes_masks_wrong_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("openvino")
     made(SHAPES[0], tmp_path)
