@@ -120,6 +120,17 @@ def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_range(
     assert estimate.visible_prob[i[3], j[3]] == 0
 
 
+def test_nothing_is_hidden_beyond_the_farthest_return() -> None:
+    """A post at 4 m, and ground as far as 9 m on the other side: behind the post HIDDEN ends at 9 m."""
+    post = np.stack([np.full(40, 4.0), np.linspace(-0.4, 0.4, 40), np.full(40, -0.8)], axis=1)
+    ground = np.stack([np.full(40, -9.0), np.linspace(-0.4, 0.4, 40), np.full(40, -1.8)], axis=1)
+    sweep = Sweep(np.concatenate([post, ground]).astype(np.float32), sensor_height_m=1.8)
+    found = UnetEstimator(TorchRunner(card(SHAPE, GRID), nearby(SHAPE))).estimate(sweep)
+    cells = GRID.index(np.array([[7.5, 0.0], [8.5, 0.2], [9.6, 0.0], [13.0, 0.0]]))[0]
+    states = [CellState(found.state[i, j]).name for i, j in cells]
+    assert states == ["HIDDEN", "HIDDEN", "UNKNOWN", "UNKNOWN"]
+
+
 def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
     runner = TorchRunner(card(SHAPE, GRID, threshold=0.7), drawn(SHAPE))
     found = UnetEstimator(runner).estimate(street)

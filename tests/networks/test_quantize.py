@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
 import pytest
 from numpy.typing import NDArray
+from onnx.reference import ReferenceEvaluator
 from tests.networks.made import GRID, card, drawn
 
 from viewshed.networks.engine import OnnxRunner, values_of
@@ -80,6 +82,20 @@ def test_the_lean_graph_says_what_the_file_says(shape: UNetShape, tmp_path: Path
         assert found[1].shape == (1, *GRID.shape)
 
 
+def test_the_engine_computes_what_the_graph_says(tmp_path: Path) -> None:
+    """The operators' own reference, without any optimization, rounds now and then the other way, no more."""
+    shape = SHAPES[0]
+    made(shape, tmp_path)
+    content = quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(6, shape, 2))
+    small, masks = OnnxRunner.of_content(content, "bytes", 1), shape.masks(3, np.random.default_rng(4))
+    x = small.card.shown(np.minimum(maps(1, shape)[0], 100))[None]
+    reference: Any = ReferenceEvaluator(onnx.load_from_string(content))
+    plain = reference.run(["probability"], {"inputs": x, "masks": masks})
+    found = small.run(x, masks)
+    assert found.std(axis=0).mean() > 0.01
+    assert np.abs(found - plain[0]).mean() < 0.1 * found.std(axis=0).mean()
+
+
 def test_bytes_are_folded_channel_by_channel_and_row_by_row() -> None:
     shape = UNetShape(4, 2, channels=2, fold=2)
     told = replace(card(shape), counts="log", clip=255, trained={"precision": INT8})
@@ -118,6 +134,31 @@ def test_what_cannot_be_quantized_is_refused(tmp_path: Path) -> None:
         small.run(whole.card.shown(frame)[None], whole.card.shape.no_masks(1))
     with pytest.raises(ValueError, match=r"inputs must be float32 of shape \(N, 3, 32, 32\), got uint8 of shape"):
         whole.run(small.card.shown(frame)[None], whole.card.shape.no_masks(1))
+
+
+def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
+    made(SHAPES[0], tmp_path)
+    graph = onnx.load_from_string(quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))).graph
+    scales = {each.name: float(onnx.numpy_helper.to_array(each)) for each in graph.initializer if not each.dims}
+    of = {name: scales.get(node.input[1]) for node in graph.node if "Linear" in node.op_type for name in node.output}
+    told = {node.input[0]: scales.get(node.input[1]) for node in graph.node if node.op_type == "QuantizeLinear"}
+    pairs = [
+        (of[node.input[0]], told[node.output[0]])
+        for node in graph.node
+        if node.op_type == "Mul" and node.input[0] in of
+    ]
+    assert len(pairs) == len(SHAPES[0].masked_channels)
+    for before, after in pairs:
+        assert before is not None
+        assert after == pytest.approx(before / (1.0 - SHAPES[0].dropout))
+
+
+def test_an_engine_that_computes_masks_wrong_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("openvino")
+    made(SHAPES[0], tmp_path)
+    content = quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
+    with pytest.raises(ValueError, match="engine must be onnxruntime for bytes, a network in bytes, got openvino"):
+        OnnxRunner.of_content(content, "bytes", 1, "openvino")
 
 
 @pytest.mark.parametrize("dropout", [0.0, 0.05, 0.1, 0.3, 0.5])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from llvmlite import binding
 from numpy.typing import NDArray
 
 from viewshed.networks.seal import CARD_KEY, check_seal
@@ -68,6 +69,11 @@ class OnnxRunner:
             self.card = NetworkCard.from_json(card)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
+        if self.card.precision == INT8 and self.engine != "onnxruntime":
+            raise ValueError(
+                f"engine must be onnxruntime for {name}, a network in bytes, got {engine}, which computes its masks"
+                " wrong; give the network in float32"
+            )
 
     def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.spec.Runner`."""
@@ -154,13 +160,24 @@ def values_of(content: bytes) -> Call:
     return lambda inputs, masks, names: list(session.run(names, {"inputs": inputs, "masks": masks}))
 
 
+def may_saturate(features: Mapping[str, bool]) -> bool:
+    """Return whether sums of products of bytes saturate on a processor with these features: an x86 without VNNI.
+
+    >>> may_saturate({"avx2": True, "avxvnni": False}), may_saturate({"avx2": True, "avx512vnni": True})
+    (True, False)
+    """
+    x86 = bool(features.get("sse2") or features.get("avx2"))
+    return x86 and not (features.get("avx512vnni") or features.get("avxvnni"))
+
+
 def _session(content: bytes, threads: int | None) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads or 0
     options.log_severity_level = 3
-    options.add_session_config_entry("session.x64quantprecision", "1")  # no saturation where a processor lacks VNNI
+    if may_saturate(binding.get_host_cpu_features()):
+        options.add_session_config_entry("session.x64quantprecision", "1")  # exact, and two to four times as slow
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class but this

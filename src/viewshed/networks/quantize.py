@@ -17,7 +17,7 @@ from viewshed.networks.lean import Lean, lean_of
 from viewshed.networks.seal import CARD_KEY, check_seal, sealed
 from viewshed.networks.spec import INT8, NetworkCard
 
-_OPSET, _IR = 17, 9
+_OPSET, _IR = 19, 9
 _SEED = 0x6D61736B
 _SAME = ("Transpose", "Reshape", "MaxPool", "Slice")
 """What moves numbers and leaves them as they are."""
