@@ -172,7 +172,7 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     page = page_of(store)
     for words in ("| whole |", "| counts alone |", "| vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
-    assert "| shadow_map | 20 |" in page
+    assert "| shadow_map | 20 | 1 |" in page
     road, indoor = page.split("## The shipped networks, nuscenes-small")[1].split("## The shipped networks, ugv-small")
     assert "the target is a car" in road
     assert "| viewnet |" not in road

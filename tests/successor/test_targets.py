@@ -10,7 +10,7 @@ from viewshed.successor.contest import BENIGN, CASES, Said
 from viewshed.successor.parts import CLEAR
 from viewshed.successor.plan import WHOLE, ablation_named
 from viewshed.successor.results import Results, Sure
-from viewshed.successor.tables import SURE, sure_table
+from viewshed.successor.tables import SURE, chosen_table, sure_table
 from viewshed.successor.targets import OURS, RIVAL, SEVERAL, targets_elsewhere, targets_of
 from viewshed.training.config import read_config
 
@@ -55,6 +55,9 @@ def test_each_number_of_questions_has_a_target_and_the_untouched_sweep_none() ->
     few, many = (found[f"precision against 150 points chosen with {asked} questions"] for asked in (200, 1000))
     assert (few.met, many.met, many.found) == (True, False, "0.850 (wedge 0.250)")
     assert sum("chosen" in what for what in found) == 2
+    twice = replace(met["200"], sweeps=[[95, 5, 0, 0], [0, 0, 0, 0]])
+    table = chosen_table(Results(plan, plan.domain, {OURS: {"200": twice}}))
+    assert table.rows == [[OURS, "200", "2", ".950 / 1.000", ".950 / 1.000", f"{5 * 0.25 / 2:.0f}"]]
 
 
 def test_rooms_have_targets_of_their_own() -> None:

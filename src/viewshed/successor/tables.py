@@ -80,11 +80,11 @@ def chosen_table(chosen: Results) -> Table:
     rows = []
     for name, cases in chosen.said.items():
         for case, said in cases.items():
-            false_m2 = said.wedge.counts()[1] * cell_m2 / len(said.sweeps)
-            rows.append(
-                [name, case if case != UNTOUCHED else "–", _both(said.view), _both(said.wedge), f"{false_m2:.0f}"]
-            )
-    return Table(["victim", "questions", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"], rows)
+            sweeps, asked = len(said.sweeps), case if case != UNTOUCHED else "–"
+            false_m2 = said.wedge.counts()[1] * cell_m2 / sweeps
+            rows.append([name, asked, str(sweeps), _both(said.view), _both(said.wedge), f"{false_m2:.0f}"])
+    heads = ["victim", "questions", "sweeps", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"]
+    return Table(heads, rows)
 
 
 def abstention_table(validation: Results, test: Results) -> Table:
