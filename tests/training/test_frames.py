@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 from viewshed import Archive, BevGrid, Sample, Sweep
 from viewshed.attacks.removal import PhysicalRemoval
+from viewshed.datasets.presets import preset_named
+from viewshed.datasets.simulation import simulate
+from viewshed.datasets.store import Store
+from viewshed.engines import LocalEngine
 from viewshed.estimators import PAPER_ESTIMATORS
 from viewshed.evaluation import unorganised_no_sensor
 from viewshed.geometry import Rigid
@@ -22,7 +26,7 @@ from viewshed.training.attacking import Struck
 from viewshed.training.data import prepare
 from viewshed.training.frames import BLANK, TrainingFrames
 from viewshed.training.order import Share, TrainingOrder, ValidationOrder
-from viewshed.training.sources import Fresh
+from viewshed.training.sources import Archived, Fresh
 
 
 def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
@@ -221,17 +225,25 @@ def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig,
     assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
 
 
-def test_earlier_sweeps_are_the_last_of_the_scene_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
-    for source in (prepare(config, tmp_path).train.source, Fresh(replace(config, data=("nuscenes-small",)), 16)):
-        longest = 0
+def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
+    pair = replace(
+        preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("train",), scenes=(2,),
+        frames=(16,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
+    )  # fmt: skip
+    simulate(pair, Store.of(tmp_path / "pair"), LocalEngine(1))
+    archived = Archived((Archive.open(tmp_path / "pair"),), config)
+    for source in (archived, Fresh(replace(config, data=("roads",)), 16)):
+        longest, agents = 0, set()
         for index in range(len(source)):
             now, few = source.clean(1, index).sweep, source.earlier(1, index, 2)
             times = [sweep.t_ns or 0 for sweep in (*few, now)]
             assert times == sorted(set(times))
             assert {sweep.agent for sweep in few} <= {now.agent}
+            agents.add(now.agent)
             assert source.earlier(1, index) == () or source.earlier(1, index)[0].t_ns == few[-1].t_ns
             longest = max(longest, len(few))
         assert longest == 2
+        assert len(agents) == 2
 
 
 def test_an_attack_that_lasted_struck_the_same_place_before() -> None:
