@@ -140,6 +140,13 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
     assert estimator.grid == GRID
 
 
+def test_a_sweep_is_not_its_own_past() -> None:
+    estimator = Remembering(ShadowMap(GRID))
+    estimator.estimate(seen([WALL, FAR], at(0, 0)))
+    lie = seen([FAR], at(0, 0))
+    assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie))
+
+
 def test_what_lies_long_before_is_forgotten() -> None:
     stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
     for late_s, known in ((12.0, True), (14.0, False)):
