@@ -133,6 +133,13 @@ def nearest_obstacle_in_bins(
     return best[:, rank - 1]
 
 
+def returns_in_bins(level: LevelSweep, bins: int) -> NDArray[np.int32]:
+    """Return how many returns each azimuth bin (bins,) holds."""
+    counts = np.zeros(bins, np.int32)
+    _count(level.azimuth, counts)
+    return counts
+
+
 def ends_on_obstacle(level: LevelSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return for each azimuth bin (bins,) whether an obstacle return lies exactly at ``limit_m`` (bins,)."""
     found = np.zeros(limit_m.shape, np.bool_)
@@ -203,6 +210,12 @@ def _any_on(points: Any, range_m: Any, limits: Any, lattice: Any) -> Any:  # pra
 def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
     position = int((np.float64(azimuth) + np.pi) * (bins / (2.0 * np.pi)))
     return min(max(position, 0), bins - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count(azimuth: Any, counts: Any) -> None:  # pragma: no cover - compiled
+    for n in range(azimuth.shape[0]):
+        counts[_bin(azimuth[n], counts.shape[0])] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -111,7 +111,7 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
         ),
         (("--method", "mcd", "--grid", "65x7"), "method mcd needs weights, and this version ships none for a car on"),
         (("--method", "unet", "--weights", "NET", "--grid", "64x16", "--passes", "4"), "passes must be 1 for unet"),
-        (("--seed", "3"), "--weights, --passes and --seed go with --method unet, mcd or viewnet, got method None"),
+        (("--seed", "3", "--method", "vote"), "--weights, --passes and --seed go with --method unet, mcd or viewnet"),
         (("--method", "oracle"), "vote, unet, mcd, viewnet, got 'oracle'"),
     ],
 )
@@ -159,3 +159,23 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
     assert rows["unet"] != rows["first_blocker"]
     code, _, err = run(*evaluate, "--methods", "first_blocker")
     assert (code, "--weights goes with unet, mcd or viewnet among --methods, got first_blocker" in err) == (2, True)
+
+
+def test_where_no_method_is_asked_for_it_is_ours_if_shipped_for_grid_and_target(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.linspace(2, 14, 60), np.linspace(-9, 9, 60))
+    sweep = Sweep(np.stack([x.ravel(), y.ravel(), np.full(3600, -1.8)], axis=1).astype(np.float32))
+    write_sweep(sweep, tmp_path / "sweep.ply")
+    for number, (words, method) in enumerate(
+        [
+            ((), "viewnet"),
+            (("--grid", "indoor", "--target", "pedestrian"), "viewnet"),
+            (("--grid", "indoor"), "shadow_map"),
+            (("--grid", "64x16"), "shadow_map"),
+            (("--method", "shadow_map"), "shadow_map"),
+            (("--profile", "paper"), "paper_label"),
+        ]
+    ):
+        out = tmp_path / str(number)
+        code, said, err = run("estimate", tmp_path / "sweep.ply", "--height", 1.8, "--out", out, *words)
+        assert (code, err) == (0, "")
+        assert read_npz(out / "sweep.npz").method == method, said

@@ -9,6 +9,7 @@ import typer
 
 from viewshed.cli import options
 from viewshed.cli.estimate import Run
+from viewshed.cli.learned import Network
 
 if TYPE_CHECKING:
     from viewshed.bev import BevGrid
@@ -32,10 +33,10 @@ def demo(
 
     out.mkdir(parents=True, exist_ok=True)
     grid = options.parse_grid("road")
-    estimator = options.make_estimator("shadow_map", grid, "car")
+    estimator = Network().estimator(None, grid, "car")
     seen = _junction(seed, grid)
     sweep = seen.image.sweep()
-    typer.echo(Run(estimator, options.parse_threshold(None, "sound"), out).one(sweep, "demo"))
+    typer.echo(Run(estimator, Network().threshold(None, estimator, "sound"), out).one(sweep, "demo"))
     picture, line = _beside_truth(estimator.estimate(sweep), seen)
     write_bytes(out / "demo_truth.png", picture)
     typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")

@@ -32,7 +32,7 @@ def estimate(
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(help="Estimator, also unet, mcd or viewnet; shadow_map if not given. See docs/estimators.md."),
+        typer.Option(help="Estimator, also unet or mcd; if not given viewnet, or shadow_map on grids of your own."),
     ] = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,

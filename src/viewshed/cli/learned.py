@@ -35,6 +35,19 @@ Sure = Annotated[
 ]
 
 
+OURS = "viewnet"
+"""The method that is taken where none is asked for and weights for it are shipped."""
+
+
+def _is_shipped(method: str, grid: BevGrid, target: str) -> bool:
+    from viewshed.networks.shipped import default_name
+
+    try:
+        return bool(default_name(method, grid, target))
+    except ValueError:
+        return False
+
+
 @dataclass(frozen=True, slots=True)
 class Network:
     """What the options say about the network."""
@@ -45,9 +58,14 @@ class Network:
     sure: float | None = None
 
     def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
-        """Return the estimator called ``method``, a network or not."""
+        """Return the estimator called ``method``, a network or not; None is the best that there is for a profile.
+
+        That is our network on the grids and for the targets that it is shipped for, else the profile's own.
+        """
         from viewshed.estimators.learned import LEARNED, learned
 
+        if method is None and profile == "sound" and _is_shipped(OURS, grid, target):
+            method = OURS
         if method in LEARNED:
             made = learned(method, grid, target, self.weights, self.passes, self.seed or 0)
             return made if self.sure is None else made.when_sure(self.sure)

@@ -18,7 +18,7 @@ from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.spec import NetworkCard, Runner
 from viewshed.past import Past, past_of
-from viewshed.polar import Crop, bins_of_cells, reach_of
+from viewshed.polar import Crop, bins_of_cells, reach_of, returns_in_bins
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
 
@@ -27,6 +27,7 @@ PASSES = 20
 EVEN = 0.5
 """Probability that says nothing: to be as sure as that is to tell everything."""
 _MAX_PASSES = 1000
+_EVIDENCE_BINS = 360
 _UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
     int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
 )  # fmt: skip
@@ -41,7 +42,8 @@ class UnetEstimator:
 
     A cell is FREE or SURFACE if its probability reaches the card's threshold. The network does not tell why it calls
     a cell not visible, so the returns must: HIDDEN behind the nearest obstacle of its azimuth, else UNKNOWN. Beyond
-    the card's range nothing is claimed, and neither is anything for a sweep without a usable return. With ``sure``
+    the card's range nothing is claimed, nor where an azimuth and 1° to each side hold fewer returns than would show a
+    target, and neither is anything for a sweep without a usable return. With ``sure``
     above one half, a cell is claimed from that probability on (or the card's threshold, if that is higher), denied as
     above up to ``1 - sure``, and UNKNOWN between; its probability stays what it is.
 
@@ -145,8 +147,10 @@ class UnetEstimator:
         reach_m = min(reach_of(seen.level), self.card.max_range_m)
         doubted_above = 1.0 - self.sure if self.sure > EVEN else 1.0
         limits = np.array([self.card.max_range_m, reach_m, self.claims_from, doubted_above], np.float32)
-        cells = bins_of_cells(self.grid, seen.bins), polar_of_cells(self.grid)[0], seen.level.obstacle_cells(self.grid)
-        _claims(told, cells, seen.blocker_m, limits, prob, state)
+        cells = polar_of_cells(self.grid)[0], seen.level.obstacle_cells(self.grid)
+        bearings = bins_of_cells(self.grid, seen.bins), bins_of_cells(self.grid, _EVIDENCE_BINS)
+        by_bearing = seen.blocker_m, _evidence(seen.level, self.target)
+        _claims(told, cells, (*bearings, *by_bearing), limits, prob, state)
 
 
 LEARNED: dict[str, Callable[[Runner], UnetEstimator]] = {
@@ -191,15 +195,24 @@ def learned(
     return UnetEstimator(runner, passes or PASSES if method == "mcd" else 1, seed, method)
 
 
+def _evidence(level: LevelSweep, target: Target) -> NDArray[np.bool_]:
+    """Return the azimuth bins around which there are at least as many returns as would show a target."""
+    counts = returns_in_bins(level, _EVIDENCE_BINS)
+    around: NDArray[np.bool_] = np.roll(counts, 1) + counts + np.roll(counts, -1) >= target.min_returns
+    return around
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _claims(told: Any, cells: Any, blocker_m: Any, limits: Any, prob: Any, state: Any) -> None:  # pragma: no cover
-    bins, range_m, obstacle = cells
+def _claims(told: Any, cells: Any, bearings: Any, limits: Any, prob: Any, state: Any) -> None:  # pragma: no cover
+    range_m, obstacle = cells
+    bins, bearing, blocker_m, evidence = bearings
     most, reach, claimed_from, doubted_above = limits
     for i in range(state.shape[0]):
         for j in range(state.shape[1]):
             r = range_m[i, j]
-            p = told[i, j] if r <= most else np.float32(0.0)
-            hidden = (r > blocker_m[bins[i, j]]) & (r <= reach) & (p <= doubted_above)
+            known = evidence[bearing[i, j]]
+            p = told[i, j] if (r <= most) & known else np.float32(0.0)
+            hidden = (r > blocker_m[bins[i, j]]) & (r <= reach) & (p <= doubted_above) & known
             visible = _SURFACE if obstacle[i, j] else _FREE
             prob[i, j] = p
             state[i, j] = visible if p >= claimed_from else (_HIDDEN if hidden else _UNKNOWN)
