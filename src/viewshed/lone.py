@@ -32,7 +32,7 @@ _MOST_RING = 1.05
 USUAL_COLUMNS = 1024
 """Columns of a revolution where the sensor is not known."""
 CLUTTERED = 0.02
-"""A sweep with a larger share of lone returns is cluttered: ..."""
+"""A sweep with a larger share of lone returns (of a few hundred at least) is cluttered: ..."""
 BY_CHANCE = 0.01
 """... so many of its random returns may be confirmed by chance, and all others are clutter."""
 CONFIRMING = 1.1
@@ -41,6 +41,7 @@ _AROUND_RINGS, _AROUND_COLUMNS = 1, 4
 """... and it lies at most so many rings and columns away."""
 _AROUND = (2 * _AROUND_RINGS + 1) * (2 * _AROUND_COLUMNS + 1) - 1
 _LEAST_ALIKE = 2
+_FEWEST = 256
 _BINS = 128
 _FOUND_LONE = 0.6
 """About so many of the returns at random ranges are lone."""
@@ -101,7 +102,7 @@ def placed(
     full = sizes[sizes >= _FULL_RING * shape[1]]
     fits = bool(full.size and np.median(full) <= _MOST_RING * shape[1])
     found = Placed(column, phase, counts, lone, behind, fits)
-    if np.count_nonzero(lone) <= CLUTTERED * len(lone):
+    if len(lone) < _FEWEST or np.count_nonzero(lone) <= CLUTTERED * len(lone):
         return found
     return _without_clutter(found, (points, ring), limits, nearest2)
 
