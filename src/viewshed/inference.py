@@ -60,7 +60,7 @@ def told_rings(sweep: Sweep) -> Told:
     if ordered is not None and (model is None or int(ordered.max()) < model.rings):
         return Told(ordered, model)
     if model is None:
-        return Told(None, None)
+        return NOTHING_TOLD
     match = match_beams(slope, range_m, model)
     return Told(match.ring if match.excess >= EXPLAINED else None, model)
 

@@ -86,15 +86,12 @@ class Network:
         Raises:
             ValueError: earlier sweeps do not help it.
         """
-        from viewshed.estimators.learned import UnetEstimator
-        from viewshed.estimators.shadow_map import ShadowMap
+        from viewshed.estimators.learned import heeds_past
         from viewshed.past import Memory, Remembering
 
         if sweeps == 0:
             return estimator
-        if isinstance(estimator, UnetEstimator) and estimator.card.uses_past:
-            return Remembering(estimator, Memory(sweeps))
-        if isinstance(estimator, ShadowMap):
+        if heeds_past(estimator):
             return Remembering(estimator, Memory(sweeps))
         raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
 

@@ -108,14 +108,10 @@ def _told(problems: list[str], line: str) -> None:
 
 def with_inferred_sensor(sweep: Sweep) -> Sweep:
     """Return the sweep with the beam table that explains it, or as it is where none does."""
-    from viewshed.inference import infer_sensor
+    from viewshed.inference import told_rings
 
-    if sweep.model is not None:
-        return sweep
-    model, _ = infer_sensor(sweep.points, sweep.ring)
-    if model is None or (sweep.ring is not None and int(sweep.ring.max(initial=0)) >= model.rings):
-        return sweep
-    return sweep.replace(model=model)
+    model = told_rings(sweep).model
+    return sweep if model is sweep.model else sweep.replace(model=model)
 
 
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
-from viewshed.estimate import CellState, FovEstimate
+from viewshed.estimate import CellState, FovEstimate, FovEstimator
+from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.spec import NetworkCard, Runner
-from viewshed.past import Past, past_of
+from viewshed.past import Past, PastEstimator, past_of
 from viewshed.polar import Crop, bins_of_cells, reach_of, returns_in_bins
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
@@ -159,6 +160,11 @@ LEARNED: dict[str, Callable[[Runner], UnetEstimator]] = {
     "viewnet": partial(UnetEstimator, name="viewnet"),
 }
 """The learned estimators by name; each is made of a network, which brings its grid and its target."""
+
+
+def heeds_past(estimator: FovEstimator) -> TypeGuard[PastEstimator]:
+    """Return whether earlier sweeps help an estimator: the shadow map, and networks that were shown them."""
+    return isinstance(estimator, ShadowMap) or (isinstance(estimator, UnetEstimator) and estimator.card.uses_past)
 
 
 def learned(

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from viewshed.bev import BevGrid
 from viewshed.datasets.simulate import simulate_frame
 from viewshed.estimate import FovEstimate, FovEstimator
-from viewshed.estimators.learned import UnetEstimator
-from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.learned import heeds_past
 from viewshed.evaluation import unorganised_no_sensor
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.past import PAST_SWEEPS, Past
@@ -75,6 +74,6 @@ def estimates(
     """Yield what those of the estimators that the past helps say with each past, each with its name."""
     for name in names:
         estimator = estimators.get(name)
-        if isinstance(estimator, ShadowMap) or (isinstance(estimator, UnetEstimator) and estimator.card.uses_past):
+        if estimator is not None and heeds_past(estimator):
             for kind, past in pasts.items():
                 yield f"{name}, {kind}", estimator.estimate_level(level, past)
