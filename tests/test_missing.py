@@ -174,12 +174,12 @@ def test_beside_an_obstacle_a_beam_went_no_farther() -> None:
     assert (beams.depth_m[far] > 45).all()
 
 
-def test_nothing_is_said_about_ranges_without_returns() -> None:
-    fog = np.hypot(*FULL.points[:, :2].T) < 30
-    thinned = fog & ((np.hypot(*FULL.points[:, :2].T) < 20) | (np.random.default_rng(2).random(len(FULL)) < 0.4))
+def test_nothing_is_said_beyond_twice_the_range_of_the_last_returns() -> None:
+    range_m = np.hypot(*FULL.points[:, :2].T)
+    thinned = (range_m < 15) & ((range_m < 10) | (np.random.default_rng(2).random(len(FULL)) < 0.4))
     beams = _explained(_without(thinned, FULL))
     assert len(beams.depth_m) > 100
-    assert beams.depth_m.max() <= 31
+    assert 25 < beams.depth_m.max() <= 31
 
 
 def test_without_rings_the_beam_table_tells_and_without_both_nothing_does() -> None:

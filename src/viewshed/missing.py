@@ -26,7 +26,9 @@ EXPECTED_SHARE = 0.9
 STEEP = 4.0
 """Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return."""
 REACH_SHARE = 0.001
-"""Nothing is said about ranges beyond which lies only this share of the returns: fog, rain."""
+"""Beyond some range lies only this share of the returns: that far the sensor reaches in this air, ..."""
+BEYOND_REACH = 2.0
+"""... and so much farther a target would still be seen, for it faces the beams, which graze the ground."""
 _SECTORS = 128
 _RANGES_M = np.geomspace(1.0, 128.0, 113)
 
@@ -91,7 +93,7 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
        obstacles: as far as the nearer of the two.
     2. A beam that aims above the ground, or at ground from which few beams return (by range, learned from the sweep):
        as far as that ground, but no farther than an obstacle beside it in its ring or next above it, nor than a beam
-       of the same gap stopped by rule 1 within 1.5 m, nor than the sweep has returns at all.
+       of the same gap stopped by rule 1 within 1.5 m, nor than twice as far as the sweep has returns.
     3. All others are left out: those at ground that should have returned, and beams above one of them (something that
        swallows light, glass, an attack); rings and columns without any return (dead, dropped).
 
@@ -158,7 +160,7 @@ def _told(level: LevelSweep, image: _Image, top_m: float) -> tuple[Beams, Beams]
     told = between_m, bound_m, hints.meet(azimuth, slope, rise_m, profile, _RANGES_M)
     near_m = np.float32(STEEP * level.sensor_height_m)
     share = hints.shares(image.ground_tally, pixels, told, near_m, image.columns)
-    limits = EXPECTED_SHARE, near_m, _reach_m(image.metre_tally)
+    limits = EXPECTED_SHARE, near_m, BEYOND_REACH * _reach_m(image.metre_tally)
     depth_m = hints.explain(pixels, told, share, limits, image.counts)
     slope += rise_m / np.fmax(depth_m, near_m)
     low = slope <= highest[_sectors(azimuth)]

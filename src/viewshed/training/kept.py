@@ -20,7 +20,7 @@ from viewshed.training.config import TrainConfig
 from viewshed.training.files import make_files
 from viewshed.training.frames import Drawn, TrainingFrames
 
-_LAYOUT = 4
+_LAYOUT = 5
 _BLOCK = 256
 _OPEN = 4096
 _TRUTH = "truth"
