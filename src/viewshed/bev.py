@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.blocks import BLOCK, split
 from viewshed.geometry import FloatArray, Rigid
 
 MAX_CELLS = 4096
-_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -121,18 +121,19 @@ def _count(
 ) -> None:  # pragma: no cover - compiled
     """Find each point's cell in blocks, in a loop without branches that vectorizes, then count."""
     flat = counts.reshape(-1)
-    block = np.empty(_BLOCK, np.int32)
-    for start in range(0, points.shape[0], _BLOCK):
-        part = points[start : start + _BLOCK]
-        _cells(part, rotation, translation, lattice, limits, block)
-        for k in range(part.shape[0]):
-            if block[k] >= 0:
-                flat[block[k]] += 1
+    px, py, pz = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    cells = np.empty(BLOCK, np.int32)
+    for start in range(0, points.shape[0], BLOCK):
+        count = split(points, start, px, py, pz)
+        _cells((px[:count], py[:count], pz[:count]), rotation, translation, lattice, limits, cells)
+        for k in range(count):
+            if cells[k] >= 0:
+                flat[np.uint32(cells[k])] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cells(
-    points: Any, rotation: Any, translation: Any, lattice: Any, limits: Any, cells: Any
+    block: Any, rotation: Any, translation: Any, lattice: Any, limits: Any, cells: Any
 ) -> None:  # pragma: no cover - compiled
     x0, y0, per_m, last = lattice
     low, high, max_range2, null2 = limits
@@ -140,8 +141,9 @@ def _cells(
     yx, yy, yz, y_off = rotation[1, 0], rotation[1, 1], rotation[1, 2], translation[1]
     zx, zy, zz, z_off = rotation[2, 0], rotation[2, 1], rotation[2, 2], translation[2]
     side = np.int32(last)
-    for k in range(points.shape[0]):
-        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+    xs, ys, zs = block
+    for k in range(xs.shape[0]):
+        px, py, pz = xs[k], ys[k], zs[k]
         x = xx * px + xy * py + xz * pz + x_off
         y = yx * px + yy * py + yz * pz + y_off
         z = zx * px + zy * py + zz * pz + z_off

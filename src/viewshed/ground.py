@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -37,6 +37,23 @@ NEAR_SHARE = 0.16
 """Within this share of the lattice's side from the sensor, ground once taken for ground stays it."""
 MIN_SUPPORT = 0.22
 """A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level."""
+
+
+class Places(NamedTuple):
+    """Where points lie on the lattice: the node (…,) before each, and how far beyond it (…,) in i and in j."""
+
+    node: NDArray[np.int32]
+    down: NDArray[np.float64]
+    right: NDArray[np.float64]
+
+
+def places_of(xy: FloatArray, half_extent_m: float, nodes: int) -> Places:
+    """Return the places of points (…, 2+) of ``level`` on a lattice of so many nodes a side."""
+    xy = np.ascontiguousarray(xy, dtype=np.float32)
+    shape = xy.shape[:-1]
+    found = Places(np.empty(shape, np.int32), np.empty(shape), np.empty(shape))
+    _place(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), *(each.reshape(-1) for each in found))
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +86,13 @@ class Ground:
         >>> Ground.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
         [-1.5]
         """
-        xy = np.ascontiguousarray(xy, dtype=np.float32)
-        heights = np.empty(xy.shape[:-1], np.float32)
-        _interpolate(self.heights_m, np.float32(self.half_extent_m), xy.reshape(-1, xy.shape[-1]), heights.reshape(-1))
+        return self.on(places_of(xy, self.half_extent_m, len(self.heights_m)))
+
+    def on(self, places: Places) -> NDArray[np.float32]:
+        """Return ground z (…,) in metres at places found before, on a lattice like this one."""
+        heights = np.empty(places.node.shape, np.float32)
+        flat = [each.reshape(-1) for each in places]
+        _interpolate(self.heights_m.reshape(-1), len(self.heights_m), *flat, heights.reshape(-1))
         return heights
 
     def raised(self, by_m: float) -> Ground:
@@ -122,17 +143,22 @@ def _order(nodes: int) -> NDArray[np.int32]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate(heights: Any, half: Any, xy: Any, out: Any) -> None:  # pragma: no cover - compiled
-    n = heights.shape[0]
+def _place(half: Any, n: int, xy: Any, node: Any, down: Any, right: Any) -> None:  # pragma: no cover - compiled
     per_m = n / (2.0 * half)
     for k in range(xy.shape[0]):
         u = min(max((xy[k, 0] + half) * per_m - 0.5, 0.0), n - 1.001)
         v = min(max((xy[k, 1] + half) * per_m - 0.5, 0.0), n - 1.001)
         i, j = int(u), int(v)
-        fu, fv = u - i, v - j
-        low = heights[i, j] * (1 - fv) + heights[i, j + 1] * fv
-        high = heights[i + 1, j] * (1 - fv) + heights[i + 1, j + 1] * fv
-        out[k] = low * (1 - fu) + high * fu
+        node[k], down[k], right[k] = i * n + j, u - i, v - j
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(heights: Any, n: int, node: Any, down: Any, right: Any, out: Any) -> None:  # pragma: no cover
+    for k in range(node.shape[0]):
+        at, under, part = np.uint32(node[k]), np.uint32(node[k] + n), right[k]
+        low = heights[at] * (1 - part) + heights[at + np.uint32(1)] * part
+        high = heights[under] * (1 - part) + heights[under + np.uint32(1)] * part
+        out[k] = low * (1 - down[k]) + high * down[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -70,11 +70,14 @@ class LevelSweep:
         pose = self.sweep.world_from_sensor
         return None if pose is None else pose @ self.level_from_sensor.inverse()
 
-    def beams(self) -> Beams:
-        """Return the beams that returned: straight lines from the sensor to each point."""
-        range_m = np.maximum(self.range_m, np.float32(1e-3))
-        slope = (self.points[:, 2] - np.float32(self.sensor_height_m)) / range_m
-        return Beams(self.azimuth, slope.astype(np.float32, copy=False), self.range_m)
+    def beams(self, straight_up: Mask | None = None) -> Beams:
+        """Return the beams that returned: straight lines from the sensor to each point.
+
+        Those of rows of the sweep in ``straight_up`` (N,) point there and meet nothing: to leave them out costs copies.
+        """
+        rows = np.zeros(0, np.bool_) if straight_up is None else straight_up
+        slope = kernels.slopes(self.points, self.range_m, np.float32(self.sensor_height_m), rows, self.rows)
+        return Beams(self.azimuth, slope, self.range_m)
 
     def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""

@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.blocks import BLOCK, split
 from viewshed.inference import Told
 from viewshed.missing_kernels import place, silent_columns
 
@@ -140,11 +141,20 @@ def _least_alike(mean: NDArray[np.float64]) -> NDArray[np.intp]:
 
 def taken_out(found: Placed, ring: NDArray[np.int16], out: NDArray[np.bool_]) -> Placed:
     """Return the places with these returns (N,) bool taken out of their pixels."""
-    column, counts, rows = found.column.copy(), found.counts.copy(), np.flatnonzero(out & (found.column >= 0))
-    few = rows[counts[ring[rows], column[rows]] < 255]
-    np.subtract.at(counts, (ring[few], column[few]), 1)
-    column[rows] = -1
+    column, counts = found.column.copy(), found.counts.copy()
+    _take_out(ring, out, column, counts)
     return replace(found, column=column, counts=counts)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _take_out(ring: Any, out: Any, column: Any, counts: Any) -> None:  # pragma: no cover - compiled
+    """Pixels that were full stay so: how many more returns they hold is not known."""
+    full = counts == 255
+    for n in range(out.shape[0]):
+        if out[n] and column[n] >= 0:
+            r, c = np.uint32(ring[n]), np.uint32(column[n])
+            counts[r, c] -= not full[r, c]
+            column[n] = -1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -153,21 +163,35 @@ def _mark(
 ) -> None:  # pragma: no cover - compiled
     ring, column = pixel
     lone, behind = marks
-    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
-    away2 = np.empty(points.shape[0], np.float32)
-    for n in range(points.shape[0]):
-        d2 = points[n, 0] * points[n, 0] + points[n, 1] * points[n, 1] + points[n, 2] * points[n, 2]
-        usable = (d2 >= near2) & (d2 <= far2) & (column[n] >= 0)
-        away2[n] = d2 if usable else np.float32(-1.0)
-        if usable:
-            nearest2[ring[n], column[n]] = min(nearest2[ring[n], column[n]], d2)
+    away2 = _nearest(points, pixel, limits, nearest2)
     sure = _sure(nearest2)
     for n in range(points.shape[0]):
         if away2[n] >= 0.0:
-            r, c = ring[n], column[n]
+            r, c = np.uint32(ring[n]), np.uint32(column[n])
             behind_own = away2[n] > nearest2[r, c]
-            if (behind_own or not sure[r, c]) and _denied(nearest2, r, c, away2[n], silent[c]):
+            if (behind_own or not sure[r, c]) and _denied(nearest2, ring[n], column[n], away2[n], silent[c]):
                 lone[n], behind[n] = True, behind_own
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(points: Any, pixel: Any, limits: Any, nearest2: Any) -> Any:  # pragma: no cover - compiled
+    """Return each point's square distance (N,), -1 where it is not usable, and lower ``nearest2`` of its pixel to it."""
+    ring, column = pixel
+    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
+    away2 = np.empty(points.shape[0], np.float32)
+    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    for start in range(0, points.shape[0], BLOCK):
+        count = split(points, start, x, y, z)
+        block = slice(start, start + count)
+        rings, columns, away = ring[block], column[block], away2[block]
+        for k in range(count):
+            d2 = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
+            away[k] = d2 if (d2 >= near2) & (d2 <= far2) & (columns[k] >= 0) else np.float32(-1.0)
+        for k in range(count):
+            if away[k] >= 0.0:
+                r, c = np.uint32(rings[k]), np.uint32(columns[k])
+                nearest2[r, c] = min(nearest2[r, c], away[k])
+    return away2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

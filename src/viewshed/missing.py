@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from viewshed import missing_hints as hints
 from viewshed import missing_kernels as kernels
 from viewshed.beams import recover_beams
+from viewshed.ground import Places, places_of
 from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, range_limits
 from viewshed.lone import Placed, placed, taken_out
 from viewshed.visible import Beams
@@ -131,11 +132,10 @@ class ToldBeams:
 
 def told_beams(level: LevelSweep, top_m: float) -> ToldBeams:
     """Return the beams of a sweep by what is known of them; ``top_m`` as in :func:`explained_beams`."""
-    image, returned = _told_image(level), level.beams()
+    image = _told_image(level)
     if image is None:
-        return ToldBeams(returned, _no_beams(), _no_beams())
-    returned.slope[image.lone[level.rows]] = np.inf  # straight up: meets nothing; to leave them out would cost copies
-    return ToldBeams(returned, *_told(level, image, top_m))
+        return ToldBeams(level.beams(), _no_beams(), _no_beams())
+    return ToldBeams(level.beams(image.lone), *_told(level, image, top_m))
 
 
 def _no_beams() -> Beams:
@@ -226,7 +226,9 @@ def _aims(level: LevelSweep, image: _Image, pixels: NDArray[np.int32]) -> tuple[
 
 def _profile(level: LevelSweep) -> Floats:
     """Return the slope from the sensor to the ground (sectors, ranges)."""
-    slope = (level.ground.at(_lattice()) - np.float32(level.sensor_height_m)) / _RANGES_M.astype(np.float32)
+    ground = level.ground
+    places = _places(ground.half_extent_m, len(ground.heights_m))
+    slope = (ground.on(places) - np.float32(level.sensor_height_m)) / _RANGES_M.astype(np.float32)
     return slope.astype(np.float32, copy=False)
 
 
@@ -247,11 +249,12 @@ def _sectors(azimuth: Floats) -> NDArray[np.intp]:
     return ((azimuth + np.float32(np.pi)) * np.float32(_SECTORS / (2 * np.pi))).astype(np.intp).clip(0, _SECTORS - 1)
 
 
-@lru_cache(maxsize=1)
-def _lattice() -> Floats:
-    """Return x and y (sectors, ranges, 2) of the places where the ground is looked up."""
+@lru_cache(maxsize=8)
+def _places(half_extent_m: float, nodes: int) -> Places:
+    """Return where the ground is looked up (sectors, ranges)."""
     azimuth = (np.arange(_SECTORS) + 0.5) * (2 * np.pi / _SECTORS) - np.pi
-    return np.stack([np.outer(np.cos(azimuth), _RANGES_M), np.outer(np.sin(azimuth), _RANGES_M)], -1).astype(np.float32)
+    xy = np.stack([np.outer(np.cos(azimuth), _RANGES_M), np.outer(np.sin(azimuth), _RANGES_M)], -1)
+    return places_of(xy, half_extent_m, nodes)
 
 
 def _reach_m(metre_tally: NDArray[np.int64]) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from viewshed.angles import atan2
+from viewshed.blocks import BLOCK, split
 
 JITTER_COLUMNS = 4
 """A point may lie this many columns from the firing that it belongs to."""
@@ -20,7 +21,6 @@ SHARE_SECTORS = 24
 AWAKE = 0.5
 """A column that returned from less than this share of the usual number of rings did not fire, or hardly."""
 _PHASES = 16
-_BLOCK = 2048
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -35,33 +35,42 @@ def place(points: Any, ring: Any, columns: int, rings: int) -> Any:  # pragma: n
     column = position.view(np.int32)  # each place is read before it is written: fresh memory costs more than sums
     phases = np.zeros((rings, _PHASES), np.int32)
     counts = np.zeros((rings, columns), np.uint8)
-    _positions(points, np.float32(columns / (2 * np.pi)), position)
-    for n in range(points.shape[0]):
-        if ring[n] >= 0:
-            phases[ring[n], int(position[n] * np.float32(_PHASES)) % _PHASES] += 1
+    _positions(points, ring, np.float32(columns / (2 * np.pi)), position, phases)
     phase = _circular_means(phases)
     start = np.float32(columns + 0.5) - phase
+    flat, turn = counts.reshape(-1), np.int32(columns)
     for n in range(points.shape[0]):
-        c = -1
+        c = np.int32(-1)
         if ring[n] >= 0:
-            c = int(position[n] + start[ring[n]])
-            c -= columns if c >= columns else 0
-            c -= columns if c >= columns else 0
-            counts[ring[n], c] += counts[ring[n], c] < 255
+            r = np.uint32(ring[n])
+            c = np.int32(position[n] + start[r])
+            c -= turn if c >= turn else np.int32(0)
+            c -= turn if c >= turn else np.int32(0)
+            flat[r * np.uint32(turn) + np.uint32(c)] += flat[r * np.uint32(turn) + np.uint32(c)] < 255
         column[n] = c
     return column, phase, counts, phases.sum(axis=1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _positions(points: Any, per_rad: Any, position: Any) -> None:  # pragma: no cover - compiled
-    """Write the azimuth of each point in columns, from 0. By blocks: only contiguous numbers vectorize."""
-    x, y = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
-    for start in range(0, points.shape[0], _BLOCK):
-        count = min(_BLOCK, points.shape[0] - start)
+def _positions(points: Any, ring: Any, per_rad: Any, position: Any, phases: Any) -> None:  # pragma: no cover - compiled
+    """Write the azimuth of each point in columns, from 0, and count its place within a column."""
+    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    part = np.empty(BLOCK, np.int32)
+    for start in range(0, points.shape[0], BLOCK):
+        count = split(points, start, x, y, z)
+        _turn(x[:count], y[:count], per_rad, position[start : start + count], part)
+        rings = ring[start : start + count]
         for k in range(count):
-            x[k], y[k] = points[start + k, 0], points[start + k, 1]
-        for k in range(count):
-            position[start + k] = (atan2(y[k], x[k]) + np.float32(np.pi)) * per_rad
+            if rings[k] >= 0:
+                phases[np.uint32(rings[k]), np.uint32(part[k])] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turn(x: Any, y: Any, per_rad: Any, position: Any, part: Any) -> None:  # pragma: no cover - compiled
+    for k in range(x.shape[0]):
+        position[k] = (atan2(y[k], x[k]) + np.float32(np.pi)) * per_rad
+    for k in range(x.shape[0]):
+        part[k] = np.int32(position[k] * np.float32(_PHASES)) % np.int32(_PHASES)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -91,16 +100,16 @@ def put(pixel: Any, points: Any, limits: Any, images: Any, tallies: Any) -> None
     low_m, near_m = limits
     depth, obstacle = images
     ground_tally, metre_tally = tallies
-    last = metre_tally.shape[0] - 1
+    last = np.uint32(metre_tally.shape[0] - 1)
     per_bin, per_column = np.float32(1.0 / SHARE_BIN_M), np.float32(SHARE_SECTORS / depth.shape[1])
     for k in range(rows.shape[0]):
-        n, d = rows[k], range_m[k]
-        r, c = ring[n], column[n]
+        n, d = np.uint64(rows[k]), range_m[k]
         high = height_m[k] > low_m
-        if c >= 0:
-            metre_tally[min(int(d), last)] += 1
+        if column[n] >= 0:
+            r, c = np.uint32(ring[n]), np.uint32(column[n])
+            metre_tally[min(np.uint32(d), last)] += 1
             if not high and d > near_m:
-                ground_tally[int(c * per_column), min(int(d * per_bin), SHARE_BINS - 1)] += 1
+                ground_tally[np.uint32(c * per_column), min(np.uint32(d * per_bin), np.uint32(SHARE_BINS - 1))] += 1
             depth[r, c] = min(depth[r, c], d)
             if high:
                 obstacle[r, c] = min(obstacle[r, c], d)

@@ -88,10 +88,16 @@ def measured_azimuth_bins(azimuth: NDArray[np.float32]) -> int:
     """
     occupied = np.zeros(BINS_LADDER[0], np.bool_)
     _occupy(azimuth, occupied)
+    return bins_filled(occupied)
+
+
+def bins_filled(occupied: NDArray[np.bool_]) -> int:
+    """Return :func:`measured_azimuth_bins` of returns that occupy some of the narrowest bins."""
     for bins in BINS_LADDER:
         filled = occupied.reshape(bins, -1).any(axis=1)
-        inner = filled & np.roll(filled, 1) & np.roll(filled, -1)
-        if inner.sum() >= 0.95 * max(int(filled.sum()), 1):
+        inner = np.count_nonzero(filled[:-2] & filled[1:-1] & filled[2:])
+        inner += int(filled[0] & filled[-1]) * (int(filled[1]) + int(filled[-2]))
+        if inner >= 0.95 * max(np.count_nonzero(filled), 1):
             return bins
     return FALLBACK_BINS
 
@@ -131,13 +137,6 @@ def nearest_obstacle_in_bins(
     best = np.full((bins, rank), np.inf, np.float32)
     _smallest(level.azimuth, level.range_m, level.height_m, np.array(height_m, np.float32), best)
     return best[:, rank - 1]
-
-
-def returns_in_bins(level: LevelSweep, bins: int) -> NDArray[np.int32]:
-    """Return how many returns each azimuth bin (bins,) holds."""
-    counts = np.zeros(bins, np.int32)
-    _count(level.azimuth, counts)
-    return counts
 
 
 def ends_on_obstacle(level: LevelSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -210,12 +209,6 @@ def _any_on(points: Any, range_m: Any, limits: Any, lattice: Any) -> Any:  # pra
 def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
     position = int((np.float64(azimuth) + np.pi) * (bins / (2.0 * np.pi)))
     return min(max(position, 0), bins - 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _count(azimuth: Any, counts: Any) -> None:  # pragma: no cover - compiled
-    for n in range(azimuth.shape[0]):
-        counts[_bin(azimuth[n], counts.shape[0])] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

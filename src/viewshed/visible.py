@@ -16,13 +16,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.beam_counts import AZIMUTH_COLUMNS, GROUND_SECTORS, reached
 from viewshed.bev import BevGrid
-from viewshed.ground import Ground
+from viewshed.ground import Ground, Places, places_of
 from viewshed.windows import range_bins, windows_of
 
-AZIMUTH_COLUMNS = 2048
-"""Columns in which beams are counted; windows are interpolated within a column."""
-_GROUND_SECTORS = 128
 _SLOPE_BINS = 512
 _SLOPE_LIMIT = 1.0
 _BELOW_GROUND_M = 0.3
@@ -104,8 +102,10 @@ def expected_returns(
     """
     limits = _slope_limits(sensor_height_m, ground, grid, target)
     aimed = _aimed(beams.azimuth, beams.slope, *limits)
-    aims = windows_of(grid, target.width_m, _GROUND_SECTORS).sums(aimed, grid)
-    return _returns(beams, limits, grid, target), aims
+    returns, aims = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
+    windows_of(grid, target.width_m, GROUND_SECTORS).sums(aimed, aims)
+    _returns(beams, limits, grid, target, returns)
+    return returns, aims
 
 
 def returns_by_kind(
@@ -116,26 +116,28 @@ def returns_by_kind(
     As :func:`expected_returns` counts them: over disjoint sets they add up to what it gives for all beams.
     """
     limits = _slope_limits(sensor_height_m, ground, grid, target)
-    return np.stack([_returns(beams, limits, grid, target) for beams in kinds])
-
-
-def _returns(beams: Beams, limits: tuple[Floats, Floats], grid: BevGrid, target: Target) -> Floats:
-    if not len(beams.azimuth):
-        return np.zeros(grid.shape, np.float32)
-    reached = _room((AZIMUTH_COLUMNS + 1, range_bins(grid)))
-    _reached((beams.azimuth, beams.slope, beams.depth_m), *limits, np.float32(grid.cell_m), reached)
-    counts = windows_of(grid, target.width_m, AZIMUTH_COLUMNS).sums(reached, grid)
-    returns: Floats = np.maximum(counts, np.float32(0.0), out=counts)
+    returns = np.empty((len(kinds), *grid.shape), np.float32)
+    for beams, found in zip(kinds, returns, strict=True):
+        _returns(beams, limits, grid, target, found)
     return returns
 
 
+def _returns(beams: Beams, limits: tuple[Floats, Floats], grid: BevGrid, target: Target, found: Floats) -> None:
+    """Write the expected returns into ``found`` (cells, cells)."""
+    if not len(beams.azimuth):
+        found.fill(0.0)
+        return
+    sums = _room((AZIMUTH_COLUMNS + 1, range_bins(grid)))
+    reached((beams.azimuth, beams.slope, beams.depth_m), *limits, np.float32(grid.cell_m), sums)
+    windows_of(grid, target.width_m, AZIMUTH_COLUMNS).sums(sums, found, 0.0)
+
+
 def _room(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return zeros in memory that this thread uses again and again: to ask for megabytes anew costs page faults."""
+    """Return memory that this thread uses again and again: to ask for megabytes anew costs page faults."""
     size = int(np.prod(shape))
     if len(getattr(_KEPT, "room", ())) < size:
         _KEPT.room = np.empty(size, np.float32)
     found: NDArray[np.float32] = _KEPT.room[:size].reshape(shape)
-    found.fill(0.0)
     return found
 
 
@@ -171,39 +173,19 @@ def _slope_limits(
     sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the slopes (sectors, bins) of beams that pass a target's foot and its top."""
-    xy, per_range = _polar_lattice(range_bins(grid), grid.cell_m)
-    foot = ground.at(xy) - np.float32(sensor_height_m)
+    lattice = ground.half_extent_m, len(ground.heights_m)
+    places, per_range = _polar_places(range_bins(grid), grid.cell_m, *lattice)
+    foot = ground.on(places) - np.float32(sensor_height_m)
     return (foot - np.float32(_BELOW_GROUND_M)) * per_range, (foot + np.float32(target.height_m)) * per_range
 
 
 @lru_cache(maxsize=8)
-def _polar_lattice(bins: int, cell_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return x and y (sectors, bins, 2) of the middle of each polar bin, and 1 / range (bins,)."""
-    azimuth = (np.arange(_GROUND_SECTORS) + 0.5) * (2 * np.pi / _GROUND_SECTORS) - np.pi
+def _polar_places(bins: int, cell_m: float, half_extent_m: float, nodes: int) -> tuple[Places, Floats]:
+    """Return where the middles of polar bins (sectors, bins) lie on a ground's lattice, and 1 / range (bins,)."""
+    azimuth = (np.arange(GROUND_SECTORS) + 0.5) * (2 * np.pi / GROUND_SECTORS) - np.pi
     range_m = (np.arange(bins) + 0.5) * cell_m
     xy = np.stack([np.cos(azimuth)[:, None] * range_m, np.sin(azimuth)[:, None] * range_m], axis=-1)
-    return xy.astype(np.float32), (1.0 / range_m).astype(np.float32)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _reached(beams: Any, bottom: Any, top: Any, cell_m: Any, counts: Any) -> None:  # pragma: no cover - compiled
-    """Beams that reach (column, range bin), summed over the columns before, into zeros (columns + 1, bins)."""
-    azimuth, slope, depth = beams
-    sectors, bins = top.shape
-    highest = np.array([row.max() for row in top])
-    per_rad = np.float32(AZIMUTH_COLUMNS / (2 * np.pi))
-    for n in range(azimuth.shape[0]):
-        column = min(max(int((azimuth[n] + np.float32(np.pi)) * per_rad), 0), AZIMUTH_COLUMNS - 1)
-        sector = column * sectors // AZIMUTH_COLUMNS
-        if slope[n] > highest[sector]:
-            continue
-        last = int(min(depth[n] / cell_m + np.float32(0.5), np.float32(bins - 1)))
-        row, low, high, s = counts[column + 1], bottom[sector], top[sector], slope[n]
-        for k in range(last + 1):
-            row[k] += np.float32(1.0) if (s >= low[k]) & (s <= high[k]) else np.float32(0.0)
-    for column in range(AZIMUTH_COLUMNS):
-        for k in range(bins):
-            counts[column + 1, k] += counts[column, k]
+    return places_of(xy, half_extent_m, nodes), (1.0 / range_m).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -22,25 +22,28 @@ class Windows:
         bins: range bins, each as long as a cell.
         ends: (2, N) int32 flat index of the column that each end lies in, at the cell's range bin: begin and end.
         parts: (2, N) float32 how far into that column it lies, in [0, 1).
-        turns: (N,) float32 how often the window passes the seam.
+        seam: (S,) int32 cells whose window passes the seam.
+        turns: (S,) float32 how often it does.
     """
 
     columns: int
     bins: int
     ends: NDArray[np.int32]
     parts: NDArray[np.float32]
+    seam: NDArray[np.int32]
     turns: NDArray[np.float32]
 
-    def sums(self, sums: NDArray[np.float32], grid: BevGrid) -> NDArray[np.float32]:
-        """Return the sum (cells, cells) over each cell's window, interpolated within columns.
+    def sums(self, sums: NDArray[np.float32], found: NDArray[np.float32], least: float = -np.inf) -> None:
+        """Write the sum over each cell's window, interpolated within columns.
 
         Args:
             sums: (columns + 1, bins) sums over the columns before.
-            grid: that the windows were made for.
+            found: (cells, cells) where to write, contiguous.
+            least: sums below this become it.
         """
-        found = np.empty(grid.shape, np.float32)
-        _sum(sums.reshape(-1), (self.bins, self.columns), self.ends, self.parts, self.turns, found.reshape(-1))
-        return found
+        flat, shape = sums.reshape(-1), (np.uint32(self.bins), np.uint32(self.columns))
+        seam = self.seam, self.turns
+        _sum(flat, shape, self.ends, self.parts, seam, np.float32(least), found.reshape(-1))
 
 
 @lru_cache(maxsize=16)
@@ -64,20 +67,31 @@ def windows_of(grid: BevGrid, width_m: float, columns: int) -> Windows:
     column = np.minimum(edges.astype(np.int32), columns - 1)
     parts = (edges - column).astype(np.float32)
     turns = (turn[1] - turn[0]).astype(np.float32)
-    found = Windows(columns, bins, column * np.int32(bins) + bin_of, parts, turns)
-    for array in (found.ends, found.parts, found.turns):
+    seam = np.flatnonzero(turns).astype(np.int32)
+    found = Windows(columns, bins, column * np.int32(bins) + bin_of, parts, seam, turns[seam])
+    for array in (found.ends, found.parts, found.seam, found.turns):
         array.setflags(write=False)
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sum(flat: Any, shape: Any, ends: Any, parts: Any, turns: Any, found: Any) -> None:  # pragma: no cover - compiled
+def _sum(
+    flat: Any, shape: Any, ends: Any, parts: Any, seam: Any, least: Any, found: Any
+) -> None:  # pragma: no cover - compiled
+    """Unsigned indices, since signed ones may count from the end, which takes as long again."""
     bins, columns = shape
+    begins, stops, begin_parts, stop_parts = ends[0], ends[1], parts[0], parts[1]
     for n in range(found.shape[0]):
-        a, b = ends[0, n], ends[1, n]
-        begin = flat[a] + parts[0, n] * (flat[a + bins] - flat[a])
-        end = flat[b] + parts[1, n] * (flat[b + bins] - flat[b])
-        found[n] = end - begin
-    for n in range(found.shape[0]):
-        if turns[n] != np.float32(0.0):
-            found[n] += turns[n] * flat[columns * bins + ends[0, n] % bins]
+        begin = _sum_before(flat, bins, np.uint32(begins[n]), begin_parts[n])
+        found[n] = max(_sum_before(flat, bins, np.uint32(stops[n]), stop_parts[n]) - begin, least)
+    cells, turns = seam
+    for k in range(cells.shape[0]):
+        n, b = cells[k], np.uint32(begins[cells[k]])
+        begin = _sum_before(flat, bins, b, begin_parts[n])
+        between = _sum_before(flat, bins, np.uint32(stops[n]), stop_parts[n]) - begin
+        found[n] = max(between + turns[k] * flat[columns * bins + b % bins], least)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _sum_before(flat: Any, bins: Any, at: Any, part: Any) -> Any:  # pragma: no cover - compiled
+    return flat[at] + part * (flat[at + bins] - flat[at])

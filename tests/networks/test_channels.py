@@ -75,12 +75,13 @@ def test_codes_ascend_with_the_returns() -> None:
 def test_the_code_of_a_limit_is_that_of_its_distance() -> None:
     """Tables give what the logarithm does, cell by cell, also where one code ends and the next begins."""
     rng, seen = np.random.default_rng(2), shown(level_sweep(Sweep(np.zeros((0, 3), np.float32)), GRID))
-    bins, range_m = bins_of_cells(GRID, seen.bins), polar_of_cells(GRID)[0]
+    bins, range_m = bins_of_cells(GRID, seen.scan.bins), polar_of_cells(GRID)[0]
     edges = np.expm1(np.arange(1, 254, 2) * np.log1p(FARTHEST_M) / 254)
     for limit_m in (
-        rng.uniform(-1.0, 200.0, seen.bins),
-        rng.choice([-1.0, np.inf], seen.bins),
-        rng.choice(range_m.reshape(-1), seen.bins) + rng.choice(edges, seen.bins) * rng.choice([-1, 1], seen.bins),
+        rng.uniform(-1.0, 200.0, seen.scan.bins),
+        rng.choice([-1.0, np.inf], seen.scan.bins),
+        rng.choice(range_m.reshape(-1), seen.scan.bins)
+        + rng.choice(edges, seen.scan.bins) * rng.choice([-1, 1], seen.scan.bins),
     ):
         limit = limit_m.astype(np.float32)
         assert np.array_equal(seen.beyond(limit), away_code(limit[bins] - range_m))

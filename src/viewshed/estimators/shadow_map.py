@@ -92,10 +92,7 @@ def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
 
 def _without_behind(level: LevelSweep) -> Beams:
     """Return the beams of all returns but lone ones behind another of their pixel: that beam had ended before."""
-    beams = level.beams()
-    if level.placed is not None:
-        beams.slope[level.placed.behind[level.rows]] = np.inf  # straight up: meets nothing
-    return beams
+    return level.beams(None if level.placed is None else level.placed.behind)
 
 
 def _state(

@@ -17,14 +17,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.bev import BevGrid, polar_of_cells
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep
+from viewshed.blocks import BLOCK
+from viewshed.level import LevelSweep
 from viewshed.missing import ToldBeams, told_beams
+from viewshed.networks.scan import Scan, scan
 from viewshed.past import Past
-from viewshed.polar import bins_of_cells, farthest_in_bins, measured_azimuth_bins, nearest_obstacle_in_bins
+from viewshed.polar import bins_of_cells
 from viewshed.visible import Beams, Target, returns_by_kind
 
-HEIGHTS_M = (-2.0, 4.0)
-"""Heights above local ground that ``lowest`` and ``highest`` tell apart."""
 MOST_RETURNS = 127
 """Expected returns that the codes tell apart."""
 FARTHEST_M = 100.0
@@ -54,12 +54,9 @@ class Shown:
     past: Past | None = None
 
     @cached_property
-    def heights(self) -> tuple[Bytes, Bytes]:
-        """Codes (cells, cells) of the lowest and the highest return of each cell: 0 for none, 1 to 255 upwards."""
-        codes = np.zeros(self.grid.shape, np.uint8), np.zeros(self.grid.shape, np.uint8)
-        lattice = np.array([*self.grid.origin_m, 1.0 / self.grid.cell_m, *HEIGHTS_M], np.float32)
-        _heights(self.level.points, self.level.height_m, lattice, *codes)
-        return codes
+    def scan(self) -> Scan:
+        """What one pass over the returns tells."""
+        return scan(self.level, self.grid)
 
     @cached_property
     def told(self) -> ToldBeams:
@@ -90,24 +87,17 @@ class Shown:
         return returns_by_kind(kinds, level.sensor_height_m, level.ground, self.grid, self.target)
 
     @cached_property
-    def bins(self) -> int:
-        """Azimuth bins."""
-        return measured_azimuth_bins(self.level.azimuth)
-
-    @cached_property
-    def blocker_m(self) -> Floats:
-        """(bins,) range in metres of the nearest obstacle of each azimuth bin; inf where none."""
-        return nearest_obstacle_in_bins(self.level, self.bins, 1, OBSTACLE_HEIGHTS_M)
-
-    @cached_property
-    def farthest_m(self) -> Floats:
-        """(bins,) range in metres of the farthest return of each azimuth bin; -1 where none."""
-        return farthest_in_bins(self.level, self.bins)
+    def codes(self) -> Bytes:
+        """(3, cells, cells) codes of the returns expected by confirmed, by told (also explained) and by other beams."""
+        codes = np.empty(self.returns.shape, np.uint8)
+        _codes(self.returns.reshape(3, -1), _returns_table(), codes.reshape(3, -1))
+        return codes
 
     def beyond(self, limit_m: Floats) -> Bytes:
         """Return the code (cells, cells) of how far a limit (bins,) lies beyond each cell; 128 where they meet."""
-        code = np.empty(self.grid.shape, np.uint8)
-        _beyond(limit_m, bins_of_cells(self.grid, self.bins), polar_of_cells(self.grid)[0], *_away_table(), code)
+        code, bins = np.empty(self.grid.shape, np.uint8), bins_of_cells(self.grid, self.scan.bins)
+        flat = bins.reshape(-1), polar_of_cells(self.grid)[0].reshape(-1)
+        _beyond(limit_m, *flat, *_away_table(), code.reshape(-1))
         return code
 
 
@@ -165,28 +155,35 @@ def _range_code(grid: BevGrid) -> Bytes:
 
 
 def _agreed(shown: Shown) -> Bytes:
-    return returns_code(shown.returns[0] + shown.returns[1] if shown.past is None else shown.returns_in_past[0])
+    return shown.codes[1] if shown.past is None else returns_code(shown.returns_in_past[0])
 
 
 def _remembered(shown: Shown) -> Bytes:
-    return returns_code(np.zeros(shown.grid.shape, np.float32) if shown.past is None else shown.returns_in_past[1])
+    return _nothing(shown.grid) if shown.past is None else returns_code(shown.returns_in_past[1])
 
 
 def _recalled(shown: Shown) -> Bytes:
     if shown.past is None:
-        return np.zeros(shown.grid.shape, np.uint8)
+        return _nothing(shown.grid)
     return returns_code(shown.past.counts(shown.grid).astype(np.float32))
+
+
+@lru_cache(maxsize=8)
+def _nothing(grid: BevGrid) -> Bytes:
+    nothing = np.zeros(grid.shape, np.uint8)
+    nothing.setflags(write=False)
+    return nothing
 
 
 CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "counts": lambda shown: shown.counts,
-    "lowest": lambda shown: shown.heights[0],
-    "highest": lambda shown: shown.heights[1],
-    "confirmed": lambda shown: returns_code(shown.returns[0]),
-    "expected": lambda shown: returns_code(shown.returns[0] + shown.returns[1]),
-    "unexplained": lambda shown: returns_code(shown.returns[2]),
-    "blocker": lambda shown: shown.beyond(shown.blocker_m),
-    "farthest": lambda shown: shown.beyond(shown.farthest_m),
+    "lowest": lambda shown: shown.scan.lowest,
+    "highest": lambda shown: shown.scan.highest,
+    "confirmed": lambda shown: shown.codes[0],
+    "expected": lambda shown: shown.codes[1],
+    "unexplained": lambda shown: shown.codes[2],
+    "blocker": lambda shown: shown.beyond(shown.scan.blocker_m),
+    "farthest": lambda shown: shown.beyond(shown.scan.farthest_m),
     "range": lambda shown: _range_code(shown.grid),
     "agreed": _agreed,
     "remembered": _remembered,
@@ -205,38 +202,48 @@ PAST_CHANNELS = ("agreed", "remembered", "recalled")
 
 def maps_of(names: Sequence[str], shown: Shown) -> Bytes:
     """Return the maps (channels, cells, cells) of channels by their names."""
-    return np.stack([CHANNELS[name](shown) for name in names])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _heights(points: Any, height: Any, lattice: Any, lowest: Any, highest: Any) -> None:  # pragma: no cover - compiled
-    x0, y0, per_m, bottom, top = lattice
-    cells, scale = lowest.shape[0], np.float32(254.0) / (top - bottom)
-    for n in range(points.shape[0]):
-        u, v = (points[n, 0] - x0) * per_m, (points[n, 1] - y0) * per_m
-        if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
-            i, j = int(u), int(v)
-            code = np.uint8(1 + int(min(max(height[n] - bottom, np.float32(0.0)), top - bottom) * scale))
-            highest[i, j] = max(highest[i, j], code)
-            lowest[i, j] = code if lowest[i, j] == 0 else min(lowest[i, j], code)
+    maps = np.empty((len(names), *shown.grid.shape), np.uint8)
+    for name, found in zip(names, maps, strict=True):
+        found[:] = CHANNELS[name](shown)
+    return maps
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _beyond(limit_m: Any, bins: Any, range_m: Any, table: Any, begins: Any, codes: Any) -> None:  # pragma: no cover
+    """By blocks: what is calculated vectorizes, what is looked up does not."""
     most, per_m = np.float32(FARTHEST_M), np.float32(_STEPS_A_METRE)
-    for i in range(codes.shape[0]):
-        for j in range(codes.shape[1]):
-            away = limit_m[bins[i, j]] - range_m[i, j]
-            near = min(max(away, -most), most)
-            code = table[np.uint32((near + most) * per_m)]
-            codes[i, j] = code + np.int32(near >= begins[np.uint32(code + 1)])
+    away, step = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.int32)
+    for start in range(0, codes.shape[0], BLOCK):
+        block = slice(start, min(start + BLOCK, codes.shape[0]))
+        some, ranges, found = bins[block], range_m[block], codes[block]
+        for k in range(found.shape[0]):
+            away[k] = limit_m[np.uint32(some[k])]
+        for k in range(found.shape[0]):
+            away[k] = min(max(away[k] - ranges[k], -most), most)
+            step[k] = np.int32((away[k] + most) * per_m)
+        for k in range(found.shape[0]):
+            code = np.uint32(table[np.uint32(step[k])])
+            found[k] = code + np.uint32(away[k] >= begins[code + np.uint32(1)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _codes(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+    both = np.empty(BLOCK, np.float32)
+    for start in range(0, returns.shape[1], BLOCK):
+        block = slice(start, min(start + BLOCK, returns.shape[1]))
+        confirmed, explained = returns[0, block], returns[1, block]
+        for k in range(confirmed.shape[0]):
+            both[k] = confirmed[k] + explained[k]
+        _looked_up(confirmed, table, codes[0, block])
+        _looked_up(both[: confirmed.shape[0]], table, codes[1, block])
+        _looked_up(returns[2, block], table, codes[2, block])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _looked_up(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
     steps, last = np.float32(_STEPS), np.float32(table.shape[0] - 1)
     for n in range(returns.shape[0]):
-        codes[n] = table[np.int32(min(returns[n] * steps, last))]
+        codes[n] = table[np.uint32(np.int32(min(returns[n] * steps, last)))]
 
 
 def folded(maps: Bytes, fold: int) -> Bytes:
