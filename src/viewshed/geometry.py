@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.floating[Any]]
 
 _UNIT_TOLERANCE = 1e-3
+_UNEVEN = 1e-3 + 1e-5 * np.eye(3)
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> NDArray[np.float64]:
@@ -85,7 +86,7 @@ class Rigid:
             raise ValueError(f"a rigid transform must be (3, 3) and (3,), got {rotation.shape} and {translation.shape}")
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise ValueError("a rigid transform must be finite")
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+        if (np.abs(rotation @ rotation.T - np.eye(3)) > _UNEVEN).any() or np.linalg.det(rotation) < 0:
             raise ValueError("rotation must be orthonormal and right-handed (determinant +1)")
         rotation.setflags(write=False)
         translation.setflags(write=False)

@@ -100,8 +100,8 @@ def placed(
     lone, behind = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
     nearest2, limits = np.full(shape, np.inf, np.float32), np.array(limits_m, np.float32)
     _mark(points, (ring, column), silent_columns(counts), limits, nearest2, (lone, behind))
-    full = sizes[sizes >= _FULL_RING * shape[1]]
-    fits = bool(full.size and np.median(full) <= _MOST_RING * shape[1])
+    full = np.sort(sizes[sizes >= _FULL_RING * shape[1]])
+    fits = bool(full.size and (full[(full.size - 1) // 2] + full[full.size // 2]) / 2 <= _MOST_RING * shape[1])
     found = Placed(column, phase, counts, lone, behind, fits)
     if len(lone) < _FEWEST or np.count_nonzero(lone) <= CLUTTERED * len(lone):
         return found

@@ -162,12 +162,8 @@ def _told(level: LevelSweep, image: _Image, top_m: float) -> tuple[Beams, Beams]
     share = hints.shares(image.ground_tally, pixels, told, near_m, image.columns)
     limits = EXPECTED_SHARE, near_m, BEYOND_REACH * _reach_m(image.metre_tally)
     depth_m = hints.explain(pixels, told, share, limits, image.counts)
-    slope += rise_m / np.fmax(depth_m, near_m)
-    low = slope <= highest[_sectors(azimuth)]
-    known = np.isfinite(depth_m)
-    keep, rest = low & known, low & ~known
-    endless = np.full(int(rest.sum()), np.inf, np.float32)
-    return Beams(azimuth[keep], slope[keep], depth_m[keep]), Beams(azimuth[rest], slope[rest], endless)
+    known, rest = hints.parted((azimuth, slope, rise_m, depth_m), highest, near_m)
+    return Beams(*known), Beams(*rest)
 
 
 def _obstructions(
@@ -243,10 +239,6 @@ def _rings_below(slope: float, image: _Image, rotation: Doubles) -> int:
     tilt = np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))
     below = np.flatnonzero(np.arctan(image.tangent) - tilt <= np.arctan(slope))
     return int(below[-1]) + 1 if below.size else 1
-
-
-def _sectors(azimuth: Floats) -> NDArray[np.intp]:
-    return ((azimuth + np.float32(np.pi)) * np.float32(_SECTORS / (2 * np.pi))).astype(np.intp).clip(0, _SECTORS - 1)
 
 
 @lru_cache(maxsize=8)

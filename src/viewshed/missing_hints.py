@@ -195,3 +195,28 @@ def _ring_below(counts: Any) -> Any:  # pragma: no cover - compiled
         if counts[r].any():
             last = r
     return below
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def parted(beams: Any, highest: Any, near_m: Any) -> Any:  # pragma: no cover - compiled
+    """Return azimuth, slope and depth (3, …) of the beams whose depth is known, and of the others, which are endless.
+
+    Beams steeper than ``highest`` (sectors,) are in neither. Slopes are seen from the sensor's origin afterwards: a
+    beam starts ``rise_m`` higher.
+    """
+    azimuth, slope, rise_m, depth = beams
+    sectors, count, found, left = highest.shape[0], azimuth.shape[0], 0, 0
+    known, rest = np.empty((3, count), np.float32), np.empty((3, count), np.float32)
+    per_rad = np.float32(sectors / (2 * np.pi))
+    for n in range(count):
+        steep = slope[n] + rise_m[n] / (depth[n] if depth[n] > near_m else near_m)
+        sector = min(max(int((azimuth[n] + np.float32(np.pi)) * per_rad), 0), sectors - 1)
+        if steep > highest[sector]:
+            continue
+        if np.isfinite(depth[n]):
+            known[0, found], known[1, found], known[2, found] = azimuth[n], steep, depth[n]
+            found += 1
+        else:
+            rest[0, left], rest[1, left], rest[2, left] = azimuth[n], steep, np.inf
+            left += 1
+    return known[:, :found], rest[:, :left]

@@ -37,6 +37,7 @@ _LEFT_M = 0.2
 _SWEEPS = 4
 _OVER = 1.3
 _KEEP_PLANE = 1e-5
+_VECTOR = 16
 
 
 def smooth_ground(
@@ -196,21 +197,26 @@ def _gather(samples: Any, weights: Any, surface: Any, n: int, cells: Any) -> Non
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _solve(stiffness: Any, weight: Any, target: Any, surface: Any) -> None:  # pragma: no cover - compiled
-    """Solve (stiffness + weights) heights = weights * targets by elimination within the band."""
-    upper, heights = stiffness.copy(), surface.reshape(-1)
+    """Solve (stiffness + weights) heights = weights * targets by elimination within the band.
+
+    Rows are padded with zeros, so that whole vectors are taken from each.
+    """
+    count, width = stiffness.shape
+    wide = (width + _VECTOR - 1) // _VECTOR * _VECTOR
+    upper, pivot, heights = np.zeros((count, wide), np.float32), np.zeros(2 * wide, np.float32), surface.reshape(-1)
     weights, targets = weight.reshape(-1), target.reshape(-1)
-    count, width = upper.shape
+    upper[:, :width] = stiffness
     for k in range(count):
         upper[k, 0] += weights[k]
         heights[k] = weights[k] * targets[k]
     for k in range(count):
         inverse = np.float32(1.0) / upper[k, 0]
-        last = min(width, count - k)
-        for m in range(1, last):
-            factor = upper[k, m] * inverse
-            row = upper[k + m]
-            for q in range(m, last):
-                row[q - m] -= factor * upper[k, q]
+        pivot[:wide] = upper[k]
+        for m in range(1, min(width, count - k)):
+            factor = pivot[m] * inverse
+            row, taken = upper[k + m], pivot[m : m + wide]
+            for q in range(np.uint32(width - m + _VECTOR - 1) // np.uint32(_VECTOR) * np.uint32(_VECTOR)):
+                row[q] -= factor * taken[q]
             heights[k + m] -= factor * heights[k]
     for k in range(count - 1, -1, -1):
         height = heights[k]

@@ -113,7 +113,7 @@ def away_code(away_m: Floats) -> Bytes:
 
 
 @lru_cache(maxsize=1)
-def _away_table() -> tuple[NDArray[np.int32], Floats]:
+def _away_table() -> tuple[Bytes, Floats]:
     """Return the code at each step of distance from -``FARTHEST_M`` on, and the distances (257,) where codes begin.
 
     A step is shorter than any code is wide, so that a distance has the code of its step or the next one.
@@ -126,8 +126,7 @@ def _away_table() -> tuple[NDArray[np.int32], Floats]:
         reached = away_code(middle) >= codes
         low, high = np.where(reached, low, middle), np.where(reached, middle, high)
     steps = np.arange(int(2 * FARTHEST_M) * _STEPS_A_METRE + 1, dtype=np.float32) / np.float32(_STEPS_A_METRE) + ends[0]
-    table = away_code(np.maximum(steps - np.float32(1e-4), ends[0])).astype(np.int32)
-    return table, np.append(high, np.float32(np.inf))
+    return away_code(np.maximum(steps - np.float32(1e-4), ends[0])), np.append(high, np.float32(np.inf))
 
 
 def returns_code(returns: Floats) -> Bytes:
@@ -272,3 +271,12 @@ def _fold(words: Any, blocks: Any) -> None:  # pragma: no cover - compiled
             for d in range(fold):
                 for j in range(blocks.shape[1]):
                     blocks[i, j, c * fold + d] = words[c, i * fold + d, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def recode(blocks: Any, table: Any) -> None:  # pragma: no cover - compiled
+    """Replace each byte of blocks (side, side, size) by what a table (256,) has for it."""
+    for i in range(blocks.shape[0]):
+        for j in range(blocks.shape[1]):
+            for k in range(blocks.shape[2]):
+                blocks[i, j, k] = table[blocks[i, j, k]]

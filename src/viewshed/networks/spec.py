@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.level import NULL_RANGE_M, LevelSweep, level_sweep
-from viewshed.networks.channels import CHANNELS, PAST_CHANNELS, Bytes, Shown, folded, maps_of
+from viewshed.networks.channels import CHANNELS, PAST_CHANNELS, Bytes, Shown, folded, maps_of, recode
 from viewshed.networks.shape import UNetShape
 from viewshed.past import Past, past_of
 from viewshed.sweep import Sweep
@@ -164,10 +164,11 @@ class NetworkCard:
         return np.array([linear if name == "counts" else 1.0 for name in self.inputs], np.float32)
 
     def _folded(self, maps: Bytes) -> Bytes:
+        blocks, size = folded(maps, self.shape.fold), self.shape.fold**2
         if "counts" in self.inputs and self.counts == "log":
-            at, maps = self.inputs.index("counts"), maps.copy()
-            maps[at] = np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8)[maps[at]]
-        return folded(maps, self.shape.fold)
+            begin = self.inputs.index("counts") * size
+            recode(blocks[..., begin : begin + size], np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8))
+        return blocks
 
     def _of_counts(self) -> NDArray[np.float32]:
         """Return (256,) as what each number of returns is shown."""
@@ -183,7 +184,7 @@ class NetworkCard:
             height_m=self.heights_m,
             null_range_m=NULL_RANGE_M,
         )
-        return np.minimum(counts, self.clip).astype(np.uint8)
+        return np.minimum(counts, self.clip, out=counts).astype(np.uint8)
 
     def require(self, grid: BevGrid, target: str) -> None:
         """Raise a ValueError unless the network was trained for this grid and for the target of this name."""
