@@ -53,6 +53,12 @@ def test_kinds_of_beams_are_counted_each_alone_and_as_often_as_one_asks() -> Non
     assert not found[1].any()
 
 
+def test_beams_without_a_depth_count_nowhere() -> None:
+    depth = np.array([-5.0, np.nan] * 20, np.float32)
+    low = Beams(np.zeros(40, np.float32), np.full(40, -0.1, np.float32), depth)
+    assert not returns_by_kind([low], 1.8, Ground.flat(20.0), GRID, CAR).any()
+
+
 def test_a_beam_above_every_target_counts_nowhere() -> None:
     up = Beams(np.zeros(50, np.float32), np.full(50, 0.5, np.float32), np.full(50, np.inf, np.float32))
     straight = Beams(up.azimuth, np.full(50, np.inf, np.float32), up.depth_m)

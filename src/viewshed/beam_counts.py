@@ -50,12 +50,12 @@ def _by_column(beams: Any, top: Any, cell_m: Any) -> Any:  # pragma: no cover - 
     column, begin = np.empty(azimuth.shape[0], np.int16), np.zeros(AZIMUTH_COLUMNS + 1, np.int32)
     per_rad, most = np.float32(AZIMUTH_COLUMNS / (2 * np.pi)), np.float32(AZIMUTH_COLUMNS - 1)
     for n in range(azimuth.shape[0]):
-        at = (azimuth[n] + np.float32(np.pi)) * per_rad
-        column[n] = np.int32(min(max(at, np.float32(0.0)), most))
+        position = (azimuth[n] + np.float32(np.pi)) * per_rad
+        column[n] = np.int32(min(max(position, np.float32(0.0)), most))
     for n in range(azimuth.shape[0]):
         begin[np.uint32(column[n]) + np.uint32(1)] += np.int32(1)
-    for k in range(AZIMUTH_COLUMNS):
-        begin[k + 1] += begin[k]
+    for at in range(AZIMUTH_COLUMNS):
+        begin[at + 1] += begin[at]
     end, highest = begin[:AZIMUTH_COLUMNS].copy(), np.array([row.max() for row in top])
     sorted_slope, last = np.empty(azimuth.shape[0], np.float32), np.empty(azimuth.shape[0], np.int32)
     farthest = np.float32(top.shape[1] - 1)

@@ -52,7 +52,8 @@ def places_of(xy: FloatArray, half_extent_m: float, nodes: int) -> Places:
     xy = np.ascontiguousarray(xy, dtype=np.float32)
     shape = xy.shape[:-1]
     found = Places(np.empty(shape, np.int32), np.empty(shape), np.empty(shape))
-    _place(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), *(each.reshape(-1) for each in found))
+    node, down, right = (each.reshape(-1) for each in found)
+    _place(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), node, down, right)
     return found
 
 
@@ -91,8 +92,8 @@ class Ground:
     def on(self, places: Places) -> NDArray[np.float32]:
         """Return ground z (…,) in metres at places found before, on a lattice like this one."""
         heights = np.empty(places.node.shape, np.float32)
-        flat = [each.reshape(-1) for each in places]
-        _interpolate(self.heights_m.reshape(-1), len(self.heights_m), *flat, heights.reshape(-1))
+        node, down, right = (each.reshape(-1) for each in places)
+        _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
         return heights
 
     def raised(self, by_m: float) -> Ground:

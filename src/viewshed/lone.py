@@ -175,7 +175,7 @@ def _mark(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(points: Any, pixel: Any, limits: Any, nearest2: Any) -> Any:  # pragma: no cover - compiled
-    """Return each point's square distance (N,), -1 where it is not usable, and lower ``nearest2`` of its pixel to it."""
+    """Return each point's square distance (N,), -1 where it is not usable; lower ``nearest2`` of its pixel to it."""
     ring, column = pixel
     near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
     away2 = np.empty(points.shape[0], np.float32)

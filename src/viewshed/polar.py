@@ -94,10 +94,10 @@ def measured_azimuth_bins(azimuth: NDArray[np.float32]) -> int:
 def bins_filled(occupied: NDArray[np.bool_]) -> int:
     """Return :func:`measured_azimuth_bins` of returns that occupy some of the narrowest bins."""
     for bins in BINS_LADDER:
-        filled = occupied.reshape(bins, -1).any(axis=1)
-        inner = np.count_nonzero(filled[:-2] & filled[1:-1] & filled[2:])
+        filled: NDArray[np.bool_] = np.asarray(occupied.reshape(bins, -1).any(axis=1))
+        inner = int(np.count_nonzero(filled[:-2] & filled[1:-1] & filled[2:]))
         inner += int(filled[0] & filled[-1]) * (int(filled[1]) + int(filled[-2]))
-        if inner >= 0.95 * max(np.count_nonzero(filled), 1):
+        if inner >= 0.95 * max(int(np.count_nonzero(filled)), 1):
             return bins
     return FALLBACK_BINS
 

@@ -41,9 +41,9 @@ class Windows:
             found: (cells, cells) where to write, contiguous.
             least: sums below this become it.
         """
-        flat, shape = sums.reshape(-1), (np.uint32(self.bins), np.uint32(self.columns))
-        seam = self.seam, self.turns
-        _sum(flat, shape, self.ends, self.parts, seam, np.float32(least), found.reshape(-1))
+        shape = np.uint32(self.bins), np.uint32(self.columns)
+        ends = self.ends, self.parts, self.seam, self.turns
+        _sum(sums.reshape(-1), shape, ends, np.float32(least), found.reshape(-1))
 
 
 @lru_cache(maxsize=16)
@@ -75,16 +75,14 @@ def windows_of(grid: BevGrid, width_m: float, columns: int) -> Windows:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sum(
-    flat: Any, shape: Any, ends: Any, parts: Any, seam: Any, least: Any, found: Any
-) -> None:  # pragma: no cover - compiled
+def _sum(flat: Any, shape: Any, windows: Any, least: Any, found: Any) -> None:  # pragma: no cover - compiled
     """Unsigned indices, since signed ones may count from the end, which takes as long again."""
     bins, columns = shape
+    ends, parts, cells, turns = windows
     begins, stops, begin_parts, stop_parts = ends[0], ends[1], parts[0], parts[1]
     for n in range(found.shape[0]):
         begin = _sum_before(flat, bins, np.uint32(begins[n]), begin_parts[n])
         found[n] = max(_sum_before(flat, bins, np.uint32(stops[n]), stop_parts[n]) - begin, least)
-    cells, turns = seam
     for k in range(cells.shape[0]):
         n, b = cells[k], np.uint32(begins[cells[k]])
         begin = _sum_before(flat, bins, b, begin_parts[n])

@@ -93,8 +93,8 @@ def _scan(columns: Any, lattice: Any, heights: Any) -> Any:  # pragma: no cover 
             if heights[2] < highs[k] < heights[3]:
                 obstacle[c] = True
                 nearest_m[b] = min(nearest_m[b], ranges[k])
-    for c in range(last):
-        lowest[c] = np.uint8(-lowest[c])
+    for k in range(last):
+        lowest[k] = np.uint8(-lowest[k])
     return cells, obstacle, returns, ranges_m
 
 
