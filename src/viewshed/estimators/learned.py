@@ -15,6 +15,7 @@ from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.estimate import CellState, FovEstimate, FovEstimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.level import LevelSweep, level_sweep
+from viewshed.memory import keep_freed
 from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.scan import EVIDENCE_BINS
@@ -68,6 +69,7 @@ class UnetEstimator:
             raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
         if not EVEN <= sure <= 1.0:
             raise ValueError(f"sure must lie in [0.5, 1], got {sure}")
+        keep_freed()
         self.runner, self.passes, self.seed, self.sure = runner, passes, seed, sure
         self.name = name or ("unet" if passes == 1 else "mcd")
         rng = np.random.Generator(np.random.PCG64(seed))
