@@ -16,7 +16,7 @@ from viewshed.datasets.store import Store
 from viewshed.engines import LocalEngine
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.export import read_npz
-from viewshed.past import Memory, Remembering
+from viewshed.memory import Memory, Remembering
 
 GRID = BevGrid(64, 32.0)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.learned import Network, Passes, PastSweeps, Seed, Sure, Weights
+from viewshed.cli.learned import Network, Passes, PastSweeps, Seed, Sure, Wary, Weights
 from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line, timed
 from viewshed.cli.outputs import free_name, output_names, refuse_inputs
 
@@ -52,6 +52,7 @@ def estimate(
         typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
     ] = None,
     past: PastSweeps = 0,
+    wary: Wary = False,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
@@ -63,7 +64,7 @@ def estimate(
     reading = Reading(sensor, format, file_frame, height, attitude)
     network = Network(weights, passes, seed, sure)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
-    run = Run(network.remembering(estimator, past), network.threshold(threshold, estimator, profile), out)
+    run = Run(network.remembering(estimator, past, wary), network.threshold(threshold, estimator, profile), out)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((out / f"{name}{suffix}" for name in names for suffix in _RESULTS), (file for file, _ in jobs))

@@ -26,6 +26,10 @@ PastSweeps = Annotated[
         help="Earlier sweeps of a recording that help viewnet and shadow_map, a second or more apart; 5 do well.",
     ),
 ]  # fmt: skip
+Wary = Annotated[
+    bool,
+    typer.Option("--wary", help="With --past: claim only what an earlier sweep would have seen as well."),
+]
 Sure = Annotated[
     float | None,
     typer.Option(
@@ -80,19 +84,21 @@ class Network:
             raise ValueError(f"method must be one of {', '.join([*table, *LEARNED])}, got {method!r}")
         return options.make_estimator(method, grid, target, profile)
 
-    def remembering(self, estimator: FovEstimator, sweeps: int) -> FovEstimator:
-        """Return the estimator with so many earlier sweeps to help it; as it is for none.
+    def remembering(self, estimator: FovEstimator, sweeps: int, wary: bool = False) -> FovEstimator:
+        """Return the estimator with so many earlier sweeps to help it, wary or not; as it is for none.
 
         Raises:
             ValueError: earlier sweeps do not help it.
         """
         from viewshed.estimators.learned import heeds_past
-        from viewshed.past import Memory, Remembering
+        from viewshed.memory import Memory, Remembering
 
+        if sweeps == 0 and wary:
+            raise ValueError("--wary goes with --past 1 or more: it claims what earlier sweeps support")
         if sweeps == 0:
             return estimator
         if heeds_past(estimator):
-            return Remembering(estimator, Memory(sweeps))
+            return Remembering(estimator, Memory(sweeps), wary)
         raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
 
     def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:

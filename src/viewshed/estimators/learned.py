@@ -15,10 +15,11 @@ from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.estimate import CellState, FovEstimate, FovEstimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.level import LevelSweep, level_sweep
+from viewshed.memory import PastEstimator
 from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.spec import NetworkCard, Runner
-from viewshed.past import Past, PastEstimator, past_of
+from viewshed.past import Past, past_of
 from viewshed.polar import Crop, bins_of_cells, reach_of, returns_in_bins
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
