@@ -74,10 +74,8 @@ def test_estimators_are_shown_what_the_attacker_left_and_the_truth_is_of_the_swe
         return sweep.select(sweep.points[:, 1] > 0)
 
     estimators: dict[str, FovEstimator] = {"shadow_map": ShadowMap(GRID)}
-    clean, shown = (
-        evaluate_crossview([SWEEPS], estimators, rng=np.random.default_rng(0), **words)[0]
-        for words in ({}, {"shown": halved})
-    )
+    clean = evaluate_crossview([SWEEPS], estimators, rng=np.random.default_rng(0))[0]
+    shown = evaluate_crossview([SWEEPS], estimators, rng=np.random.default_rng(0), shown=halved)[0]
     assert (shown.over.columns, shown.under.columns) == (clean.over.columns, clean.under.columns)
     assert shown.under.value > clean.under.value + 0.2
 
