@@ -17,11 +17,11 @@ from viewshed.batches import estimate_all
 from viewshed.estimate import FovEstimate
 from viewshed.estimators.learned import UnetEstimator
 from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.memory import Remembering
 from viewshed.networks.engine import OnnxRunner
 from viewshed.networks.onnx_file import export_onnx
 from viewshed.networks.shape import UNetShape
 from viewshed.networks.spec import NetworkCard
-from viewshed.past import Remembering
 
 GRID = BevGrid(32, 16.0)
 SHAPES = {"one head": UNetShape(4, 2, 0.3, 3), "two heads": UNetShape(4, 2, 0.3, 3, 2, doubt=True)}

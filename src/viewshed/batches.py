@@ -14,7 +14,7 @@ from viewshed.engines.local import cores
 from viewshed.estimate import FovEstimate, FovEstimator
 from viewshed.estimators.learned import UnetEstimator
 from viewshed.level import level_sweep
-from viewshed.past import Remembering
+from viewshed.memory import Remembering
 from viewshed.sweep import Sweep
 
 BATCH = 16

@@ -83,8 +83,7 @@ def estimate(
     refuse_inputs((out / f"{name}.{kind}" for name in names for kind in chosen), (file for file, _ in jobs))
     out.mkdir(parents=True, exist_ok=True)
     failures = Failures()
-    sweeps = _sweeps(reading, jobs, names, failures)
-    for line in run.lines(sweeps, failures, batch):
+    for line in run.lines(_sweeps(reading, jobs, names, failures), failures, batch):
         typer.echo(line)
     if failures.count:
         raise typer.Exit(2)
