@@ -69,6 +69,17 @@ def test_the_rates_of_all_nothing_and_the_shadow_map() -> None:
     assert rows["all"].under.columns > 50
 
 
+def test_estimators_are_shown_what_the_attacker_left_and_the_truth_is_of_the_sweep_itself() -> None:
+    def halved(sweep: Sweep) -> Sweep:
+        return sweep.select(sweep.points[:, 1] > 0)
+
+    estimators: dict[str, FovEstimator] = {"shadow_map": ShadowMap(GRID)}
+    clean = evaluate_crossview([SWEEPS], estimators, rng=np.random.default_rng(0))[0]
+    shown = evaluate_crossview([SWEEPS], estimators, rng=np.random.default_rng(0), shown=halved)[0]
+    assert (shown.over.columns, shown.under.columns) == (clean.over.columns, clean.under.columns)
+    assert shown.under.value > clean.under.value + 0.2
+
+
 def test_poses_and_times_are_needed() -> None:
     with pytest.raises(ValueError, match="pose of every sweep"):
         evaluate_crossview([[s.replace(world_from_sensor=None) for s in SWEEPS]], {}, rng=np.random.default_rng(0))

@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
-from viewshed.estimate import FovEstimate
+from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.geometry import Rigid
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.past import GAP_ROWS, Memory, Past, Remembering, _fill, past_of
+from viewshed.memory import Memory, Remembering, where_supported
+from viewshed.past import GAP_ROWS, Past, _fill, past_of
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
+from viewshed.visible import CAR, PEDESTRIAN
 
 MODEL = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 33)), azimuth_columns=720, max_range_m=100.0)
 GRID = BevGrid(128, 32.0)
@@ -91,13 +93,19 @@ def test_depths_are_those_from_where_the_sensor_is_now() -> None:
     assert np.array_equal(past.within(beams).depth_m[left], beams.depth_m[left])
 
 
-def test_returns_are_counted_in_the_frame_now() -> None:
-    now, before = seen([WALL], at(0, 0)), seen([WALL], at(-8, 2))
-    past = past_of(level_of(now), [before], GRID)
+def test_support_counts_the_earlier_sweeps_that_see_a_cell_from_where_they_were() -> None:
+    now = seen([FAR], at(0, 0))
+    poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
+    earlier = [seen([WALL, FAR], pose) for pose in poses]
+    past = past_of(level_of(now), earlier, GRID)
     assert past is not None
-    level = level_of(before)
-    shifted = level.points + np.array([-8, 2, 0], np.float32)
-    assert np.array_equal(past.counts(GRID), GRID.count(shifted))
+    support = past.support(GRID, CAR)
+    assert (support[behind_wall()] == 2).mean() > 0.9  # the two that stood beyond the wall
+    assert np.array_equal(support, past.support(GRID, CAR))
+    alone = Past.of(level_of(now), [level_of(earlier[0])])
+    assert alone is not None
+    assert (alone.support(GRID, CAR) == claimed(earlier[0])).mean() > 0.99
+    assert (alone.support(GRID, PEDESTRIAN) != alone.support(GRID, CAR)).any()
 
 
 def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see_them_together() -> None:
@@ -140,6 +148,25 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
     assert estimator.grid == GRID
 
 
+def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    lie = seen([FAR], at(0, 0), 10.0)
+    estimator, trusting = Remembering(ShadowMap(GRID), wary=True), Remembering(ShadowMap(GRID))
+    first = estimator.estimate(stream[0])
+    assert not first.visible().any()
+    assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
+    for sweep in stream:
+        found, other = estimator.estimate(sweep), trusting.estimate(sweep)
+    found, other = estimator.estimate(lie), trusting.estimate(lie)
+    past = past_of(level_of(lie), stream, GRID)
+    assert past is not None
+    assert np.array_equal(found.visible(), other.visible() & (past.support(GRID, CAR) > 0))
+    refused = other.visible() & ~found.visible()
+    assert (found.state[refused] == CellState.UNKNOWN).all()
+    assert refused[behind_wall()].mean() == other.visible()[behind_wall()].mean()
+    assert np.array_equal(where_supported(other, past).visible(), found.visible())
+
+
 def test_a_sweep_is_not_its_own_past() -> None:
     estimator = Remembering(ShadowMap(GRID))
     estimator.estimate(seen([WALL, FAR], at(0, 0)))
@@ -180,4 +207,4 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
-    assert Past(image, np.zeros((0, 2), np.float32)).counts(GRID).sum() == 0
+    assert Past(image, (), ()).support(GRID, CAR).sum() == 0

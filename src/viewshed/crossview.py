@@ -225,8 +225,17 @@ def evaluate_crossview(
     rng: np.random.Generator,
     rules: CrossViewRules | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    shown: Callable[[Sweep], Sweep] = lambda sweep: sweep,
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
+
+    Args:
+        sequences: the scenes.
+        estimators: by name.
+        rng: of the bootstrap.
+        rules: how columns are chosen.
+        progress: is told each step.
+        shown: what estimators are shown of a sweep, perhaps attacked; the truth is of the sweep itself.
 
     Raises:
         ValueError: a sweep has no pose or no time.
@@ -238,7 +247,7 @@ def evaluate_crossview(
         levels = [level_sweep(sweep, grid) for sweep in sweeps]
         for k, a in enumerate(levels):
             progress(f"truth of sweep {len(truth) + 1}")
-            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules)))
+            truth.append((shown(a.sweep), columns_of(a, levels[:k] + levels[k + 1 :], rules)))
     rows = []
     for method, estimator in estimators.items():
         progress(method)

@@ -31,7 +31,7 @@ LEVEL_TILT = np.deg2rad(6.0)
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class LevelSweep:
     """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows, in the sweep's order.
 

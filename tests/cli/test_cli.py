@@ -234,6 +234,7 @@ def test_without_a_command_the_help_is_shown_and_version_is_told() -> None:
         (["compare", junction_path(), "--methods", "shadow_map,magic"], "method must be one of"),
         (["evaluate"], "Missing command"),
         (["evaluate", "crossview", "nowhere.json"], "nowhere.json"),
+        (["evaluate", "crossview", "nowhere.json", "--attacks", "cluster,magic"], "attacks must be among uniform"),
     ],
 )
 def test_every_refusal_is_one_line(arguments: list[object], message: str, tmp_path: Path) -> None:

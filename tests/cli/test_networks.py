@@ -111,7 +111,9 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
         ),
         (("--method", "mcd", "--grid", "65x7"), "method mcd needs weights, and this version ships none for a car on"),
         (("--method", "unet", "--weights", "NET", "--grid", "64x16", "--passes", "4"), "passes must be 1 for unet"),
-        (("--seed", "3", "--method", "vote"), "--weights, --passes and --seed go with --method unet, mcd or viewnet"),
+        (("--seed", "3", "--method", "vote"), "--weights, --passes, --seed and --device go with --method unet"),
+        (("--device", "cuda", "--method", "vote"), "--weights, --passes, --seed and --device go with --method unet"),
+        (("--device", "tpu"), "device must be one of cpu, cuda, got 'tpu'"),
         (("--method", "oracle"), "vote, unet, mcd, viewnet, got 'oracle'"),
     ],
 )
@@ -136,7 +138,7 @@ def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Pa
     ]  # fmt: skip
     code, _, err = run("compare", *words, "--methods", "shadow_map,vote")
     assert (code, err.count("\n")) == (2, 1)
-    assert "--weights, --passes and --seed go with unet, mcd or viewnet, got methods shadow_map,vote" in err
+    assert "--weights, --passes, --seed and --device go with unet, mcd or viewnet, got methods shadow_map,vote" in err
 
 
 def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -> None:

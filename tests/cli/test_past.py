@@ -16,7 +16,7 @@ from viewshed.datasets.store import Store
 from viewshed.engines import LocalEngine
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.export import read_npz
-from viewshed.past import Memory, Remembering
+from viewshed.memory import Memory, Remembering
 
 GRID = BevGrid(64, 32.0)
 
@@ -49,9 +49,22 @@ def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, t
     assert fewer >= 5
 
 
+def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, tmp_path: Path) -> None:
+    words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--past", 3, "--results", "npz", "--out")
+    assert run(*words, tmp_path / "wary", "--wary")[0] == 0
+    assert run(*words, tmp_path / "past")[0] == 0
+    wary, past = (
+        [read_npz(tmp_path / kind / f"street_{number:03}.npz").visible() for number in range(12)]
+        for kind in ("wary", "past")
+    )
+    assert not any(mask.any() for mask in wary[:2])
+    assert all(mask.any() and not (mask & ~other).any() for mask, other in zip(wary[2:], past[2:], strict=True))
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
+        (("--wary",), "--wary goes with --past 1 or more"),
         (("--method", "vote", "--past", 5), "--past goes with --method viewnet or shadow_map"),
         (("--method", "unet", "--past", 5, "--grid", "road"), "--past goes with --method viewnet or shadow_map"),
         (("--past", 21), "less than or equal to 20"),

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
@@ -62,6 +63,19 @@ def test_doubt_is_where_the_view_ends(real_data: Path, method: str) -> None:
     doubtful = (found.visible_prob > 0.2) & (found.visible_prob < 0.8)
     sure = (found.visible_prob < 0.02) | (found.visible_prob > 0.98)
     assert found.std[doubtful].mean() > 3 * found.std[sure].mean()
+
+
+def test_a_graphics_card_is_asked_for_the_network_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is none, that is what the error says; the network in bytes is refused for being in bytes."""
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
+    with pytest.raises(ImportError, match="engine cuda needs an ONNX Runtime with CUDA"):
+        learned("viewnet", ROAD, engine="cuda")
+    with pytest.raises(
+        ValueError, match="engine must be onnxruntime for viewnet_road_int8, a network in bytes, got cuda"
+    ):
+        learned("viewnet", ROAD, weights="viewnet_road_int8", engine="cuda")
+    with pytest.raises(ValueError, match="engine must be one of onnxruntime, openvino, cuda, got 'abacus'"):
+        learned("viewnet", ROAD, engine="abacus")
 
 
 def test_our_network_in_bytes_sees_what_it_sees_in_float32(real_data: Path) -> None:

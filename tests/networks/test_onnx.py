@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
+import torch
 from tests.networks.made import GRID, SMALL, card, drawn, inputs, nearby
 
 from viewshed.networks.engine import OnnxRunner, load_runner
@@ -17,7 +19,11 @@ from viewshed.networks.spec import FORMAT_VERSION, NetworkCard
 from viewshed.networks.unet import TorchRunner
 
 SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
-ENGINES = ["onnxruntime"] + (["openvino"] if importlib.util.find_spec("openvino") else [])
+CUDA = "CUDAExecutionProvider"
+HAS_CARD = torch.cuda.is_available() and CUDA in onnxruntime.get_available_providers()
+ENGINES = ["onnxruntime"]
+ENGINES += ["openvino"] if importlib.util.find_spec("openvino") else []
+ENGINES += ["cuda"] if HAS_CARD else []
 
 
 @pytest.fixture
@@ -69,7 +75,7 @@ def test_engines_agree_at_the_threshold(tmp_path: Path) -> None:
     pytest.importorskip("openvino")
     export_onnx(tmp_path / "a.onnx", card(), nearby())
     masks, x = SMALL.no_masks(1), inputs(1) * (np.arange(32) % 16 == 3)
-    first, second = (OnnxRunner(tmp_path / "a.onnx", 1, engine).run(x, masks) >= 0.5 for engine in ENGINES)
+    first, second = (OnnxRunner(tmp_path / "a.onnx", 1, engine).run(x, masks) >= 0.5 for engine in ENGINES[:2])
     assert 0.05 < first.mean() < 0.999
     assert (first & second).sum() / (first | second).sum() >= 0.999
 
@@ -123,12 +129,13 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"engine": "abacus"}, "engine must be one of onnxruntime, openvino, got 'abacus'"),
+        ({"engine": "abacus"}, "engine must be one of onnxruntime, openvino, cuda, got 'abacus'"),
         ({"precision": "f8"}, "precision must be one of f32, bf16, got 'f8'"),
         (
             {"engine": "onnxruntime", "precision": "bf16"},
             "precision must be f32 with onnxruntime, got bf16; use engine",
         ),
+        ({"engine": "cuda", "precision": "bf16"}, "precision must be f32 with cuda, got bf16; use engine='openvino'"),
         ({"threads": 0}, "threads must be at least 1, got 0"),
     ],
 )
@@ -157,6 +164,36 @@ def test_openvino_that_is_not_installed_is_named(path: Path, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "openvino", None)
     with pytest.raises(ImportError, match=r"openvino is not installed; run: pip install 'viewshed\[openvino\]'"):
         OnnxRunner(path, engine="openvino")
+
+
+def test_an_onnxruntime_without_cuda_is_named_with_the_repair(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
+    with pytest.raises(
+        ImportError, match="engine cuda needs an ONNX Runtime with CUDA, and the one installed"
+    ) as caught:
+        OnnxRunner(path, engine="cuda")
+    for repair in ("pip install 'onnxruntime-gpu[cuda,cudnn]'", "or take the engine onnxruntime (--device cpu)"):
+        assert repair in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(HAS_CARD, reason="there is a graphics card")
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_the_processor_never_stands_in_for_the_graphics_card(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [CUDA, "CPUExecutionProvider"])
+    with pytest.raises(ValueError, match="engine cuda needs a graphics card, and ONNX Runtime found none") as caught:
+        OnnxRunner(path, engine="cuda")
+    assert "or take the engine onnxruntime (--device cpu)" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_damaged_file_is_named_before_a_missing_graphics_card(path: Path) -> None:
+    path.write_bytes(sealed(b"\x99 no model"))
+    with pytest.raises(ValueError, match="must be a network in ONNX, got another file"):
+        OnnxRunner(path, engine="cuda")
 
 
 def test_a_file_loads_by_its_path_and_an_unknown_name_does_not(path: Path) -> None:

@@ -153,12 +153,17 @@ def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
         assert after == pytest.approx(before / (1.0 - SHAPES[0].dropout))
 
 
-def test_an_engine_that_computes_masks_wrong_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("openvino")
+@pytest.mark.parametrize(
+    ("engine", "why"), [("openvino", "computes its masks wrong"), ("cuda", "is for networks in f")]
+)
+def test_engines_that_run_no_bytes_are_refused(tmp_path: Path, engine: str, why: str) -> None:
+    if engine == "openvino":
+        pytest.importorskip("openvino")
     made(SHAPES[0], tmp_path)
     content = quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
-    with pytest.raises(ValueError, match="engine must be onnxruntime for bytes, a network in bytes, got openvino"):
-        OnnxRunner.of_content(content, "bytes", 1, "openvino")
+    line = f"engine must be onnxruntime for bytes, a network in bytes, got {engine}, which {why}"
+    with pytest.raises(ValueError, match=line):
+        OnnxRunner.of_content(content, "bytes", 1, engine)
 
 
 @pytest.mark.parametrize("dropout", [0.0, 0.05, 0.1, 0.3, 0.5])

@@ -8,7 +8,7 @@ from tests.networks.made import GRID, card, drawn
 from viewshed.bev import BevGrid
 from viewshed.networks.engine import OnnxRunner
 from viewshed.networks.onnx_file import export_onnx
-from viewshed.networks.shipped import WEIGHTS, default_name, manifest, shipped_content, shipped_names
+from viewshed.networks.shipped import WEIGHTS, default_name, in_float32, manifest, shipped_content, shipped_names
 
 main = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "ship_weights.py"))["main"]
 
@@ -65,3 +65,12 @@ def test_everything_that_is_shipped_is_whole_and_fits_its_line() -> None:
         assert (found.grid, found.target) == (BevGrid(line.cells, line.half_extent_m), line.target)
         assert found.trained, f"{name} does not say how it was trained"
         assert json.loads(found.to_json())["threshold"] > 0
+
+
+def test_every_network_in_bytes_is_shipped_in_float32_too() -> None:
+    lines = manifest()
+    for name, line in lines.items():
+        found = OnnxRunner.of_content(shipped_content(name), name, 1).card
+        assert (in_float32(name) == name) == (found.precision == "f32")
+        other = lines[in_float32(name)]
+        assert (other.cells, other.half_extent_m, other.target) == (line.cells, line.half_extent_m, line.target)

@@ -12,7 +12,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.level import level_sweep
 from viewshed.successor.contest import BARE, BENIGN, Said, score, shots_of
 from viewshed.successor.plan import ablation_named
-from viewshed.successor.remembered import ATTACKED, HONEST, Remembered
+from viewshed.successor.remembered import ALONE, ATTACKED, HONEST, WARY, Remembered
 from viewshed.successor.results import Results
 from viewshed.successor.tables import ablation_table, views_table
 from viewshed.vulnerability.subjects import Subject
@@ -37,19 +37,21 @@ def test_the_past_is_honest_or_attacked_as_well(subject: Subject) -> None:
     for shot in shots_of(subject, 5, 1):
         level = level_sweep(shot.sweep, GRID)
         pasts = memory.pasts(level, shot.struck, (5, 1, shot.case))
-        assert list(pasts) == ([HONEST] if shot.case in (BENIGN, BARE) else [HONEST, ATTACKED])
-        assert all(past is not None for past in pasts.values())
+        assert list(pasts) == [ALONE, HONEST, *([] if shot.case in (BENIGN, BARE) else [ATTACKED])]
+        assert [kind for kind, past in pasts.items() if past is None] == [ALONE]
         if shot.case == "jamming":
             honest, attacked = pasts[HONEST], pasts[ATTACKED]
             assert honest is not None
             assert attacked is not None
-            assert len(honest.points) != len(attacked.points)
+            assert [len(each.points) for each in honest.earlier] != [len(each.points) for each in attacked.earlier]
 
 
 def test_only_those_whom_the_past_helps_are_told_of_it(subject: Subject) -> None:
     estimators: dict[str, FovEstimator] = {"shadow_map": SM, "first_blocker": FirstBlocker(GRID)}
     found = score({1: subject}, estimators, 5, remembering=("shadow_map", "first_blocker", "nobody"))
-    assert list(found) == ["shadow_map", "first_blocker", f"shadow_map, {HONEST}", f"shadow_map, {ATTACKED}"]
+    kinds = ALONE, HONEST, f"{WARY}{HONEST}", ATTACKED, f"{WARY}{ATTACKED}"
+    assert list(found) == ["shadow_map", "first_blocker", *(f"shadow_map, {kind}" for kind in kinds)]
+    assert found[f"shadow_map, {ALONE}"].keys() == found["shadow_map"].keys()
     assert {BENIGN, BARE} & set(found[f"shadow_map, {ATTACKED}"]) == set()
     assert set(found[f"shadow_map, {HONEST}"]) == set(found["shadow_map"])
     assert score({1: subject}, estimators, 5) == {name: found[name] for name in estimators}
@@ -58,6 +60,15 @@ def test_only_those_whom_the_past_helps_are_told_of_it(subject: Subject) -> None
     )
     assert told[0] <= alone[0]
     assert told[1] <= alone[1]
+    wary = Said.from_json(found[f"shadow_map, {WARY}{HONEST}"]["far_wall"]).wedge.counts()
+    assert wary[0] <= told[0]
+    assert wary[1] <= told[1]
+
+
+def test_sweeps_with_fewer_earlier_ones_have_no_part_in_it(subject: Subject) -> None:
+    recorded = replace(subject, frame=None)
+    assert len(Remembered.of(recorded).sweeps) == 2
+    assert list(score({1: recorded}, {"shadow_map": SM}, 5, remembering=("shadow_map",))) == ["shadow_map"]
 
 
 def test_the_page_has_them_apart_and_nothing_where_nothing_was_said() -> None:
@@ -69,8 +80,8 @@ def test_the_page_has_them_apart_and_nothing_where_nothing_was_said() -> None:
     results = Results(ablation_named("small"), "roads", said)
     assert results.alone == ["whole", "viewnet", "vote"]
     names = results.remembering("viewnet")
-    assert names == ["viewnet", f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]
+    assert names == [f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]
     table = views_table(results, names)
     assert table.header == ["case", *names]
-    assert table.rows[0][1:] == ["**1.000**", "**1.000**", "–"]
+    assert table.rows[0][1:] == ["**1.000**", "–"]
     assert [row[0] for row in ablation_table(results).rows] == list(said)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.learned import Network, Passes, Seed, Weights
+from viewshed.cli.learned import Device, Network, Passes, Seed, Weights
 from viewshed.cli.options import AUTO, Reading, timed
 from viewshed.cli.outputs import refuse_inputs
 
@@ -37,6 +37,7 @@ def compare(
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
+    device: Device = "cpu",
     out: Annotated[Path, typer.Option(help="The picture.")] = Path("compare.png"),
 ) -> None:
     """Show several estimators side by side: a picture and a table.
@@ -50,7 +51,7 @@ def compare(
 
     cells = options.parse_grid(grid)
     names = list(options.estimators_of(profile, cells)) if methods == "all" else methods.split(",")
-    estimators = _estimators(names, cells, target, profile, Network(weights, passes, seed))
+    estimators = _estimators(names, cells, target, profile, Network(weights, passes, seed, device=device))
     [(path, entry)] = options.chosen([file], index)
     refuse_inputs([out], [file])
     sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
@@ -69,8 +70,10 @@ def _estimators(
     from viewshed.estimators.learned import LEARNED
 
     if network != Network() and not set(names) & set(LEARNED):
-        raise ValueError(f"--weights, --passes and --seed go with unet, mcd or viewnet, got methods {','.join(names)}")
-    one = Network(network.weights)
+        raise ValueError(
+            f"--weights, --passes, --seed and --device go with unet, mcd or viewnet, got methods {','.join(names)}"
+        )
+    one = Network(network.weights, device=network.device)
     rules = {"unet": one, "mcd": network, "viewnet": one}
     return {name: rules.get(name, Network()).estimator(name, grid, target, profile) for name in names}
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.estimate import Run
 from viewshed.cli.learned import Network
+from viewshed.cli.runs import Run
 
 if TYPE_CHECKING:
     from viewshed.bev import BevGrid

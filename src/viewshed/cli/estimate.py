@@ -4,36 +4,46 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.learned import Network, Passes, PastSweeps, Seed, Sure, Weights
-from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line, timed
-from viewshed.cli.outputs import free_name, output_names, refuse_inputs
+from viewshed.cli.learned import Device, Network, Passes, PastSweeps, Seed, Sure, Wary, Weights
+from viewshed.cli.options import AUTO, BAD_INPUTS, Reading
+from viewshed.cli.outputs import free_name, output_names, parse_results, refuse_inputs
+from viewshed.cli.runs import Failures, Named, Run
 
 if TYPE_CHECKING:
-    from viewshed.estimate import FovEstimate, FovEstimator
     from viewshed.io import IndexEntry
-    from viewshed.level import LevelSweep
     from viewshed.sweep import Sweep
 
     Job = tuple[Path, IndexEntry | None]
 
-_RESULTS = (".png", ".geojson", ".npz")
+Files = Annotated[
+    list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
+]
+Method = Annotated[
+    str | None,
+    typer.Option(help="Estimator, also unet or mcd; if not given viewnet, or shadow_map on grids of your own."),
+]
+Threshold = Annotated[
+    float | None,
+    typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
+]
+Batch = Annotated[
+    int,
+    typer.Option(
+        min=1, max=1024, help="Sweeps that a network is run for at once; above 1 for archives, and nothing is timed."
+    ),
+]
+Results = Annotated[str, typer.Option(help="What is written of each sweep: some of png,geojson,npz.")]
 
 
 def estimate(
-    files: Annotated[
-        list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(help="Estimator, also unet or mcd; if not given viewnet, or shadow_map on grids of your own."),
-    ] = None,
+    files: Files = None,
+    method: Method = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002
@@ -47,11 +57,12 @@ def estimate(
     passes: Passes = None,
     seed: Seed = None,
     sure: Sure = None,
-    threshold: Annotated[
-        float | None,
-        typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
-    ] = None,
+    device: Device = "cpu",
+    threshold: Threshold = None,
     past: PastSweeps = 0,
+    wary: Wary = False,
+    batch: Batch = 1,
+    results: Results = "png,geojson,npz",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
@@ -60,95 +71,32 @@ def estimate(
 
     Example: viewshed estimate sweep.pcd.bin --out out
     """
+    if past and batch > 1:
+        raise ValueError("--past goes with --batch 1: a sweep is remembered before the next one is estimated")
+    chosen = parse_results(results)
     reading = Reading(sensor, format, file_frame, height, attitude)
-    network = Network(weights, passes, seed, sure)
+    network = Network(weights, passes, seed, sure, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
-    run = Run(network.remembering(estimator, past), network.threshold(threshold, estimator, profile), out)
+    run = Run(network.remembering(estimator, past, wary), network.threshold(threshold, estimator, profile), out, chosen)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
-    refuse_inputs((out / f"{name}{suffix}" for name in names for suffix in _RESULTS), (file for file, _ in jobs))
+    refuse_inputs((out / f"{name}.{kind}" for name in names for kind in chosen), (file for file, _ in jobs))
     out.mkdir(parents=True, exist_ok=True)
-    if _run_all(run, reading, jobs, names):
+    failures = Failures()
+    for line in run.lines(_sweeps(reading, jobs, names, failures), failures, batch):
+        typer.echo(line)
+    if failures.count:
         raise typer.Exit(2)
 
 
-def _run_all(run: Run, reading: Reading, jobs: list[Job], names: list[str]) -> int:
-    """Do every job and return how many failed."""
-    taken, failed = {name.casefold() for name in names}, 0
+def _sweeps(reading: Reading, jobs: list[Job], names: list[str], failures: Failures) -> Iterator[Named]:
+    """Yield every sweep that can be read."""
+    taken = {name.casefold() for name in names}
     for (file, entry), name in zip(_with_bar(jobs), names, strict=True):
         try:
-            for sweep, single in _named(reading.sweeps(file, entry), name, taken):
-                typer.echo(run.one(sweep, single))
+            yield from (Named(sweep, own, file) for sweep, own in _named(reading.sweeps(file, entry), name, taken))
         except BAD_INPUTS as error:
-            failed += 1
-            typer.echo(f"viewshed: {_about(file, error)}", err=True)
-    return failed
-
-
-@dataclass(slots=True)
-class Run:
-    """What is done with every sweep.
-
-    Attributes:
-        estimator: what looks at it.
-        threshold: probability from which a cell counts as visible.
-        out: folder of the results.
-    """
-
-    estimator: FovEstimator
-    threshold: float
-    out: Path
-    _warm: bool = field(default=False, init=False)
-
-    def one(self, sweep: Sweep, name: str) -> str:
-        """Write picture, GeoJSON and NPZ of one sweep and return its summary line."""
-        from viewshed.atomic import write_bytes
-        from viewshed.estimators.learned import LEARNED
-        from viewshed.export import to_geojson, to_npz
-        from viewshed.level import level_sweep
-        from viewshed.plot import Panel, maps_picture, picture
-
-        if not self._warm:  # the first call loads compiled code, which is no time of the estimator
-            self.estimator.estimate(sweep)
-            self._warm = True
-        found, elapsed_ms = timed(self.estimator, sweep)
-        level = level_sweep(sweep, self.estimator.grid)
-        summary = summary_line(found, self.threshold, elapsed_ms)
-        drawn = maps_picture if found.method in LEARNED else picture
-        content = (
-            drawn(Panel(found, f"{name}\n{summary}", level, self.threshold)),
-            _json(to_geojson(found, self.threshold)),
-            to_npz(found),
-        )
-        for suffix, made in zip(_RESULTS, content, strict=True):
-            write_bytes(self.out / f"{name}{suffix}", made)
-        return f"{name}: {summary}{_doubt(sweep, level)} → {self.out / name}.png"
-
-
-def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float) -> str:
-    """Return visible area, shares of hidden and unknown cells, method and time, in one line."""
-    from viewshed.estimate import CellState
-
-    hidden, unknown = found.share(CellState.HIDDEN), found.share(CellState.UNKNOWN)
-    return (
-        f"visible {found.area_m2(threshold):.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%} "
-        f"({found.method}, {found.target.name}, {elapsed_ms:.1f} ms)"
-    )
-
-
-def _doubt(sweep: Sweep, level: LevelSweep) -> str:
-    if len(level.points) == 0:
-        return f"; no usable return among {len(sweep)} points: nothing is known"
-    if level.ground.support == 0 and sweep.sensor_height_m is None:
-        assumed = f"; ground not seen, sensor taken to be {level.sensor_height_m:.2f} m above it"
-        return f"{assumed} (give --height, or --file-frame if the file's z points down)"
-    return ""
-
-
-def _json(content: object) -> bytes:
-    import json
-
-    return json.dumps(content, allow_nan=False).encode()
+            failures.tell(file, error)
 
 
 def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
@@ -166,11 +114,6 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
     yield second, free_name(f"{name}_001", taken)
     for number, sweep in enumerate(sweeps, start=2):
         yield sweep, free_name(f"{name}_{number:03}", taken)
-
-
-def _about(file: Path, error: BaseException) -> str:
-    text = one_line(error)
-    return text if file.name in text else f"{file}: {text}"
 
 
 def _with_bar(jobs: list[Job]) -> Iterable[Job]:

@@ -14,6 +14,8 @@ import typer
 from viewshed.cli.evaluate_truth import truth
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from viewshed.crossview import CrossViewRow
     from viewshed.estimate import FovEstimator
     from viewshed.sweep import Sweep
@@ -33,6 +35,11 @@ were known; the evidence for them is the simulation, and few columns are left, s
 _FIRST = """\
 The metric as first defined takes any column for a target. It is kept for comparison: a car-wide target that looks
 out beside a post, or beams that pass below a bus, count as over-claim although they are none."""
+_POINTS = 150
+_ATTACKED = f"""\
+What estimators are shown of A is attacked, with {_POINTS} points each time; what B sees is not. *over* / *under*, and
+how much the worse of the two grows at most under any of the attacks. A sweep that does not allow an attack stays as
+it is."""
 _FLOOR = """\
 In a simulated junction (ten views, HDL-64E, range noise 1.5 cm) the mask is known exactly. What the metric charges
 the exact mask with is the metric's own error."""
@@ -55,6 +62,9 @@ def crossview(
     out: Annotated[
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
     ] = None,
+    attacks: Annotated[
+        str, typer.Option(help=f"Attacks with {_POINTS} points that the sweeps are shown under as well, with commas.")
+    ] = "",
     floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
 ) -> None:
     """Over- and under-claim against what other sweeps of the same scene saw.
@@ -64,7 +74,7 @@ def crossview(
     from viewshed.crossview import FIRST_RULES, CrossViewRules
     from viewshed.report import facts, page
 
-    estimators = _estimators(methods)
+    estimators, names = _estimators(methods), _attacks(attacks)
     scenes = _scenes(index)
     parts = [_INTRODUCTION]
     for heading, text, rules in (
@@ -73,6 +83,9 @@ def crossview(
     ):
         tables = [_real(sensor, sweeps, estimators, rules, seed) for sensor, sweeps in scenes.items()]
         parts += [f"## {heading}", text, *tables]
+    if names:
+        tables = [_under_attack(sensor, sweeps, estimators, names, seed) for sensor, sweeps in scenes.items()]
+        parts += ["## Attacked", _ATTACKED, *tables]
     if floor:
         parts += ["## The floor of the metric", _FLOOR, _floor(estimators, seed)]
     text = page("Cross-view truth", facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car"), *parts)
@@ -142,6 +155,53 @@ def _real(
     rows = evaluate_crossview(scenes, estimators, rng=np.random.default_rng(seed), rules=rules, progress=_progress)
     sweeps = sum(len(scene) for scene in scenes)
     return f"### {sensor}, {len(scenes)} scene(s), {sweeps} sweeps\n\n{_table(rows)}"
+
+
+def _attacks(names: str) -> list[str]:
+    from viewshed.attacks import ATTACKS
+
+    found = [name for name in names.split(",") if name]
+    for name in found:
+        if name not in ATTACKS:
+            raise ValueError(f"attacks must be among {', '.join(ATTACKS)}, got {name!r}")
+    return found
+
+
+def _under_attack(
+    sensor: str,
+    scenes: Sequence[Sequence[Sweep]],
+    estimators: Mapping[str, FovEstimator],
+    names: Sequence[str],
+    seed: int,
+) -> str:
+    """Return the table of over- and under-claim without and with each attack, estimator by estimator."""
+    import numpy as np
+
+    from viewshed.crossview import evaluate_crossview
+    from viewshed.report import table
+
+    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for name in ("", *names):
+        rng = np.random.default_rng(seed)
+        shown = partial(_attacked, name, rng)
+        for row in evaluate_crossview(scenes, estimators, rng=rng, progress=_progress, shown=shown):
+            found[row.method].append((row.over.value, row.under.value))
+    rows = []
+    for method, rates in found.items():
+        growth = np.nanmax(np.array(rates) - np.array(rates[0]))
+        cells = [" / ".join("–" if np.isnan(rate) else f"{rate:.3f}" for rate in pair) for pair in rates]
+        rows.append([method, *cells, f"{growth:+.3f}"])
+    return f"### Attacked, {sensor}\n\n{table(['estimator', 'untouched', *names, 'grows by'], rows)}"
+
+
+def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
+    from viewshed.attacks import ATTACKS, Knowledge
+
+    if not name:
+        return sweep
+    with contextlib.suppress(ValueError):
+        return ATTACKS[name](_POINTS, Knowledge(half_extent_m=64.0)).apply(sweep, rng).sweep
+    return sweep
 
 
 def _floor(estimators: Mapping[str, FovEstimator], seed: int) -> str:

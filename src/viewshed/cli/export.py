@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import options
-from viewshed.cli.learned import Network, Passes, Seed, Weights
+from viewshed.cli.learned import Device, Network, Passes, Seed, Weights
 from viewshed.cli.options import AUTO, Reading
 from viewshed.cli.outputs import refuse_inputs, stem_of
 
@@ -29,6 +29,7 @@ def export(
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
+    device: Device = "cpu",
     out: Annotated[
         Path | None, typer.Option(help="File, or a folder that exists; if not given, here, named after FILE.")
     ] = None,
@@ -48,7 +49,7 @@ def export(
         found = read_npz(file)
     else:
         [(path, entry)] = options.chosen([file], index)
-        estimator = Network(weights, passes, seed).estimator(method, options.parse_grid(grid), target)
+        estimator = Network(weights, passes, seed, device=device).estimator(method, options.parse_grid(grid), target)
         found = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
     content = json.dumps(to_cpm(found, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(found)
     name = stem_of(file.name) + EXPORTERS[to].suffix

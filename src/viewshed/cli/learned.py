@@ -26,6 +26,11 @@ PastSweeps = Annotated[
         help="Earlier sweeps of a recording that help viewnet and shadow_map, a second or more apart; 5 do well.",
     ),
 ]  # fmt: skip
+Wary = Annotated[
+    bool,
+    typer.Option("--wary", help="With --past: claim only what an earlier sweep would have seen as well."),
+]
+Device = Annotated[str, typer.Option("--device", help="Where unet, mcd and viewnet run: cpu or cuda.")]
 Sure = Annotated[
     float | None,
     typer.Option(
@@ -35,6 +40,7 @@ Sure = Annotated[
 ]
 
 
+_ENGINES = {"cpu": "onnxruntime", "cuda": "cuda"}
 OURS = "viewnet"
 """The method that is taken where none is asked for and weights for it are shipped."""
 
@@ -56,6 +62,11 @@ class Network:
     passes: int | None = None
     seed: int | None = None
     sure: float | None = None
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.device not in _ENGINES:
+            raise ValueError(f"device must be one of {', '.join(_ENGINES)}, got {self.device!r}")
 
     def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
         """Return the estimator called ``method``, a network or not; None is the best that there is for a profile.
@@ -67,32 +78,35 @@ class Network:
         if method is None and profile == "sound" and _is_shipped(OURS, grid, target):
             method = OURS
         if method in LEARNED:
-            made = learned(method, grid, target, self.weights, self.passes, self.seed or 0)
+            engine = _ENGINES[self.device]
+            made = learned(method, grid, target, self.weights, self.passes, self.seed or 0, engine=engine)
             return made if self.sure is None else made.when_sure(self.sure)
         if self.sure is not None:
             raise ValueError(f"--sure goes with --method unet, mcd or viewnet, got method {method!r}")
         if self != Network():
             raise ValueError(
-                f"--weights, --passes and --seed go with --method unet, mcd or viewnet, got method {method!r}"
+                f"--weights, --passes, --seed and --device go with --method unet, mcd or viewnet, got method {method!r}"
             )
         table = options.estimators_of(profile, grid)
         if method is not None and not {method, f"{profile}_{method}"} & set(table):
             raise ValueError(f"method must be one of {', '.join([*table, *LEARNED])}, got {method!r}")
         return options.make_estimator(method, grid, target, profile)
 
-    def remembering(self, estimator: FovEstimator, sweeps: int) -> FovEstimator:
-        """Return the estimator with so many earlier sweeps to help it; as it is for none.
+    def remembering(self, estimator: FovEstimator, sweeps: int, wary: bool = False) -> FovEstimator:
+        """Return the estimator with so many earlier sweeps to help it, wary or not; as it is for none.
 
         Raises:
             ValueError: earlier sweeps do not help it.
         """
         from viewshed.estimators.learned import heeds_past
-        from viewshed.past import Memory, Remembering
+        from viewshed.memory import Memory, Remembering
 
+        if sweeps == 0 and wary:
+            raise ValueError("--wary goes with --past 1 or more: it claims what earlier sweeps support")
         if sweeps == 0:
             return estimator
         if heeds_past(estimator):
-            return Remembering(estimator, Memory(sweeps))
+            return Remembering(estimator, Memory(sweeps), wary)
         raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
 
     def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+RESULTS = ("png", "geojson", "npz")
+"""What can be written of an estimate: picture, polygons, arrays."""
 _SUFFIXES = (".gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap")
 
 
@@ -18,6 +20,19 @@ def stem_of(name: str) -> str:
         if name.lower().endswith(suffix) and len(name) > len(suffix):
             name = name[: -len(suffix)]
     return name
+
+
+def parse_results(text: str) -> tuple[str, ...]:
+    """Return which of ``RESULTS`` are asked for, in their order.
+
+    >>> parse_results("npz,png")
+    ('png', 'npz')
+    """
+    asked = text.split(",")
+    for each in asked:
+        if each not in RESULTS:
+            raise ValueError(f"results must be some of {','.join(RESULTS)}, with commas, got {text!r}")
+    return tuple(each for each in RESULTS if each in asked)
 
 
 def output_names(files: Sequence[Path]) -> list[str]:

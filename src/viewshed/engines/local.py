@@ -42,14 +42,14 @@ class LocalEngine:
         Raises:
             OSError: workers cannot start.
         """
-        workers = _cores() if self.workers is None else self.workers
+        workers = cores() if self.workers is None else self.workers
         if workers == 1:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
         return _Pool(pickle.dumps(work), min(workers, len(jobs))).run(jobs)
 
 
-def _cores() -> int:
-    """Cores that this process may use."""
+def cores() -> int:
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 

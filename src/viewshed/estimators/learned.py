@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -14,13 +15,14 @@ from numpy.typing import NDArray
 from viewshed.bev import BevGrid, polar_of_cells
 from viewshed.estimate import CellState, FovEstimate, FovEstimator
 from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.freed import keep_freed
 from viewshed.level import LevelSweep, level_sweep
-from viewshed.memory import keep_freed
+from viewshed.memory import PastEstimator
 from viewshed.networks.channels import Shown, maps_of
 from viewshed.networks.mcd import moments
 from viewshed.networks.scan import EVIDENCE_BINS
 from viewshed.networks.spec import NetworkCard, Runner
-from viewshed.past import Past, PastEstimator, past_of
+from viewshed.past import Past, past_of
 from viewshed.polar import Crop, bins_of_cells, reach_of
 from viewshed.sweep import Sweep
 from viewshed.visible import TARGETS, Target
@@ -33,6 +35,23 @@ _MAX_PASSES = 1000
 _UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
     int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
 )  # fmt: skip
+
+
+Told = tuple[NDArray[np.float32], NDArray[np.float32] | None]
+"""Probability and deviation (cells, cells) by the network; None for a deviation that nothing tells."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """What a network is asked about one sweep.
+
+    Attributes:
+        seen: what its channels are made of.
+        inputs: one input, of the shape that the card says; None where no return counts, and nothing is asked.
+    """
+
+    seen: Shown
+    inputs: NDArray[Any] | None
 
 
 class UnetEstimator:
@@ -114,18 +133,47 @@ class UnetEstimator:
 
     def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
         """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
+        asked = self.asked(level, past)
+        [told] = self.told([asked])
+        return self.answer(asked, told)
+
+    def asked(self, level: LevelSweep, past: Past | None = None) -> Asked:
+        """Return what the network is asked about a levelled sweep; needs no network, and many threads may do it."""
         if past is not None and not self.card.uses_past:
             raise ValueError(f"earlier sweeps are of no use to the network {self.card.name}: it was trained without")
-        prob, std = np.zeros(self.grid.shape, np.float32), None
-        state = np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
-        if Crop(self.card.max_range_m, self.card.heights_m).any_on(level, self.grid):
-            seen = self.card.seen(level, past)
-            told, std = self.probability(self.card.shown(maps_of(self.card.inputs, seen)))
-            self._claim(seen, told, prob, state)
+        seen = self.card.seen(level, past)
+        if not Crop(self.card.max_range_m, self.card.heights_m).any_on(level, self.grid):
+            return Asked(seen, None)
+        return Asked(seen, self.card.shown(maps_of(self.card.inputs, seen)))
+
+    def told(self, asked: Sequence[Asked]) -> list[Told | None]:
+        """Return what the network tells of each sweep, None where it is asked nothing.
+
+        A network in one pass is run once for all of them, one of several passes once for each.
+        """
+        inputs = [each.inputs for each in asked if each.inputs is not None]
+        told = iter(self._run(inputs) if inputs else ())
+        return [None if each.inputs is None else next(told) for each in asked]
+
+    def _run(self, inputs: list[NDArray[Any]]) -> Sequence[Told]:
+        if self.passes > 1:
+            return [moments(self.runner.run(each[None], self._masks)) for each in inputs]
+        together = np.stack(inputs) if len(inputs) > 1 else inputs[0][None]
+        if self.card.shape.doubt:
+            return list(zip(*self.runner.run_with_doubt(together), strict=True))
+        prob = self.runner.run(together, np.repeat(self._masks, len(inputs), axis=0))
+        return [(each, None) for each in prob]
+
+    def answer(self, asked: Asked, told: Told | None) -> FovEstimate:
+        """Return the estimate of what the network told of a sweep; many threads may do it."""
+        prob, state = np.zeros(self.grid.shape, np.float32), np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
+        if told is not None:
+            self._claim(asked.seen, told[0], prob, state)
+        level = asked.seen.level
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
-            std=std,
+            std=None if told is None else told[1],
             state=state,
             method=self.name,
             target=self.target,
@@ -133,15 +181,6 @@ class UnetEstimator:
             t_ns=level.sweep.t_ns,
             agent=level.sweep.agent,
         )
-
-    def probability(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Return probability and deviation (cells, cells) of one input; None for a deviation that nothing tells."""
-        if self.passes > 1:
-            return moments(self.runner.run(inputs[None], self._masks))
-        if self.card.shape.doubt:
-            prob, std = self.runner.run_with_doubt(inputs[None])
-            return prob[0], std[0]
-        return self.runner.run(inputs[None], self._masks)[0], None
 
     def _claim(
         self, seen: Shown, told: NDArray[np.float32], prob: NDArray[np.float32], state: NDArray[np.uint8]
@@ -170,13 +209,15 @@ def heeds_past(estimator: FovEstimator) -> TypeGuard[PastEstimator]:
     return isinstance(estimator, ShadowMap) or (isinstance(estimator, UnetEstimator) and estimator.card.uses_past)
 
 
-def learned(
+def learned(  # noqa: PLR0913 - what, where and how is asked for by name
     method: str,
     grid: BevGrid,
     target: str = "car",
     weights: str | Path | None = None,
     passes: int | None = None,
     seed: int = 0,
+    *,
+    engine: str = "onnxruntime",
 ) -> UnetEstimator:
     """Return the estimator ``method`` on ``grid`` for the target of this name.
 
@@ -184,22 +225,28 @@ def learned(
         method: ``unet`` (one pass, dropout off), ``mcd``, or ``viewnet``, our own network in one pass.
         grid: must be the one that the weights were trained for.
         target: must be the one that the weights were trained for.
-        weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target.
+        weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target, in float32
+            where the engine runs no networks in bytes.
         passes: of ``mcd``, at least 2; None is ``PASSES``.
         seed: of the dropout masks.
+        engine: one of :data:`viewshed.networks.engine.ENGINES`.
 
     Raises:
-        ValueError: no such method or weights, or weights for another grid or target.
+        ValueError: no such method, weights or engine, weights for another grid or target, or no graphics card.
+        ImportError: the engine is not installed.
     """
-    from viewshed.networks.engine import load_runner
-    from viewshed.networks.shipped import default_name
+    from viewshed.networks.engine import IN_BYTES, load_runner
+    from viewshed.networks.shipped import default_name, in_float32
 
     if method not in LEARNED:
         raise ValueError(f"method must be one of {', '.join(LEARNED)}, got {method!r}")
     if passes is not None and (passes < 2) != (method != "mcd"):
         rule = "at least 2 for mcd; use unet for one pass" if method == "mcd" else f"1 for {method}; use mcd"
         raise ValueError(f"passes must be {rule}, got {passes}")
-    runner = load_runner(default_name(method, grid, target) if weights is None else weights)
+    if weights is None:
+        weights = default_name(method, grid, target)
+        weights = weights if engine == IN_BYTES else in_float32(weights)
+    runner = load_runner(weights, engine=engine)
     runner.card.require(grid, target)
     return UnetEstimator(runner, passes or PASSES if method == "mcd" else 1, seed, method)
 

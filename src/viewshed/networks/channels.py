@@ -29,6 +29,8 @@ MOST_RETURNS = 127
 """Expected returns that the codes tell apart."""
 FARTHEST_M = 100.0
 """Distances that ``blocker``, ``farthest`` and ``range`` tell apart."""
+NO_PAST = 128
+"""Code of ``supported`` without earlier sweeps: neither none of them nor all."""
 _STEPS = 16
 _STEPS_A_METRE = 32
 Bytes = NDArray[np.uint8]
@@ -68,19 +70,6 @@ class Shown:
         """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
         told = self.told
         return self._returns_by(told.confirmed, told.explained, told.unexplained)
-
-    @cached_property
-    def returns_in_past(self) -> Floats:
-        """(2, cells, cells) expected returns by beams that end no farther than at obstacles which the past remembers.
-
-        The first by confirmed and explained beams, which also end where they do now. The second by all that aim, as if
-        the sweep now did not tell where any of them ends.
-        """
-        assert self.past is not None
-        told = self.told
-        deep = told.confirmed + told.explained
-        every = (deep + told.unexplained).endless()
-        return self._returns_by(self.past.within(deep), self.past.within(every))
 
     def _returns_by(self, *kinds: Beams) -> Floats:
         level = self.level
@@ -153,25 +142,13 @@ def _range_code(grid: BevGrid) -> Bytes:
     return code
 
 
-def _agreed(shown: Shown) -> Bytes:
-    return shown.codes[1] if shown.past is None else returns_code(shown.returns_in_past[0])
-
-
-def _remembered(shown: Shown) -> Bytes:
-    return _nothing(shown.grid) if shown.past is None else returns_code(shown.returns_in_past[1])
-
-
-def _recalled(shown: Shown) -> Bytes:
+def _supported(shown: Shown) -> Bytes:
+    """Return the code of the share of the earlier sweeps that saw each cell: 0 to 255, 128 without any."""
     if shown.past is None:
-        return _nothing(shown.grid)
-    return returns_code(shown.past.counts(shown.grid).astype(np.float32))
-
-
-@lru_cache(maxsize=8)
-def _nothing(grid: BevGrid) -> Bytes:
-    nothing = np.zeros(grid.shape, np.uint8)
-    nothing.setflags(write=False)
-    return nothing
+        return np.full(shown.grid.shape, NO_PAST, np.uint8)
+    share = shown.past.support(shown.grid, shown.target) * (255.0 / len(shown.past.earlier))
+    code: Bytes = np.round(share).astype(np.uint8)
+    return code
 
 
 CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
@@ -184,18 +161,14 @@ CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "blocker": lambda shown: shown.beyond(shown.scan.blocker_m),
     "farthest": lambda shown: shown.beyond(shown.scan.farthest_m),
     "range": lambda shown: _range_code(shown.grid),
-    "agreed": _agreed,
-    "remembered": _remembered,
-    "recalled": _recalled,
+    "supported": _supported,
 }
 """The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
 another one confirms, ``unexplained`` the beams whose end nothing tells, as if nothing stopped them; ``blocker`` and
 ``farthest`` tell how far the nearest obstacle and the farthest return of the azimuth lie beyond the cell.
 
-Three are of earlier sweeps. ``agreed`` is ``expected`` by beams that end no farther than at the obstacles of the past,
-and the same as it without a past; ``remembered`` counts all beams that aim, ended by those obstacles alone, and
-``recalled`` the returns of the past; both are 0 without one."""
-PAST_CHANNELS = ("agreed", "remembered", "recalled")
+One is of earlier sweeps: ``supported`` tells how many of them would have seen a target in the cell."""
+PAST_CHANNELS = ("supported",)
 """Channels that earlier sweeps change."""
 
 

@@ -1,4 +1,4 @@
-"""Runs an exported network without torch: ONNX Runtime, or OpenVINO where it is installed and asked for."""
+"""Runs an exported network without torch: ONNX Runtime, or where asked for OpenVINO or a graphics card by CUDA."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
+from viewshed.networks.cuda import on_card
 from viewshed.networks.seal import CARD_KEY, check_seal
 from viewshed.networks.shipped import shipped_content, shipped_names
 from viewshed.networks.spec import INT8, NetworkCard, require_doubt
 
-ENGINES = ("onnxruntime", "openvino")
-"""What can run a network. A process that has used OpenVINO dies when workers of torch end: take it where none train."""
+ENGINES = ("onnxruntime", "openvino", "cuda")
+"""What can run a network. A process that has used OpenVINO dies when workers of torch end: take it where none train.
+``cuda`` is ONNX Runtime on a graphics card, in float32 without TF32."""
+IN_BYTES = "onnxruntime"
+"""The engine that runs networks in bytes."""
 PRECISIONS = ("f32", "bf16")
 """Numbers that the convolutions multiply; bf16 needs OpenVINO and a processor that has it."""
 _CELLS_AT_ONCE = 1 << 21
@@ -24,6 +28,7 @@ Floats = NDArray[np.float32]
 Call = Callable[[NDArray[Any], Floats, Sequence[str]], list[Floats]]
 """From inputs, masks and names of outputs to these."""
 _PROBABILITY, _DEVIATION = "probability", "deviation"
+_NO_BYTES = {"openvino": "which computes its masks wrong", "cuda": "which is for networks in float32"}
 
 
 class OnnxRunner:
@@ -39,6 +44,8 @@ class OnnxRunner:
         ValueError: the file is damaged, another, or of another version; or the engine cannot do what is asked.
         OSError: it cannot be read.
         ImportError: the engine is not installed.
+
+    With ``cuda`` a run may also raise an OSError: the graphics card failed.
     """
 
     def __init__(
@@ -60,7 +67,7 @@ class OnnxRunner:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.engine, self.precision = _resolved(engine, precision), precision
-        start = _openvino if self.engine == "openvino" else _onnxruntime
+        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda: reads the card, proves it sound
         try:
             card, self._call = start(content, threads, precision)
         except RuntimeError as error:
@@ -69,11 +76,13 @@ class OnnxRunner:
             self.card = NetworkCard.from_json(card)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
-        if self.card.precision == INT8 and self.engine != "onnxruntime":
+        if self.card.precision == INT8 and self.engine != IN_BYTES:
             raise ValueError(
-                f"engine must be onnxruntime for {name}, a network in bytes, got {engine}, which computes its masks"
-                " wrong; give the network in float32"
+                f"engine must be {IN_BYTES} for {name}, a network in bytes, got {engine}, {_NO_BYTES[engine]}; give the"
+                " network in float32"
             )
+        if self.engine == "cuda":
+            self._call = _cuda(content)
 
     def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.spec.Runner`."""
@@ -138,8 +147,8 @@ def _resolved(engine: str, precision: str) -> str:
     for name, value, known in (("engine", engine, ENGINES), ("precision", precision, PRECISIONS)):
         if value not in known:
             raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-    if engine == "onnxruntime" and precision != "f32":
-        raise ValueError(f"precision must be f32 with onnxruntime, got {precision}; use engine='openvino'")
+    if engine != "openvino" and precision != "f32":
+        raise ValueError(f"precision must be f32 with {engine}, got {precision}; use engine='openvino'")
     return engine
 
 
@@ -182,6 +191,11 @@ def _session(content: bytes, threads: int | None) -> Any:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class but this
         raise RuntimeError(_first(error)) from error
+
+
+def _cuda(content: bytes) -> Call:
+    run = on_card(content)
+    return lambda inputs, masks, names: run(names, {"inputs": inputs, "masks": masks})
 
 
 def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:

@@ -88,6 +88,15 @@ def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS
     )
 
 
+def in_float32(name: str) -> str:
+    """Return the name of the shipped network in float32 that ``name`` is, or of which it is the one in bytes.
+
+    >>> in_float32("viewnet_road_int8"), in_float32("road")
+    ('viewnet_road', 'road')
+    """
+    return name.removesuffix("_int8")
+
+
 def ship(content: bytes, line: Shipped, folder: Path = WEIGHTS) -> None:
     """Write weights into ``folder`` and their line into its manifest; an older line of that name is replaced."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -140,12 +140,14 @@ def score(
         estimators: by name.
         seed: of the attacks.
         target: what would have to be seen.
-        remembering: names of estimators that are also told of the past, as contestants of their own.
+        remembering: names of estimators that are also told of the past, as contestants of their own; on sweeps with
+            five before them.
     """
     found: dict[str, dict[str, Said]] = defaultdict(lambda: defaultdict(Said))
     for number, subject in subjects.items():
         visible, known = subject.sample.truth.visible(target), subject.sample.known
         parts, memory = dict(parts_of(subject, target)), Remembered.of(subject) if remembering else None
+        memory = memory if memory is not None and memory.whole else None
         for shot in shots_of(subject, seed, number):
             level = level_sweep(shot.sweep, subject.sample.truth.grid)
             pasts = {} if memory is None else memory.pasts(level, shot.struck, (seed, number, shot.case))

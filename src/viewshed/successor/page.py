@@ -57,9 +57,9 @@ attacks that open a view, here:"""
 
 
 _PAST = f"""\
-The same with up to {PAST_SWEEPS} earlier sweeps of the sensor, a second apart, as far as the scene has them. *Past*: no
-one touched them; the attack has just begun. *Attacked past*: it has lasted, at the same place in the map. F1 of the
-view:"""
+Those of the sweeps that have {PAST_SWEEPS} earlier ones of the sensor, a second apart. *Alone*: without them. *Past*:
+no one touched them; the attack has just begun. *Attacked past*: it has lasted, at the same place in the map. *Wary*:
+claimed is only what one of the earlier sweeps would have seen as well (`--wary`). F1 of the view:"""
 _TARGETS = """\
 What was aimed at, beside the figure of the shipped `viewnet` on the reported scenes, one sweep at a time. An attack
 counts with its default budget. Probabilities from which claims are sure are taken from the scenes of the ablation."""
@@ -120,7 +120,7 @@ def _shipped(test: Results) -> list[Block]:
 def _with_past(test: Results) -> list[Block]:
     """Return what earlier sweeps are worth to those whom they help; nothing where nobody was told of them."""
     names = [each for name in (OURS, SHADOW_MAP) if name in test.said for each in test.remembering(name)]
-    if names == [name for name in names if name in test.alone]:
+    if not names:
         return []
     heading = Heading(3, f"Earlier sweeps, {test.domain}")
     return [heading, Text(_PAST), views_table(test, names), Text(_WEDGE), wedges_table(test, names)]

@@ -11,14 +11,17 @@ from viewshed.estimate import FovEstimate, FovEstimator
 from viewshed.estimators.learned import heeds_past
 from viewshed.evaluation import unorganised_no_sensor
 from viewshed.level import LevelSweep, level_sweep
+from viewshed.memory import where_supported
 from viewshed.past import PAST_SWEEPS, Past
 from viewshed.reproduce.protocols import generator
 from viewshed.sweep import Sweep
 from viewshed.training.attacking import Struck
 from viewshed.vulnerability.subjects import Subject
 
-HONEST, ATTACKED = "past", "attacked past"
-"""What stands behind the name of a contestant that is told of the past."""
+ALONE, HONEST, ATTACKED = "alone", "past", "attacked past"
+"""What stands behind the name of a contestant that is told of the past, or is not, on sweeps that have one."""
+WARY = "wary, "
+"""Stands before them where only what an earlier sweep has seen as well is claimed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,13 +40,18 @@ class Remembered:
 
     @classmethod
     def of(cls, subject: Subject) -> Remembered:
-        """Return up to five sweeps before a subject's, as far as its scene has them; a recorded one's own."""
+        """Return the five sweeps before a subject's, or as many as its scene has; a recorded one's own."""
         grid = subject.sample.truth.grid
         sweeps = subject.earlier if subject.frame is None else _simulated(subject)
         return cls(sweeps, tuple(level_sweep(sweep, grid) for sweep in sweeps), grid)
 
+    @property
+    def whole(self) -> bool:
+        """Whether there are as many as an estimator may look at."""
+        return len(self.sweeps) == PAST_SWEEPS
+
     def pasts(self, level: LevelSweep, struck: Struck | None, rng_of: tuple[int, int, str]) -> dict[str, Past | None]:
-        """Return the pasts of a sweep: honest, and where it was attacked also as if the attack had lasted.
+        """Return the pasts of a sweep: none, honest, and where it was attacked also as if the attack had lasted.
 
         Args:
             level: the sweep.
@@ -52,8 +60,8 @@ class Remembered:
         """
         if struck is None:
             bare = [level_sweep(unorganised_no_sensor(sweep), self.grid) for sweep in self.sweeps]
-            return {HONEST: Past.of(level, bare)}
-        honest = {HONEST: Past.of(level, self.levels)}
+            return {ALONE: None, HONEST: Past.of(level, bare)}
+        honest = {ALONE: None, HONEST: Past.of(level, self.levels)}
         if struck.attack is None:
             return honest
         seed, number, case = rng_of
@@ -71,9 +79,12 @@ def _simulated(subject: Subject) -> tuple[Sweep, ...]:
 def estimates(
     estimators: Mapping[str, FovEstimator], names: tuple[str, ...], level: LevelSweep, pasts: Mapping[str, Past | None]
 ) -> Iterator[tuple[str, FovEstimate]]:
-    """Yield what those of the estimators that the past helps say with each past, each with its name."""
+    """Yield what those of the estimators that the past helps say with each past, wary or not, each with its name."""
     for name in names:
         estimator = estimators.get(name)
         if estimator is not None and heeds_past(estimator):
             for kind, past in pasts.items():
-                yield f"{name}, {kind}", estimator.estimate_level(level, past)
+                found = estimator.estimate_level(level, past)
+                yield f"{name}, {kind}", found
+                if past is not None:
+                    yield f"{name}, {WARY}{kind}", where_supported(found, past)

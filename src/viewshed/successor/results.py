@@ -13,10 +13,10 @@ from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING, Said
 from viewshed.successor.parts import SENSOR
 from viewshed.successor.plan import WHOLE, AblationPlan
-from viewshed.successor.remembered import ATTACKED, HONEST
+from viewshed.successor.remembered import ALONE, ATTACKED, HONEST
 
 JAMMING = "jamming"
-_PASTS = (f", {HONEST}", f", {ATTACKED}")
+_PASTS = (f", {ALONE}", f", {HONEST}", f", {ATTACKED}")
 OVER_CLAIM = ("ghost_wall", "far_wall", "removal", "high_frequency_removal", "relay", "removal_and_far_wall")
 
 
@@ -54,8 +54,8 @@ class Results:
         return [name for name in self.said if not name.endswith(_PASTS)]
 
     def remembering(self, name: str) -> list[str]:
-        """Return a contestant and those that are it with a past."""
-        return [name, *(each for each in self.said if each.startswith(f"{name}, ") and each.endswith(_PASTS))]
+        """Return those that are a contestant on sweeps that have a past: alone, with it, and wary with it."""
+        return [each for each in self.said if each.startswith(f"{name}, ") and each.endswith(_PASTS)]
 
     @property
     def attacks(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from viewshed.estimators import ESTIMATORS
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.learned import LEARNED, PASSES, UnetEstimator
 from viewshed.networks.engine import OnnxRunner, load_runner
-from viewshed.networks.shipped import default_name
+from viewshed.networks.shipped import default_name, in_float32
 from viewshed.networks.spec import INT8
 from viewshed.reproduce.models import trained
 from viewshed.reproduce.run import Counted, run_jobs
@@ -174,7 +174,7 @@ def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
         runner = load_runner(name, threads=1)
         found[method] = make(runner)
         if method == OURS and runner.card.precision == INT8:
-            found[FLOAT] = UnetEstimator(load_runner(name.removesuffix(f"_{INT8}"), threads=1), name=FLOAT)
+            found[FLOAT] = UnetEstimator(load_runner(in_float32(name), threads=1), name=FLOAT)
         if method == OURS and runner.card.shape.dropout:
             found[SEVERAL] = UnetEstimator(runner, PASSES, name=SEVERAL)
     return found

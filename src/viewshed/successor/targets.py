@@ -10,7 +10,7 @@ from viewshed.successor.chosen import POINTS, UNTOUCHED
 from viewshed.successor.contest import BARE, BENIGN, TOUCHING
 from viewshed.successor.parts import CLEAR, SENSOR
 from viewshed.successor.plan import WHOLE
-from viewshed.successor.remembered import ATTACKED, HONEST
+from viewshed.successor.remembered import ATTACKED, HONEST, WARY
 from viewshed.successor.results import JAMMING, Results
 
 OURS, FLOAT, SEVERAL, RIVAL = "viewnet", "viewnet, float32", "viewnet, 20 passes", "vote"
@@ -116,14 +116,12 @@ def _wedges(validation: Results, test: Results) -> Iterator[Target]:
 
 def _remembering(test: Results) -> Iterator[Target]:
     for kind, honest in ((HONEST, True), (ATTACKED, False)):
-        name = f"{OURS}, {kind}"
+        name = f"{OURS}, {WARY}{kind}"
         for words, cases in zip(("trained on", "unseen"), test.opening, strict=True):
             if name in test.said:
                 scores = test.wedge(name, cases)
                 precision, recall = scores.precision(), scores.recall()
-                what = (
-                    f"precision / recall in opened wedges with earlier sweeps{'' if honest else ', attacked as well'}"
-                )
+                what = f"precision / recall in opened wedges, wary of earlier sweeps{'' if honest else ', attacked'}"
                 met = precision >= 0.9 and recall >= 0.5
                 yield Target(f"{what}, {words}", "≥ 0.90 / .50", f"{precision:.3f} / {recall:.3f}", met)
 
