@@ -207,4 +207,3 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
-    assert Past(image, (), ()).support(GRID, CAR).sum() == 0

@@ -49,14 +49,12 @@ class Past:
     """What earlier sweeps saw, seen from the sensor now.
 
     Attributes:
-        depth_m: (ROWS, COLUMNS) float32 horizontal range of the nearest obstacle by slope and azimuth; +inf where there
-            is none. An obstacle is what at least two earlier sweeps saw in one place of the map (or the only sweep):
-            what moved was seen there once.
+        sensor_height_m: of the sensor now.
         earlier: the sweeps.
         now_from_earlier: where the ``level`` frame of each lies in that of now.
     """
 
-    depth_m: Floats
+    sensor_height_m: float
     earlier: tuple[LevelSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
 
@@ -70,22 +68,29 @@ class Past:
         if not earlier:
             return None
         now_from_world = _pose(level).inverse()
-        transforms = tuple(now_from_world @ _pose(each) for each in earlier)
-        obstacles = [_obstacles(*pair) for pair in zip(earlier, transforms, strict=True)]
+        return cls(level.sensor_height_m, tuple(earlier), tuple(now_from_world @ _pose(each) for each in earlier))
+
+    def obstacles(self) -> Floats:
+        """Return the horizontal range of the nearest obstacle by slope and azimuth (ROWS, COLUMNS); +inf for none.
+
+        An obstacle is what at least two earlier sweeps saw in one place of the map (or the only sweep): what moved was
+        seen there once.
+        """
+        found = [_on_obstacles(*pair) for pair in zip(self.earlier, self.now_from_earlier, strict=True)]
         seen_by = np.zeros((PLACES, PLACES), np.uint32)
-        for number, points in enumerate(obstacles):
+        for number, points in enumerate(found):
             _mark(points, np.uint32(1 << number % 32), seen_by)
         image = np.full((ROWS, COLUMNS), np.inf, np.float32)
-        for number, points in enumerate(obstacles):
-            own = np.uint32(1 << number % 32 if len(earlier) > 1 else 0)
-            _remember(points, np.float32(level.sensor_height_m), seen_by, own, image)
+        for number, points in enumerate(found):
+            own = np.uint32(1 << number % 32 if len(found) > 1 else 0)
+            _remember(points, np.float32(self.sensor_height_m), seen_by, own, image)
         _fill(image, GAP_ROWS, np.float32(_ALIKE))
         _fill(image.T, GAP_COLUMNS, np.float32(_ALIKE))
-        return cls(image, tuple(earlier), transforms)
+        return image
 
     def within(self, beams: Beams) -> Beams:
         """Return the beams, none deeper than the obstacle remembered in its direction."""
-        depth_m = np.minimum(beams.depth_m, _depths(self.depth_m, beams.azimuth, beams.slope))
+        depth_m = np.minimum(beams.depth_m, _depths(self.obstacles(), beams.azimuth, beams.slope))
         return Beams(beams.azimuth, beams.slope, depth_m)
 
     def support(self, grid: BevGrid, target: Target) -> NDArray[np.uint8]:
@@ -137,7 +142,7 @@ def _fill(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compi
                     break
 
 
-def _obstacles(before: LevelSweep, now_from_before: Rigid) -> Floats:
+def _on_obstacles(before: LevelSweep, now_from_before: Rigid) -> Floats:
     """Return the points (M, 3) of an earlier sweep on obstacles, in the ``level`` frame now."""
     transform = now_from_before.as_matrix()[:3].astype(np.float32)
     high = before.points[before.height_m > np.float32(OBSTACLE_HEIGHTS_M[0])]
