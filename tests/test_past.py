@@ -73,7 +73,7 @@ def test_a_wall_that_stood_there_hides_what_the_beams_now_claim_to_see() -> None
 
 
 def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
-    moving = [seen([Box(12, 2 + 9 * step, 1, 6, 3), FAR], pose) for step, pose in enumerate(POSES, start=-1)]
+    moving = [seen([Box(12, 2 + 9 * step, 1, 6, 3)], pose) for step, pose in enumerate(POSES, start=-1)]
     now = seen([FAR], at(0, 0))
     assert claimed(now, moving)[behind_wall()].mean() > 0.9
     assert claimed(now, moving[1:2])[behind_wall()].mean() < 0.5  # a single earlier sweep is believed

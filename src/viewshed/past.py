@@ -124,22 +124,20 @@ def _pose(level: LevelSweep) -> Rigid:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compiled
-    """Close gaps of at most so many rows between pixels of a column with like depths, as those between rings are.
-
-    What lies deeper in between was seen from elsewhere.
-    """
-    rows, columns = image.shape
-    for column in range(columns):
-        for row in range(1, rows):
+    """Fill gaps of at most so many rows between pixels of a column with like depths, as those between rings are."""
+    last = np.full(image.shape[1], -1, np.int32)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
             depth = image[row, column]
             if depth == np.inf:
                 continue
-            for before in range(row - 1, max(row - gap, 0) - 1, -1):
+            before = last[column]
+            if before >= 0 and 1 < row - before <= gap:
                 other = image[before, column]
                 if depth < other * ratio and other < depth * ratio:
                     for between in range(before + 1, row):
-                        image[between, column] = min(image[between, column], max(depth, other))
-                    break
+                        image[between, column] = max(depth, other)
+            last[column] = row
 
 
 def _on_obstacles(before: LevelSweep, now_from_before: Rigid) -> Floats:
