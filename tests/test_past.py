@@ -163,7 +163,7 @@ def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first(
     assert np.array_equal(found.visible(), other.visible() & (past.support(GRID, CAR) > 0))
     refused = other.visible() & ~found.visible()
     assert (found.state[refused] == CellState.UNKNOWN).all()
-    assert refused[behind_wall()].mean() == other.visible()[behind_wall()].mean()
+    assert refused.any()
     assert np.array_equal(where_supported(other, past).visible(), found.visible())
 
 
