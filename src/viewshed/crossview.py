@@ -225,33 +225,47 @@ def evaluate_crossview(
     rng: np.random.Generator,
     rules: CrossViewRules | None = None,
     progress: Callable[[str], None] = lambda _: None,
-    shown: Callable[[Sweep], Sweep] = lambda sweep: sweep,
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
-
-    Args:
-        sequences: the scenes.
-        estimators: by name.
-        rng: of the bootstrap.
-        rules: how columns are chosen.
-        progress: is told each step.
-        shown: what estimators are shown of a sweep, perhaps attacked; the truth is of the sweep itself.
 
     Raises:
         ValueError: a sweep has no pose or no time.
     """
-    rules = rules or CrossViewRules()
-    grid = BevGrid(256, 64.0)
+    return rows_of(crossview_truth(sequences, rules, progress), estimators, rng=rng, progress=progress)
+
+
+def crossview_truth(
+    sequences: Sequence[Sequence[Sweep]],
+    rules: CrossViewRules | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[tuple[Sweep, Columns]]:
+    """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, Columns]] = []
     for sweeps in sequences:
-        levels = [level_sweep(sweep, grid) for sweep in sweeps]
+        levels = [level_sweep(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
         for k, a in enumerate(levels):
             progress(f"truth of sweep {len(truth) + 1}")
-            truth.append((shown(a.sweep), columns_of(a, levels[:k] + levels[k + 1 :], rules)))
+            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules or CrossViewRules())))
+    return truth
+
+
+def rows_of(
+    truth: Sequence[tuple[Sweep, Columns]],
+    estimators: Mapping[str, FovEstimator],
+    *,
+    rng: np.random.Generator,
+    progress: Callable[[str], None] = lambda _: None,
+    shown: Callable[[Sweep], Sweep] = lambda sweep: sweep,
+) -> list[CrossViewRow]:
+    """Return one row of rates for each estimator against the truth of some sweeps, of :func:`crossview_truth`.
+
+    ``shown`` returns what estimators are shown of a sweep, perhaps attacked; the truth is of the sweep itself.
+    """
+    seen = [(shown(sweep), columns) for sweep, columns in truth]
     rows = []
     for method, estimator in estimators.items():
         progress(method)
-        rows.append(_row(method, estimator, truth, rng))
+        rows.append(_row(method, estimator, seen, rng))
     return rows
 
 

@@ -7,7 +7,7 @@ not move still stands there, whatever the beams say now; and what an earlier swe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -57,6 +57,7 @@ class Past:
     sensor_height_m: float
     earlier: tuple[LevelSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
+    _supports: dict[tuple[BevGrid, Target], NDArray[np.uint8]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, level: LevelSweep, earlier: Sequence[LevelSweep]) -> Past | None:
@@ -96,13 +97,17 @@ class Past:
     def support(self, grid: BevGrid, target: Target) -> NDArray[np.uint8]:
         """Return how many of the earlier sweeps would have seen a target in each cell (cells, cells), by their beams.
 
-        What a sweep sees is computed once, however often it is asked for.
+        It is computed once, however often it is asked for, and so is what a sweep sees.
         """
+        if (grid, target) in self._supports:
+            return self._supports[grid, target]
         total = np.zeros(grid.shape, np.uint8)
         lattice = np.array([*grid.origin_m, grid.cell_m], np.float32)
         for before, now_from_before in zip(self.earlier, self.now_from_earlier, strict=True):
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32)
             _support(_seen(before, grid, target), lattice, before_from_now, total)
+        total.setflags(write=False)
+        self._supports[grid, target] = total
         return total
 
 

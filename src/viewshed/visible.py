@@ -79,10 +79,6 @@ class Beams:
         if not (self.azimuth.shape == self.slope.shape == self.depth_m.shape) or self.azimuth.ndim != 1:
             raise ValueError("azimuth, slope and depth_m must have one shape (B,)")
 
-    def endless(self) -> Beams:
-        """Return the same beams as if nothing stopped them."""
-        return Beams(self.azimuth, self.slope, np.full_like(self.depth_m, np.inf))
-
     def __add__(self, other: Beams) -> Beams:
         """Return both together, the other's last."""
         pairs = ((self.azimuth, other.azimuth), (self.slope, other.slope), (self.depth_m, other.depth_m))

@@ -177,14 +177,15 @@ def _under_attack(
     """Return the table of over- and under-claim without and with each attack, estimator by estimator."""
     import numpy as np
 
-    from viewshed.crossview import evaluate_crossview
+    from viewshed.crossview import crossview_truth, rows_of
     from viewshed.report import table
 
+    truth = crossview_truth(scenes, progress=_progress)
     found: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for name in ("", *names):
         rng = np.random.default_rng(seed)
         shown = partial(_attacked, name, rng)
-        for row in evaluate_crossview(scenes, estimators, rng=rng, progress=_progress, shown=shown):
+        for row in rows_of(truth, estimators, rng=rng, progress=_progress, shown=shown):
             found[row.method].append((row.over.value, row.under.value))
     rows = []
     for method, rates in found.items():

@@ -23,7 +23,7 @@ from viewshed.missing import ToldBeams, told_beams
 from viewshed.networks.scan import Scan, scan
 from viewshed.past import Past
 from viewshed.polar import bins_of_cells
-from viewshed.visible import Beams, Target, returns_by_kind
+from viewshed.visible import Target, returns_by_kind
 
 MOST_RETURNS = 127
 """Expected returns that the codes tell apart."""
@@ -68,11 +68,8 @@ class Shown:
     @cached_property
     def returns(self) -> Floats:
         """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
-        told = self.told
-        return self._returns_by(told.confirmed, told.explained, told.unexplained)
-
-    def _returns_by(self, *kinds: Beams) -> Floats:
-        level = self.level
+        level, told = self.level, self.told
+        kinds = told.confirmed, told.explained, told.unexplained
         return returns_by_kind(kinds, level.sensor_height_m, level.ground, self.grid, self.target)
 
     @cached_property
