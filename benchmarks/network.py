@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.timing import Timing, summary, times_of
+from viewshed.batches import estimate_all
 from viewshed.estimators.learned import UnetEstimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.networks.engine import OnnxRunner, load_runner
@@ -35,9 +36,11 @@ SIZES = ("35k", "120k")
 TORCH, NONE = "torch, eager", "no network"
 ONE_PASS = "one torch pass"
 OURS = "viewnet"
+ESTIMATE = f"{OURS} to estimate, with doubt"
+MANY, MANY_SWEEPS = f"{ESTIMATE}, of many sweeps", 64
 TARGETS_HZ = {
-    ("MLE to mask", "35k"): 200, (f"{OURS} to estimate, with doubt", "35k"): 350,
-    (f"{OURS} to estimate, with doubt", "120k"): 250, (f"{OURS} MCD T = {PASSES} to mask", "35k"): 50,
+    ("MLE to mask", "35k"): 200, (ESTIMATE, "35k"): 350, (ESTIMATE, "120k"): 250,
+    (MANY, "35k"): 350, (MANY, "120k"): 250, (f"{OURS} MCD T = {PASSES} to mask", "35k"): 50,
 }  # fmt: skip
 """By row, without its engine, and size."""
 HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "GFLOP/s", "target", ""]
@@ -60,7 +63,9 @@ the first mask, and the half of the last decoder stage that reads stage 1, is co
 OUR_TEXT = """\
 The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
 levelled sweep and its beams; with doubt: probability and deviation by one pass and two heads; int8: the same network
-in bytes. "Channels alone" begin with a sweep whose attitude is known, levelling it included. """
+in bytes. "Channels alone" begin with a sweep whose attitude is known, levelling it included. "Of many sweeps": time per
+sweep where {many} of them are estimated together, one a core with ONNX Runtime (`estimate_all`); the other rows are of
+one sweep at a time, by all cores. """
 
 
 def main() -> None:
@@ -151,6 +156,7 @@ def measure(task: tuple[str, str], path: Path, threads: int, turn: int) -> dict[
         card = OnnxRunner(path, 1, "onnxruntime").card if runner is None else runner.card
         jobs = our_jobs(runner, sweep) if ours and runner else jobs_of(name, runner, sweep, card)
         times = times_of(jobs, np.random.default_rng([SEED, turn]), BUDGET_S)
+        times |= {MANY: [each / MANY_SWEEPS for each in times[MANY]]} if MANY in times else {}
         label = f"{name} {INT8}" if card.precision == INT8 else name
         found |= {(f"{row}: {label}", size): each for row, each in times.items()}
     return found
@@ -184,7 +190,8 @@ def our_jobs(runner: Runner, sweep: Sweep) -> dict[str, Callable[[], object]]:
         f"{OURS} channels alone": lambda: runner.card.input_of(level),
         f"{OURS} one pass alone": lambda: runner.run(inputs, runner.card.shape.no_masks(1)),
         f"{OURS} one pass with doubt alone": lambda: runner.run_with_doubt(inputs),
-        f"{OURS} to estimate, with doubt": lambda: estimator.estimate(sweep),
+        ESTIMATE: lambda: estimator.estimate(sweep),
+        MANY: lambda: deque(estimate_all(estimator, [sweep] * MANY_SWEEPS), 0),
         f"{OURS} MCD T = {PASSES} to mask": mask_job(runner, level, PASSES),
     }
 
@@ -262,7 +269,8 @@ def text(
         single=peaks[0] / 1e9, half=peaks[1] / 1e9, own=own, floor_one=one, floor_one_half=half,
         floor_all=one * every, floor_all_half=half * every,
         ours="" if ours is None else OUR_TEXT.format(
-            name=ours.name, channels=ours.shape.channels, gflop=ours.shape.flops(ours.grid.cells) / 1e9
+            name=ours.name, channels=ours.shape.channels, gflop=ours.shape.flops(ours.grid.cells) / 1e9,
+            many=MANY_SWEEPS,
         ),
         weights="Weights drawn at random." if weights is None else f"Weights: {card.name}.",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Many sweeps at once: what needs no network in threads, and the network once for a batch."""
+"""Many sweeps at once: on a processor one a core, on a graphics card the network once for a batch."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from viewshed.memory import Remembering
 from viewshed.sweep import Sweep
 
 BATCH = 16
-"""Sweeps that a network is run for at once where no number is given."""
+"""Sweeps that are taken at once where no number is given."""
 MOST = 1024
 """Largest batch."""
 T = TypeVar("T")
@@ -37,13 +37,14 @@ def estimate_all(
     """Return the estimates of many sweeps in their order, each as ``estimator.estimate(sweep)`` makes it.
 
     Sweeps are taken as they are needed, at most ``2 · batch`` ahead of the estimate that comes next, so that they may
-    be more than fit into memory. Channels are made in threads, those of the next batch while the network is run for
-    this one. Estimators without a network, and those of several passes, gain from the threads alone.
+    be more than fit into memory. On a processor each thread does whole sweeps, with a network that runs in it alone:
+    batches are slower there, as what a layer tells of many sweeps does not stay in the cache. On a graphics card, and
+    with OpenVINO, channels are made in threads, those of the next batch while the network is run for this one.
 
     Args:
         estimator: any that takes each sweep by itself.
         sweeps: what the sensors measured; iterated once, in this thread.
-        batch: sweeps that the network is run for at once, in [1, 1024].
+        batch: sweeps that are taken at once, and that a graphics card runs the network for at once, in [1, 1024].
         threads: threads beside this one; None is one for each core.
         on_error: is told why a sweep has no estimate, which is then left out; without it the error is raised. Both
             happen where the estimate would have come. After an error of ``sweeps`` itself there is none.
@@ -88,10 +89,11 @@ class _Stages:
 
 
 def _stages_of(estimator: FovEstimator) -> _Stages:
-    if isinstance(estimator, UnetEstimator):
+    alone = estimator.side_by_side() if isinstance(estimator, UnetEstimator) else None
+    if isinstance(estimator, UnetEstimator) and alone is None:
         network, grid = estimator, estimator.grid
         return _Stages(lambda sweep: network.asked(level_sweep(sweep, grid)), network.told, network.answer)
-    return _Stages(estimator.estimate, lambda found: found, lambda found, _: found)
+    return _Stages((alone or estimator).estimate, lambda found: found, lambda found, _: found)
 
 
 def _estimates(

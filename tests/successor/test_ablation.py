@@ -132,8 +132,8 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
-    assert not set(Results(plan, plan.domain, {}).trained) & set(Results(plan, plan.domain, {}).unseen)
-    assert len(Results(plan, plan.domain, {}).unseen) >= 5
+    assert not set(Results(plan, plan.config, {}).trained) & set(Results(plan, plan.config, {}).unseen)
+    assert len(Results(plan, plan.config, {}).unseen) >= 5
 
 
 @pytest.mark.parametrize(
@@ -144,9 +144,9 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
         ({"variants": 3}, "variants must be a table, got 3"),
         ({"test_seed": 7301}, "seed and test_seed must differ"),
         ({"chunk": 0}, "sweeps, test_sweeps, other_sweeps and chunk must be at least 1"),
-        ({"others": {"nuscenes-small": "viewnet_road"}}, "others must not hold nuscenes-small, the domain itself"),
-        ({"others": {"rooms": "viewnet_attic"}}, "config must be a TOML file or one of"),
-        ({"others": {"attic": "viewnet_indoor"}}, "preset must be one of"),
+        ({"others": {"viewnet_road": "rooms"}}, "others must not hold viewnet_road, the config of the ablation itself"),
+        ({"others": {"viewnet_attic": "rooms"}}, "config must be a TOML file or one of"),
+        ({"others": {"viewnet_indoor": "attic"}}, "preset must be one of"),
         ({"others": 3}, "others must be a table, got 3"),
         ({"chosen_sweeps": 3}, r"chosen_sweeps must lie in \[0, 2\], got 3"),
         ({"questions": [20, 20]}, r"questions must be different numbers of at least 1, got \[20, 20\]"),
@@ -181,7 +181,7 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert "| viewnet |" in indoor
     assert [part.count("\n| 0.95 | ") for part in (road, indoor)] == [0, 2]
     assert "### Targets, nuscenes-small" not in page
-    assert page.index("### Targets, ugv-small") < page.index("| the same, as aimed at for a pedestrian |")
+    assert page.index("### Targets, ugv-small, pedestrian") < page.index("| the same, as aimed at for a pedestrian |")
     lines = store.path.read_text().splitlines()
     store.path.write_text("\n".join(lines[:-1]) + "\n")
     assert list(run_steps(store, STEPS, 1, lambda *step: None)) == []

@@ -77,7 +77,7 @@ def test_the_page_has_them_apart_and_nothing_where_nothing_was_said() -> None:
     cases = dict.fromkeys(ATTACKS, right)
     both = {BENIGN: right, BARE: right, **cases}
     said = {"whole": both, "viewnet": both, f"viewnet, {HONEST}": both, f"viewnet, {ATTACKED}": cases, "vote": both}
-    results = Results(ablation_named("small"), "roads", said)
+    results = Results(ablation_named("small"), "viewnet_road", said)
     assert results.alone == ["whole", "viewnet", "vote"]
     names = results.remembering("viewnet")
     assert names == [f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]

@@ -26,8 +26,8 @@ def test_targets_are_met_or_missed_by_what_was_said() -> None:
     plan, every = ablation_named("small"), dict.fromkeys(CASES)
     ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
     vote = {case: _said(90, 10) for case in every}
-    test, none = Results(plan, plan.domain, {OURS: ours, RIVAL: vote, SEVERAL: vote}), Results(plan, plan.domain, {})
-    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test, none)}
+    test, none = Results(plan, plan.config, {OURS: ours, RIVAL: vote, SEVERAL: vote}), Results(plan, plan.config, {})
+    found = {each.what: each for each in targets_of(Results(plan, plan.config, {WHOLE: ours}), test, none)}
     assert found["F1, benign"].met
     assert found["F1, benign"].found == "0.995"
     assert found["the same less that of the vote"].met
@@ -39,32 +39,32 @@ def test_targets_are_met_or_missed_by_what_was_said() -> None:
     assert not any("sensor" in what or CLEAR in what for what in found)
     for case in (ours, vote):
         case[BENIGN].parts = {CLEAR: [2, 99, 1, 1, 0], "sensor A": [1, 9, 1, 1, 0], "sensor B": [1, 90, 0, 0, 0]}
-    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {WHOLE: ours}), test, none)}
+    found = {each.what: each for each in targets_of(Results(plan, plan.config, {WHOLE: ours}), test, none)}
     assert found[f"F1, benign, cells {CLEAR}"].met
     least = found["least F1 of any sensor, benign"]
     assert (least.met, least.found) == (False, "0.900 (A)")
-    assert targets_of(none, Results(plan, plan.domain, {RIVAL: vote}), none) == []
+    assert targets_of(none, Results(plan, plan.config, {RIVAL: vote}), none) == []
 
 
 def test_each_number_of_questions_has_a_target_and_the_untouched_sweep_none() -> None:
     plan = ablation_named("small")
-    test = Results(plan, plan.domain, {name: {case: _said(9, 1) for case in CASES} for name in (OURS, RIVAL)})
+    test = Results(plan, plan.config, {name: {case: _said(9, 1) for case in CASES} for name in (OURS, RIVAL)})
     met = {UNTOUCHED: _said(1, 9), "200": _said(95, 5), "1000": replace(_said(85, 15), wedge=_said(1, 3).view)}
-    chosen = Results(plan, plan.domain, {OURS: met, RIVAL: met})
-    found = {each.what: each for each in targets_of(Results(plan, plan.domain, {}), test, chosen)}
+    chosen = Results(plan, plan.config, {OURS: met, RIVAL: met})
+    found = {each.what: each for each in targets_of(Results(plan, plan.config, {}), test, chosen)}
     few, many = (found[f"precision against 150 points chosen with {asked} questions"] for asked in (200, 1000))
     assert (few.met, many.met, many.found) == (True, False, "0.850 (wedge 0.250)")
     assert sum("chosen" in what for what in found) == 2
     twice = replace(met["200"], sweeps=[[95, 5, 0, 0], [0, 0, 0, 0]])
-    table = chosen_table(Results(plan, plan.domain, {OURS: {"200": twice}}))
+    table = chosen_table(Results(plan, plan.config, {OURS: {"200": twice}}))
     assert table.rows == [[OURS, "200", "2", ".950 / 1.000", ".950 / 1.000", f"{5 * 0.25 / 2:.0f}"]]
 
 
-def test_rooms_have_targets_of_their_own() -> None:
+def test_other_settings_have_targets_of_their_own() -> None:
     plan = ablation_named("small")
     good = {case: _said(99, 1) for case in CASES}
     level = good | {BENIGN: _said(90, 10)}
-    found = targets_elsewhere(Results(plan, "rooms", {OURS: level, RIVAL: good}))
+    found = targets_elsewhere(Results(plan, "viewnet_indoor", {OURS: level, RIVAL: good}))
     assert [(each.what, each.met) for each in found] == [
         ("F1, benign", False),
         ("the same, as aimed at for a pedestrian", True),
@@ -72,8 +72,10 @@ def test_rooms_have_targets_of_their_own() -> None:
         ("least lead over the vote, benign and under any attack", False),
     ]
     assert found[-1].found.endswith("(benign)")
-    assert targets_elsewhere(Results(plan, "rooms", {})) == []
-    assert Results(plan, "rooms", {}).attacks == read_config("viewnet_indoor").attacks
+    for_cars = targets_elsewhere(Results(plan, "viewnet_indoor_car", {OURS: level, RIVAL: good}))
+    assert [each.what for each in for_cars] == [each.what for each in found if "pedestrian" not in each.what]
+    assert targets_elsewhere(Results(plan, "viewnet_indoor", {})) == []
+    assert Results(plan, "viewnet_indoor", {}).attacks == read_config("viewnet_indoor").attacks
 
 
 def test_what_is_sure_is_told_and_nothing_else() -> None:
@@ -96,7 +98,7 @@ def test_what_is_sure_is_told_and_nothing_else() -> None:
 def test_what_is_sure_is_told_by_group_in_view_and_in_wedges() -> None:
     plan = ablation_named("small")
     said = {case: _said(99, 1) for case in CASES} | {"jamming": _said(1, 3), "relay": _said(1, 1)}
-    view, wedge = (sure_table(Results(plan, plan.domain, {OURS: said}), wedge=wedge) for wedge in (False, True))
+    view, wedge = (sure_table(Results(plan, plan.config, {OURS: said}), wedge=wedge) for wedge in (False, True))
     assert view.header == ["sure", "benign", "trained", "unseen", "jamming"]
     assert list(view.rows[4]) == ["0.9", "1.000 / .990 / –", "1.000 / .990 / –", "1.000 / .988 / –", "1.000 / .250 / –"]
     assert list(view.rows[5][1:]) == [".000 / – / –"] * 4

@@ -17,7 +17,9 @@ def test_a_config_survives_toml(config: TrainConfig, tmp_path: Path) -> None:
 
 
 def test_the_shipped_networks_are_the_papers_on_our_grids() -> None:
-    assert config_names() == ("indoor", "road", "viewnet_indoor", "viewnet_road")
+    assert config_names() == (
+        "indoor", "road", "viewnet_indoor", "viewnet_indoor_car", "viewnet_road", "viewnet_road_pedestrian",
+    )  # fmt: skip
     for name, half_m, target in (("road", 64.0, "car"), ("indoor", 16.0, "pedestrian")):
         card = read_config(name).card()
         assert (card.grid.cells, card.grid.half_extent_m, card.target, card.truth) == (256, half_m, target, "probe")
@@ -60,7 +62,7 @@ def test_wrong_values_are_refused(config: TrainConfig, change: dict[str, Any], m
 def test_wrong_files_are_refused(config: TrainConfig, tmp_path: Path) -> None:
     with pytest.raises(
         ValueError,
-        match=r"config must be a TOML file or one of indoor, road, viewnet_indoor, viewnet_road, got .nowhere'",
+        match=r"config must be a TOML file or one of indoor, road, .*, viewnet_road_pedestrian, got .nowhere'",
     ):
         read_config("nowhere")
     text = toml_of(config)

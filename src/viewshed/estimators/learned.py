@@ -19,8 +19,10 @@ from viewshed.freed import keep_freed
 from viewshed.level import LevelSweep, level_sweep
 from viewshed.memory import PastEstimator
 from viewshed.networks.channels import Shown, maps_of
+from viewshed.networks.engine import IN_BYTES, OnnxRunner, load_runner
 from viewshed.networks.mcd import moments
 from viewshed.networks.scan import EVIDENCE_BINS
+from viewshed.networks.shipped import default_name, in_float32
 from viewshed.networks.spec import NetworkCard, Runner
 from viewshed.past import Past, past_of
 from viewshed.polar import Crop, bins_of_cells, reach_of
@@ -97,6 +99,11 @@ class UnetEstimator:
     def when_sure(self, sure: float) -> UnetEstimator:
         """Return the same estimator, which tells states from another probability on."""
         return UnetEstimator(self.runner, self.passes, self.seed, self.name, sure)
+
+    def side_by_side(self) -> UnetEstimator | None:
+        """Return the same estimator for several threads at once, each running the network alone; None if it cannot."""
+        runner = self.runner.side_by_side() if isinstance(self.runner, OnnxRunner) else None
+        return None if runner is None else UnetEstimator(runner, self.passes, self.seed, self.name, self.sure)
 
     @property
     def claims_from(self) -> float:
@@ -235,9 +242,6 @@ def learned(  # noqa: PLR0913 - what, where and how is asked for by name
         ValueError: no such method, weights or engine, weights for another grid or target, or no graphics card.
         ImportError: the engine is not installed.
     """
-    from viewshed.networks.engine import IN_BYTES, load_runner
-    from viewshed.networks.shipped import default_name, in_float32
-
     if method not in LEARNED:
         raise ValueError(f"method must be one of {', '.join(LEARNED)}, got {method!r}")
     if passes is not None and (passes < 2) != (method != "mcd"):

@@ -48,6 +48,8 @@ class OnnxRunner:
     With ``cuda`` a run may also raise an OSError: the graphics card failed.
     """
 
+    _alone: OnnxRunner | None
+
     def __init__(
         self, path: str | Path, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
     ) -> None:
@@ -63,6 +65,7 @@ class OnnxRunner:
         return made
 
     def _start(self, content: bytes, name: str, threads: int | None, engine: str, precision: str) -> None:
+        self._content, self._name, self._alone = content, name, None
         check_seal(content, name)
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
@@ -83,6 +86,15 @@ class OnnxRunner:
             )
         if self.engine == "cuda":
             self._call = _cuda(content)
+
+    def side_by_side(self) -> OnnxRunner | None:
+        """Return the same network, each run of it in one thread, for runs in several threads at once.
+
+        None where the engine gains nothing by that or runs one at a time.
+        """
+        if self._alone is None and self.engine == "onnxruntime":
+            self._alone = OnnxRunner.of_content(self._content, self._name, 1)
+        return self._alone
 
     def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.spec.Runner`."""

@@ -72,11 +72,11 @@ tells its deviation in the same pass as its probability."""
 def page_of(store: JobStore[AblationPlan]) -> str:
     """Return the page as Markdown; parts without results are left out."""
     plan, blocks = store.plan, list[Block]()
-    validation = Results.read(store, "validation", plan.domain)
-    tests = {domain: Results.read(store, "test", domain) for domain in plan.domains}
-    test, chosen = tests[plan.domain], Results.read(store, "chosen", plan.domain)
-    blocks += _aimed({plan.domain: targets_of(validation, test, chosen)}
-                     | {domain: targets_elsewhere(tests[domain]) for domain in plan.others})  # fmt: skip
+    validation = Results.read(store, "validation", plan.config)
+    tests = {setting: Results.read(store, "test", setting) for setting in plan.settings}
+    test, chosen = tests[plan.config], Results.read(store, "chosen", plan.config)
+    blocks += _aimed({plan.title_of(plan.config): targets_of(validation, test, chosen)}
+                     | {plan.title_of(each): targets_elsewhere(tests[each]) for each in plan.others})  # fmt: skip
     if validation.said:
         blocks += [
             Heading(2, "What each part is worth"),
@@ -89,30 +89,31 @@ def page_of(store: JobStore[AblationPlan]) -> str:
         blocks += [Text(_ABSTENTION), abstention_table(validation, test)]
     if chosen.said:
         blocks += [Heading(2, "Points chosen against their victim"), Text(_CHOSEN), chosen_table(chosen)]
-    for domain in plan.others:
-        blocks += _shipped(tests[domain])
+    for setting in plan.others:
+        blocks += _shipped(tests[setting])
     return to_markdown("The network and what its parts are worth", _facts(plan), blocks)
 
 
 def _aimed(targets: Mapping[str, list[Target]]) -> list[Block]:
-    """Return what was aimed at in each domain, and what was found there."""
+    """Return what was aimed at in each setting, and what was found there."""
     tables: list[Block] = []
-    for domain, found in targets.items():
-        tables += [Heading(3, f"Targets, {domain}"), targets_table(found)] if found else []
+    for title, found in targets.items():
+        tables += [Heading(3, f"Targets, {title}"), targets_table(found)] if found else []
     return [Heading(2, "Targets"), Text(_TARGETS), *tables] if tables else []
 
 
 def _shipped(test: Results) -> list[Block]:
-    """Return what is said of the shipped networks in one domain."""
+    """Return what is said of the shipped networks in one setting."""
     if not test.said:
         return []
-    config = test.plan.config_in(test.domain)
+    config, preset = test.plan.config_in(test.setting), test.plan.preset_in(test.setting)
+    title = test.plan.title_of(test.setting)
     cells = f"{config.cells} cells a side of {config.grid.cell_m:g} m"
-    about = f"Preset `{test.domain}`: {cells}; the target is a {config.target}."
+    about = f"Preset `{preset}`: {cells}; the target is a {config.target}."
     return [
-        Heading(2, f"The shipped networks, {test.domain}"), Text(about), Text(_TEST), views_table(test, test.alone),
+        Heading(2, f"The shipped networks, {title}"), Text(about), Text(_TEST), views_table(test, test.alone),
         Text(_WEDGE), wedges_table(test, test.alone), Text(_PARTS), parts_table(test), *_with_past(test),
-        Heading(3, f"Doubt, {test.domain}"), Text(_DOUBT), doubts_table(test),
+        Heading(3, f"Doubt, {title}"), Text(_DOUBT), doubts_table(test),
         *(_told_where_sure(test) if OURS in test.said else []),
     ]  # fmt: skip
 
@@ -122,7 +123,7 @@ def _with_past(test: Results) -> list[Block]:
     names = [each for name in (OURS, SHADOW_MAP) if name in test.said for each in test.remembering(name)]
     if not names:
         return []
-    heading = Heading(3, f"Earlier sweeps, {test.domain}")
+    heading = Heading(3, f"Earlier sweeps, {test.plan.title_of(test.setting)}")
     return [heading, Text(_PAST), views_table(test, names), Text(_WEDGE), wedges_table(test, names)]
 
 
@@ -134,6 +135,6 @@ def _facts(plan: AblationPlan) -> dict[str, str]:
     return facts(
         plan=plan.name, config=plan.config, domain=plan.domain, sweeps=str(plan.sweeps), seed=str(plan.seed),
         test_sweeps=str(plan.test_sweeps), test_seed=str(plan.test_seed),
-        others=", ".join(f"{domain} ({config})" for domain, config in plan.others.items()) or "none",
+        others=", ".join(f"{preset} ({config})" for config, preset in plan.others.items()) or "none",
         other_sweeps=str(plan.other_sweeps), chosen_sweeps=str(plan.chosen_sweeps),
     )  # fmt: skip

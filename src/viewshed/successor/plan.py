@@ -23,9 +23,9 @@ class AblationPlan:
         name: of the plan.
         about: one line for people.
         config: name of the training config that the variants change.
-        domain: preset whose scenes variants are tried on; the config's grid.
-        others: further presets in which the shipped networks are reported, each with the name of the training config
-            whose grid, target and attacks count there.
+        domain: preset whose scenes variants are tried on, on the grid of the config.
+        others: further settings in which the shipped networks are reported: by the name of the training config whose
+            grid, target and attacks count there, the preset.
         seed: of the scenes on which variants are compared.
         test_seed: of the scenes on which the shipped network is reported.
         sweeps: how many sweeps variants are compared on, each from a scene of its own.
@@ -71,30 +71,39 @@ class AblationPlan:
             raise ValueError(f"claim_precision must lie in (0, 1), got {self.claim_precision}")
         if self.variants.get(WHOLE) != {}:
             raise ValueError(f"variants must have one named {WHOLE} that changes nothing")
-        if self.domain in self.others:
-            raise ValueError(f"others must not hold {self.domain}, the domain itself")
-        _ = [self.config_of(name) for name in self.variants], [self.config_in(domain) for domain in self.others]
+        if self.config in self.others:
+            raise ValueError(f"others must not hold {self.config}, the config of the ablation itself")
+        _ = [self.config_of(name) for name in self.variants], [self.config_in(setting) for setting in self.others]
 
     def _check_seeds(self) -> None:
         for key in ("seed", "test_seed"):
             if not 0 <= getattr(self, key) <= MAX_SEED:
                 raise ValueError(f"{key} must lie in [0, {MAX_SEED}], got {getattr(self, key)}")
-        for domain in self.domains:
-            if len({self.seed, self.test_seed, preset_named(domain).seed}) < 3:
-                raise ValueError(f"seed and test_seed must differ from each other and from that of {domain}")
+        for setting in self.settings:
+            preset = self.preset_in(setting)
+            if len({self.seed, self.test_seed, preset_named(preset).seed}) < 3:
+                raise ValueError(f"seed and test_seed must differ from each other and from that of {preset}")
 
     @property
-    def domains(self) -> tuple[str, ...]:
-        """The domain of the ablation, then the others."""
-        return self.domain, *self.others
+    def settings(self) -> tuple[str, ...]:
+        """Names of configs: that of the ablation, then the others."""
+        return self.config, *self.others
 
-    def config_in(self, domain: str) -> TrainConfig:
-        """Return the training config whose grid, target and attacks count in a domain.
+    def preset_in(self, setting: str) -> str:
+        """Return the preset whose scenes a setting has."""
+        return self.domain if setting == self.config else self.others[setting]
+
+    def config_in(self, setting: str) -> TrainConfig:
+        """Return the training config whose grid, target and attacks count in a setting.
 
         Raises:
             ValueError: there is no such config.
         """
-        return self.config_of(WHOLE) if domain == self.domain else read_config(self.others[domain])
+        return self.config_of(WHOLE) if setting == self.config else read_config(setting)
+
+    def title_of(self, setting: str) -> str:
+        """Return what a setting is called: its preset and its target."""
+        return f"{self.preset_in(setting)}, {self.config_in(setting).target}"
 
     def config_of(self, variant: str) -> TrainConfig:
         """Return how a variant is trained.
@@ -107,11 +116,11 @@ class AblationPlan:
         changes = {**self.base, **self.variants[variant]}
         return TrainConfig.from_json(read_config(self.config).to_json() | changes | {"name": variant})
 
-    def count(self, split: str, domain: str) -> int:
-        """Return how many sweeps of a domain a split has."""
+    def count(self, split: str, setting: str) -> int:
+        """Return how many sweeps of a setting a split has."""
         if split == "validation":
             return self.sweeps
-        return self.test_sweeps if domain == self.domain else self.other_sweeps
+        return self.test_sweeps if setting == self.config else self.other_sweeps
 
     def seed_of(self, split: str) -> int:
         """Return the seed of a split's scenes."""

@@ -22,31 +22,31 @@ OVER_CLAIM = ("ghost_wall", "far_wall", "removal", "high_frequency_removal", "re
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """Everything that was said on one split of one domain.
+    """Everything that was said on one split of one setting.
 
     Attributes:
         plan: of the ablation.
-        domain: of the plan's.
+        setting: of the plan's.
         said: by contestant and case, all sweeps together.
     """
 
     plan: AblationPlan
-    domain: str
+    setting: str
     said: dict[str, dict[str, Said]]
 
     @classmethod
-    def read(cls, store: JobStore[AblationPlan], split: str, domain: str) -> Results:
-        """Return what the finished jobs of a split found in a domain.
+    def read(cls, store: JobStore[AblationPlan], split: str, setting: str) -> Results:
+        """Return what the finished jobs of a split found in a setting.
 
         Raises:
             ValueError: a line is damaged.
         """
         found: dict[str, dict[str, Said]] = defaultdict(lambda: defaultdict(Said))
-        for line in store.jobs(split, domain):
+        for line in store.jobs(split, setting):
             for name, cases in line["said"].items():
                 for case, told in cases.items():
                     found[name][case] = found[name][case] + Said.from_json(told)
-        return cls(store.plan, domain, {name: dict(cases) for name, cases in found.items()})
+        return cls(store.plan, setting, {name: dict(cases) for name, cases in found.items()})
 
     @property
     def alone(self) -> list[str]:
@@ -60,7 +60,7 @@ class Results:
     @property
     def attacks(self) -> tuple[str, ...]:
         """Attacks that our network is trained on."""
-        return self.plan.config_in(self.domain).attacks
+        return self.plan.config_in(self.setting).attacks
 
     @property
     def trained(self) -> tuple[str, ...]:

@@ -61,10 +61,10 @@ def keys_of(plan: AblationPlan, step: str) -> list[Key]:
     if step == "models":
         return [("models", name) for name in plan.variants]
     if step == "chosen":
-        return [(step, plan.domain, str(number)) for number in range(plan.chosen_sweeps)]
-    domains = plan.domains if step == "test" else (plan.domain,)
-    chunks = {domain: -(-plan.count(step, domain) // plan.chunk) for domain in domains}
-    return [(step, domain, str(number)) for domain in domains for number in range(chunks[domain])]
+        return [(step, plan.config, str(number)) for number in range(plan.chosen_sweeps)]
+    settings = plan.settings if step == "test" else (plan.config,)
+    chunks = {setting: -(-plan.count(step, setting) // plan.chunk) for setting in settings}
+    return [(step, setting, str(number)) for setting in settings for number in range(chunks[setting])]
 
 
 def run_steps(store: JobStore[AblationPlan], steps: tuple[str, ...], workers: int | None, told: Told) -> Iterator[str]:
@@ -130,29 +130,29 @@ def _train(job: Job) -> dict[str, Any]:
 
 
 def _score(job: Job) -> dict[str, Any]:
-    plan, (split, domain, chunk) = job.plan, job.key
-    config, first = plan.config_in(domain), int(chunk) * plan.chunk
-    numbers = range(first, min(first + plan.chunk, plan.count(split, domain)))
-    subjects = {number: subject_in(plan, split, domain, number) for number in numbers}
+    plan, (split, setting, chunk) = job.plan, job.key
+    config, first = plan.config_in(setting), int(chunk) * plan.chunk
+    numbers = range(first, min(first + plan.chunk, plan.count(split, setting)))
+    subjects = {number: subject_in(plan, split, setting, number) for number in numbers}
     estimators = _variants(plan, job.folder) if split == "validation" else _shipped(config)
     every, target = estimators | _classical(config), TARGETS[config.target]
     return {"said": score(subjects, every, plan.seed_of(split), target, REMEMBERING)}
 
 
 def _choose(job: Job) -> dict[str, Any]:
-    plan, (_, domain, number) = job.plan, job.key
-    config = plan.config_in(domain)
+    plan, (_, setting, number) = job.plan, job.key
+    config = plan.config_in(setting)
     there = _shipped(config) | _classical(config)
     victims = {name: there[name] for name in VICTIMS if name in there}
     questions = {name: plan.questions if name == OURS else plan.questions[:1] for name in victims}
-    subject = subject_in(plan, "test", domain, int(number))
+    subject = subject_in(plan, "test", setting, int(number))
     return {"said": duels(subject, victims, questions, (plan.test_seed, int(number)), TARGETS[config.target])}
 
 
-def subject_in(plan: AblationPlan, split: str, domain: str, number: int) -> Subject:
-    """Return one sweep of a split of a domain, with its truth on the grid that counts there."""
-    preset = on_grid(preset_named(domain), plan.config_in(domain))
-    return subject_of_preset(preset, number, plan.count(split, domain), plan.seed_of(split))
+def subject_in(plan: AblationPlan, split: str, setting: str, number: int) -> Subject:
+    """Return one sweep of a split of a setting, with its truth on the grid that counts there."""
+    preset = on_grid(preset_named(plan.preset_in(setting)), plan.config_in(setting))
+    return subject_of_preset(preset, number, plan.count(split, setting), plan.seed_of(split))
 
 
 def _variants(plan: AblationPlan, folder: Path) -> dict[str, FovEstimator]:

@@ -76,7 +76,7 @@ def _best_in_bold(scores: list[float]) -> list[str]:
 
 def chosen_table(chosen: Results) -> Table:
     """Return precision / recall of each victim, untouched and with points chosen against it."""
-    cell_m2 = chosen.plan.config_in(chosen.domain).grid.cell_area_m2
+    cell_m2 = chosen.plan.config_in(chosen.setting).grid.cell_area_m2
     rows = []
     for name, cases in chosen.said.items():
         for case, said in cases.items():

@@ -1,0 +1,124 @@
+"""Write the model card of the shipped weights, from their files: ``python tools/model_card.py [OUT.md]``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from viewshed.datasets.presets import Preset, preset_named
+from viewshed.networks.engine import load_runner
+from viewshed.networks.shipped import WEIGHTS, in_float32, manifest
+from viewshed.networks.spec import NetworkCard
+from viewshed.report import facts, page, table
+from viewshed.successor.contest import TOUCHING
+from viewshed.training.config import PAPER, read_config
+
+OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "model_card.md"
+_ABOUT = """\
+What the package ships, read from the files themselves. All were trained on simulated sweeps alone, so that their
+licence is that of viewshed. What they say is a probability that a target of the named kind, standing in a cell, would
+have given enough returns ([what visible means](../truth.md)).
+
+## Files"""
+_TRAINING = """\
+## Training
+
+*Shown*: frames that the training took, drawn from those of the data; *attacked*: share of them under an attack.
+Validation F1 is that of the best epoch, over frames attacked in the same share; no figure to compare estimators by."""
+_ATTACKS = """\
+Of the [attacks](../attacks.md) that touch returns (`paper` is `uniform` and `cluster` as published):"""
+_DATA = """\
+## Data
+
+Sweeps of the presets' `train` split; the others were never trained on. Weather and faults are drawn by weight,
+positions, motion and traffic by the seed ([simulator](../simulator.md))."""
+_WORTH = """\
+## What they are worth
+
+On scenes of other seeds, beside every classical estimator, for each attack, band of range and sensor: [the networks and
+their parts](successor.md), which the weights in bytes are reported in; the published shape on
+[roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors [cross-view
+truth](crossview.md); [speed](network_speed.md).
+
+## What they are not for
+
+- **Other grids and targets**: they are refused with one line.
+- **Sensors on their side or upside down**, and mounts higher or lower than those of the data.
+- **Proof.** A network tells what is likely in worlds like those that it was trained in. In the wedge of an attack that
+  opens a view one sweep does not tell a true far return from a false one; see the missed figures of the pages above.
+- **The air.** Truth is geometry: a target that stands in a visible cell in dense fog may still return nothing.
+- **A decision that nothing else checks.** The classical estimators and the [monitor](../monitor.md) are there to
+  disagree."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(prog="model_card.py", description=__doc__)
+    parser.add_argument("out", type=Path, nargs="?", default=OUT)
+    out = parser.parse_args(words).out
+    out.write_text(card_page(), encoding="utf-8")
+    print(f"written to {out}")
+
+
+def card_page() -> str:
+    """Return the page."""
+    cards = {name: load_runner(name, 1).card for name in manifest()}
+    own = {name: card for name, card in cards.items() if in_float32(name) == name}
+    presets = dict.fromkeys(name for card in own.values() for name in card.trained["data"].split(", "))
+    return page(
+        "Model card of the shipped weights", facts(), _ABOUT,
+        table(["name", "KB", "SHA-256", "grid", "target", "taken by", "channels", "parameters", "GFLOP", "numbers"],
+              _files(cards)),
+        _TRAINING,
+        table(["name", "data", "shown", "attacked", "seed", "best epoch", "validation F1", "trained with", "date"],
+              map(_training, own.values())),
+        _ATTACKS,
+        table(["name", "attacks in training", "never shown"], map(_attacks, own.values())),
+        _DATA,
+        table(["preset", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"],
+              (_data(preset_named(name)) for name in presets)),
+        _WORTH,
+    )  # fmt: skip
+
+
+def _files(cards: dict[str, NetworkCard]) -> Iterator[list[str]]:
+    for name, line in manifest().items():
+        card, size = cards[name], (WEIGHTS / line.file).stat().st_size
+        grid = f"{line.cells} × {line.cells}, ±{line.half_extent_m:g} m"
+        yield [
+            f"`{name}`", f"{size / 1000:.0f}", f"`{line.sha256[:12]}…`", grid, line.target,
+            ", ".join(f"`{each}`" for each in line.methods) or "name alone", str(card.shape.channels),
+            f"{card.shape.parameters:,}", f"{card.shape.flops(line.cells) / 1e9:.2f}", card.precision,
+        ]  # fmt: skip
+
+
+def _training(card: NetworkCard) -> list[str]:
+    facts_of, config = card.trained, read_config(card.name)
+    shown = int(facts_of["epochs"]) * config.frames_per_epoch
+    return [
+        f"`{card.name}`", facts_of["data"], f"{shown:,}" if config.frames_per_epoch else f"{facts_of['epochs']} epochs",
+        f"{float(facts_of['attack_share']):.0%}", facts_of["seed"], facts_of["best_epoch"],
+        facts_of["validation_f1"], facts_of["version"], facts_of["date"],
+    ]  # fmt: skip
+
+
+def _attacks(card: NetworkCard) -> list[str]:
+    shown = card.trained["attacks"].split(", ")
+    known = {*shown, *(("uniform", "cluster") if PAPER in shown else ())}
+    never = [name for name in TOUCHING if name not in known]
+    return [f"`{card.name}`", ", ".join(shown), ", ".join(never) or "–"]
+
+
+def _data(preset: Preset) -> list[str]:
+    weather = (f"{name} {weight:g}" for name, weight in zip(preset.conditions, preset.condition_weights, strict=True))
+    sensors = [*preset.sensors, *([f"{preset.roadside_sensor} (on masts)"] if preset.roadside else [])]
+    place = preset.splits.index("train")
+    return [
+        f"`{preset.name}`", f"{preset.frames[place]:,}", f"{preset.scenes[place]:,}", str(preset.seed),
+        ", ".join(preset.worlds), ", ".join(sensors), ", ".join(weather),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
