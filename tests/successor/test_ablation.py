@@ -12,6 +12,7 @@ from viewshed.bev import BevGrid
 from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.metrics import Scores
+from viewshed.networks.shipped import manifest
 from viewshed.reproduce.store import JobStore
 from viewshed.successor.contest import BARE, BENIGN, CASES, Enveloped, Said, score, shots_of
 from viewshed.successor.page import page_of
@@ -122,6 +123,17 @@ def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
     assert scores.precision(sure - 0.001) < 0.9
     scores.add(np.ones(10**5, np.float32), np.zeros(10**5, np.bool_))
     assert sure_from(scores, 0.9) == 1.0
+
+
+def test_networks_are_reported_for_every_grid_and_target_that_they_are_shipped_for() -> None:
+    plan = ablation_named("small")
+    reported = {plan.title_of(setting) for setting in plan.settings}
+    assert reported == {"roads, car", "rooms, pedestrian", "roads, pedestrian", "rooms, car"}
+    configs = [plan.config_in(setting) for setting in plan.settings]
+    ours = [line for line in manifest().values() if "viewnet" in line.methods]
+    assert {(each.cells, each.half_extent_m, each.target) for each in configs} == {
+        (line.cells, line.half_extent_m, line.target) for line in ours
+    }
 
 
 def test_variants_change_what_they_say_and_nothing_else() -> None:
