@@ -171,7 +171,8 @@ def test_where_no_method_is_asked_for_it_is_ours_if_shipped_for_grid_and_target(
         [
             ((), "viewnet"),
             (("--grid", "indoor", "--target", "pedestrian"), "viewnet"),
-            (("--grid", "indoor"), "shadow_map"),
+            (("--grid", "indoor"), "viewnet"),
+            (("--target", "pedestrian"), "viewnet"),
             (("--grid", "64x16"), "shadow_map"),
             (("--method", "shadow_map"), "shadow_map"),
             (("--profile", "paper"), "paper_label"),

@@ -65,15 +65,19 @@ def test_other_settings_have_targets_of_their_own() -> None:
     good = {case: _said(99, 1) for case in CASES}
     level = good | {BENIGN: _said(90, 10)}
     found = targets_elsewhere(Results(plan, "viewnet_indoor", {OURS: level, RIVAL: good}))
-    assert [(each.what, each.met) for each in found] == [
-        ("F1, benign", False),
-        ("the same, as aimed at for a pedestrian", True),
-        ("mean F1 over the attacks, jamming apart", True),
-        ("least lead over the vote, benign and under any attack", False),
+    assert [(each.what, each.wanted, each.met) for each in found] == [
+        ("F1, benign", "≥ 0.94", True),
+        ("mean F1 over the attacks, jamming apart", "≥ 0.93", True),
+        ("least lead over the vote, benign and under any attack", "≥ 0", False),
     ]
     assert found[-1].found.endswith("(benign)")
+    level[BENIGN].parts = {CLEAR: [1, 99, 0, 1, 0]}
     for_cars = targets_elsewhere(Results(plan, "viewnet_indoor_car", {OURS: level, RIVAL: good}))
-    assert [each.what for each in for_cars] == [each.what for each in found if "pedestrian" not in each.what]
+    assert [(each.what, each.wanted, each.met) for each in for_cars[:2]] == [
+        ("F1, benign", "≥ 0.96", False),
+        (f"F1, benign, cells {CLEAR}", "≥ 0.98", True),
+    ]
+    assert for_cars[2:] == found[1:]
     assert targets_elsewhere(Results(plan, "viewnet_indoor", {})) == []
     assert Results(plan, "viewnet_indoor", {}).attacks == read_config("viewnet_indoor").attacks
 

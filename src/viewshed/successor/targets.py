@@ -60,9 +60,10 @@ def targets_elsewhere(test: Results) -> list[Target]:
 def _elsewhere(test: Results) -> Iterator[Target]:
     families = [case for case in TOUCHING if case != JAMMING]
     benign, mean = test.f1(OURS, [BENIGN]), test.f1(OURS, families)
-    yield _at_least("F1, benign", benign, 0.96)
-    if test.plan.config_in(test.setting).target == PEDESTRIAN.name:
-        yield _at_least(f"the same, as aimed at for a {PEDESTRIAN.name}", benign, 0.94)
+    pedestrian = test.plan.config_in(test.setting).target == PEDESTRIAN.name
+    yield _at_least("F1, benign", benign, 0.94 if pedestrian else 0.96)
+    if not pedestrian:
+        yield from _clear(test)
     yield _at_least("mean F1 over the attacks, jamming apart", mean, 0.93)
     yield _lead(test, (BENIGN, *TOUCHING), "least lead over the vote, benign and under any attack")
 
@@ -95,12 +96,16 @@ def _lead(test: Results, cases: Iterable[str], what: str) -> Target:
 
 def _parts(test: Results) -> Iterator[Target]:
     sensors = {part: test.f1_of_part(OURS, part) for part in test.parts if part.startswith(SENSOR)}
-    if CLEAR in test.parts:
-        yield _at_least(f"F1, benign, cells {CLEAR}", test.f1_of_part(OURS, CLEAR), 0.98)
+    yield from _clear(test)
     if sensors:
         worst = min(sensors, key=lambda part: sensors[part])
         found = f"{sensors[worst]:.3f} ({worst.removeprefix(SENSOR)})"
         yield Target("least F1 of any sensor, benign", "≥ 0.93", found, sensors[worst] >= 0.93)
+
+
+def _clear(test: Results) -> Iterator[Target]:
+    if CLEAR in test.parts:
+        yield _at_least(f"F1, benign, cells {CLEAR}", test.f1_of_part(OURS, CLEAR), 0.98)
 
 
 def _wedges(validation: Results, test: Results) -> Iterator[Target]:
