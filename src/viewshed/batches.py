@@ -89,11 +89,12 @@ class _Stages:
 
 
 def _stages_of(estimator: FovEstimator) -> _Stages:
-    alone = estimator.side_by_side() if isinstance(estimator, UnetEstimator) else None
-    if isinstance(estimator, UnetEstimator) and alone is None:
-        network, grid = estimator, estimator.grid
-        return _Stages(lambda sweep: network.asked(level_sweep(sweep, grid)), network.told, network.answer)
-    return _Stages((alone or estimator).estimate, lambda found: found, lambda found, _: found)
+    if isinstance(estimator, UnetEstimator):
+        network, grid, alone = estimator, estimator.grid, estimator.side_by_side()
+        if alone is None:
+            return _Stages(lambda sweep: network.asked(level_sweep(sweep, grid)), network.told, network.answer)
+        estimator = alone
+    return _Stages(estimator.estimate, lambda found: found, lambda found, _: found)
 
 
 def _estimates(

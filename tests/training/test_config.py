@@ -62,7 +62,8 @@ def test_wrong_values_are_refused(config: TrainConfig, change: dict[str, Any], m
 def test_wrong_files_are_refused(config: TrainConfig, tmp_path: Path) -> None:
     with pytest.raises(
         ValueError,
-        match=r"config must be a TOML file or one of indoor, road, .*, viewnet_road_pedestrian, got .nowhere'",
+        match=r"config must be a TOML file or one of indoor, road, viewnet_indoor, viewnet_indoor_car, viewnet_road,"
+        r" viewnet_road_pedestrian, got .nowhere'",
     ):
         read_config("nowhere")
     text = toml_of(config)

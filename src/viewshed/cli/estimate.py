@@ -35,7 +35,7 @@ Threshold = Annotated[
 Batch = Annotated[
     int,
     typer.Option(
-        min=1, max=1024, help="Sweeps that a network is run for at once; above 1 for archives, and nothing is timed."
+        min=1, max=1024, help="Sweeps that are taken at once, one a core; above 1 for archives, and nothing is timed."
     ),
 ]
 Results = Annotated[str, typer.Option(help="What is written of each sweep: some of png,geojson,npz.")]
