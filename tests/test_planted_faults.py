@@ -1,16 +1,137 @@
-"""The faults that ``tools/planted_faults.py`` plants must still fit the code."""
+"""The faults that ``tools/planted_faults.py`` plants fit the code, wherever their symbols are."""
 
-import tomllib
+import ast
+import builtins
+import re
+import sys
+import textwrap
+from collections import Counter
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FAULTS = tomllib.loads((ROOT / "tools" / "planted_faults.toml").read_text(encoding="utf-8"))["fault"]
+PACKAGE = ROOT / "src" / "viewshed"
+sys.path.insert(0, str(ROOT / "tools"))
+tool: Any = import_module("planted_faults")
+FAULTS = tool.read_faults(ROOT / "tools" / "planted_faults.toml")
+SYMBOLS = tool.read_symbols(PACKAGE)
+WORDS = frozenset(re.findall(r"\w+", "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))))
+
+every_fault = pytest.mark.parametrize("fault", FAULTS, ids=[fault.what for fault in FAULTS])
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=[fault["what"] for fault in FAULTS])
-def test_a_fault_fits_in_one_place(fault: dict[str, object]) -> None:
-    source = (ROOT / "src" / "viewshed" / str(fault["file"])).read_text(encoding="utf-8")
-    assert source.count(str(fault["find"])) == 1
-    assert fault["find"] != fault["replace"]
+def names(tree: ast.AST) -> set[str]:
+    """Return the names that code reads and does not define itself."""
+    read = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
+    made = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return read - made - {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+
+
+def attributes(tree: ast.AST) -> set[str]:
+    return {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+
+
+@every_fault
+def test_a_fault_fits_in_one_place_and_its_code_could_run(fault: Any, tmp_path: Path) -> None:
+    planted = tool.plant(fault, SYMBOLS, PACKAGE)
+    copy = tmp_path / planted.symbol.file
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    sound = (PACKAGE / planted.symbol.file).read_text(encoding="utf-8")
+    copy.write_text(sound, encoding="utf-8")
+    planted.write(tmp_path)
+    faulty = copy.read_text(encoding="utf-8")
+    compile(faulty, str(copy), "exec")
+    assert ast.dump(ast.parse(faulty)) != ast.dump(ast.parse(sound))
+    # A fault that uses a name which is not there would be caught by any test at all, and so say nothing.
+    before, after = (ast.parse(textwrap.dedent(source)) for source in (planted.before, planted.after))
+    in_reach = {symbol.name for symbol in SYMBOLS if symbol.file == planted.symbol.file} | set(dir(builtins))
+    assert names(after) <= names(before) | in_reach
+    assert attributes(after) <= attributes(before) | WORDS
+
+
+def test_every_fault_is_described_in_its_own_words() -> None:
+    assert [what for what, times in Counter(fault.what for fault in FAULTS).items() if times > 1] == []
+
+
+def test_every_test_beside_a_fault_exists() -> None:
+    missing = [test for fault in FAULTS for test in fault.tests if not (ROOT / test.partition("::")[0]).exists()]
+    assert missing == []
+    assert [fault.what for fault in FAULTS if not fault.tests] == []
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package with two modules: both have ``same``, only one has ``Grid.index``."""
+    folder = tmp_path / "house"
+    (folder / "room").mkdir(parents=True)
+    (folder / "__init__.py").write_text("from .room import grid\n")
+    (folder / "room" / "__init__.py").write_text("")
+    (folder / "room" / "grid.py").write_text(
+        "LIMIT = 3\n\n\n@njit\ndef same(i, j):\n    return i * LIMIT + j\n\n\n"
+        "class Grid:\n    cells: int = 4\n\n    def index(self, i, j):\n"
+        "        return place(\n            i,\n            j,  \n        ) + i_j\n\n"
+        "    def other(self, i, j):\n        return i\n"
+    )
+    (folder / "walls.py").write_text("from house.room.grid import LIMIT\n\n\ndef same(i):\n    return i\n")
+    return folder
+
+
+def planted(package: Path, symbol: str, find: str, replace: str) -> Any:
+    return tool.plant(tool.Fault("x", symbol, find, replace, ()), tool.read_symbols(package), package)
+
+
+def test_a_fault_is_planted_in_its_symbol_alone(package: Path) -> None:
+    fault = planted(package, "Grid.index", "place(i, j)", "place(j, i)")
+    fault.write(package)
+    source = (package / "room" / "grid.py").read_text()
+    assert "        return place(j, i) + i_j\n\n    def other(self, i, j):\n        return i\n" in source
+    assert source.startswith("LIMIT = 3\n\n\n@njit\ndef same(i, j):\n    return i * LIMIT + j\n")
+
+
+@pytest.mark.parametrize(
+    ("symbol", "find", "file"),
+    [
+        ("LIMIT", "3", "room/grid.py"),
+        ("Grid.cells", "4", "room/grid.py"),
+        ("house.room.grid:same", "LIMIT", "room/grid.py"),
+        ("house.walls:same", "return i", "walls.py"),
+    ],
+)
+def test_a_symbol_is_found_in_whatever_file_it_is(package: Path, symbol: str, find: str, file: str) -> None:
+    assert planted(package, symbol, find, "5").symbol.file == Path(file)
+    (package / file).rename(package / "moved.py")
+    moved = f"house.moved:{symbol.partition(':')[2]}" if ":" in symbol else symbol
+    assert planted(package, moved, find, "5").symbol.file == Path("moved.py")
+
+
+@pytest.mark.parametrize(
+    ("symbol", "find", "message"),
+    [
+        ("same", "i", r"is 2: house.room.grid:same, house.walls:same; write one of them"),
+        ("Grid.inde", "i", r"must be in the package, got 'Grid.inde'; did you mean house.room.grid:Grid.index\b"),
+        ("house.bath:same", "i", r"did you mean house.room.grid:same, house.walls:same"),
+        ("Grid.other", "place", r"must occur once in Grid.other, found 0 times"),
+        ("Grid.other", "i", r"must occur once in Grid.other, found 2 times"),
+        ("Grid.other", "retur", r"found 0 times"),
+    ],
+)
+def test_a_fault_that_does_not_fit_is_refused(package: Path, symbol: str, find: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        planted(package, symbol, find, "k")
+
+
+def test_compiled_code_goes_where_the_fault_may_be_in_it(package: Path) -> None:
+    (package / "apart.py").write_text("def alone():\n    return 1\n")
+    kept, stale = package / "__pycache__" / "apart.alone-1.py311.nbi", []
+    for cache, name in ((package / "__pycache__", "walls.same-4"), (package / "room" / "__pycache__", "grid.same-5")):
+        cache.mkdir()
+        stale += [cache / f"{name}.py311.nbi", cache / f"{name}.py311.1.nbc"]
+    for path in (kept, *stale):
+        path.touch()
+    fault = planted(package, "LIMIT", "3", "2")
+    tool.drop_compiled(fault, package, tool.importers(package))
+    assert kept.exists()
+    assert [path for path in stale if path.exists()] == []

@@ -1,44 +1,249 @@
 """Plant each fault of ``planted_faults.toml`` in a copy of the package and report which test catches it.
 
-    python tools/planted_faults.py [--only WORD] [--out docs/results/planted_faults.md]
+    python tools/planted_faults.py [--only WORD] [--jobs N] [--out docs/results/planted_faults.md]
 
-A fault is one replaced text. The tests named beside it run against the copy until the first one fails; if none does,
-the fault is not caught and the exit code is 1. The copy without a fault must pass all of those tests first.
+A fault names a symbol of the package and one replaced text in it, so it follows the symbol from file to file. The tests
+named beside it run against the copy until the first one fails. The exit code is 1 if a fault is not caught, or could
+not be judged: its tests fail without it, or they fail because its code cannot run at all.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import difflib
 import os
+import queue
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("src") / "viewshed"
 LIMIT_S = 600
+# A fault changes what code answers. Code that stops with one of these was not mended after something was renamed.
+_BROKEN = re.compile(r"\b(?:NameError|UnboundLocalError|AttributeError|ImportError|SyntaxError|\w*TypingError)\b")
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: in ``file`` of the package, ``find`` (which must occur once) becomes ``replace``."""
+    """One fault: in the source of ``symbol``, ``find`` (which must occur once) becomes ``replace``.
+
+    ``symbol`` is a qualified name ("BevGrid.index", "count_points", "MAJORITY"), after "package.module:" where several
+    modules have it. ``find`` is compared without regard to white space and to a comma before a closing bracket.
+    """
 
     what: str
-    file: str
+    symbol: str
     find: str
     replace: str
     tests: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Symbol:
+    """A function, class, constant or field, and where its source is: lines ``first`` to ``last``, from 1."""
+
+    module: str
+    name: str
+    file: Path
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class Planted:
+    """A fault in its place: the file, relative to the package, and the source of the symbol before and after."""
+
+    fault: Fault
+    symbol: Symbol
+    before: str
+    after: str
+
+    def write(self, package: Path) -> None:
+        """Put the fault into a copy of the package."""
+        path = package / self.symbol.file
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        lines[self.symbol.first - 1 : self.symbol.last] = [self.after]
+        path.write_text("".join(lines), encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What came of a fault: the first test that failed, or why that cannot be said; neither if it was not caught."""
+
+    planted: Planted
+    caught_by: str | None = None
+    trouble: str | None = None
+
+    def __str__(self) -> str:
+        if self.trouble is not None:
+            return f"**not judged**: {self.trouble}"
+        return "**not caught**" if self.caught_by is None else f"`{self.caught_by}`"
 
 
 def read_faults(path: Path) -> list[Fault]:
     """Return the faults of a TOML file."""
     tables = tomllib.loads(path.read_text(encoding="utf-8"))["fault"]
     return [Fault(**(table | {"tests": tuple(table["tests"])})) for table in tables]
+
+
+def module_name(package: Path, file: Path) -> str:
+    """Return the name under which a file of the package is imported."""
+    parts = [package.name, *file.with_suffix("").parts]
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def read_symbols(package: Path) -> list[Symbol]:
+    """Return every function, class, method, constant and field of the package, those inside functions left out."""
+    symbols = []
+    for path in sorted(package.rglob("*.py")):
+        file = path.relative_to(package)
+        for name, first, last in _definitions(ast.parse(path.read_text(encoding="utf-8")), ""):
+            symbols.append(Symbol(module_name(package, file), name, file, first, last))
+    return symbols
+
+
+def _definitions(parent: ast.AST, prefix: str) -> Iterator[tuple[str, int, int]]:
+    """Yield qualified name, first and last line of what is defined in a module or class."""
+    for node in ast.iter_child_nodes(parent):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                first = min(each.lineno for each in (node, *node.decorator_list))
+                yield prefix + node.name, first, node.end_lineno or first
+                if isinstance(node, ast.ClassDef):
+                    yield from _definitions(node, f"{prefix}{node.name}.")
+            case ast.Assign() | ast.AnnAssign():
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                names = {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+                yield from ((prefix + name, node.lineno, node.end_lineno or node.lineno) for name in sorted(names))
+            case ast.If() | ast.Try() | ast.ExceptHandler():
+                yield from _definitions(node, prefix)
+
+
+def find_symbol(asked: str, symbols: list[Symbol]) -> Symbol:
+    """Return the only symbol of that name.
+
+    Raises:
+        ValueError: there is none, or there are several.
+    """
+    module, _, name = asked.rpartition(":")
+    found = [symbol for symbol in symbols if symbol.name == name and module in ("", symbol.module)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        places = ", ".join(f"{symbol.module}:{symbol.name}" for symbol in found)
+        raise ValueError(f"`symbol` must be one place, {asked!r} is {len(found)}: {places}; write one of them")
+    alike = difflib.get_close_matches(name, sorted({symbol.name for symbol in symbols}), n=3)
+    alike = [name] if name in alike else alike  # the name is there, in another module
+    near = [f"{symbol.module}:{symbol.name}" for symbol in symbols if symbol.name in alike]
+    raise ValueError(f"`symbol` must be in the package, got {asked!r}; did you mean {', '.join(near) or 'another'}?")
+
+
+def plant(fault: Fault, symbols: list[Symbol], package: Path) -> Planted:
+    """Find the place of a fault and make the faulty source.
+
+    Raises:
+        ValueError: the symbol is not there or not the only one, or it does not hold the text exactly once.
+    """
+    symbol = find_symbol(fault.symbol, symbols)
+    lines = (package / symbol.file).read_text(encoding="utf-8").splitlines(keepends=True)
+    before = "".join(lines[symbol.first - 1 : symbol.last])
+    places = list(_pattern(fault.find).finditer(before))
+    if len(places) != 1:
+        raise ValueError(
+            f"`find` must occur once in {fault.symbol}, found {len(places)} times: {fault.find!r}; mend it"
+        )
+    start, end = places[0].span()
+    return Planted(fault, symbol, before, before[:start] + fault.replace + before[end:])
+
+
+def _pattern(text: str) -> re.Pattern[str]:
+    """Return what finds a piece of code however it is broken into lines, and never part of a name."""
+    pieces = []
+    for token in re.findall(r"\w+|[^\w\s]", text):
+        if re.match(r"\w", token):
+            pieces.append(rf"\b{token}\b")
+        else:
+            pieces.append((r",?\s*" if token in ")]}" else "") + re.escape(token))
+    return re.compile(r"\s*".join(pieces))
+
+
+def plant_all(faults: list[Fault], package: Path) -> list[Planted]:
+    """Find the places of all faults before any test runs.
+
+    Raises:
+        ValueError: some faults do not fit; the message names all of them.
+    """
+    symbols = read_symbols(package)
+    planted, misfits = [], []
+    for fault in faults:
+        try:
+            planted.append(plant(fault, symbols, package))
+        except ValueError as error:
+            misfits.append(f"{fault.what}: {error}")
+    if misfits:
+        raise ValueError("\n".join(misfits))
+    return planted
+
+
+def importers(package: Path) -> dict[str, set[str]]:
+    """Return for each module those that import it, directly or through others."""
+    trees = {
+        module_name(package, path.relative_to(package)): (path, ast.parse(path.read_text(encoding="utf-8")))
+        for path in package.rglob("*.py")
+    }
+    direct: dict[str, set[str]] = {module: set() for module in trees}
+    for module, (path, tree) in trees.items():
+        for imported in _imports(tree, module if path.stem == "__init__" else module.rpartition(".")[0]):
+            if imported in direct:
+                direct[imported].add(module)
+    reached: dict[str, set[str]] = {}
+    for module in direct:
+        seen, ahead = set[str](), [module]
+        while ahead:
+            fresh = direct[ahead.pop()] - seen
+            seen |= fresh
+            ahead.extend(fresh)
+        reached[module] = seen
+    return reached
+
+
+def _imports(tree: ast.Module, parent: str) -> Iterator[str]:
+    """Yield the modules that a module of the package ``parent`` imports (and names that may be modules)."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import():
+                yield from (alias.name for alias in node.names)
+            case ast.ImportFrom():
+                base = parent.rsplit(".", node.level - 1)[0] if node.level else ""
+                base = ".".join(part for part in (base, node.module) if part)
+                yield base
+                yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def drop_compiled(planted: Planted, package: Path, above: dict[str, set[str]]) -> None:
+    """Delete the compiled code that may hold the sound version of what is planted.
+
+    Numba looks at the times of a function's own file only, but compiles into it the functions and constants that it
+    takes from other files.
+    """
+    symbol = planted.symbol
+    source = (package / symbol.file).read_text(encoding="utf-8")
+    is_constant = not planted.before.lstrip().startswith(("def", "class", "@", "async"))
+    if "njit" in source or is_constant:
+        for module in {symbol.module} | above[symbol.module]:
+            folder = package.joinpath(*module.split(".")[1:])
+            cache = (folder if folder.is_dir() else folder.parent) / "__pycache__"
+            for compiled in cache.glob(f"{module.rpartition('.')[2]}.*.nb[ic]"):
+                compiled.unlink()
 
 
 def copy_project(to: Path) -> None:
@@ -48,41 +253,31 @@ def copy_project(to: Path) -> None:
     shutil.copy2(ROOT / "pyproject.toml", to / "pyproject.toml")
 
 
-def plant(fault: Fault, project: Path) -> None:
-    """Put the fault in; compiled code goes where the fault may be compiled into it.
+def first_failure(project: Path, tests: tuple[str, ...]) -> tuple[str, str] | None:
+    """Return the first test that fails and the error it fails with, or None where all pass.
 
     Raises:
-        ValueError: the text to replace does not occur exactly once.
-    """
-    path = project / PACKAGE / fault.file
-    text = path.read_text(encoding="utf-8")
-    if text.count(fault.find) != 1:
-        raise ValueError(
-            f"{fault.file}: {fault.find!r} must occur once, found {text.count(fault.find)}; mend the fault"
-        )
-    path.write_text(text.replace(fault.find, fault.replace), encoding="utf-8")
-    if "njit" in text:
-        for cache in (project / PACKAGE).rglob("__pycache__"):
-            shutil.rmtree(cache)
-
-
-def first_failure(project: Path, tests: tuple[str, ...]) -> str | None:
-    """Return the first test that fails, or None where all pass.
-
-    Raises:
-        RuntimeError: pytest could not run the tests.
+        RuntimeError: pytest could not run the tests, or not in time.
     """
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", *tests]
-    environment = os.environ | {"PYTHONPATH": str(project / "src"), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    run = subprocess.run(
-        command, cwd=project, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
-    )
+    # COLUMNS: so that the summary's lines are not cut off before the error.
+    environment = os.environ | {
+        "PYTHONPATH": str(project / "src"),
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        "COLUMNS": "1000",
+    }
+    try:
+        run = subprocess.run(
+            command, cwd=project, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise RuntimeError(f"not done after {LIMIT_S} s") from error
     if run.returncode == 0:
         return None
-    caught = re.search(r"^(?:FAILED|ERROR) (\S+)", run.stdout, re.MULTILINE)
-    if run.returncode not in (1, 2) or caught is None:
-        raise RuntimeError(f"pytest failed with code {run.returncode}:\n{run.stdout[-2000:]}{run.stderr[-2000:]}")
-    return caught[1]
+    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - (.*))?$", run.stdout, re.MULTILINE)
+    if run.returncode not in (1, 2) or failed is None:
+        raise RuntimeError(f"pytest failed with code {run.returncode}: {(run.stderr or run.stdout)[-300:].strip()}")
+    return failed[1], failed[2] or ""
 
 
 def check_copy(project: Path) -> None:
@@ -98,62 +293,111 @@ def check_copy(project: Path) -> None:
         raise RuntimeError(f"the tests would import {run.stdout.strip()} instead of the copy in {project}")
 
 
-def run_all(faults: list[Fault]) -> list[tuple[Fault, str | None]]:
-    """Return each fault and the test that caught it.
+def judge(planted: Planted, project: Path, above: dict[str, set[str]]) -> Verdict:
+    """Put a fault into a project that has none and run its tests."""
+    planted.write(project / PACKAGE)
+    drop_compiled(planted, project / PACKAGE, above)
+    try:
+        failure = first_failure(project, planted.fault.tests)
+    except RuntimeError as error:
+        return Verdict(planted, trouble=str(error))
+    if failure is None:
+        return Verdict(planted)
+    test, error = failure
+    if _BROKEN.search(error):
+        return Verdict(planted, trouble=f"{test} cannot run it: {error}")
+    return Verdict(planted, caught_by=test)
 
-    Raises:
-        RuntimeError: a test fails without any fault.
-    """
-    results = []
-    with tempfile.TemporaryDirectory() as folder:
+
+def run_all(faults: list[Planted], jobs: int) -> list[Verdict]:
+    """Return what came of each fault; each job has one copy of the project, mended after each fault."""
+    above = importers(ROOT / PACKAGE)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
         clean = Path(folder) / "clean"
         clean.mkdir()
         copy_project(clean)
         check_copy(clean)
-        broken = first_failure(clean, tuple(dict.fromkeys(test for fault in faults for test in fault.tests)))
-        if broken is not None:
-            raise RuntimeError(f"{broken} fails without a fault")
-        for number, fault in enumerate(faults, 1):
-            project = Path(folder) / "planted"
-            shutil.copytree(clean, project)
-            plant(fault, project)
-            results.append((fault, first_failure(project, fault.tests)))
-            print(f"{number}/{len(faults)} {fault.what}: {results[-1][1] or 'NOT CAUGHT'}", flush=True)
-            shutil.rmtree(project)
-    return results
+
+        # Without a fault all tests must pass; that also compiles what is compiled, once for all copies.
+        def unfit(test: str) -> str | None:
+            try:
+                failure = first_failure(clean, (test,))
+            except RuntimeError as error:
+                return f"{test} without the fault: {error}"
+            return None if failure is None else f"{failure[0]} fails without the fault"
+
+        tests = list(dict.fromkeys(test for planted in faults for test in planted.fault.tests))
+        unfits = dict(zip(tests, pool.map(unfit, tests), strict=True))
+
+        projects: queue.SimpleQueue[Path] = queue.SimpleQueue()
+        for number in range(jobs):
+            shutil.copytree(clean, Path(folder) / str(number))
+            projects.put(Path(folder) / str(number))
+
+        def run(planted: Planted) -> Verdict:
+            for test in planted.fault.tests:
+                if unfits[test] is not None:
+                    return Verdict(planted, trouble=unfits[test])
+            project = projects.get()
+            verdict = judge(planted, project, above)
+            shutil.rmtree(project / PACKAGE)
+            shutil.copytree(clean / PACKAGE, project / PACKAGE)
+            projects.put(project)
+            return verdict
+
+        verdicts = []
+        for number, verdict in enumerate(pool.map(run, faults), 1):
+            verdicts.append(verdict)
+            print(f"{number}/{len(faults)} {verdict.planted.fault.what}: {verdict}", flush=True)
+    return verdicts
 
 
-def report(results: list[tuple[Fault, str | None]]) -> str:
+def report(verdicts: list[Verdict]) -> str:
     """Return the results as a Markdown page."""
-    caught = sum(test is not None for _, test in results)
+    caught = sum(verdict.caught_by is not None for verdict in verdicts)
     lines = [
         "# Planted faults",
         "",
         "Each fault is put into a copy of the package by hand, and the tests of its part run until one fails:",
         "`python tools/planted_faults.py` (the faults are in `tools/planted_faults.toml`).",
         "",
-        f"**{caught} of {len(results)} caught.**",
+        f"**{caught} of {len(verdicts)} caught.**",
         "",
         "| fault | file | first test that fails |",
         "|---|---|---|",
     ]
-    for fault, test in results:
-        name = "**not caught**" if test is None else f"`{test.replace('|', '/')}`"
-        lines.append(f"| {fault.what} | `{fault.file}` | {name} |")
+    for verdict in verdicts:
+        planted = verdict.planted
+        lines.append(
+            f"| {planted.fault.what} | `{planted.symbol.file.as_posix()}` | {str(verdict).replace('|', '/')} |"
+        )
     return "\n".join(lines) + "\n"
 
 
 def main() -> int:
     """Run the faults, write the page, return 1 if one was not caught."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="run only the faults whose description or file holds this text")
+    parser.add_argument(
+        "--only", default="", help="run only the faults whose description, symbol or file holds this text"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="run this many at once")
     parser.add_argument("--out", type=Path, help="write the page to this file")
     given = parser.parse_args()
-    faults = read_faults(Path(__file__).with_suffix(".toml"))
-    results = run_all([fault for fault in faults if given.only in fault.what or given.only in fault.file])
+    try:
+        planted = plant_all(read_faults(Path(__file__).with_suffix(".toml")), ROOT / PACKAGE)
+    except ValueError as error:
+        parser.error(f"some faults do not fit the code:\n{error}")
+    chosen = [
+        each
+        for each in planted
+        if any(given.only in text for text in (each.fault.what, each.fault.symbol, each.symbol.file.as_posix()))
+    ]
+    if not chosen:
+        parser.error(f"--only must be in a description, symbol or file of a fault, got {given.only!r}")
+    verdicts = run_all(chosen, given.jobs)
     if given.out is not None:
-        given.out.write_text(report(results), encoding="utf-8")
-    return int(any(test is None for _, test in results))
+        given.out.write_text(report(verdicts), encoding="utf-8")
+    return int(any(verdict.caught_by is None for verdict in verdicts))
 
 
 if __name__ == "__main__":
