@@ -303,9 +303,9 @@ def judge(planted: Planted, project: Path, above: dict[str, set[str]]) -> Verdic
         return Verdict(planted, trouble=str(error))
     if failure is None:
         return Verdict(planted)
-    test, error = failure
-    if _BROKEN.search(error):
-        return Verdict(planted, trouble=f"{test} cannot run it: {error}")
+    test, reason = failure
+    if _BROKEN.search(reason):
+        return Verdict(planted, trouble=f"{test} cannot run it: {reason}")
     return Verdict(planted, caught_by=test)
 
 
