@@ -123,15 +123,25 @@ def test_a_fault_that_does_not_fit_is_refused(package: Path, symbol: str, find: 
         planted(package, symbol, find, "k")
 
 
-def test_compiled_code_goes_where_the_fault_may_be_in_it(package: Path) -> None:
+@pytest.mark.parametrize(
+    ("symbol", "find", "stale"),
+    [
+        ("LIMIT", "3", {"grid.same-5", "walls.same-4"}),
+        ("house.room.grid:same", "LIMIT", {"grid.same-5", "walls.same-4"}),
+        ("Grid.other", "return i", set()),
+        ("house.walls:same", "return i", set()),
+    ],
+)
+def test_compiled_code_that_may_hold_the_sound_version_goes(
+    package: Path, symbol: str, find: str, stale: set[str]
+) -> None:
     (package / "apart.py").write_text("def alone():\n    return 1\n")
-    kept, stale = package / "__pycache__" / "apart.alone-1.py311.nbi", []
-    for cache, name in ((package / "__pycache__", "walls.same-4"), (package / "room" / "__pycache__", "grid.same-5")):
-        cache.mkdir()
-        stale += [cache / f"{name}.py311.nbi", cache / f"{name}.py311.1.nbc"]
-    for path in (kept, *stale):
+    caches = {"apart.alone-1": package, "walls.same-4": package, "grid.same-5": package / "room"}
+    ends = ("py311.nbi", "py311.1.nbc")
+    files = {name: [folder / "__pycache__" / f"{name}.{end}" for end in ends] for name, folder in caches.items()}
+    for path in (path for paths in files.values() for path in paths):
+        path.parent.mkdir(exist_ok=True)
         path.touch()
-    fault = planted(package, "LIMIT", "3", "2")
-    tool.drop_compiled(fault, package, tool.importers(package))
-    assert kept.exists()
-    assert [path for path in stale if path.exists()] == []
+    tool.drop_compiled(planted(package, symbol, find, "2"), package, tool.importers(package))
+    assert {name for name, paths in files.items() if not any(path.exists() for path in paths)} == stale
+    assert {name for name, paths in files.items() if all(path.exists() for path in paths)} == set(caches) - stale

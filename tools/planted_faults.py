@@ -203,8 +203,10 @@ def importers(package: Path) -> dict[str, set[str]]:
     direct: dict[str, set[str]] = {module: set() for module in trees}
     for module, (path, tree) in trees.items():
         for imported in _imports(tree, module if path.stem == "__init__" else module.rpartition(".")[0]):
-            if imported in direct:
-                direct[imported].add(module)
+            # "package.name" is a module, or else a name of the module "package".
+            source = imported if imported in direct else imported.rpartition(".")[0]
+            if source in direct:
+                direct[source].add(module)
     reached: dict[str, set[str]] = {}
     for module in direct:
         seen, ahead = set[str](), [module]
@@ -217,7 +219,7 @@ def importers(package: Path) -> dict[str, set[str]]:
 
 
 def _imports(tree: ast.Module, parent: str) -> Iterator[str]:
-    """Yield the modules that a module of the package ``parent`` imports (and names that may be modules)."""
+    """Yield what a module of the package ``parent`` imports: modules, and names after their module."""
     for node in ast.walk(tree):
         match node:
             case ast.Import():
@@ -225,7 +227,6 @@ def _imports(tree: ast.Module, parent: str) -> Iterator[str]:
             case ast.ImportFrom():
                 base = parent.rsplit(".", node.level - 1)[0] if node.level else ""
                 base = ".".join(part for part in (base, node.module) if part)
-                yield base
                 yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
@@ -233,16 +234,15 @@ def drop_compiled(planted: Planted, package: Path, above: dict[str, set[str]]) -
     """Delete the compiled code that may hold the sound version of what is planted.
 
     Numba looks at the times of a function's own file only, but compiles into it the functions and constants that it
-    takes from other files.
+    takes from other files. Plain functions and classes cannot be in there.
     """
-    symbol = planted.symbol
-    source = (package / symbol.file).read_text(encoding="utf-8")
-    is_constant = not planted.before.lstrip().startswith(("def", "class", "@", "async"))
-    if "njit" in source or is_constant:
-        for module in {symbol.module} | above[symbol.module]:
-            folder = package.joinpath(*module.split(".")[1:])
+    is_constant = not re.match(r"\s*(?:@|(?:async\s+)?def\b|class\b)", planted.before)
+    if is_constant or "njit" in planted.before:
+        module = planted.symbol.module
+        for stale in {module} | above[module]:
+            folder = package.joinpath(*stale.split(".")[1:])
             cache = (folder if folder.is_dir() else folder.parent) / "__pycache__"
-            for compiled in cache.glob(f"{module.rpartition('.')[2]}.*.nb[ic]"):
+            for compiled in cache.glob(f"{stale.rpartition('.')[2]}.*.nb[ic]"):
                 compiled.unlink()
 
 
@@ -339,16 +339,20 @@ def run_all(faults: list[Planted], jobs: int) -> list[Verdict]:
                 if unfits[test] is not None:
                     return Verdict(planted, trouble=unfits[test])
             project = projects.get()
-            verdict = judge(planted, project, above)
-            shutil.rmtree(project / PACKAGE)
-            shutil.copytree(clean / PACKAGE, project / PACKAGE)
-            projects.put(project)
-            return verdict
+            try:
+                return judge(planted, project, above)
+            finally:
+                shutil.rmtree(project / PACKAGE)
+                shutil.copytree(clean / PACKAGE, project / PACKAGE)
+                projects.put(project)
 
         verdicts = []
-        for number, verdict in enumerate(pool.map(run, faults), 1):
-            verdicts.append(verdict)
-            print(f"{number}/{len(faults)} {verdict.planted.fault.what}: {verdict}", flush=True)
+        try:
+            for number, verdict in enumerate(pool.map(run, faults), 1):
+                verdicts.append(verdict)
+                print(f"{number}/{len(faults)} {verdict.planted.fault.what}: {verdict}", flush=True)
+        finally:
+            pool.shutdown(cancel_futures=True)  # whoever stops the run does not wait for the faults that are left
     return verdicts
 
 
