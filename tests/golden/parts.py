@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.golden import recorder, stored
+from tests.golden import recorder, stored, tables
 
 FOLDER = Path(__file__).parent
 SHARDS = FOLDER / "shards.json"
+TABLES = FOLDER / "tables"
+RESULTS = FOLDER.parents[1] / "docs" / "results"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,37 @@ def _check_arrays(real_data: Path | None) -> list[str]:
     return stored.differences(recorder.SWEEPS, real_data)
 
 
+def published() -> dict[str, tables.Page]:
+    """Return the tables of the published pages by page."""
+    pages = {path.stem: tables.parse(path.read_text(encoding="utf-8")) for path in sorted(RESULTS.glob("*.md"))}
+    return {name: page for name, page in pages.items() if page}
+
+
+def _tiny() -> dict[str, tables.Page]:
+    with tempfile.TemporaryDirectory() as folder:
+        pages = recorder.tiny_pages(Path(folder))
+    return {name: tables.without_timings(tables.parse(text)) for name, text in pages.items()}
+
+
+def _record_tables(kind: str, pages: dict[str, tables.Page]) -> None:
+    for old in (TABLES / kind).glob("*.json"):
+        old.unlink()
+    for name, page in pages.items():
+        write_json(TABLES / kind / f"{name}.json", page)
+
+
+def table_differences(kind: str, pages: dict[str, tables.Page]) -> list[str]:
+    """Return one line for each table, header or row that is not as recorded."""
+    recorded = {path.stem: read_json(path) for path in sorted((TABLES / kind).glob("*.json"))}
+    names = [*recorded, *(name for name in pages if name not in recorded)]
+    return [line for name in names for line in tables.differences(name, recorded.get(name, {}), pages.get(name, {}))]
+
+
 PARTS = {
     "arrays": Part(_record_arrays, _check_arrays),
     "shards": Part(_record_shards, _check_shards),
+    "published": Part(
+        lambda _: _record_tables("published", published()), lambda _: table_differences("published", published())
+    ),
+    "tiny": Part(lambda _: _record_tables("tiny", _tiny()), lambda _: table_differences("tiny", _tiny())),
 }

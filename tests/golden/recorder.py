@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
@@ -21,7 +25,7 @@ from viewshed.datasets.simulate import ScenePlan, simulate_frame
 from viewshed.datasets.store import Store
 from viewshed.estimators import paper_estimators
 from viewshed.estimators.learned import learned
-from viewshed.io import read_index, read_indexed
+from viewshed.io import read_index, read_indexed, write_sweep
 
 ATTACK_SEED = 20260
 PASSES = 3
@@ -164,12 +168,13 @@ def _estimator(method: str, grid_name: str) -> FovEstimator:
 def estimate(method: str, name: SweepName, sweep: Sweep) -> Arrays:
     """Return what a method estimates of a sweep; networks run with shipped weights and a fixed seed."""
     found: FovEstimate = _estimator(method, name.grid).estimate(sweep)
-    std = np.where(np.isnan(found.std), np.float32(1.0), found.std)
-    return Arrays(found.state, _bytes(found.visible_prob), _bytes(std))
+    std = np.full(found.state.shape, np.nan, np.float32) if found.std is None else found.std
+    return Arrays(found.state, _bytes(found.visible_prob), _bytes(np.where(np.isnan(std), np.float32(1.0), std)))
 
 
 def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return np.rint(values * np.float32(255)).astype(np.uint8)
+    rounded: NDArray[np.uint8] = np.rint(values * np.float32(255)).astype(np.uint8)
+    return rounded
 
 
 PRESETS = preset_names()
@@ -235,3 +240,62 @@ def config() -> dict[str, Any]:
             for grid in _TARGETS
         },
     }
+
+
+TINY_PAGES = {
+    "robustness": "robustness/vulnerability.md",
+    "robustness_tables": "robustness/vulnerability_tables.md",
+    "paper": "paper/reproduce_paper.md",
+    "paper_strict": "paper/reproduce_strict.md",
+    "ablation": "ablation/successor.md",
+    "truth": "truth.md",
+    "crossview": "crossview.md",
+}
+"""Where the studies write their pages in :func:`tiny_pages`, by name."""
+_CLI = "from viewshed.cli import main; main()"
+
+
+def tiny_pages(folder: Path) -> dict[str, str]:
+    """Run every study on its tiny plan in an empty ``folder``; return the Markdown of its pages by name."""
+    run = partial(_run, folder)
+    run("report", "vulnerability", "--preset", "tiny", "--out", "robustness")
+    run("reproduce", "--preset", "tiny", "--out", "paper")
+    run("reproduce", "successor", "--preset", "tiny", "--out", "ablation")
+    run("simulate", "nuscenes-small", "--sweeps", "24", "--out", "sweeps")
+    run("evaluate", "truth", "sweeps", "--limit", "6", "--out", "truth.md")
+    _write_index(folder / "posed")
+    run("evaluate", "crossview", "posed/index.json", "--attacks", "cluster_on_beams", "--out", "crossview.md")
+    run("attack", "sweeps", "--attack", "ghost_wall", "--out", "attacked")
+    run("monitor", "fit", "sweeps", "--passes", "3", "--false-alarm-rate", "0.1", "--out", "monitor.npz")
+    told = run("monitor", "check", "sweeps", "attacked", "--monitor", "monitor.npz")
+    pages = {name: (folder / path).read_text(encoding="utf-8") for name, path in TINY_PAGES.items()}
+    lines = "".join(f"| {line} |\n" for line in told.splitlines())
+    return pages | {"monitor": f"# Monitor\n\n| what the monitor said |\n|---|\n{lines}"}
+
+
+def _run(folder: Path, *words: str) -> str:
+    """Return what a command of viewshed wrote on standard output."""
+    done = subprocess.run(
+        [sys.executable, "-c", _CLI, *words], cwd=folder, check=False, capture_output=True, text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"},
+    )  # fmt: skip
+    if done.returncode:
+        raise RuntimeError(f"viewshed {' '.join(words)} failed: {done.stderr.strip()[-500:]}")
+    return done.stdout
+
+
+def _write_index(folder: Path) -> None:
+    """Write an index of five posed sweeps of one simulated scene, half a second apart."""
+    scene, entries = ScenePlan(preset_named("nuscenes-small"), 0, 1), []
+    folder.mkdir()
+    for number in range(5):
+        sweep = simulate_frame(scene, number).sweep
+        if sweep.world_from_sensor is None or sweep.t_ns is None:
+            raise ValueError("a simulated sweep must have pose and time")
+        write_sweep(sweep, folder / f"{number}.npz")
+        entries.append(
+            {"file": f"{number}.npz", "sensor": "HDL-32E", "sensor_height_m": sweep.sensor_height_m,
+             "world_from_sensor": sweep.world_from_sensor.as_matrix().tolist(), "t": sweep.t_ns / 1e9,
+             "stats": {"points": len(sweep)}}
+        )  # fmt: skip
+    (folder / "index.json").write_text(json.dumps(entries), encoding="utf-8")
