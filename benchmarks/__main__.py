@@ -16,7 +16,7 @@ from benchmarks import clouds, processes
 from benchmarks.cases import Case, all_cases
 from benchmarks.report import Row, write
 from benchmarks.timing import Timing, bandwidth_bytes_per_s, interleaved
-from viewshed.report import facts as facts_of_run
+from viewshed._page import facts as facts_of_run
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "speed.md"
 LIBRARIES = ("numpy", "numba", "scipy", "shapely", "rasterio", "contourpy", "concave-hull", "matplotlib")

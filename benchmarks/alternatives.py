@@ -15,9 +15,9 @@ from rasterio.features import rasterize, shapes
 from rasterio.transform import Affine
 from shapely import MultiPolygon
 
-from viewshed.bev import BevGrid
 from viewshed.estimators.concave_hull import ConcaveHull
 from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 
 Span = tuple[float, float]

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import interleaved
-from viewshed.attacks import ATTACKS, FAMILY, PAPER_ATTACK, Attack, Knowledge
-from viewshed.bev import GRIDS
-from viewshed.report import facts, page, table
+from viewshed._page import facts, page, table
+from viewshed.grid import GRIDS
 from viewshed.sim.observe import Setting, observe
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 from viewshed.sweep import Sweep
+from viewshed.threats.attacks import ATTACKS, FAMILY, PAPER_ATTACK, Attack, Knowledge
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "attack_speed.md"
 SEED = 3

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from benchmarks import alternatives, clouds
 from viewshed import ESTIMATORS, GRIDS, BevGrid, Sweep, read_sweep
+from viewshed.fov.polygons import polygon_of_mask
 from viewshed.geometry import Rigid
-from viewshed.level import level_sweep
-from viewshed.polygons import polygon_of_mask
+from viewshed.preprocess.leveling import level_sweep
 
 GRID: BevGrid = GRIDS["road"]
 HEIGHTS_M = (-2.5, 2.0)

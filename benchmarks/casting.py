@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from benchmarks.timing import interleaved
+from viewshed._page import facts, page, table
 from viewshed.geometry import Rigid
-from viewshed.report import facts, page, table
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.shapes import BOX, CYLINDER, Box, Cylinder, Ellipsoid
+from viewshed.sim.assets.shapes import BOX, CYLINDER, Box, Cylinder, Ellipsoid
+from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import AgentPlan, Snapshot, Thing, World
 from viewshed.sim.worlds import WORLDS

@@ -19,15 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
+from viewshed._jobs import engine_named
+from viewshed._page import facts, page, table
 from viewshed.datasets import Archive, Store
-from viewshed.datasets import shard as shards
-from viewshed.datasets.frame import Frame
-from viewshed.datasets.loader import ArchiveFrames
+from viewshed.datasets.archive import shard as shards
+from viewshed.datasets.archive.archive import ArchiveFrames
+from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.presets import Preset, preset_named
-from viewshed.datasets.simulate import ScenePlan, simulate_frame
-from viewshed.datasets.simulation import simulate
-from viewshed.engines import engine_named
-from viewshed.report import facts, page, table
+from viewshed.datasets.simulated import ScenePlan, simulate, simulate_frame
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "datasets.md"
 SEED = 20_250_307

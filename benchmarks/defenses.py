@@ -14,21 +14,21 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.timing import interleaved
-from viewshed.bev import BevGrid
-from viewshed.defenses import DEFENSES, Defense, TemporalConsistency
+from viewshed._page import facts, page, table
 from viewshed.geometry import Rigid
-from viewshed.inference import infer_sensor
+from viewshed.grid import BevGrid
 from viewshed.io import read_index, read_indexed
-from viewshed.level import level_sweep
-from viewshed.report import facts, page, table
+from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.measure import measure
+from viewshed.sim.lidar.measurement import measure
+from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import motion_of
-from viewshed.sim.weather import CONDITIONS
+from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 from viewshed.sweep import Sweep
+from viewshed.threats.defenses import DEFENSES, Defense, TemporalConsistency
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "defenses_cost.md"
 SEED = 20_250_307

@@ -18,14 +18,14 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.timing import Timing, summary, times_of
-from viewshed.batches import estimate_all
-from viewshed.estimators.learned import UnetEstimator
+from viewshed._page import facts, page, table
+from viewshed.estimators.batch import estimate_all
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.networks.engine import OnnxRunner, load_runner
-from viewshed.networks.mcd import moments
-from viewshed.networks.shape import UNetShape
-from viewshed.networks.spec import INT8, NetworkCard, Runner
-from viewshed.report import facts, page, table
+from viewshed.estimators.unet import UnetEstimator
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import INT8, NetworkCard, Runner
+from viewshed.networks.mc_dropout import moments
+from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.sweep import Sweep
 
 T = TypeVar("T")
@@ -122,8 +122,8 @@ def draw_weights(path: Path) -> None:
     """Write a network of random weights."""
     import torch
 
-    from viewshed.networks.onnx_file import export_onnx
-    from viewshed.networks.unet import UNet
+    from viewshed.networks.onnx_export import export_onnx
+    from viewshed.networks.unet_torch import UNet
 
     torch.manual_seed(SEED)
     export_onnx(path, NetworkCard("drawn", UNetShape(8, 4)), UNet(UNetShape(8, 4)).eval())
@@ -167,7 +167,7 @@ def runner_of(name: str, path: Path, threads: int) -> Runner:
     if name == TORCH:
         import torch
 
-        from viewshed.networks.unet import TorchRunner, UNet
+        from viewshed.networks.unet_torch import TorchRunner, UNet
 
         torch.set_num_threads(threads)
         torch.manual_seed(SEED)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from viewshed import report
+from viewshed import _page as report
 
 
 @dataclass(frozen=True, slots=True)

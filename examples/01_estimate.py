@@ -3,7 +3,7 @@
 import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, CellState, read_sweep
-from viewshed.samples import junction_path
+from viewshed.io.samples import junction_path
 
 sweep = read_sweep(junction_path())
 print(f"{len(sweep)} points, rings {sweep.ring is not None}")

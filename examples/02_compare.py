@@ -3,7 +3,7 @@
 import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, read_sweep
-from viewshed.samples import junction_path
+from viewshed.io.samples import junction_path
 
 sweep = read_sweep(junction_path())
 rng = np.random.default_rng(0)

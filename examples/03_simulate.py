@@ -4,9 +4,9 @@ import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, lidar_model
 from viewshed.sim import cast_world
-from viewshed.sim.measure import measure
-from viewshed.sim.truth import exact_truth
-from viewshed.sim.weather import CONDITIONS
+from viewshed.sim.lidar.measurement import measure
+from viewshed.sim.lidar.weather import CONDITIONS
+from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 

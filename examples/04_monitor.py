@@ -9,9 +9,9 @@ from itertools import islice
 import numpy as np
 
 from viewshed import ESTIMATORS, BevGrid, FovEstimate, Sweep
-from viewshed.attacks import ATTACKS, Knowledge
 from viewshed.integrity import DeviationMonitor
-from viewshed.vulnerability.subjects import subject_of
+from viewshed.studies.suite import subject_of
+from viewshed.threats.attacks import ATTACKS, Knowledge
 
 GRID = BevGrid(64, 16.0)
 

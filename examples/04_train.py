@@ -4,11 +4,11 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from viewshed._jobs import engine_named
+from viewshed.datasets.archive.storage import Store
 from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulation import simulate
-from viewshed.datasets.store import Store
-from viewshed.engines import engine_named
-from viewshed.networks.engine import load_runner
+from viewshed.datasets.simulated import simulate
+from viewshed.networks.runtime import load_runner
 from viewshed.training import read_config, train
 
 CELLS, HALF_M = 64, 32.0

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.level import level_sweep
 from viewshed.plot import COLORS, Panel, _fit, _raster, comparison, contact_sheet, picture
+from viewshed.preprocess.leveling import level_sweep
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 

@@ -5,18 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from realism import HEIGHT_EDGES_M, RANGE_EDGES_M, SweepStatistics, agreement, range_noise, road_seen, sweep_statistics
 
-from viewshed.bev import BevGrid
+from viewshed.grid import BevGrid
 from viewshed.io import read_sweep
-from viewshed.realism import (
-    HEIGHT_EDGES_M,
-    RANGE_EDGES_M,
-    SweepStatistics,
-    agreement,
-    range_noise,
-    road_seen,
-    sweep_statistics,
-)
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 

@@ -14,18 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import CAR, Sweep
-from viewshed.attacks import Attack, Tampered, Wedge
-from viewshed.attacks.adaptive import BlackBox
-from viewshed.attacks.far_wall import FarWall, RemovalAndFarWall, aimed
-from viewshed.attacks.gradient import WhiteBox
-from viewshed.attacks.objectives import Evade, Objective, OverClaim, UnderClaim, cells_in
-from viewshed.bev import BevGrid
+from viewshed._page import facts, page, table
 from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulate import ScenePlan, simulate_frame
-from viewshed.defenses import DEFENSES
-from viewshed.estimate import FovEstimate, FovEstimator
+from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import ESTIMATORS
-from viewshed.report import facts, page, table
+from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.grid import BevGrid
+from viewshed.threats.attacks import Attack, Tampered, Wedge
+from viewshed.threats.attacks._gradient import WhiteBox
+from viewshed.threats.attacks.adaptive import BlackBox, Evade, Objective, OverClaim, UnderClaim, cells_in
+from viewshed.threats.attacks.ghosts import FarWall, RemovalAndFarWall, aimed
+from viewshed.threats.defenses import DEFENSES
 
 BUDGET, QUERIES, SECTOR_DEG, STEPS = 150, 200, 30.0, 80
 VICTIMS = ("continuous", "first_blocker", "shadow_map")

@@ -16,11 +16,11 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from tests.attacks.drawn import broken, drawn
-from tests.attacks.oracle import Scene, scenes
+from tests.threats.attacks.drawn import broken, drawn
+from tests.threats.attacks.oracle import Scene, scenes
 
-from viewshed.attacks import ATTACKS, FAMILY, FREE_FORM
-from viewshed.report import facts, page, table
+from viewshed._page import facts, page, table
+from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM
 
 WORKERS = 2
 PART = 500

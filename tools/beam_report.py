@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from viewshed.beams import Beams, recover_beams
-from viewshed.inference import infer_sensor
 from viewshed.io import IndexEntry, read_index, read_indexed
+from viewshed.preprocess.ring_recovery import Beams, recover_beams
+from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 

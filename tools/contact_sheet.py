@@ -14,13 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from viewshed import GRIDS, CellState
-from viewshed.atomic import write_bytes
-from viewshed.cli.options import with_inferred_sensor
+from viewshed._files import write_bytes
+from viewshed._page import facts, page, table
+from viewshed.cli._options import with_inferred_sensor
 from viewshed.estimators import ESTIMATORS
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.level import level_sweep
 from viewshed.plot import Panel, contact_sheet
-from viewshed.report import facts, page, table
+from viewshed.preprocess.leveling import level_sweep
 
 HEADER = ("no.", "file", "sensor", "grid", "points", "visible m²", "hidden", "unknown", "sensor height m", "tilt", "ms")
 _INDOORS = ("indoor", "office", "room")

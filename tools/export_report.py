@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, FovEstimate
-from viewshed.atomic import write_bytes
-from viewshed.bev import polar_of_cells
-from viewshed.export import claimed_by_cpm, to_cpm
+from viewshed._files import write_bytes
+from viewshed._page import facts, page, table
+from viewshed.grid import polar_of_cells
 from viewshed.io import read_index, read_indexed
-from viewshed.report import facts, page, table
+from viewshed.io.export import claimed_by_cpm, to_cpm
 
 SECTORS = (16, 64)
 VARIANTS: dict[str, tuple[float, bool]] = {

@@ -18,18 +18,18 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid, polar_of_cells
+from viewshed._jobs import engine_named
+from viewshed._page import facts, page, table
 from viewshed.datasets import Sample, Store
-from viewshed.datasets.archive_source import ArchiveSource
+from viewshed.datasets.archive.archive import ArchiveSource
+from viewshed.datasets.labeling import Rules, Track
 from viewshed.datasets.presets import Preset, preset_named
-from viewshed.datasets.simulation import simulate
-from viewshed.datasets.source import SweepRef
-from viewshed.engines import engine_named
-from viewshed.estimate import FovEstimator
+from viewshed.datasets.recordings.source import SweepRef
+from viewshed.datasets.simulated import simulate
 from viewshed.estimators import ESTIMATORS
-from viewshed.evaluation import Tally
-from viewshed.labels import Rules, Track
-from viewshed.report import facts, page, table
+from viewshed.fov.estimate import FovEstimator
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.metrics import Tally
 
 SEEDS = (61, 62, 63)
 """None of them was looked at while the rules were chosen; those were 41 to 43, 51 to 53 and 1001 to 1005."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from viewshed.io import write_sweep
-from viewshed.samples import junction_path
+from viewshed.io.samples import junction_path
 from viewshed.sensors import lidar_model
 from viewshed.sim import cast, junction
 

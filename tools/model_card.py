@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from viewshed._page import facts, page, table
 from viewshed.datasets.presets import Preset, preset_named
-from viewshed.networks.engine import load_runner
-from viewshed.networks.shipped import WEIGHTS, in_float32, manifest
-from viewshed.networks.spec import NetworkCard
-from viewshed.report import facts, page, table
-from viewshed.successor.contest import TOUCHING
+from viewshed.networks.card import NetworkCard
+from viewshed.networks.runtime import load_runner
+from viewshed.networks.weights import WEIGHTS, in_float32, manifest
+from viewshed.studies.ablation.contest import TOUCHING
 from viewshed.training.config import PAPER, read_config
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "model_card.md"

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from placed_probes import Probes, Setting, place, reason
 
-from viewshed.bev import GRIDS
-from viewshed.report import facts, page, table
+from viewshed._page import facts, page, table
+from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
+from viewshed.grid import GRIDS
 from viewshed.sensors import lidar_model
-from viewshed.sim.caster import cast_world
 from viewshed.sim.observe import motion_of
-from viewshed.sim.probes import Probes, Setting, place, reason
-from viewshed.sim.truth import exact_truth
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
-from viewshed.visible import CAR, PEDESTRIAN, Target
 
 SEEDS = (11, 12)
 T_S = 2.0

@@ -14,12 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from viewshed.atomic import write_bytes
-from viewshed.beams import recover_beams
-from viewshed.bev import BevGrid
-from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.realism import (
+from realism import (
     HEIGHT_EDGES_M,
     RANGE_EDGES_M,
     ROAD_EDGES_M,
@@ -31,12 +26,17 @@ from viewshed.realism import (
     road_seen,
     sweep_statistics,
 )
-from viewshed.report import facts, page, table
+
+from viewshed._files import write_bytes
+from viewshed._page import facts, page, table
+from viewshed.grid import BevGrid
+from viewshed.io import IndexEntry, read_index, read_indexed
+from viewshed.preprocess.ring_recovery import recover_beams
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.measure import measure
-from viewshed.sim.scan import Motion
-from viewshed.sim.weather import CONDITIONS
+from viewshed.sim.lidar.measurement import measure
+from viewshed.sim.lidar.weather import CONDITIONS
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.raycast.scan import Motion
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 from viewshed.sweep import Sweep
@@ -172,7 +172,7 @@ def _as_measured(group: Group, real: list[Sweep]) -> LidarModel:
 
 
 def _firings(sweep: Sweep) -> int:
-    """Return the columns of a revolution, as in :mod:`viewshed.realism`."""
+    """Return the columns of a revolution, as in :mod:`realism`."""
     beams = recover_beams(sweep)
     return max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
 
@@ -335,11 +335,11 @@ What lies outside, or within only because places differ so much, and why:
 
 _NOISE = """\
 Standard deviation between neighboring columns on smooth surfaces, 3 to 25 m away, median over the sweeps (see
-`viewshed.realism.range_noise`). Offsets that a beam keeps, which the makers' accuracies include, do not show."""
+`realism.range_noise`). Offsets that a beam keeps, which the makers' accuracies include, do not show."""
 
 _ROAD_SEEN = """\
 Share of the beams that see the road, by where level ground would be met: of those that return from the ground or not at
-all (see `viewshed.realism.road_seen`). The lowest beams are hidden by the vehicle itself."""
+all (see `realism.road_seen`). The lowest beams are hidden by the vehicle itself."""
 
 
 if __name__ == "__main__":

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from viewshed import ESTIMATORS
-from viewshed.atomic import write_bytes
+from viewshed._files import write_bytes
+from viewshed._jobs import ENGINES, Engine, LocalEngine
+from viewshed._page import facts, page, table
 from viewshed.datasets import Archive, Store
 from viewshed.datasets.presets import Preset, preset_named
-from viewshed.datasets.simulation import simulate
-from viewshed.engines import ENGINES, Engine, LocalEngine
-from viewshed.report import facts, page, table
+from viewshed.datasets.simulated import simulate
 
 SWEEPS = {"all of nuScenes": 390_000, "10⁹ sweeps": 1_000_000_000}
 FLEETS = {

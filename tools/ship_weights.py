@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from viewshed.networks.engine import OnnxRunner
-from viewshed.networks.shipped import WEIGHTS, Shipped, ship
+from viewshed.networks.runtime import OnnxRunner
+from viewshed.networks.weights import WEIGHTS, Shipped, ship
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io.arrays import write_npz
+from viewshed.io.numpy_files import write_npz
 from viewshed.sweep import Sweep
 
 POINTS = np.array(

@@ -14,27 +14,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
+from viewshed._page import facts, page, table
 from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulate import ScenePlan, world_of
+from viewshed.datasets.simulated import ScenePlan, world_of
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.evaluation import Tally
+from viewshed.fov.height_map import NODES, Ground
+from viewshed.fov.truth import Truth
+from viewshed.fov.visibility import CAR, Beams, expected_returns
 from viewshed.geometry import Rigid
-from viewshed.ground import NODES, Ground
-from viewshed.level import LevelSweep, level_sweep
-from viewshed.report import facts, page, table
+from viewshed.grid import BevGrid
+from viewshed.metrics import Tally
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
 from viewshed.sensors import lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.materials import REFLECTIVITY
-from viewshed.sim.measure import measure
+from viewshed.sim.assets.shapes import REFLECTIVITY
+from viewshed.sim.lidar.measurement import measure
+from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import motion_of
-from viewshed.sim.scan import Scan
-from viewshed.sim.truth import exact_truth
-from viewshed.sim.weather import CONDITIONS
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, World
 from viewshed.sweep import Sweep
-from viewshed.truth import Truth
-from viewshed.visible import CAR, Beams, expected_returns
 
 PRESETS = ("nuscenes-small", "ugv-small", "carla-small")
 _TEXT = """\

@@ -6,33 +6,37 @@
 (256, 256)
 """
 
+from __future__ import annotations
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from viewshed.bev import GRIDS, BevGrid
     from viewshed.datasets import Archive, Sample
-    from viewshed.estimate import CellState, FovEstimate, FovEstimator
     from viewshed.estimators import ESTIMATORS
+    from viewshed.fov.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.fov.truth import Truth
+    from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
     from viewshed.geometry import Rigid
+    from viewshed.grid import GRIDS, BevGrid
     from viewshed.io import read_sweep, write_sweep
     from viewshed.sensors import LidarModel, lidar_model
     from viewshed.sim.worlds import WORLDS
     from viewshed.sweep import Sweep
-    from viewshed.truth import Truth
-    from viewshed.visible import CAR, PEDESTRIAN, Target
+
 
 __version__ = "0.3.0"
 
 _HOMES = {
     "Rigid": "geometry", "LidarModel": "sensors", "lidar_model": "sensors",
     "read_sweep": "io", "write_sweep": "io", "Sweep": "sweep",
-    "BevGrid": "bev", "GRIDS": "bev",
-    "Target": "visible", "CAR": "visible", "PEDESTRIAN": "visible",
-    "FovEstimate": "estimate", "CellState": "estimate", "FovEstimator": "estimate",
+    "BevGrid": "grid", "GRIDS": "grid",
+    "Target": "fov.visibility", "CAR": "fov.visibility", "PEDESTRIAN": "fov.visibility",
+    "FovEstimate": "fov.estimate", "CellState": "fov.estimate", "FovEstimator": "fov.estimate",
     "ESTIMATORS": "estimators",
-    "WORLDS": "sim.worlds", "Truth": "truth", "Sample": "datasets", "Archive": "datasets",
+    "WORLDS": "sim.worlds", "Truth": "fov.truth", "Sample": "datasets", "Archive": "datasets",
 }  # fmt: skip
+
 __all__ = [
     "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "WORLDS", "Archive", "BevGrid", "CellState", "FovEstimate",
     "FovEstimator", "LidarModel", "Rigid", "Sample", "Sweep", "Target", "Truth", "lidar_model", "read_sweep",

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.floating[Any]]
 
 _UNIT_TOLERANCE = 1e-3
+
 _UNEVEN = 1e-3 + 1e-5 * np.eye(3)
 
 

@@ -9,18 +9,109 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """How many cells of two masks agree, over any number of samples.
+
+    Attributes:
+        both: cells that both call visible.
+        over: cells that only the estimate calls visible.
+        under: cells that only the truth calls visible.
+        neither: cells that none calls visible.
+        area_m2: of all of them together.
+        samples: how many samples.
+
+    >>> tally = Tally(6, 2, 2, 10, area_m2=5.0)
+    >>> tally.precision, tally.recall, tally.f1, tally.iou, tally.over_m2
+    (0.75, 0.75, 0.75, 0.6, 0.5)
+    """
+
+    both: int = 0
+    over: int = 0
+    under: int = 0
+    neither: int = 0
+    area_m2: float = 0.0
+    samples: int = 1
+
+    @classmethod
+    def of(cls, claimed: Mask, true: Mask, among: Mask, cell_area_m2: float) -> Tally:
+        """Return the tally of two masks over the cells ``among``."""
+        cells, claims, trues = int(among.sum()), int((claimed & among).sum()), int((true & among).sum())
+        both = int((claimed & true & among).sum())
+        return cls(both, claims - both, trues - both, cells - claims - trues + both, cells * cell_area_m2)
+
+    def __add__(self, other: Tally) -> Tally:
+        """Return both together."""
+        return Tally(
+            self.both + other.both, self.over + other.over, self.under + other.under, self.neither + other.neither,
+            self.area_m2 + other.area_m2, self.samples + other.samples,
+        )  # fmt: skip
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.both + self.over + self.under + self.neither
+
+    @property
+    def precision(self) -> float:
+        """Share of the claimed cells that are visible; NaN where none is claimed."""
+        return _rate(self.both, self.both + self.over)
+
+    @property
+    def recall(self) -> float:
+        """Share of the visible cells that are claimed; NaN where none is visible."""
+        return _rate(self.both, self.both + self.under)
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall; NaN where nothing is claimed and nothing visible."""
+        return _rate(2 * self.both, 2 * self.both + self.over + self.under)
+
+    @property
+    def iou(self) -> float:
+        """Cells that both call visible over those that any does; NaN where none does."""
+        return _rate(self.both, self.both + self.over + self.under)
+
+    @property
+    def over_m2(self) -> float:
+        """Area of a sample, on average, that is claimed and not visible."""
+        return self.over * _rate(self.area_m2, self.cells) / self.samples
+
+    @property
+    def under_m2(self) -> float:
+        """Area of a sample, on average, that is visible and not claimed."""
+        return self.under * _rate(self.area_m2, self.cells) / self.samples
+
+
+def _rate(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")
+
+
 STEPS = 1000
 """Probabilities are told apart in steps of 0.001; thresholds are whole steps."""
+
 BINS = 15
 """Bins of the calibration error, of equal width."""
+
 FORMAT_VERSION = 1
+
 _PROB_UNITS = 2**24
+
 _SQUARE_UNITS = 2**28
+
 _MOST_DOUBT = 0.5
+
 _CHUNK = 2**24
+
 _EDGES = (np.arange(STEPS + 2) / STEPS).astype(np.float32)
+
 _EULER = 0.5772156649015329
+
 _SMALL = 64
+
 _HARMONIC = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, _SMALL))])
 
 Counts = NDArray[np.int64]

@@ -16,9 +16,9 @@ from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import THRESHOLD, CellState, FovEstimate
-from viewshed.level import LevelSweep
+from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.grid import BevGrid
+from viewshed.preprocess.leveling import LevelSweep
 
 Image = NDArray[np.uint8]
 
@@ -29,18 +29,25 @@ COLORS = {
     CellState.HIDDEN: (0.42, 0.42, 0.47),
 }
 """Colors of the states; distinguishable with every common color blindness (after Okabe and Ito 2008)."""
+
 WORDS = {
     CellState.FREE: "free: visible, nothing stands there",
     CellState.SURFACE: "surface: visible, first thing the beams meet",
     CellState.HIDDEN: "hidden: blocked by something nearer",
     CellState.UNKNOWN: "unknown: no evidence",
 }
+
 HEIGHTS_M = (0.0, 3.0)
 """Heights above local ground between which points are colored."""
+
 _EDGE = (0.0, 0.22, 0.5)
+
 _LOW_M = 0.3
+
 _LARGE = 500
+
 _DPI = 100
+
 _TITLE_LETTERS = 100
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_RINGS = 4096
+
 _TOML_KEYS = {
     "name", "elevations_deg", "azimuth_offsets_deg", "origins_m", "azimuth_columns",
     "min_range_m", "max_range_m", "source",

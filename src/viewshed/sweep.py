@@ -11,6 +11,22 @@ from numpy.typing import ArrayLike, NDArray
 from viewshed.geometry import Rigid, attitude_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel
 
+
+def unorganised(sweep: Sweep) -> Sweep:
+    """Return the sweep without ring, firing azimuth and time; the sensor is known."""
+    return sweep.replace(ring=None, azimuth=None, time_s=None)
+
+
+def unorganised_no_sensor(sweep: Sweep) -> Sweep:
+    """Return the sweep without ring, firing azimuth, time and sensor."""
+    return unorganised(sweep).replace(model=None)
+
+
+def bare_points(sweep: Sweep) -> Sweep:
+    """Return the points alone: no sensor, mounting height, attitude or pose either."""
+    return Sweep(sweep.points)
+
+
 MAX_POINTS = 20_000_000
 """The largest sweep that is accepted; a revolution of the densest sensors has about 300,000 returns."""
 

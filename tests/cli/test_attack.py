@@ -9,7 +9,7 @@ import pytest
 
 from viewshed import Archive, Sweep, read_sweep, write_sweep
 from viewshed.cli import main
-from viewshed.estimators.farthest import ContinuousRayTrace
+from viewshed.estimators.ray_trace import ContinuousRayTrace
 
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:

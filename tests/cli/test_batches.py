@@ -9,10 +9,10 @@ from tests.cli.test_networks import SHAPE, run
 from tests.networks.made import card, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep
-from viewshed.cli.runs import Failures, Named, Run
-from viewshed.estimate import FovEstimate
-from viewshed.export import read_npz
-from viewshed.networks.onnx_file import export_onnx
+from viewshed.cli._outputs import Failures, Named, Run
+from viewshed.fov.estimate import FovEstimate
+from viewshed.io.export import read_npz
+from viewshed.networks.onnx_export import export_onnx
 
 GRID = BevGrid(16, 8.0)
 

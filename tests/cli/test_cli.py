@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 import viewshed
 from viewshed import BevGrid, read_sweep, write_sweep
 from viewshed.cli import main
-from viewshed.cli.options import make_estimator, parse_grid
-from viewshed.cli.outputs import output_names
-from viewshed.export import EXPORTERS, read_npz
-from viewshed.samples import junction_path
+from viewshed.cli._options import make_estimator, parse_grid
+from viewshed.cli._outputs import output_names
+from viewshed.io.export import EXPORTERS, read_npz
+from viewshed.io.samples import junction_path
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -12,8 +12,8 @@ from tests.networks.made import card, nearby
 from viewshed import Sweep, write_sweep
 from viewshed.cli import main
 from viewshed.integrity import load_monitor
-from viewshed.networks.onnx_file import export_onnx
-from viewshed.networks.unet import Stage, UNet
+from viewshed.networks.onnx_export import export_onnx
+from viewshed.networks.unet_torch import Stage, UNet
 
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:

@@ -11,10 +11,10 @@ from tests.networks.made import card, drawn, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.cli import main
-from viewshed.estimate import CellState
-from viewshed.export import read_npz
-from viewshed.networks.onnx_file import export_onnx
-from viewshed.networks.shape import UNetShape
+from viewshed.fov.estimate import CellState
+from viewshed.io.export import read_npz
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.onnx_export import export_onnx
 
 SHAPE = UNetShape(4, 2, 0.3)
 

@@ -103,7 +103,7 @@ def test_a_later_schema_is_one_line(made: Path, tmp_path: Path, capsys: pytest.C
 def test_preview_writes_one_picture_and_no_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("viewshed.preview.preview_png", lambda name, seed: f"{name} {seed}".encode())
+    monkeypatch.setattr("viewshed.studies.preview.preview_png", lambda name, seed: f"{name} {seed}".encode())
     code, said, _ = _run(capsys, "simulate", "carla", "--preview", "--seed", "4", "--out", str(tmp_path / "a.png"))
     assert (code, said) == (0, f"Look at {tmp_path / 'a.png'}\n")
     assert (tmp_path / "a.png").read_bytes() == b"carla 4"

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from pyarrow import fs
 
-from viewshed.bev import BevGrid
 from viewshed.datasets import Sample
+from viewshed.fov.truth import OTHER_DEFINITIONS, Truth
 from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.range_image import RangeImage
-from viewshed.sim.scan import Motion
+from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.raycast.scan import Motion
 from viewshed.sweep import Sweep
-from viewshed.truth import OTHER_DEFINITIONS, Truth
 
 MakeSample = Callable[..., Sample]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import viewshed
+from viewshed.datasets.archive.storage import Store
 from viewshed.datasets.presets import Preset, preset_named, preset_names
-from viewshed.datasets.simulate import ScenePlan, jobs_of
-from viewshed.datasets.store import Store
+from viewshed.datasets.simulated import ScenePlan, jobs_of
 
 TABLES = Path(viewshed.__file__).parent / "datasets" / "preset_tables"
 

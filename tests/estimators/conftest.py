@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from viewshed.fov.height_map import Ground
 from viewshed.geometry import Rigid
-from viewshed.ground import Ground
-from viewshed.level import LevelSweep
+from viewshed.preprocess.leveling import LevelSweep
 from viewshed.sweep import Sweep
 
 Box = tuple[float, float, float, float, float]

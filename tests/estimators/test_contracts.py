@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators import (
     ESTIMATORS,
     PAPER_ESTIMATORS,
@@ -13,7 +11,9 @@ from viewshed.estimators import (
     EstimatorFactory,
     paper_estimators,
 )
+from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 
 EVERY = {**ESTIMATORS, **PAPER_ESTIMATORS}
@@ -217,7 +217,7 @@ def test_parameters_outside_their_range_are_refused(name: str, changes: dict[str
     ],
 )
 def test_a_crop_must_leave_something(range_m: float, height_m: tuple[float, float], message: str) -> None:
-    from viewshed.polar import Crop
+    from viewshed.preprocess.azimuth_bins import Crop
 
     with pytest.raises(ValueError, match=message):
         Crop(range_m, height_m)

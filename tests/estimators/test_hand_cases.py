@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
-from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.trimmed import TrimmedRayTrace
-from viewshed.level import LevelSweep
-from viewshed.polar import BINS_LADDER, measured_azimuth_bins
+from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
+from viewshed.preprocess.azimuth_bins import BINS_LADDER, measured_azimuth_bins
+from viewshed.preprocess.leveling import LevelSweep
 from viewshed.sweep import Sweep
 
 CastScene = Callable[..., Sweep]

@@ -11,15 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import CellState, FovEstimate
 from viewshed.estimators.concave_hull import ConcaveHull, thinned
-from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
+from viewshed.estimators.delaunay import PolygonFit
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.polygon_fit import PolygonFit
+from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.estimators.trimmed import TrimmedRayTrace
-from viewshed.level import LevelSweep
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
+from viewshed.preprocess.leveling import LevelSweep
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(64, 16.0)

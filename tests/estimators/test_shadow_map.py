@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Sweep, Target
 from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulate import ScenePlan, simulate_frame
+from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
-from viewshed.level import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Cylinder, Scene, cast, depth_image
 

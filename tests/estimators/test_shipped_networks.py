@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed import CAR, GRIDS, PEDESTRIAN, Target, read_sweep
-from viewshed.estimators.learned import learned
 from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.unet import learned
 from viewshed.geometry import Rigid
-from viewshed.networks.shipped import manifest
+from viewshed.networks.weights import manifest
 
 ROAD = GRIDS["road"]
 FILES = ("nuscenes/*.pcd.bin", "kitti/object/*.bin")

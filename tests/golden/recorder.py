@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import ESTIMATORS, GRIDS, BevGrid, FovEstimate, FovEstimator, Sweep
-from viewshed.attacks import ATTACKS, Knowledge
-from viewshed.datasets.frame import Frame
+from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.shard import Shard, write_frames
+from viewshed.datasets.archive.storage import Store
 from viewshed.datasets.presets import Preset, preset_named, preset_names
-from viewshed.datasets.shard import Shard, write_frames
-from viewshed.datasets.simulate import ScenePlan, simulate_frame
-from viewshed.datasets.store import Store
+from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import paper_estimators
-from viewshed.estimators.learned import learned
+from viewshed.estimators.unet import learned
 from viewshed.io import read_index, read_indexed, write_sweep
+from viewshed.threats.attacks import ATTACKS, Knowledge
 
 ATTACK_SEED = 20260
 PASSES = 3

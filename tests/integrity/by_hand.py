@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import BevGrid
-from viewshed.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate
 
 GRID = BevGrid(8, 8.0, (1.0, 0.0))
 

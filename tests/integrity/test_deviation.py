@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from tests.integrity.by_hand import GRID, estimate_of
 
 from viewshed import BevGrid
-from viewshed.bev import polar_of_cells
-from viewshed.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import polar_of_cells
 from viewshed.integrity import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
 
 Floats = NDArray[np.float64]
@@ -177,7 +177,7 @@ def test_every_damaged_file_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_another_version_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("viewshed.integrity.monitor_file.FORMAT_VERSION", 2)
+    monkeypatch.setattr("viewshed.integrity.monitor.FORMAT_VERSION", 2)
     save_monitor(_monitor(), tmp_path / "new.npz")
     monkeypatch.undo()
     with pytest.raises(ValueError, match="monitor deviation of version 2, not deviation of 1; fit it again"):

@@ -16,7 +16,6 @@ import pytest
 
 from viewshed.io import read_sweep
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 files: Any = import_module("sweep_files")
 P, I = files.POINTS, files.INTENSITY  # noqa: E741
 TABLE = np.column_stack((P, I)).astype(np.float32)

@@ -2,7 +2,6 @@
 
 import gzip
 import struct
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 from viewshed import LidarModel, Rigid
 from viewshed.io import FORMATS, read_sweep, read_sweeps
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 files: Any = import_module("sweep_files")
 P, I = files.POINTS, files.INTENSITY  # noqa: E741
 SAMPLES = files.samples()

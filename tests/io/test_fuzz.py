@@ -1,6 +1,5 @@
 """Random damage to small valid files: a sweep or one clear line, nothing else. Long runs: tools/fuzz_readers.py."""
 
-import sys
 import tempfile
 import tracemalloc
 import warnings
@@ -13,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 fuzz: Any = import_module("fuzz_readers")
 CASES = fuzz.cases()
 DAMAGES = st.lists(

@@ -1,7 +1,6 @@
 """Indexes of sweeps, and what they may not do."""
 
 import json
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import pytest
 from viewshed import Rigid
 from viewshed.io import read_index, read_indexed
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 files: Any = import_module("sweep_files")
 
 FRAME = [[0.0, 1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0]]

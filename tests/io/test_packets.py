@@ -1,7 +1,6 @@
 """Packet captures: Velodyne and Ouster, whole and in fragments."""
 
 import struct
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,8 @@ import numpy as np
 import pytest
 
 from viewshed.io import read_sweep, read_sweeps
-from viewshed.io.pcap import udp_payloads
+from viewshed.io.velodyne import udp_payloads
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 files: Any = import_module("sweep_files")
 
 

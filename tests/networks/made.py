@@ -3,11 +3,11 @@
 import numpy as np
 import torch
 
-from viewshed.bev import BevGrid
-from viewshed.networks.channels import CHANNELS
-from viewshed.networks.shape import UNetShape
-from viewshed.networks.spec import NetworkCard
-from viewshed.networks.unet import Stage, UNet
+from viewshed.grid import BevGrid
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import NetworkCard
+from viewshed.networks.features import CHANNELS
+from viewshed.networks.unet_torch import Stage, UNet
 
 SMALL = UNetShape(4, 2, 0.3)
 GRID = BevGrid(32, 16.0)

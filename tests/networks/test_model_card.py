@@ -3,7 +3,7 @@
 import runpy
 from pathlib import Path
 
-from viewshed.networks.shipped import manifest
+from viewshed.networks.weights import manifest
 
 TOOL = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "model_card.py"))
 

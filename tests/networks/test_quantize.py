@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
 from tests.networks.made import GRID, card, drawn
 
-from viewshed.networks.engine import OnnxRunner, values_of
-from viewshed.networks.lean import lean_of
-from viewshed.networks.onnx_file import export_onnx, onnx_model
-from viewshed.networks.quantize import _model, mask_scale, quantized
-from viewshed.networks.shape import UNetShape
-from viewshed.networks.spec import INT8, NetworkCard
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import INT8, NetworkCard
+from viewshed.networks.onnx_export import export_onnx, onnx_model
+from viewshed.networks.quantize import _model, lean_of, mask_scale, quantized
+from viewshed.networks.runtime import OnnxRunner, values_of
 
 SHAPES = [
     UNetShape(8, 2, 0.3, 3, 2, doubt=True), UNetShape(4, 3, 0.1), UNetShape(4, 1, 0.0, 2, 4), UNetShape(8, 3, 0.2, 4),

@@ -7,9 +7,8 @@ left out because it seems out of sight.
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.materials import PER_M
-from viewshed.sim.scan import Scan
-from viewshed.sim.shapes import BOX, CYLINDER
+from viewshed.sim.assets.shapes import BOX, CYLINDER, PER_M
+from viewshed.sim.raycast.scan import Scan
 from viewshed.sim.world import Snapshot
 
 Array = NDArray[np.float64]

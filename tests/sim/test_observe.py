@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from viewshed import GRIDS
+from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import Setting, motion_of, observe
-from viewshed.sim.weather import CONDITIONS
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 

@@ -9,10 +9,9 @@ from tests.sim.oracle import opaque_depth, rays_of, solid_interval
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.materials import PER_M
-from viewshed.sim.scan import STILL, Motion, Scan
-from viewshed.sim.shapes import Box, Cylinder, Ellipsoid, Shape
+from viewshed.sim.assets.shapes import PER_M, Box, Cylinder, Ellipsoid, Shape
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.raycast.scan import STILL, Motion, Scan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Snapshot, Thing, Track, World
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from viewshed import Sweep, lidar_model, read_sweep
-from viewshed.samples import junction_path
+from viewshed.io.samples import junction_path
 from viewshed.sim import cast, junction
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.sim.oracle import triangle_depth, triangles_of
 
-from viewshed.sim.materials import MATERIALS
+from viewshed.sim.assets.shapes import MATERIALS
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import World
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from viewshed.geometry import Rigid
-from viewshed.sim.materials import MATERIALS, Material, material_index
-from viewshed.sim.shapes import BOX, CYLINDER, Box, Cylinder, Ellipsoid
+from viewshed.sim.assets.shapes import BOX, CYLINDER, MATERIALS, Box, Cylinder, Ellipsoid, Material, material_index
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Agent, AgentPlan, Thing, Track, World
 

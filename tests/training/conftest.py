@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from viewshed._jobs import LocalEngine
+from viewshed.datasets.archive.storage import Store
 from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulation import simulate
-from viewshed.datasets.store import Store
-from viewshed.engines import LocalEngine
+from viewshed.datasets.simulated import simulate
 from viewshed.training import TrainConfig, read_config
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from viewshed.training import TrainConfig, config_names, read_config
-from viewshed.training.page import toml_of
+from viewshed.training.cross_validation import toml_of
 
 
 def test_a_config_survives_toml(config: TrainConfig, tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ from typing import cast
 import pytest
 
 from viewshed import Archive
+from viewshed._jobs import Done, LocalEngine
 from viewshed.cli import main
 from viewshed.datasets import write_archive
-from viewshed.engines import Done, LocalEngine
 from viewshed.training import Fold, TrainConfig
 from viewshed.training.data import Frames, prepare, processes_for
 from viewshed.training.sources import Archived

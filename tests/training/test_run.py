@@ -19,14 +19,14 @@ import torch
 from torch.nn import functional
 
 from viewshed.cli import main
-from viewshed.networks.engine import load_runner
-from viewshed.networks.unet import load_weights
+from viewshed.networks.runtime import load_runner
+from viewshed.networks.unet_torch import load_weights
 from viewshed.training import TrainConfig, Trained, train
-from viewshed.training.checkpoints import read_checkpoint
+from viewshed.training.cross_validation import toml_of
 from viewshed.training.data import prepare
-from viewshed.training.history import TIMES, Epoch, is_over, scores_of
-from viewshed.training.learner import Learner, Step
-from viewshed.training.page import toml_of
+from viewshed.training.fit import read_checkpoint
+from viewshed.training.log import TIMES, Epoch, is_over, scores_of
+from viewshed.training.module import Learner, Step
 
 KILLED_AT = 3
 

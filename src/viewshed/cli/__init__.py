@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import typer
 
 from viewshed import __version__
+from viewshed.cli._options import BAD_INPUTS, one_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
@@ -17,28 +18,35 @@ from viewshed.cli.export import export
 from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
-from viewshed.cli.options import BAD_INPUTS, one_line
 from viewshed.cli.quantize import quantize
 from viewshed.cli.record import record_app
-from viewshed.cli.report import report_app
-from viewshed.cli.reproduce import reproduce
 from viewshed.cli.simulate import dataset_app, simulate
+from viewshed.cli.study import report_app, reproduce
 from viewshed.cli.train import crossval, train
 
 BAD_INPUT = 2
+
 INTERRUPTED = 130
+
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
 
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
 _COMMANDS = (
     estimate, info, compare, export, demo, simulate, label, attack, corrupt, train, crossval, quantize, reproduce,
 )  # fmt: skip
+
 for _command in _COMMANDS:
     app.command()(_command)
+
 app.add_typer(evaluate_app, name="evaluate")
+
 app.add_typer(dataset_app, name="dataset")
+
 app.add_typer(record_app, name="record")
+
 app.add_typer(report_app, name="report")
+
 app.add_typer(monitor_app, name="monitor")
 
 

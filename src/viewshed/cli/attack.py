@@ -8,24 +8,31 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.options import AUTO, Reading
-from viewshed.cli.outputs import refuse_inputs
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, Reading
+from viewshed.cli._outputs import refuse_inputs
 
 if TYPE_CHECKING:
-    from viewshed.bev import BevGrid
     from viewshed.datasets import Archive
-    from viewshed.datasets.attacked import Sweeps
-    from viewshed.datasets.making import Made
-    from viewshed.datasets.spoiling import AttackPlan, Spoiling
+    from viewshed.datasets.archive.build import Made
+    from viewshed.datasets.tampered import AttackPlan, Spoiling, Sweeps
+    from viewshed.grid import BevGrid
+
 
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, a recording, or files.")]
+
 Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one file also a file (attacked.npz).")]
+
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
+
 Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
+
 EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
+
 _MANIFEST = "manifest.json"
+
 _BAGS = (".bag", ".mcap", ".db3")
 
 
@@ -59,8 +66,8 @@ def attack(
 
 
 def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str | None, grid: BevGrid) -> AttackPlan:
-    from viewshed.attacks.adaptive import ADAPTIVE
-    from viewshed.datasets.spoiling import AttackPlan
+    from viewshed.datasets.tampered import AttackPlan
+    from viewshed.threats.attacks.adaptive import ADAPTIVE
 
     half_m, returns = float(grid.half_extent_m), _budget(budget, attack)
     if attack not in ADAPTIVE:
@@ -87,7 +94,7 @@ def corrupt(
 
     Example: viewshed corrupt sweeps --corruption fog --severity 4 --out foggy
     """
-    from viewshed.datasets.spoiling import CorruptionPlan
+    from viewshed.datasets.tampered import CorruptionPlan
 
     plan = CorruptionPlan(corruption, severity)
     _run(_opened(sources, split, grid, sensor), plan, _Where(sources, out, seed), engine, workers)
@@ -118,7 +125,7 @@ def _budget(text: str | None, attack: str) -> int | None:
     >>> _budget("150", "far_wall")
     150
     """
-    from viewshed.attacks import FREE_FORM, FULL_WEDGE
+    from viewshed.threats.attacks import FREE_FORM, FULL_WEDGE
 
     if text is None or text.isdecimal():
         return None if text is None else int(text)
@@ -131,7 +138,7 @@ def _budget(text: str | None, attack: str) -> int | None:
 
 def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -> Sweeps:
     from viewshed.datasets import Archive
-    from viewshed.datasets.attacked import of_archive, of_files, of_recording
+    from viewshed.datasets.tampered import of_archive, of_files, of_recording
 
     first, wanted = Path(sources[0]), options.parse_grid(grid)
     if len(sources) == 1 and ("://" in sources[0] or (first / _MANIFEST).is_file()):
@@ -164,9 +171,9 @@ def _to_archive(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from viewshed.datasets.attacked import spoil
-    from viewshed.datasets.store import Store
-    from viewshed.engines import engine_named
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Store
+    from viewshed.datasets.tampered import spoil
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
                TimeRemainingColumn())  # fmt: skip
@@ -185,8 +192,8 @@ def _to_archive(
 
 
 def _to_file(sweeps: Sweeps, plan: Spoiling, where: _Where) -> None:
-    from viewshed.atomic import write_bytes
-    from viewshed.datasets.attacked import spoiled_sweep
+    from viewshed._files import write_bytes
+    from viewshed.datasets.tampered import spoiled_sweep
     from viewshed.io import write_sweep
 
     if where.file is None or sweeps.count != 1:

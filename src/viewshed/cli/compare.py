@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.learned import Device, Network, Passes, Seed, Weights
-from viewshed.cli.options import AUTO, Reading, timed
-from viewshed.cli.outputs import refuse_inputs
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, Device, Network, Passes, Reading, Seed, Weights, timed
+from viewshed.cli._outputs import refuse_inputs
 
 if TYPE_CHECKING:
-    from viewshed.bev import BevGrid
-    from viewshed.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.fov.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.grid import BevGrid
     from viewshed.sweep import Sweep
+
 
 _HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "time ms")
 
@@ -44,10 +44,10 @@ def compare(
 
     Example: viewshed compare sweep.bin --methods shadow_map,quantized,concave_hull
     """
-    from viewshed.atomic import write_bytes
-    from viewshed.level import level_sweep
+    from viewshed._files import write_bytes
+    from viewshed._page import table
     from viewshed.plot import Panel, comparison
-    from viewshed.report import table
+    from viewshed.preprocess.leveling import level_sweep
 
     cells = options.parse_grid(grid)
     names = list(options.estimators_of(profile, cells)) if methods == "all" else methods.split(",")
@@ -67,7 +67,7 @@ def _estimators(
     names: list[str], grid: BevGrid, target: str, profile: str, network: Network
 ) -> dict[str, FovEstimator]:
     """Return the estimators by name; what is said about the network goes to those that are networks."""
-    from viewshed.estimators.learned import LEARNED
+    from viewshed.estimators.unet import LEARNED
 
     if network != Network() and not set(names) & set(LEARNED):
         raise ValueError(
@@ -93,6 +93,6 @@ def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate
 
 
 def _hidden_and_unknown() -> tuple[CellState, CellState]:
-    from viewshed.estimate import CellState
+    from viewshed.fov.estimate import CellState
 
     return CellState.HIDDEN, CellState.UNKNOWN

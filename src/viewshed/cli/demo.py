@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.learned import Network
-from viewshed.cli.runs import Run
+from viewshed.cli import _options as options
+from viewshed.cli._options import Network
+from viewshed.cli._outputs import Run
 
 if TYPE_CHECKING:
-    from viewshed.bev import BevGrid
-    from viewshed.estimate import FovEstimate
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.grid import BevGrid
     from viewshed.sim.observe import Observation
+
 
 SEED, TIME_S = 20, 5.0
 
@@ -29,7 +30,7 @@ def demo(
 
     Example: viewshed demo --out demo
     """
-    from viewshed.atomic import write_bytes
+    from viewshed._files import write_bytes
 
     out.mkdir(parents=True, exist_ok=True)
     grid = options.parse_grid("road")
@@ -58,8 +59,8 @@ def _beside_truth(found: FovEstimate, seen: Observation) -> tuple[bytes, str]:
     """Return a PNG of estimate and truth, and precision and recall of the estimate in one line."""
     import numpy as np
 
-    from viewshed.estimate import FovEstimate
-    from viewshed.evaluation import Tally
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.metrics import Tally
     from viewshed.plot import Panel, comparison
 
     name, true = found.target.name, seen.truth.visible(found.target)

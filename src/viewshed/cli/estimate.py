@@ -9,11 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.learned import Device, Network, Passes, PastSweeps, Seed, Sure, Wary, Weights
-from viewshed.cli.options import AUTO, BAD_INPUTS, Reading
-from viewshed.cli.outputs import free_name, output_names, parse_results, refuse_inputs
-from viewshed.cli.runs import Failures, Named, Run
+from viewshed.cli import _options as options
+from viewshed.cli._options import (
+    AUTO,
+    BAD_INPUTS,
+    Device,
+    Network,
+    Passes,
+    PastSweeps,
+    Reading,
+    Seed,
+    Sure,
+    Wary,
+    Weights,
+)
+from viewshed.cli._outputs import Failures, Named, Run, free_name, output_names, parse_results, refuse_inputs
 
 if TYPE_CHECKING:
     from viewshed.io import IndexEntry
@@ -21,23 +31,28 @@ if TYPE_CHECKING:
 
     Job = tuple[Path, IndexEntry | None]
 
+
 Files = Annotated[
     list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
 ]
+
 Method = Annotated[
     str | None,
     typer.Option(help="Estimator, also unet or mcd; if not given viewnet, or shadow_map on grids of your own."),
 ]
+
 Threshold = Annotated[
     float | None,
     typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
 ]
+
 Batch = Annotated[
     int,
     typer.Option(
         min=1, max=1024, help="Sweeps that are taken at once, one a core; above 1 for archives, and nothing is timed."
     ),
 ]
+
 Results = Annotated[str, typer.Option(help="What is written of each sweep: some of png,geojson,npz.")]
 
 

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.learned import Device, Network, Passes, Seed, Weights
-from viewshed.cli.options import AUTO, Reading
-from viewshed.cli.outputs import refuse_inputs, stem_of
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, Device, Network, Passes, Reading, Seed, Weights
+from viewshed.cli._outputs import refuse_inputs, stem_of
 
 
 def export(
@@ -40,8 +39,8 @@ def export(
     """
     import json
 
-    from viewshed.atomic import write_bytes
-    from viewshed.export import EXPORTERS, read_npz, to_cpm
+    from viewshed._files import write_bytes
+    from viewshed.io.export import EXPORTERS, read_npz, to_cpm
 
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")

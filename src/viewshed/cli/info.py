@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.options import AUTO, Reading
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, Reading
 
 if TYPE_CHECKING:
-    from viewshed.level import LevelSweep
+    from viewshed.preprocess.leveling import LevelSweep
     from viewshed.sweep import Sweep
 
 
@@ -30,7 +30,7 @@ def info(
 
     Example: viewshed info sweep.pcd.bin
     """
-    from viewshed.level import level_sweep
+    from viewshed.preprocess.leveling import level_sweep
 
     [(path, entry)] = options.chosen([file], index)
     sweep = Reading("none", format, file_frame, height, attitude).sweep(path, entry)
@@ -54,8 +54,8 @@ def _points(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
 
 
 def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
-    from viewshed.beams import recover_beams
-    from viewshed.inference import infer_sensor
+    from viewshed.preprocess.ring_recovery import recover_beams
+    from viewshed.preprocess.sensor_identification import infer_sensor
     from viewshed.sensors import lidar_model
 
     if sensor == AUTO:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.options import AUTO
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
-    from viewshed.datasets.making import Made
-    from viewshed.labels import Origin, Rules
+    from viewshed.datasets.archive.build import Made
+    from viewshed.datasets.labeling import Origin, Rules
 
 
 def label(
@@ -45,7 +45,7 @@ def label(
 
     Example: viewshed label /data/nuscenes --definition probe --out labels
     """
-    from viewshed.labels import Origin
+    from viewshed.datasets.labeling import Origin
 
     origin = Origin(*_place(source, index, kind), sensor, every)
     rules = _rules(origin, grid, definition, target, neighbors)
@@ -67,10 +67,10 @@ def _place(source: str | None, index: Path | None, kind: str) -> tuple[str, str]
 def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> Rules:
     from typing import cast
 
-    from viewshed.datasets.archive_source import ArchiveSource
-    from viewshed.labels import Rules
-    from viewshed.labels.labeller import Definition
-    from viewshed.labels.run import opened
+    from viewshed.datasets.archive.archive import ArchiveSource
+    from viewshed.datasets.labeling import Rules
+    from viewshed.datasets.labeling.labeler import Definition
+    from viewshed.datasets.labeling.run import opened
 
     source = opened(origin)
     if grid is None and isinstance(source, ArchiveSource):
@@ -84,9 +84,9 @@ def _labelled(origin: Origin, rules: Rules, out: str, engine: str, workers: int 
     from rich.console import Console
     from rich.progress import Progress
 
-    from viewshed.datasets.store import Store
-    from viewshed.engines import engine_named
-    from viewshed.labels import label as run
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Store
+    from viewshed.datasets.labeling import label as run
 
     problems: list[str] = []
 

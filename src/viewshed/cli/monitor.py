@@ -12,20 +12,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
-from viewshed.cli.learned import Passes, Seed, Weights
-from viewshed.cli.options import AUTO, BAD_INPUTS, Reading, one_line
-from viewshed.cli.outputs import free_name, refuse_inputs, stem_of
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights, one_line
+from viewshed.cli._outputs import free_name, refuse_inputs, stem_of
 
 if TYPE_CHECKING:
-    from viewshed.estimate import FovEstimate
-    from viewshed.estimators.learned import UnetEstimator
+    from viewshed.estimators.unet import UnetEstimator
+    from viewshed.fov.estimate import FovEstimate
     from viewshed.integrity import DeviationMonitor, IntegrityReport
     from viewshed.sweep import Sweep
 
+
 monitor_app = typer.Typer(help="Learn what doubt is usual, and alarm where there is more.")
+
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
+
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
+
 Named = tuple[str, "Sweep"]
 
 
@@ -52,7 +55,7 @@ def fit(
 
     Example: viewshed monitor fit benign --out monitor.npz
     """
-    from viewshed.estimators.learned import PASSES, learned
+    from viewshed.estimators.unet import PASSES, learned
     from viewshed.integrity import DeviationMonitor, Rule, save_monitor
     from viewshed.integrity.roc import require_sweeps
 
@@ -148,7 +151,7 @@ class _Run:
     @classmethod
     def of(cls, monitor: DeviationMonitor, weights: str | None, out: Path | None) -> _Run:
         """Return the run of a monitor with the network that it was fitted on."""
-        from viewshed.estimators.learned import learned
+        from viewshed.estimators.unet import learned
 
         if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
             raise ValueError(
@@ -185,10 +188,10 @@ class _Run:
 
     def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
         """Write picture and suspect cells of a sweep and return where the picture is."""
-        from viewshed.atomic import write_bytes
-        from viewshed.integrity.suspects import suspects_geojson
-        from viewshed.level import level_sweep
+        from viewshed._files import write_bytes
+        from viewshed.integrity.monitor import suspects_geojson
         from viewshed.plot import Panel, maps_picture
+        from viewshed.preprocess.leveling import level_sweep
 
         panel = Panel(found, line, level_sweep(sweep, self.estimator.grid), self.estimator.card.threshold)
         stem = free_name(stem_of(name).replace("/", "_"), self.taken)

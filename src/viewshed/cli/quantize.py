@@ -20,7 +20,7 @@ def quantize(
     Example: viewshed quantize viewnet_road network.onnx --out network_int8.onnx
     """
     from viewshed.training import read_config
-    from viewshed.training.quantize import quantize as run
+    from viewshed.training.calibrate_int8 import quantize as run
 
     found = run(read_config(config), network, out, frames)
     typer.echo(

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli import options
+from viewshed.cli import _options as options
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
     from viewshed.datasets.presets import Preset
 
+
 dataset_app = typer.Typer(help="Look at a data set.")
+
 Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
 
 
@@ -100,8 +102,8 @@ def _configured(preset: Preset, sweeps: int | None, seed: int | None, grid: str 
 
 
 def _preview(preset: Preset, out: str | None) -> None:
-    from viewshed.atomic import write_bytes
-    from viewshed.preview import preview_png
+    from viewshed._files import write_bytes
+    from viewshed.studies.preview import preview_png
 
     path = Path(out or f"{preset.name}.png")
     write_bytes(path, preview_png(preset.name, preset.seed))
@@ -119,9 +121,9 @@ def _simulated(preset: Preset, out: str, engine: str, workers: int | None) -> Ar
         TimeRemainingColumn,
     )
 
-    from viewshed.datasets.simulation import simulate as run
-    from viewshed.datasets.store import Store
-    from viewshed.engines import engine_named
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Store
+    from viewshed.datasets.simulated import simulate as run
 
     store, runner = Store.of(out), engine_named(engine, workers)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),

@@ -11,8 +11,9 @@ import typer
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from viewshed.training.learner import Step
+    from viewshed.training.module import Step
     from viewshed.training.run import Trained
+
 
 Config = Annotated[
     str,
@@ -20,6 +21,7 @@ Config = Annotated[
         metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor, viewnet_road, viewnet_indoor, …"
     ),
 ]
+
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 
 
@@ -60,8 +62,8 @@ def crossval(
     Example: viewshed crossval road --out folds
     """
     from viewshed.training import read_config
-    from viewshed.training.crossval import PAGE, Search, mean_f1
-    from viewshed.training.crossval import crossval as run
+    from viewshed.training.cross_validation import PAGE, Search, mean_f1
+    from viewshed.training.cross_validation import crossval as run
 
     wanted = read_config(config)
     bar = _Bar(wanted.name)

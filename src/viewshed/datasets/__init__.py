@@ -1,11 +1,13 @@
 """Data sets: samples with truth, in archives of Parquet files."""
 
-from viewshed.datasets.archive import Archive
-from viewshed.datasets.manifest import Manifest
+from __future__ import annotations
+
+from viewshed.datasets.archive.archive import Archive
+from viewshed.datasets.archive.build import ArchiveWriter, write_archive
+from viewshed.datasets.archive.manifest import Manifest
+from viewshed.datasets.archive.shard import SCHEMA_VERSION, ShardFacts, write_shard
+from viewshed.datasets.archive.storage import Store
 from viewshed.datasets.sample import Sample
-from viewshed.datasets.shard import SCHEMA_VERSION, ShardFacts, write_shard
-from viewshed.datasets.store import Store
-from viewshed.datasets.writer import ArchiveWriter, write_archive
 
 __all__ = [
     "SCHEMA_VERSION",

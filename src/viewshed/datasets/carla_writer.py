@@ -12,9 +12,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from viewshed.atomic import write_bytes
-from viewshed.datasets.carla_frames import rotation_of_carla
-from viewshed.datasets.carla_tables import POSE_COLUMNS
+from viewshed._files import write_bytes
+from viewshed.datasets.recordings.carla import POSE_COLUMNS, rotation_of_carla
 from viewshed.io import write_sweep
 from viewshed.sweep import Sweep
 
@@ -26,7 +25,7 @@ class Carrier:
     Attributes:
         actor: number of the vehicle, or None for a mast.
         sensor_height_m: height of the sensor above the road.
-        beams: arguments of :func:`viewshed.datasets.carla_frames.lidar_of_carla`.
+        beams: arguments of :func:`viewshed.datasets.recordings.carla.lidar_of_carla`.
     """
 
     actor: int | None

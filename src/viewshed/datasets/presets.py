@@ -6,15 +6,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from viewshed import flat
-from viewshed.bev import BevGrid
+from viewshed import _config as flat
+from viewshed.grid import BevGrid
 from viewshed.sensors import lidar_model
-from viewshed.sim.weather import conditions_named
+from viewshed.sim.lidar.weather import conditions_named
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 
 MAX_SEED = 2**32 - 1
+
 _TABLES = "datasets/preset_tables"
+
 MAX_CELLS = 2048
 """Cells a side that a frame may have: a worker with one more target than ours still stays below half a gigabyte."""
 

@@ -1,4 +1,4 @@
-"""Record LiDAR sweeps in a running CARLA server, in the layout of :mod:`viewshed.datasets.carla`."""
+"""Record LiDAR sweeps in a running CARLA server, in the layout of :mod:`viewshed.datasets.recordings.carla`."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from viewshed.datasets.carla_frames import MIRROR
 from viewshed.datasets.carla_writer import Carrier, RecordingWriter
+from viewshed.datasets.recordings.carla import MIRROR
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
     import carla
 
+
 TRAFFIC_MANAGER_PORT = 8000
+
 _MAST_ASIDE_M = 2.0
+
 _ABOVE_ROOF_M = 0.3
+
 _WAIT_S = 20.0
 
 
@@ -71,7 +75,7 @@ class Plan:
             raise ValueError(f"step_s must lie in [0.01, 0.1], what CARLA's physics can step, got {self.step_s}")
 
     def beams(self, fov_deg: tuple[float, float]) -> dict[str, float | int]:
-        """Return the sensor as :func:`viewshed.datasets.carla_frames.lidar_of_carla` takes it."""
+        """Return the sensor as :func:`viewshed.datasets.recordings.carla.lidar_of_carla` takes it."""
         return {
             "channels": self.channels, "lower_fov_deg": fov_deg[0], "upper_fov_deg": fov_deg[1],
             "range_m": self.range_m, "points_per_second": self.channels * self.columns / self.step_s,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.range_image import RangeImage
+from viewshed.fov.truth import Truth
+from viewshed.sim.lidar.range_image import RangeImage
 from viewshed.sweep import Sweep
-from viewshed.truth import Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import FovEstimator
 from viewshed.estimators.concave_hull import ConcaveHull
-from viewshed.estimators.farthest import ContinuousRayTrace, QuantizedRayTrace
+from viewshed.estimators.delaunay import PolygonFit
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.polygon_fit import PolygonFit
+from viewshed.estimators.majority_vote import VoteOfFive
+from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.estimators.trimmed import TrimmedRayTrace
-from viewshed.estimators.vote import VoteOfFive
-from viewshed.polar import Crop
+from viewshed.fov.estimate import FovEstimator
+from viewshed.grid import BevGrid
+from viewshed.preprocess.azimuth_bins import Crop
 
 EstimatorFactory = Callable[[BevGrid], FovEstimator]
 
@@ -54,7 +53,9 @@ def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
 
 PAPER_THRESHOLD = 0.7
 """Probability from which the paper calls a cell visible."""
+
 PAPER_ESTIMATORS: dict[str, EstimatorFactory] = paper_estimators(100.0)
 """The paper's, for cars on roads."""
+
 PAPER_INDOOR_ESTIMATORS: dict[str, EstimatorFactory] = paper_estimators(20.0)
 """The paper's, for its indoor robot."""

@@ -9,16 +9,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import FovEstimate
-from viewshed.level import LevelSweep, level_sweep
-from viewshed.polar import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, Target
+from viewshed.grid import BevGrid
+from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
 from viewshed.sweep import Sweep
-from viewshed.visible import CAR, Target
 
 MAX_LATTICE = 1024
 """Most cells per side of the lattice on which the returns are thinned out."""
+
 _MIN_SPREAD_M2 = 1e-4
+
 _SCATTER, _TURN = np.uint64(2654435761), np.uint64(2**32)
 """Knuth's multiplicative hash: the hull library's search tree is 1.5 times faster on points in scattered order."""
 

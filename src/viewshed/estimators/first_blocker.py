@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import FovEstimate
-from viewshed.level import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
-from viewshed.polar import (
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, Target
+from viewshed.grid import BevGrid
+from viewshed.preprocess.azimuth_bins import (
     farthest_in_bins,
     fov_of_state,
     measured_azimuth_bins,
@@ -23,8 +23,8 @@ from viewshed.polar import (
     state_of_limits,
     with_margin,
 )
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
 from viewshed.sweep import Sweep
-from viewshed.visible import CAR, Target
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
-from viewshed.estimate import THRESHOLD, CellState, FovEstimate
-from viewshed.level import LevelSweep, level_sweep
-from viewshed.missing import confirmed_and_explained_beams, missing_beams
-from viewshed.past import Past, past_of
+from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
+from viewshed.grid import BevGrid
+from viewshed.preprocess.history import Past, past_of
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.no_return import confirmed_and_explained_beams, missing_beams
 from viewshed.sweep import Sweep
-from viewshed.visible import CAR, Beams, Target, expected_returns, probability_of_visible
 
 NoReturn = Literal["explained", "unknown", "max_range", "fill"]
+
 NO_RETURN_RULES: tuple[NoReturn, ...] = ("explained", "unknown", "max_range", "fill")
 """The default first."""
 
@@ -30,14 +31,15 @@ class ShadowMap:
     at least ``min_returns`` returns when their number is Poisson with that mean.
 
     ``no_return`` says what a beam without a return means: ``explained`` (it went as far as its surroundings tell, and
-    does not count where they do not, see :func:`viewshed.missing.explained_beams`), ``unknown`` (it does not count),
+    does not count where they do not, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (it does not count),
     ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
     went as far as the nearer of its neighbors in the ring).
 
     Limits: trusts each measured depth, with ``explained`` each that another beam confirms
-    (:mod:`viewshed.lone`), so that removed or many far-spoofed returns open false corridors; needs the local ground
-    within about 0.3 m. More obstacles never add visibility where no beam is explained; with ``explained`` the share of
-    ground that returns is learned from the whole sweep, and obstacles elsewhere change it.
+    (:mod:`viewshed.preprocess.isolated_returns`), so that removed or many far-spoofed returns open false corridors;
+    needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is explained;
+    with ``explained`` the share of ground that returns is learned from the whole sweep, and obstacles elsewhere
+    change it.
     """
 
     grid: BevGrid
@@ -54,7 +56,7 @@ class ShadowMap:
         Args:
             sweep: what the sensor measured.
             earlier: sweeps that it measured before, all with poses in the same map; beams end at the obstacles that
-                they saw (:mod:`viewshed.past`), whatever the sweep says.
+                they saw (:mod:`viewshed.preprocess.history`), whatever the sweep says.
 
         Raises:
             ValueError: there are earlier sweeps, and a pose is missing.

@@ -1,7 +1,7 @@
 """④ Integrity: monitors that say when an estimate is to be doubted."""
 
-from viewshed.integrity.deviation import DeviationMonitor, Rule
-from viewshed.integrity.monitor_file import load_monitor, save_monitor
-from viewshed.integrity.report import IntegrityReport
+from __future__ import annotations
+
+from viewshed.integrity.monitor import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
 
 __all__ = ["DeviationMonitor", "IntegrityReport", "Rule", "load_monitor", "save_monitor"]

@@ -12,13 +12,12 @@ from collections.abc import Iterator
 
 from numpy.typing import ArrayLike
 
-from viewshed.atomic import write_bytes
+from viewshed._files import write_bytes
 from viewshed.geometry import Rigid
-from viewshed.io.columns import Given, sweep_of
+from viewshed.io._columns import Given, sweep_of
+from viewshed.io._source import FILE_FRAMES, Source, file_frame_named, open_source
 from viewshed.io.formats import FORMATS, Format, format_named, format_of
-from viewshed.io.frames import FILE_FRAMES, file_frame_named
 from viewshed.io.index import IndexEntry, read_index
-from viewshed.io.source import Source, open_source
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 
@@ -28,7 +27,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def read_sweep(  # noqa: PLR0913
+def read_sweep(
     path: str | os.PathLike[str],
     *,
     format: str = "auto",  # noqa: A002
@@ -59,7 +58,7 @@ def read_sweep(  # noqa: PLR0913
         return next(_sweeps(source, format, given))
 
 
-def read_sweeps(  # noqa: PLR0913
+def read_sweeps(
     path: str | os.PathLike[str],
     *,
     format: str = "auto",  # noqa: A002

@@ -6,19 +6,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from viewshed.geometry import Rigid
-from viewshed.io.arrays import read_npy, read_npz, write_npy, write_npz
-from viewshed.io.binary import columns_of_bin, read_kitti, read_nuscenes, write_kitti, write_nuscenes
-from viewshed.io.columns import Columns
-from viewshed.io.feather import read_argoverse2
+from viewshed.io._columns import Columns
+from viewshed.io._source import Source
+from viewshed.io.argoverse import read_argoverse2
+from viewshed.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from viewshed.io.ouster import metadata_path, read_ouster
-from viewshed.io.packets import is_velodyne, looks_like_payloads, read_velodyne
-from viewshed.io.pcap import PCAP_BEGINS, udp_payloads
 from viewshed.io.pcd import read_pcd, write_pcd
 from viewshed.io.ply import read_ply, write_ply
-from viewshed.io.source import Source
+from viewshed.io.raw_floats import columns_of_bin, read_kitti, read_nuscenes, write_kitti, write_nuscenes
+from viewshed.io.velodyne import PCAP_BEGINS, is_velodyne, looks_like_payloads, read_velodyne, udp_payloads
 from viewshed.sweep import Sweep
 
 Reader = Callable[[Source, Rigid | None], Iterator[Columns]]
+
 Writer = Callable[[Sweep], bytes]
 
 _PACKETS_TRIED = 200
@@ -59,13 +59,14 @@ FORMATS: dict[str, Format] = {
 """Name → format. To add one: write a module with a reader, add a line."""
 
 _NOT_READ = {
-    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.datasets.sources.open_source",
-    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.datasets.sources.open_source",
-    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.datasets.sources.open_source",
+    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.datasets.recordings.open_source",
+    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.datasets.recordings.open_source",
+    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.datasets.recordings.open_source",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
 }
+
 _BEGINS = (*_NOT_READ, *PCAP_BEGINS, *(begins for known in FORMATS.values() for begins in known.begins))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from viewshed.geometry import Rigid
-from viewshed.io.source import one_line, open_source
+from viewshed.io._source import one_line, open_source
 
 _INDEX_BYTES = 64_000_000
 

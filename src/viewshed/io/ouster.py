@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io.columns import Columns
-from viewshed.io.frames import IDENTITY
-from viewshed.io.pcap import udp_payloads
-from viewshed.io.source import Source
+from viewshed.io._columns import Columns
+from viewshed.io._source import IDENTITY, Source
+from viewshed.io.velodyne import udp_payloads
 from viewshed.sensors import LidarModel
 
 _METADATA_BYTES = 1_000_000
+
 _ROWS_MAX, _COLUMNS_MAX = 512, 8192
+
 _INSTALL = "needs ouster-sdk; install it with: pip install 'viewshed[packets]'"
 
 

@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io.columns import Columns
-from viewshed.io.kernels import unpack_lzf
-from viewshed.io.source import Source
-from viewshed.io.table import MARK, WANTED, columns_of_table, table_of_sweep
-from viewshed.io.text import number_rows
+from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_rows, table_of_sweep
+from viewshed.io._ring_numbers import unpack_lzf
+from viewshed.io._source import Source
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _HEADER_BYTES = 65_536
+
 _KINDS = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
+
 _LZF_RATIO = 100
+
 _SLACK_BYTES = 65_536  # the Point Cloud Library fills the last memory page
+
 _ROW_BYTES = 1 << 20
 
 

@@ -8,19 +8,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from viewshed.geometry import Rigid
-from viewshed.io.columns import Columns
-from viewshed.io.source import Source
-from viewshed.io.table import MARK, WANTED, columns_of_table, table_of_sweep
-from viewshed.io.text import number_rows
+from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_rows, table_of_sweep
+from viewshed.io._source import Source
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _HEADER_BYTES = 65_536
+
 _KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
 _NAMES = {"f4": "float", "i2": "short"}
 
 

@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.caster import cast_world
-from viewshed.sim.materials import MATERIALS, material_index
-from viewshed.sim.scan import Scan
+from viewshed.sim.assets.shapes import MATERIALS, material_index
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.raycast.scan import Scan
 from viewshed.sim.world import GROUND, NOTHING, Snapshot, World
 
 Image = NDArray[np.uint8]
+
 Colors = NDArray[np.float32]
+
 CEILING_M = 2.0
 """Indoors, things that begin higher than this above the ground are left out of pictures."""
+
 _MATERIAL_COLORS = {
     "asphalt": (0.40, 0.41, 0.43), "concrete": (0.70, 0.69, 0.66), "plaster": (0.87, 0.82, 0.72),
     "brick": (0.68, 0.40, 0.31), "paint": (0.75, 0.77, 0.80), "dark_paint": (0.17, 0.18, 0.22),
@@ -28,11 +31,16 @@ _MATERIAL_COLORS = {
     "mesh": (0.62, 0.70, 0.70), "glass": (0.55, 0.80, 0.92), "absorber": (0.05, 0.05, 0.09),
     "cabin": (0.20, 0.24, 0.28),
 }  # fmt: skip
+
 _CAR_COLORS = ((0.80, 0.16, 0.16), (0.16, 0.34, 0.72), (0.92, 0.92, 0.90), (0.20, 0.50, 0.46), (0.88, 0.66, 0.16),
                (0.55, 0.57, 0.60))  # fmt: skip
+
 _SKY = (0.80, 0.88, 0.96)
+
 _SUN = np.array([0.42, -0.30, 0.86], np.float32)
+
 _SAMPLES = 2
+
 _HAZE_M = 150.0
 
 

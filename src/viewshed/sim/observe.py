@@ -8,16 +8,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.bev import BevGrid
+from viewshed.fov.truth import Truth
+from viewshed.grid import BevGrid
 from viewshed.sensors import lidar_model
-from viewshed.sim.caster import cast_world
-from viewshed.sim.measure import measure
-from viewshed.sim.range_image import RangeImage
-from viewshed.sim.scan import Motion, Scan
-from viewshed.sim.truth import exact_truth
-from viewshed.sim.weather import CONDITIONS, Conditions
+from viewshed.sim.lidar.measurement import measure
+from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.weather import CONDITIONS, Conditions
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.raycast.scan import Motion, Scan
+from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, Snapshot, World
-from viewshed.truth import Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,15 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.caster import cast_world
-from viewshed.sim.scan import Scan
-from viewshed.sim.shapes import Box, Cylinder
+from viewshed.sim.assets.shapes import Box, Cylinder
+from viewshed.sim.raycast.caster import cast_world
+from viewshed.sim.raycast.scan import Scan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Thing, World
 from viewshed.sweep import Sweep
 
 NOISE_M = 0.015
 """Standard deviation of a measured range, typical of a mechanical sensor."""
+
 _HALF_EXTENT_M = 1000.0
 
 

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed.geometry import FloatArray, Rigid
-from viewshed.sim.materials import material_index
+from viewshed.sim.assets.shapes import material_index
 
 _LOOKUP_M = 0.125
 

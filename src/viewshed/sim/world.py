@@ -1,4 +1,7 @@
-"""Worlds: ground, things that stand or move on it, and the agents that look at them."""
+"""Worlds: ground, things that stand or move on it, and the agents that look at them.
+
+Loops that tell where things are over time.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,46 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.sim.materials import material_index
-from viewshed.sim.shapes import KINDS, Shape
+from viewshed.sim.assets.shapes import KINDS, Shape, material_index
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.track_kernels import follow, place_things
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_things(t_s: Any, which: Any, resting: Any, knots: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Fill x, y and yaw (n, k, 3) of k things at n times, from where they rest or from their knots."""
+    (at_rest, spans), (times, values) = resting, knots
+    for k in range(which.shape[0]):
+        thing = which[k]
+        if spans[thing, 0] < spans[thing, 1]:
+            follow(t_s, times, values, (spans[thing, 0], spans[thing, 1]), out[:, k])
+        else:
+            out[:, k] = at_rest[thing]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow(t_s: Any, times: Any, values: Any, span: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Fill x, y and yaw (n, 3) at n times, straight between the knots of a span, still outside."""
+    begin, end = span
+    for n in range(t_s.shape[0]):
+        t = t_s[n]
+        j = begin + np.searchsorted(times[begin:end], t, side="right") - 1
+        for k in range(3):
+            if j < begin:
+                out[n, k] = values[begin, k]
+            elif j == end - 1 or times[j] == t:
+                out[n, k] = values[j, k]
+            else:
+                slope = (values[j + 1, k] - values[j, k]) / (times[j + 1] - times[j])
+                out[n, k] = slope * (t - times[j]) + values[j, k]
+
 
 GROUND, NOTHING = -1, -2
 """What a beam met if it was no thing: the ground, or nothing within range."""
+
 _DT_S, _WHEELBASE_M = 0.05, 3.0
 
 

@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import viewshed
-from viewshed import flat
-from viewshed.attacks import ATTACKS
-from viewshed.bev import BevGrid
+from viewshed import _config as flat
 from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
-from viewshed.networks.channels import PAST_CHANNELS
-from viewshed.networks.shape import UNetShape
-from viewshed.networks.spec import COUNTS, TRUTHS, NetworkCard
+from viewshed.grid import BevGrid
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import COUNTS, TRUTHS, NetworkCard
+from viewshed.networks.features import PAST_CHANNELS
+from viewshed.threats.attacks import ATTACKS
 
 PAPER = "paper"
 """Name of the mixture of arXiv 2503.07375, beside those of ``ATTACKS``."""
+
 ROOM_M = 20.0
 """Grids up to this half extent are rooms: the paper's indoor label and attack."""
+
 CHOICES: dict[str, tuple[str, ...]] = {
     "truth": TRUTHS,
     "variant": ("mle", "mcd"),
@@ -29,6 +31,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "counts": COUNTS,
 }
 """What the keys that name one of a few may be."""
+
 _LIMITS: dict[str, tuple[float, float]] = {
     "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "ringless_share": (0.0, 1.0),
     "past_share": (0.0, 1.0),

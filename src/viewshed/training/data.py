@@ -11,24 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
-from viewshed.datasets.archive import Archive
-from viewshed.datasets.manifest import MANIFEST
+from viewshed._jobs import LocalEngine
+from viewshed.datasets.archive.archive import Archive
+from viewshed.datasets.archive.manifest import MANIFEST
+from viewshed.datasets.archive.storage import Store
 from viewshed.datasets.presets import Preset, preset_named
-from viewshed.datasets.simulation import recipe_of, simulate
-from viewshed.datasets.store import Store
-from viewshed.engines import LocalEngine
+from viewshed.datasets.simulated import recipe_of, simulate
 from viewshed.training.config import TrainConfig
-from viewshed.training.frames import TrainingFrames
-from viewshed.training.kept import kept_of
-from viewshed.training.labels import PaperLabels
-from viewshed.training.order import VALIDATION_EPOCH
-from viewshed.training.sources import FRESH_PER_SCENE, Archived, Fresh, check_archives, on_grid
+from viewshed.training.sample_cache import kept_of
+from viewshed.training.samples import VALIDATION_EPOCH, TrainingFrames
+from viewshed.training.sources import FRESH_PER_SCENE, Archived, Fresh, PaperLabels, check_archives, on_grid
 
 Told = Callable[[str, int, int], None]
 """Is told what is being prepared, how many frames are done and how many there are."""
+
 FRESH_VALIDATION = 0.1
 """Frames that validate beside fresh ones, as a share of those of an epoch."""
+
 _VALIDATION = 0x76616C
+
 _WORTH_PROCESSES = 100
 
 

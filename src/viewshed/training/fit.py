@@ -1,32 +1,162 @@
-"""One training by Lightning: loaders, processes, checkpoints, and the weights at the end [torch]."""
+"""One training by Lightning: loaders, processes, checkpoints, and the weights at the end [torch].
+
+Checkpoints that are whole or not there, of this config and version [torch].
+
+What Lightning and torch say and choose while a training runs [torch].
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import logging
 import os
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
-import lightning as L  # noqa: N812 - its own convention
+import lightning as L  # noqa: N812
 import torch
 from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch.multiprocessing.spawn import ProcessRaisedException
 from torch.utils.data import DataLoader, Dataset
 
-from viewshed.networks.unet import UNet, save_weights
-from viewshed.report import facts
-from viewshed.training.checkpoints import WholeCheckpoints, check_same, read_checkpoint
+import viewshed
+from viewshed._page import facts
+from viewshed.networks.unet_torch import UNet, save_weights
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import Frames
-from viewshed.training.files import save
-from viewshed.training.frames import TrainingFrames
-from viewshed.training.history import Epoch, best_of, csv_of, epoch_of, is_over
-from viewshed.training.learner import KEY, Learner, Progress, Step
-from viewshed.training.order import Share, TrainingOrder, ValidationOrder
-from viewshed.training.quiet import hush, own_cores, quiet
-from viewshed.training.run import CHECKPOINT, CURVES, HISTORY, STATE, WEIGHTS, Machines
+from viewshed.training.log import (
+    CHECKPOINT,
+    CURVES,
+    HISTORY,
+    STATE,
+    WEIGHTS,
+    Epoch,
+    Machines,
+    best_of,
+    csv_of,
+    epoch_of,
+    is_over,
+    save,
+)
+from viewshed.training.module import FORMAT, KEY, Learner, Progress, Step
+from viewshed.training.samples import Share, TrainingFrames, TrainingOrder, ValidationOrder
+
+_REPAIR = "delete it, and training begins again"
+
+
+class WholeCheckpoints(TorchCheckpointIO):
+    """Writes a checkpoint beside the old one and moves it into place; reads tensors and plain values only."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        """Write a checkpoint.
+
+        Raises:
+            OSError: it cannot be written; the one before is still there.
+        """
+        buffer = io.BytesIO()
+        torch.save(checkpoint, buffer)
+        save(Path(path), buffer.getvalue())
+
+    def load_checkpoint(self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True) -> dict[str, Any]:
+        """Return a checkpoint of anything that Lightning wrote.
+
+        Raises:
+            ValueError: it is damaged.
+            OSError: it cannot be read.
+        """
+        return _loaded(Path(path))
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Return a checkpoint on the processor.
+
+    Raises:
+        ValueError: it is damaged, or no training's of this format.
+        OSError: it cannot be read.
+    """
+    found = _loaded(path)
+    if not isinstance(found.get(KEY), dict):
+        raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {_REPAIR}")
+    version = found[KEY].get("format")
+    if version != FORMAT:
+        raise ValueError(f"{path} must have format {FORMAT}, got {version}; {_REPAIR}")
+    return found
+
+
+def _loaded(path: Path) -> dict[str, Any]:
+    content = path.read_bytes()
+    try:
+        found: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        return dict(found)
+    except Exception as error:  # torch raises whatever its parts raise
+        raise ValueError(f"{path} is damaged or no checkpoint; {_REPAIR}") from error
+
+
+def check_same(found: dict[str, Any], config: TrainConfig, path: Path) -> None:
+    """Check that a checkpoint is of this config and version of the code.
+
+    Raises:
+        ValueError: it is of another one.
+    """
+    before, now = found[KEY]["config"], config.to_json()
+    if before != now:
+        keys = ", ".join(sorted(key for key in {*before, *now} if before.get(key) != now.get(key)))
+        raise ValueError(f"{path} is of a training with other {keys}; choose another --out, or delete it")
+    version = found[KEY]["version"]
+    if version != viewshed.__version__:
+        raise ValueError(
+            f"{path} was begun with viewshed {version}, this is {viewshed.__version__}; finish it with that version, "
+            "or choose another --out"
+        )
+
+
+_LOGGERS = ("lightning.pytorch", "lightning.fabric", "torch.onnx")
+
+
+def hush() -> None:
+    """Keep what Lightning and torch say to themselves: our progress and our errors say it.
+
+    A graphics card chooses only convolutions that give the same bits again.
+    """
+    for name in _LOGGERS:
+        logging.getLogger(name).setLevel(logging.ERROR)
+    for module in ("lightning", "torch"):
+        warnings.filterwarnings("ignore", module=module)
+    torch.backends.cudnn.deterministic = True
+
+
+@contextlib.contextmanager
+def own_cores(workers: int) -> Iterator[None]:
+    """Leave a core to each worker: torch's threads wait for the slowest, and one that has to wait stops them all."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(min(before, max((os.cpu_count() or 1) - workers, 1)))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """As :func:`hush`, and afterwards all is as it was."""
+    levels = {name: logging.getLogger(name).level for name in _LOGGERS}
+    deterministic = torch.backends.cudnn.deterministic
+    with warnings.catch_warnings():
+        hush()
+        try:
+            yield
+        finally:
+            torch.backends.cudnn.deterministic = deterministic
+            for name, level in levels.items():
+                logging.getLogger(name).setLevel(level)
+
 
 _PREFETCH = 4
+
 _CAUGHT = "Caught "  # how torch begins what a worker raised; its last line is type and message
 
 
@@ -198,8 +328,8 @@ def _finish(
     config: TrainConfig, frames: Frames, out: Path, machines: Machines, progress: Progress | None
 ) -> list[Epoch]:
     """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
-    from viewshed.networks.onnx_file import export_onnx
-    from viewshed.plot_training import curve_figure
+    from viewshed.networks.onnx_export import export_onnx
+    from viewshed.training.figures import curve_figure
 
     found = read_checkpoint(out / CHECKPOINT)[KEY]
     history = [epoch_of(table) for table in found["history"]]
@@ -208,7 +338,7 @@ def _finish(
     module = UNet(config.shape)
     module.load_state_dict(found["best"])
     if config.doubt_frames:
-        from viewshed.training.distill import with_doubt
+        from viewshed.training.module import with_doubt
 
         told = None if progress is None else _doubting(progress, config)
         module = with_doubt(config, module, frames.train, torch.device(machines.device), told)

@@ -9,39 +9,10 @@ from typing import TYPE_CHECKING
 
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import Fold, check_data, prepare
-from viewshed.training.history import Epoch, best_of
+from viewshed.training.log import CHECKPOINT, WEIGHTS, Epoch, Machines, best_of
 
 if TYPE_CHECKING:
-    from viewshed.training.learner import Step
-
-DEVICES = ("cpu", "cuda")
-CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
-"""What a training leaves in its folder."""
-
-
-@dataclass(frozen=True, slots=True)
-class Machines:
-    """What a training runs on.
-
-    Attributes:
-        device: ``cpu`` or ``cuda``.
-        devices: processes, or graphics cards, of each machine.
-        nodes: machines.
-
-    Raises:
-        ValueError: a name or number is wrong.
-    """
-
-    device: str = "cpu"
-    devices: int = 1
-    nodes: int = 1
-
-    def __post_init__(self) -> None:
-        if self.device not in DEVICES:
-            raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
-        for name in ("devices", "nodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+    from viewshed.training.module import Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +47,7 @@ class Trained:
         return cls(out / WEIGHTS, out / CHECKPOINT, tuple(history), rate, share)
 
 
-def train(  # noqa: PLR0913 - where, on what and how is asked for by name
+def train(
     config: TrainConfig,
     out: str | Path,
     *,
@@ -132,6 +103,6 @@ def require_torch() -> None:
 
 
 def _preparing(progress: Callable[[Step], None], config: TrainConfig) -> Callable[[str, int, int], None]:
-    from viewshed.training.learner import Step
+    from viewshed.training.module import Step
 
     return lambda stage, done, total: progress(Step(stage, 0, config.epochs, done, total, float("nan")))

@@ -8,7 +8,10 @@ import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds.highway import highway
-from viewshed.sim.worlds.indoor import corridors, hall, rooms, warehouse
+from viewshed.sim.worlds.indoor.corridors import corridors
+from viewshed.sim.worlds.indoor.hall import hall
+from viewshed.sim.worlds.indoor.rooms import rooms
+from viewshed.sim.worlds.indoor.warehouse import warehouse
 from viewshed.sim.worlds.junction import junction
 from viewshed.sim.worlds.parking import parking
 from viewshed.sim.worlds.residential import residential

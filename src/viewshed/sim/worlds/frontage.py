@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from viewshed.sim.things import (
+from viewshed.sim.assets.buildings import garage, town_house
+from viewshed.sim.assets.street import (
     bench,
     bin_,
     bus_shelter,
+    bush,
     cabinet,
     fence,
     group,
@@ -20,18 +22,19 @@ from viewshed.sim.things import (
     pole,
     put,
     sign,
+    tree,
     wall,
 )
-from viewshed.sim.vegetation import bush, tree
-from viewshed.sim.vehicles import motorcycle, parked_vehicle
+from viewshed.sim.assets.vehicles import motorcycle, parked_vehicle
 from viewshed.sim.world import Thing
-from viewshed.sim.worlds.buildings import garage, town_house
-from viewshed.sim.worlds.ground import Road
 from viewshed.sim.worlds.layout import Span, plots, spots
+from viewshed.sim.worlds.outdoor_ground import Road
 from viewshed.sim.worlds.traffic import Driver, Rider, flow, straight_lane
 
 _BAY_M = 5.7
+
 _WIDE_WALK_M = 3.4
+
 PARKING_M = 2.2
 """Width of the strip of parked vehicles beside the curb."""
 

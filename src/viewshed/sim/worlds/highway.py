@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.materials import material_index
-from viewshed.sim.shapes import Box
-from viewshed.sim.terrain import Terrain
-from viewshed.sim.things import (
+from viewshed.sim.assets.shapes import Box, material_index
+from viewshed.sim.assets.street import (
+    bush,
     concrete_barrier,
     cone,
+    conifer,
     gantry,
     guard_rail,
     lamp_post,
@@ -21,18 +21,22 @@ from viewshed.sim.things import (
     put,
     sign,
     sound_wall,
+    tree,
     work_barrier,
 )
-from viewshed.sim.vegetation import bush, conifer, tree
-from viewshed.sim.vehicles import highway_vehicle, van
+from viewshed.sim.assets.vehicles import highway_vehicle, van
+from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.ground import Relief, relief
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast, spots
+from viewshed.sim.worlds.outdoor_ground import Relief, relief
 from viewshed.sim.worlds.traffic import Lane, Rider, Stream, filled, flow, line_lane
 
 Array = NDArray[np.float64]
+
 _LANE_M, _SHOULDER_M, _MARGIN_M = 3.6, 2.8, 66.0
+
 _SHORTEST_ROAM_M, _LONGEST_ROAM_M = 50.0, 240.0
+
 _LATTICE = 34
 
 

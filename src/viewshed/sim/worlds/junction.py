@@ -7,16 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from viewshed.sim.things import person, pick, traffic_light
-from viewshed.sim.vehicles import street_vehicle
+from viewshed.sim.assets.street import person, pick, traffic_light
+from viewshed.sim.assets.vehicles import street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, side
-from viewshed.sim.worlds.ground import Ground, Road, relief
 from viewshed.sim.worlds.layout import Contents, Mast, Span, assembled, carriers, mast
+from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, right_turn, straight_lane
 
 _HALF_M, _ROAM_M = 112.0, 50.0
+
 _CROSSWALK_M = 4.8
+
 _TURN_CLEARANCE_M, _BEHIND_TURN_M = 1.4, 12.0
 
 

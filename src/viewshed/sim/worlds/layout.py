@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from viewshed.geometry import Rigid
-from viewshed.sim.shapes import Cylinder
+from viewshed.sim.assets.shapes import Cylinder
+from viewshed.sim.assets.street import put
+from viewshed.sim.assets.vehicles import sensor_car
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.things import put
-from viewshed.sim.vehicles import sensor_car
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
 
 Span = tuple[float, float]
+
 MOST_MOVING = 40
 """How many things of a world have tracks, at most."""
 

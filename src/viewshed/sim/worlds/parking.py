@@ -7,19 +7,34 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.materials import material_index
-from viewshed.sim.shapes import Box
+from viewshed.sim.assets.buildings import glass_hall, kiosk, town_house
+from viewshed.sim.assets.shapes import Box, material_index
+from viewshed.sim.assets.street import (
+    bin_,
+    bus_shelter,
+    bush,
+    cabinet,
+    conifer,
+    fence,
+    group,
+    hedge,
+    lamp_post,
+    person,
+    pick,
+    pole,
+    put,
+    tree,
+    wall,
+)
+from viewshed.sim.assets.vehicles import car, parked_vehicle
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.things import bin_, bus_shelter, cabinet, fence, group, lamp_post, person, pick, pole, put, wall
-from viewshed.sim.vegetation import bush, conifer, hedge, tree
-from viewshed.sim.vehicles import car, parked_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.buildings import glass_hall, kiosk, town_house
-from viewshed.sim.worlds.ground import relief
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast, plots, spots
+from viewshed.sim.worlds.outdoor_ground import relief
 from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
 
 Array = NDArray[np.float64]
+
 _HALF_M, _BAY_M, _DEEP_M, _ROAD_M = 112.0, 2.6, 5.1, 7.0
 
 

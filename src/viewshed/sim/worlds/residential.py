@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.sim.things import bin_, fence, lamp_post, person, pick, sign, wall
-from viewshed.sim.vegetation import bush, conifer, hedge, tree
-from viewshed.sim.vehicles import car, cyclist, parked_vehicle, street_vehicle, van
+from viewshed.sim.assets.buildings import family_house, garage
+from viewshed.sim.assets.street import bin_, bush, conifer, fence, hedge, lamp_post, person, pick, sign, tree, wall
+from viewshed.sim.assets.vehicles import car, cyclist, parked_vehicle, street_vehicle, van
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.buildings import family_house, garage
 from viewshed.sim.worlds.frontage import PARKING_M, Side, parked, walkers
-from viewshed.sim.worlds.ground import Ground, Road, relief
 from viewshed.sim.worlds.layout import Contents, Mast, Span, assembled, carriers, mast, spots
+from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed.sim.worlds.traffic import Rider, Stream, filled, flow, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
+
 _DRIVE_M = 3.6
 
 

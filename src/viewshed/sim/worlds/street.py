@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.sim.things import cone, put, work_barrier
-from viewshed.sim.vehicles import cyclist, street_vehicle
+from viewshed.sim.assets.street import cone, put, work_barrier
+from viewshed.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, side, walkers
-from viewshed.sim.worlds.ground import Ground, Road, relief
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast
+from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0

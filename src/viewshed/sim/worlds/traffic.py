@@ -8,16 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.things import drive, extent, put
+from viewshed.sim.assets.street import drive, extent, put
 from viewshed.sim.world import Thing, Track
 
 Array = NDArray[np.float64]
+
 _STEP_S = 0.5
+
 _SMOOTH_STEPS = 2
+
 _LEAD_S = 3.0
+
 _FAR_M = 1500.0
+
 _QUEUE_GAP_M = 2.0
+
 _DELAY_STEPS = 2
+
 _REACTION_S = _DELAY_STEPS * _STEP_S
 
 

@@ -1,0 +1,446 @@
+"""Processes of this machine.
+
+Machines of a Ray cluster.
+
+What an engine is, and what it says about a job.
+
+Engines: run one function over many jobs, on this machine or on a cluster, with the same results.
+
+A job says all that its work needs (seeds, place, number), so results do not depend on the engine, on the number of
+workers or on the order. To add an engine, write a file and add a line to :data:`ENGINES`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import logging
+import multiprocessing
+import os
+import pickle
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    import ray
+
+
+J = TypeVar("J")
+
+R = TypeVar("R")
+
+R_co = TypeVar("R_co", covariant=True)
+
+TRIES = 3
+"""How often a job is begun when the worker that has it dies; a job that raises is begun once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done(Generic[R_co]):
+    """What became of one job.
+
+    Attributes:
+        index: which of the jobs, from 0.
+        result: what the work returned, or None where it failed.
+        error: one line that says why it failed, or None.
+    """
+
+    index: int
+    result: R_co | None
+    error: str | None
+
+
+class Engine(Protocol):
+    """Anything that runs a function over jobs."""
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        """Yield one ``Done`` for every job as they finish, in any order.
+
+        ``work``, jobs and results travel between processes: ``work`` is a function of a module (or a
+        ``functools.partial`` of one). Where the work raises, that job has an ``error`` and the rest goes on; where a
+        worker dies, another takes its place and the job is begun again, :data:`TRIES` times in all. No more jobs are
+        under way than there are workers. Closing the iterator stops all workers.
+        """
+
+
+def attempt(work: Callable[[J], R], index: int, job: J) -> Done[R]:
+    """Return the job done, with the error where the work raises."""
+    try:
+        return Done(index, work(job), None)
+    except Exception as error:
+        return Done(index, None, reason(error))
+
+
+def reason(error: BaseException) -> str:
+    """Return one line that says what was raised; where, too, if the message is not meant for users.
+
+    >>> reason(ValueError("cells must be positive, got 0"))
+    'cells must be positive, got 0'
+    """
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError | ValueError) and text:
+        return text
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text}{where}" if text else f"{type(error).__name__}{where}"
+
+
+def check_workers(workers: int | None) -> None:
+    """Check a number of workers; None stands for all cores.
+
+    Raises:
+        ValueError: it is below 1.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be at least 1, got {workers}")
+
+
+_GRACE_S = 2.0  # for a worker to remove what it has half written
+
+
+@dataclass(frozen=True, slots=True)
+class LocalEngine:
+    """Runs jobs in ``workers`` processes, None is one for each core; with one worker in this process, without any.
+
+    Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
+    ends them, and they end by themselves soon after this process is gone.
+
+    Raises:
+        ValueError: ``workers`` is below 1.
+    """
+
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        check_workers(self.workers)
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        """Yield one ``Done`` for every job as they finish; see :class:`viewshed._jobs.Engine`.
+
+        Raises:
+            OSError: workers cannot start.
+        """
+        workers = cores() if self.workers is None else self.workers
+        if workers == 1:
+            return (attempt(work, index, job) for index, job in enumerate(jobs))
+        return _Pool(pickle.dumps(work), min(workers, len(jobs))).run(jobs)
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+@dataclass(slots=True, eq=False)
+class _Worker:
+    """One process, the pipe to it and the job that it has."""
+
+    process: SpawnProcess
+    pipe: Connection
+    ready: bool = False
+    index: int | None = None
+    tries: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _Pool:
+    """The workers of one run, and what is left to do."""
+
+    work: bytes
+    size: int
+    workers: list[_Worker] = field(default_factory=list)
+    again: list[tuple[int, int]] = field(default_factory=list)  # job, tries
+    next_job: int = 0
+    failed_starts: int = 0
+
+    def run(self, jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        try:
+            self.workers.extend(_start(self.work) for _ in range(self.size))
+            while self.again or self.next_job < len(jobs) or any(worker.index is not None for worker in self.workers):
+                for worker in self._signalled():
+                    yield from self._heard(worker, jobs)
+        finally:
+            _stop(self.workers)
+
+    def _signalled(self) -> list[_Worker]:
+        ready = set(wait([worker.pipe for worker in self.workers]))
+        return [worker for worker in self.workers if worker.pipe in ready]
+
+    def _heard(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
+        """Take what a worker says (that it is ready, or a job done) and give it the next job."""
+        try:
+            done: Done[R] | None = pickle.loads(worker.pipe.recv_bytes())  # noqa: S301 - from our own process
+        except (EOFError, OSError):
+            yield from self._replaced(worker)
+            return
+        worker.ready, worker.index = True, None
+        self.failed_starts = 0
+        if done is not None:
+            yield done
+        yield from self._next(worker, jobs)
+
+    def _next(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
+        while worker.index is None and (self.again or self.next_job < len(jobs)):
+            index, tries = self.again.pop() if self.again else (self.next_job, 0)
+            self.next_job = max(self.next_job, index + 1)
+            try:
+                message = pickle.dumps((index, jobs[index]))
+            except Exception as error:
+                yield Done(index, None, f"job {index} cannot be sent to a worker: {reason(error)}")
+                continue
+            worker.index, worker.tries = index, tries + 1
+            with contextlib.suppress(OSError):  # it is dead: seen when we next listen
+                worker.pipe.send_bytes(message)
+
+    def _replaced(self, worker: _Worker) -> Iterator[Done[R]]:
+        worker.process.join()
+        worker.pipe.close()
+        self.workers.remove(worker)
+        end = _end(worker.process.exitcode)
+        if not worker.ready:
+            self.failed_starts += 1
+        if self.failed_starts >= TRIES:
+            raise OSError(
+                f"a worker process must start, got {end} {TRIES} times; call the engine below"
+                ' if __name__ == "__main__":, give it more memory, or use 1 worker'
+            )
+        if worker.index is not None and worker.tries < TRIES:
+            self.again.append((worker.index, worker.tries))
+        elif worker.index is not None:
+            yield Done(worker.index, None, f"the worker died {TRIES} times over this job, at last with {end}")
+        self.workers.append(_start(self.work))
+
+
+def _end(exitcode: int | None) -> str:
+    if exitcode is None or exitcode >= 0:
+        return f"exit status {exitcode}"
+    hint = " (out of memory?)" if -exitcode == signal.SIGKILL else ""
+    return f"signal {-exitcode}{hint}"
+
+
+def _start(work: bytes) -> _Worker:
+    """Start a worker that never hears Ctrl-C: that is for its parent, who ends it."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+    with _without_interrupts():
+        process.start()
+    theirs.close()
+    return _Worker(process, ours)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _stop(workers: list[_Worker]) -> None:
+    for worker in workers:
+        worker.pipe.close()
+        worker.process.terminate()
+    end_s = time.monotonic() + _GRACE_S
+    for worker in workers:
+        worker.process.join(max(0.0, end_s - time.monotonic()))
+        worker.process.kill()
+        worker.process.join()
+
+
+def _serve(pipe: Connection, work: bytes) -> None:
+    """Do jobs until there are no more, in a process of its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that half-written files are removed
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with contextlib.suppress(EOFError, OSError):
+        pipe.send_bytes(pickle.dumps(None))
+        while True:
+            pipe.send_bytes(_answer(work, pipe.recv_bytes()))
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is half-written now, and to raise while ending is noise
+
+
+def _answer(work: bytes, message: bytes) -> bytes:
+    index = -1
+    try:
+        index, job = pickle.loads(message)  # noqa: S301 - from our own process
+        return pickle.dumps(attempt(pickle.loads(work), index, job))  # noqa: S301 - from our own process
+    except Exception as error:
+        return pickle.dumps(Done(index, None, f"job {index} cannot travel between processes: {reason(error)}"))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(_GRACE_S)
+        os._exit(1)
+
+
+_CONNECT_S = 10.0
+
+_QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to anybody
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # print no line of another process, not even when a node dies; read at import
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # our tasks ask for no accelerator; Ray warns about that otherwise
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RayEngine:
+    """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time; None is one for each core of the cluster.
+
+    Uses the cluster that the program has already joined or that ``RAY_ADDRESS`` names or that runs on this machine;
+    where there is none, starts one on this machine and ends it afterwards. Every machine of the cluster needs the same
+    versions of Python, Ray and viewshed.
+
+    Raises:
+        ValueError: ``workers`` is below 1.
+        ImportError: Ray is not installed.
+    """
+
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        check_workers(self.workers)
+        if importlib.util.find_spec("ray") is None:
+            raise ImportError("engine ray needs Ray, which is not installed; pip install 'viewshed[ray]'")
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        """Yield one ``Done`` for every job as they finish; see :class:`viewshed._jobs.Engine`.
+
+        Raises:
+            OSError: the cluster cannot be reached or started.
+        """
+        with _cluster():
+            yield from _Tasks(work, jobs).run(self.workers)
+
+
+class _Tasks:
+    """The tasks of one run: which are under way and what is left to do."""
+
+    def __init__(self, work: Callable[[J], R], jobs: Sequence[J]) -> None:
+        import ray
+
+        self._ray = ray
+        self._jobs = jobs
+        self._work = ray.put(work)
+        # We begin lost tasks again ourselves: Ray would do so without end for those that run out of memory.
+        self._task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(attempt)
+        self._under_way: dict[ray.ObjectRef[Any], tuple[int, int]] = {}
+
+    def run(self, workers: int | None) -> Generator[Done[R], None, None]:
+        indices = iter(range(len(self._jobs)))
+        try:
+            while True:
+                while len(self._under_way) < (workers or self._cores()) and (index := next(indices, None)) is not None:
+                    yield from self._begin(index, 1)
+                if not self._under_way:
+                    return
+                finished, _ = self._ray.wait(list(self._under_way), num_returns=1)
+                yield from self._finish(finished[0])
+        finally:
+            for task in self._under_way:
+                self._ray.cancel(task, force=True)
+
+    def _cores(self) -> int:
+        """Cores of the cluster as it is now: nodes come and go."""
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def _begin(self, index: int, tries: int) -> Iterator[Done[R]]:
+        try:
+            task = self._task.remote(self._work, index, self._jobs[index])
+        except Exception as error:
+            yield Done(index, None, f"job {index} cannot be sent to a worker: {reason(error)}")
+            return
+        self._under_way[task] = index, tries
+
+    def _finish(self, task: ray.ObjectRef[Any]) -> Iterator[Done[R]]:
+        index, tries = self._under_way.pop(task)
+        try:
+            yield self._ray.get(task)
+        except self._ray.exceptions.RayTaskError as error:
+            yield Done(index, None, f"job {index} cannot travel between processes: {reason(error.cause or error)}")
+        except self._ray.exceptions.RayError as error:
+            if tries < TRIES:
+                yield from self._begin(index, tries + 1)
+            else:
+                lost = f"{type(error).__name__}: {reason(error)}"[:300]
+                yield Done(index, None, f"the worker died {TRIES} times over this job, at last with {lost}")
+
+
+@contextlib.contextmanager
+def _cluster() -> Iterator[None]:
+    """Join a cluster or start one, quietly; leave what we joined."""
+    with _environment(_QUIET):
+        import ray
+    if ray.is_initialized():
+        yield
+        return
+    address = os.environ.get("RAY_ADDRESS", "")
+    try:
+        _reach(address)
+        with _environment(_QUIET):
+            ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
+        told = f"RAY_ADDRESS must name a running Ray cluster, got {address}" if address else "Ray cannot start here"
+        raise OSError(f"{told} ({reason(error)}); start one with ray start --head, or unset RAY_ADDRESS") from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _reach(address: str) -> None:
+    """Raise an OSError soon if nobody listens at ``host:port``; Ray would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Set variables that are not set, and take them back."""
+    added = {name: value for name, value in values.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
+__all__ = ["ENGINES", "TRIES", "Done", "Engine", "LocalEngine", "RayEngine", "engine_named"]
+
+ENGINES: dict[str, Callable[[int | None], Engine]] = {
+    "local": LocalEngine,
+    "ray": RayEngine,
+}
+"""From a name to a function that makes the engine for a number of workers; None is one for each core."""
+
+
+def engine_named(name: str, workers: int | None = None) -> Engine:
+    """Return the engine with this name, for so many workers; None is one for each core of the machine or the cluster.
+
+    Raises:
+        ValueError: there is no such engine, or ``workers`` is below 1.
+        ImportError: the engine needs an extra that is not installed.
+    """
+    if name not in ENGINES:
+        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+    return ENGINES[name](workers)

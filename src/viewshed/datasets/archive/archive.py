@@ -1,0 +1,376 @@
+"""Archive: a data set in Parquet shards with a manifest, read frame by frame.
+
+An archive as a recording: whoever reads it as one gets its sweeps, and nothing of its truth.
+
+ArchiveFrames: an archive as arrays for training; works with torch's DataLoader and needs no torch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import accumulate
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.manifest import MANIFEST, Manifest
+from viewshed.datasets.archive.shard import REPAIR, Shard, ShardFacts, damage
+from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.recordings.source import ObjectBox, SweepRef
+from viewshed.datasets.sample import Sample
+from viewshed.fov.visibility import CAR, Target
+from viewshed.geometry import Rigid, rotation_from_quaternion
+from viewshed.grid import BevGrid
+from viewshed.preprocess.leveling import level_sweep
+from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sweep import Sweep
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+
+OPEN_SHARDS = 64
+"""Files that an archive keeps open at a time."""
+
+
+class Archive:
+    """A data set of samples in order, from :meth:`open`; also one of its splits or some of its scenes.
+
+    It may be sent to other processes and used after a fork: files are opened by the process that reads them.
+
+    Args:
+        store: where it lies.
+        manifest: what it holds and how it was made.
+        shards: those that belong to it; None is all.
+    """
+
+    def __init__(self, store: Store, manifest: Manifest, shards: Iterable[ShardFacts] | None = None) -> None:
+        self.store = store
+        self.manifest = manifest
+        self.shards = tuple(manifest.shards if shards is None else shards)
+        self._ends = np.array(list(accumulate(shard.frames for shard in self.shards)), np.int64)
+        self._files = _Files(store)
+
+    @classmethod
+    def open(cls, place: str | os.PathLike[str]) -> Archive:
+        """Return the archive in a folder or at a URI.
+
+        Raises:
+            ValueError: it is no archive, not finished, damaged, or of another schema version.
+            OSError: it cannot be read.
+        """
+        store = Store.of(place)
+        manifest = Manifest.read(store)
+        if not manifest.complete:
+            raise ValueError(f"{store.place} is not finished; run the command that makes it again")
+        return cls(store, manifest)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def __getitem__(self, index: int) -> Sample:
+        """Return one sample.
+
+        Raises:
+            IndexError: there is no such frame.
+            ValueError: its shard is damaged.
+            OSError: its shard cannot be read.
+        """
+        frame, shard = self.frame(index)
+        return frame.sample(shard.scene, shard.split)
+
+    def frame(self, index: int) -> tuple[Frame, ShardFacts]:
+        """Return one frame as it is stored, its points not made yet, and the shard that it is in; errors as ``[]``."""
+        count = len(self)
+        if not -count <= index < count:
+            raise IndexError(f"index must lie in [{-count}, {count}), got {index}")
+        index %= count
+        number = int(np.searchsorted(self._ends, index, side="right"))
+        facts = self.shards[number]
+        return self._files.shard(facts.name).frame(index - int(self._ends[number]) + facts.frames), facts
+
+    def __iter__(self) -> Iterator[Sample]:
+        return self.samples()
+
+    def samples(self, on_damage: Callable[[ShardFacts, str], None] | None = None) -> Iterator[Sample]:
+        """Yield the samples in order.
+
+        Args:
+            on_damage: is told of a shard that cannot be read and why, and the rest of that shard is left out; None
+                raises instead.
+
+        Raises:
+            ValueError: a shard is damaged, and nobody is told of it.
+            OSError: a shard cannot be read, and nobody is told of it.
+        """
+        for facts in self.shards:
+            try:
+                shard = self._files.shard(facts.name)
+                for index in range(facts.frames):
+                    yield shard.frame(index).sample(facts.scene, facts.split)
+            except (ValueError, OSError) as error:
+                if on_damage is None:
+                    raise
+                on_damage(facts, str(error))
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes, in order."""
+        return tuple(dict.fromkeys(shard.scene for shard in self.shards))
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits, in order."""
+        return tuple(dict.fromkeys(shard.split for shard in self.shards))
+
+    def split(self, name: str) -> Archive:
+        """Return the scenes of one split.
+
+        Raises:
+            ValueError: there is no such split.
+        """
+        if name not in self.splits:
+            raise ValueError(f"split must be one of {', '.join(self.splits)}, got {name!r}")
+        return self._with(shard for shard in self.shards if shard.split == name)
+
+    def of_scenes(self, scenes: Iterable[str]) -> Archive:
+        """Return the frames of some scenes.
+
+        Raises:
+            ValueError: there is no such scene.
+        """
+        wanted = set(scenes)
+        if not wanted <= set(self.scenes):
+            raise ValueError(f"scenes must be among those of the archive, got {sorted(wanted - set(self.scenes))}")
+        return self._with(shard for shard in self.shards if shard.scene in wanted)
+
+    def folds(self, count: int, seed: int = 0) -> Iterator[tuple[Archive, Archive]]:
+        """Yield ``count`` pairs (rest, held out) for cross-validation; no scene is in both, each is held out once.
+
+        Raises:
+            ValueError: there are fewer scenes than folds, or fewer than two folds.
+        """
+        scenes = self.scenes
+        if not 2 <= count <= len(scenes):
+            raise ValueError(f"count must lie in [2, {len(scenes)}], the number of scenes, got {count}")
+        order = np.random.default_rng(seed).permutation(len(scenes))
+        for fold in range(count):
+            held = {scenes[k] for k in order[fold::count]}
+            yield self.of_scenes(set(scenes) - held), self.of_scenes(held)
+
+    def verify(self) -> Iterator[tuple[ShardFacts, str | None]]:
+        """Yield each shard with what is wrong with it in one line, or None: its length and checksum are compared."""
+        for facts in self.shards:
+            yield facts, damage_of(self.store, facts)
+
+    def _with(self, shards: Iterable[ShardFacts]) -> Archive:
+        return Archive(self.store, self.manifest, shards)
+
+
+def damage_of(store: Store, facts: ShardFacts) -> str | None:
+    """Return one line that says why a shard is not the one that was written, or None if it is."""
+    try:
+        content = store.read(facts.name)
+    except OSError as error:
+        return f"{error}; {REPAIR}"
+    where = f"{store.place}/{facts.name} is damaged"
+    if len(content) != facts.bytes:
+        return f"{where}: it must have {facts.bytes} bytes, got {len(content)}; {REPAIR}"
+    if hashlib.sha256(content).hexdigest() != facts.sha256:
+        return f"{where}: its checksum is not the manifest's; {REPAIR}"
+    return None
+
+
+@dataclass(slots=True)
+class _Open:
+    """What one process has open: files (a few, the last used) and footers (all that were read)."""
+
+    process: int
+    files: OrderedDict[str, Shard]
+    footers: dict[str, pq.FileMetaData]
+
+
+class _Files:
+    """Opens shards when they are first read, again in each process."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._open = _Open(os.getpid(), OrderedDict(), {})
+
+    def __getstate__(self) -> Store:
+        return self._store
+
+    def __setstate__(self, store: Store) -> None:
+        self.__init__(store)  # type: ignore[misc]
+
+    def shard(self, name: str) -> Shard:
+        """Return an open shard."""
+        if self._open.process != os.getpid():
+            self._open = _Open(os.getpid(), OrderedDict(), self._open.footers)
+        files, footers = self._open.files, self._open.footers
+        if name not in files:
+            files[name] = Shard(self._store, name, footers.get(name))
+            footers[name] = files[name].metadata
+            if len(files) > OPEN_SHARDS:
+                files.popitem(last=False)[1].close()
+        files.move_to_end(name)
+        return files[name]
+
+
+LAYOUT = f"a folder with {MANIFEST}, made by viewshed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchiveSource:
+    """The sweeps of an archive, scene by scene.
+
+    Attributes:
+        archive: that holds them.
+    """
+
+    archive: Archive
+    _damage: list[str] = field(default_factory=list)
+
+    @classmethod
+    def open(cls, place: Path | str) -> ArchiveSource:
+        """Return the archive in a folder or at a URI.
+
+        Raises:
+            ValueError: it is no archive, not finished, damaged, or of another schema version.
+            OSError: it cannot be read.
+        """
+        return cls(Archive.open(place))
+
+    def scenes(self) -> tuple[str, ...]:
+        """Return the names of the scenes, in order."""
+        return self.archive.scenes
+
+    def split(self, scene: str) -> str:
+        """Return the name of the split that a scene belongs to."""
+        return next(shard.split for shard in self.archive.shards if shard.scene == scene)
+
+    def refs(self, scene: str) -> list[SweepRef]:
+        """Return the sweeps of a scene in time order; of a shard that cannot be read there are none.
+
+        Raises:
+            ValueError: there is no such scene, or no shard of it can be read.
+        """
+        if scene not in self.scenes():
+            raise ValueError(f"scene must be one of the {len(self.scenes())} of the archive, got {scene!r}")
+        rows: list[tuple[str, int, dict[str, Any]]] = []
+        problems: list[str] = []
+        for facts in self.archive.of_scenes([scene]).shards:
+            try:
+                rows += [(facts.name, frame, about) for frame, about in enumerate(self._about(facts))]
+            except (ValueError, OSError) as error:
+                problems.append(str(error))
+        self._damage.extend(problem for problem in problems if problem not in self._damage)
+        if not rows:
+            raise ValueError(problems[0])
+        rows.sort(key=lambda row: row[2].get("t_ns") or 0)
+        return [
+            SweepRef(scene, index, f"{self.archive.store.place}/{name}", about.get("t_ns"), str(about["agent"]),
+                     key=f"{name}:{frame}")
+            for index, (name, frame, about) in enumerate(rows)
+        ]  # fmt: skip
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep.
+
+        Raises:
+            ValueError: its shard is damaged, or the ref is not of this archive.
+            OSError: its shard cannot be read.
+        """
+        measured = self.measured(ref)
+        return measured.sweep() if isinstance(measured, RangeImage) else measured
+
+    def measured(self, ref: SweepRef) -> RangeImage | Sweep:
+        """Return a sweep as it is stored: the range image where there is one; errors as :meth:`read`."""
+        return self.archive.frame(self._place(ref))[0].measured
+
+    def sample(self, ref: SweepRef) -> Sample:
+        """Return a sweep with its truth, to compare with; errors as :meth:`read`."""
+        return self.archive[self._place(ref)]
+
+    def _place(self, ref: SweepRef) -> int:
+        name, _, frame = ref.key.rpartition(":")
+        start = 0
+        for facts in self.archive.shards:
+            if facts.name == name and frame.isdigit() and int(frame) < facts.frames:
+                return start + int(frame)
+            start += facts.frames
+        raise ValueError(f"ref must be one of {self.archive.store.place}, got {ref.key!r}")
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return None: an archive has no boxes."""
+        return None
+
+    def damage(self) -> tuple[str, ...]:
+        """Return one line for each shard that could not be read so far."""
+        return tuple(self._damage)
+
+    def _about(self, facts: ShardFacts) -> list[dict[str, Any]]:
+        import pyarrow.parquet as pq
+
+        where = f"{self.archive.store.place}/{facts.name}"
+        with damage(where), self.archive.store.open(facts.name) as file:
+            texts = pq.read_table(file, columns=["about"]).column("about").to_pylist()
+            return [json.loads(text) for text in texts]
+
+
+def is_archive(place: Path) -> bool:
+    """Return whether a folder holds an archive, from its names alone."""
+    return (place / MANIFEST).is_file()
+
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveFrames:
+    """An archive as a map-style data set: ``len(frames)`` and ``frames[i]``, in any number of processes.
+
+    Attributes:
+        archive: the archive, or one of its splits.
+        target: whose visibility is wanted.
+    """
+
+    archive: Archive
+    target: Target = CAR
+
+    def __len__(self) -> int:
+        return len(self.archive)
+
+    def __getitem__(self, index: int) -> Arrays:
+        """Return one frame as writable arrays (cells, cells) of its own.
+
+        ``counts``, int32: returns in each cell; ``visible``, bool: the truth; ``known``, bool: where it is known.
+
+        Raises:
+            IndexError: there is no such frame.
+            ValueError: its shard is damaged, or the truth was not made for the target.
+            OSError: its shard cannot be read.
+        """
+        frame, _ = self.archive.frame(index)
+        sweep, truth = frame.sweep, frame.truth
+        return {
+            "counts": truth.grid.count(sweep.points, level_from_sensor(sweep, truth.grid)),
+            "visible": truth.visible(self.target),
+            "known": np.array(frame.known),
+        }
+
+
+def level_from_sensor(sweep: Sweep, grid: BevGrid) -> Rigid:
+    """Return the transform to the ``level`` frame: from attitude and height where both are known, else estimated."""
+    attitude, height_m = sweep.known_attitude, sweep.sensor_height_m
+    if attitude is None or height_m is None:
+        return level_sweep(sweep, grid).level_from_sensor
+    return Rigid(rotation_from_quaternion(attitude), np.array([0.0, 0.0, height_m]))

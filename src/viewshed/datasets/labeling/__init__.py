@@ -1,0 +1,8 @@
+"""Labels: what each sweep of a benign recording could have seen, told afterwards from it and its neighbors in time."""
+
+from __future__ import annotations
+
+from viewshed.datasets.labeling.labeler import DEFINITIONS, Rules, Track, label_sweep
+from viewshed.datasets.labeling.run import Origin, label
+
+__all__ = ["DEFINITIONS", "Origin", "Rules", "Track", "label", "label_sweep"]

@@ -1,0 +1,182 @@
+"""Ground from several sweeps: far ground is seen when the sensor gets there.
+
+Each sweep leaves its two lowest returns of every node of a lattice that is fixed to the world. Those of the sweeps
+around one are laid together, and the walk of :mod:`viewshed.preprocess.ground` goes over them as over a single sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.fov.height_map import Ground
+from viewshed.geometry import Rigid
+from viewshed.preprocess.ground import estimate_ground
+from viewshed.preprocess.leveling import LevelSweep
+
+NODES_PER_HALF = 64
+"""Nodes of the lattice in half the side of the grid: 1 m on roads, twice as fine as for a single sweep."""
+
+REACH = 1.42
+"""Half the side of the patch of ground about a sweep, in half sides of the grid: its corners, however it is turned."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lows:
+    """The two lowest returns of a sweep in each node of the world's lattice that has any.
+
+    Attributes:
+        node: (K, 2) int32 node along x and y.
+        points: (K, 2, 3) float64 world coordinates, the lowest first; NaN where there is no second.
+        top_m: (K,) float64 z of the highest return, NaN where there is only one.
+    """
+
+    node: NDArray[np.int32]
+    points: NDArray[np.float64]
+    top_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Ground about a sensor on a lattice with the axes of the world.
+
+    Attributes:
+        ground: z from the sensor, over x and y from ``center_m``.
+        center_m: (2,) middle of the patch from the sensor, metres in world axes.
+        yaw: heading of the sensor in the world.
+    """
+
+    ground: Ground
+    center_m: NDArray[np.float64]
+    yaw: float
+
+    def at(self, xy: NDArray[Any]) -> NDArray[np.float32]:
+        """Return ground z from the sensor (N,) below points (N, 2) in the axes of ``level``."""
+        return self.ground.at(self._place(xy))
+
+    def seen(self, xy: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return whether the ground below points (N, 2) in the axes of ``level`` rests on returns."""
+        ground, count = self.ground, len(self.ground.seen)
+        node = np.floor((self._place(xy) / ground.half_extent_m + 1) * count / 2).astype(np.intp).clip(0, count - 1)
+        rests: NDArray[np.bool_] = ground.seen[node[:, 0], node[:, 1]]
+        return rests
+
+    def _place(self, xy: NDArray[Any]) -> NDArray[np.float32]:
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        turned = np.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], axis=-1)
+        return np.asarray(turned - self.center_m, np.float32)
+
+
+def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float, reach_m: float) -> Lows:
+    """Return the lowest of points (N, 3), at most ``reach_m`` from their origin, in nodes of the world.
+
+    >>> lows_of(np.array([[0.2, 1.2, 5.0], [0.3, 1.3, 4.0]], np.float32), Rigid.identity(), 1.0, 9.0).points[0, :, 2]
+    array([4., 5.])
+    """
+    middle = np.floor(world_from_points.translation[:2] / node_m).astype(np.int64)
+    count = 2 * int(np.ceil(reach_m / node_m)) + 1
+    corner = middle - count // 2
+    rows = np.full((count * count, 3), -1, np.int32)
+    world = np.empty((len(points), 3))
+    frame = (world_from_points.as_matrix()[:3], corner, np.float32(reach_m), node_m)
+    _lowest(points, frame, count, world, rows)
+    used = np.flatnonzero(rows[:, 0] >= 0)
+    found = np.full((len(used), 3, 3), np.nan)
+    some = rows[used] >= 0
+    found[some] = world[rows[used][some]]
+    node = np.stack([used // count, used % count], axis=-1) + corner
+    return Lows(node.astype(np.int32), found[:, :2], found[:, 2, 2])
+
+
+def patch_of(level: LevelSweep, around: Iterable[Lows], half_extent_m: float, node_m: float) -> Patch:
+    """Return the ground about ``level``, in whose world the lows of all sweeps ``around`` it lie.
+
+    Args:
+        level: the sweep; without a pose its own ``level`` frame stands for the world.
+        around: its own lows among them.
+        half_extent_m: half the side of the grid.
+        node_m: side of a node, that of the lows.
+    """
+    pose = level.sweep.world_from_sensor
+    sensor = np.array([0.0, 0.0, level.sensor_height_m]) if pose is None else pose.translation
+    count = 4 * int(np.ceil(REACH * half_extent_m / node_m / 2))
+    corner = np.round(sensor[:2] / node_m).astype(np.int64) - count // 2
+    lows, rise = np.full((count, count, 2, 3), np.inf, np.float32), np.full((count, count), np.inf, np.float32)
+    laid = list(around)
+    for one in laid:
+        _lay(one.node, one.points, corner, sensor, lows)
+    for one in laid:
+        _lay_rise(one.node, one.top_m - sensor[2], corner, lows, rise)
+    rise[~np.isfinite(rise)] = 0.0
+    second = np.isfinite(lows[:, :, 1, 2])[..., None]
+    lowest = np.where(second, lows[:, :, 1], lows[:, :, 0])
+    center = (corner + count // 2) * node_m - sensor[:2]
+    lowest[np.isfinite(lowest[..., 2]), :2] -= center.astype(np.float32)
+    ground = estimate_ground(lowest, rise, count * node_m / 2, level.sensor_height_m)
+    return Patch(ground, center, 0.0 if pose is None else pose.yaw)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:  # pragma: no cover - compiled
+    """Lay a sweep's lows, seen from the sensor, on those there are; the two lowest of all stay."""
+    count = lows.shape[0]
+    for k in range(node.shape[0]):
+        i, j = node[k, 0] - corner[0], node[k, 1] - corner[1]
+        if i < 0 or j < 0 or i >= count or j >= count:
+            continue
+        for rank in range(2):
+            z = np.float32(points[k, rank, 2] - sensor[2])
+            if z < lows[i, j, 0, 2]:
+                lows[i, j, 1] = lows[i, j, 0]
+                for axis in range(3):
+                    lows[i, j, 0, axis] = points[k, rank, axis] - sensor[axis]
+            elif z < lows[i, j, 1, 2]:
+                for axis in range(3):
+                    lows[i, j, 1, axis] = points[k, rank, axis] - sensor[axis]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lowest(points: Any, frame: Any, count: Any, world: Any, rows: Any) -> None:  # pragma: no cover - compiled
+    """Fill ``rows`` (nodes, 3) with the rows of the lowest, the second-lowest and the highest point of each node.
+
+    ``frame`` is the transform to the world (3, 4), the first node, how far points count, and the side of a node. Points
+    that count get their place in ``world``.
+    """
+    transform, corner, reach, node_m = frame
+    for k in range(points.shape[0]):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        if x * x + y * y >= reach * reach:
+            continue
+        for axis in range(3):
+            row = transform[axis]
+            world[k, axis] = row[0] * x + row[1] * y + row[2] * z + row[3]
+        i, j = int(np.floor(world[k, 0] / node_m)) - corner[0], int(np.floor(world[k, 1] / node_m)) - corner[1]
+        if i >= 0 and j >= 0 and i < count and j < count:
+            _note(rows[i * count + j], k, world)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _note(node: Any, k: Any, world: Any) -> None:  # pragma: no cover - compiled
+    first, second, z = node[0], node[1], world[k, 2]
+    if first >= 0 and (node[2] < 0 or z > world[node[2], 2]):
+        node[2] = k if z > world[first, 2] or node[2] >= 0 else first
+    if first < 0 or z < world[first, 2]:
+        node[0], node[1] = k, first
+    elif second < 0 or z < world[second, 2]:
+        node[1] = k
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lay_rise(node: Any, top: Any, corner: Any, lows: Any, rise: Any) -> None:  # pragma: no cover - compiled
+    """Keep the least height of a sweep's highest return above the lowest of all: what passed by does not stay."""
+    count = rise.shape[0]
+    for k in range(node.shape[0]):
+        i, j = node[k, 0] - corner[0], node[k, 1] - corner[1]
+        if i >= 0 and j >= 0 and i < count and j < count and np.isfinite(top[k]):
+            low = lows[i, j, 1, 2] if np.isfinite(lows[i, j, 1, 2]) else lows[i, j, 0, 2]
+            rise[i, j] = min(rise[i, j], np.float32(top[k]) - low)

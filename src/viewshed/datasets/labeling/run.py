@@ -1,0 +1,225 @@
+"""A recording labelled from start to end: an archive whose truth is the label."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from viewshed._jobs import Engine
+from viewshed.datasets.archive.archive import Archive, ArchiveSource, is_archive
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, Made, Task, make_archive, write_beside
+from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.schema import Layout
+from viewshed.datasets.archive.shard import write_frames
+from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
+from viewshed.datasets.recordings import open_source
+from viewshed.datasets.recordings.source import IndexSource, SweepRef, SweepSource
+from viewshed.preprocess.sensor_identification import infer_sensor
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sweep import Sweep
+
+SPLIT = "all"
+"""Name of the split of recordings that have none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """A recording that is labelled; small enough to travel to other processes.
+
+    Attributes:
+        place: folder, file or URI.
+        kind: a name in ``SOURCES``, "archive", "index", or "auto" to know it by its layout.
+        sensor: a beam table's name for sweeps that do not name theirs, "auto" to know it by the returns, or "none".
+        every: whether sweeps that the recording does not mark as keyframes are labelled as well.
+    """
+
+    place: str
+    kind: str = "auto"
+    sensor: str = "auto"
+    every: bool = False
+
+    def open(self) -> SweepSource:
+        """Return the recording.
+
+        Raises:
+            ValueError: it is damaged, or its layout is not known.
+            OSError: it cannot be read.
+        """
+        if self.kind == "index":
+            return IndexSource.open(self.place)
+        if self.kind == "archive" or (self.kind == "auto" and ("://" in self.place or is_archive(Path(self.place)))):
+            return ArchiveSource.open(self.place)
+        return open_source(self.place, self.kind)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelJob:
+    """What a worker must know to label one shard.
+
+    Attributes:
+        store: where the shard goes.
+        name: of its file.
+        origin: the recording.
+        scene: that its frames are from.
+        sensor: agent and sensor that measured them.
+        first: the first of its labels among those of the sensor in the scene.
+        last: the one after its last.
+        rules: how they are labelled.
+    """
+
+    store: Store
+    name: str
+    origin: Origin
+    scene: str
+    sensor: tuple[str, str]
+    first: int
+    last: int
+    rules: Rules
+
+
+def label(
+    origin: Origin, rules: Rules, store: Store, engine: Engine, progress: Callable[[Made], None] | None = None
+) -> Archive:
+    """Return the archive of a recording's sweeps with their labels, made into ``store``.
+
+    The same bytes for any engine. Sweeps that cannot be read are left out and told to ``progress``; labels of an
+    earlier run that was stopped are kept.
+
+    Args:
+        origin: the recording; of an archive only the sweeps are read.
+        rules: how it is labelled.
+        store: where the archive goes.
+        engine: makes the shards.
+        progress: is told of each shard that is there, and of what could not be read.
+
+    Raises:
+        ValueError: the recording has no sweeps, or the place holds something else.
+        OSError: something cannot be read or written.
+    """
+    jobs, problems = jobs_of(origin, rules, store)
+    if progress is not None and problems:
+        progress(Made(None, problems))
+    if not jobs:
+        raise ValueError(f"{origin.place} must hold sweeps, got none that can be labelled")
+    layout = Layout(rules.grid, tuple(sorted(target.name for target in TARGETS)), ("farthest", "first_blocker"))
+    return make_archive(Task(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, progress)
+
+
+def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
+    """Return how a recording was labelled, as plain values."""
+    about = {"command": "label", "source": Path(origin.place).name, "definition": rules.definition}
+    config = {"kind": origin.kind, "sensor": origin.sensor, "every": origin.every}
+    config |= {"target": rules.target, "neighbors": rules.neighbors}
+    return about | {"config": config, "targets": {target.name: asdict(target) for target in TARGETS}}
+
+
+def jobs_of(origin: Origin, rules: Rules, store: Store) -> tuple[list[LabelJob], tuple[str, ...]]:
+    """Return the shards of a recording's labels, in order, and one line for each thing that is damaged."""
+    source = opened(origin)
+    jobs: list[LabelJob] = []
+    problems = list(source.damage())
+    for number, scene in enumerate(source.scenes()):
+        try:
+            refs = source.refs(scene)
+        except (ValueError, OSError) as error:
+            problems.append(" ".join(str(error).split()))
+            continue
+        for track, sensor in enumerate(_sensors(refs)):
+            wanted = len(_wanted(refs, sensor, origin))
+            for part, first in zip(count(), range(0, wanted, FRAMES_PER_SHARD)):
+                name = f"{number:04d}-{track:02d}-{part:03d}.parquet"
+                last = min(first + FRAMES_PER_SHARD, wanted)
+                jobs.append(LabelJob(store, name, origin, scene, sensor, first, last, rules))
+    problems += [problem for problem in source.damage() if problem not in problems]
+    return jobs, tuple(problems)
+
+
+def label_shard(job: LabelJob) -> Made:
+    """Return what became of the shard of ``job``, which is written with a file beside it that tells its checksum.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    problems: list[str] = []
+    frames = list_of_frames(job, problems)
+    first = next(frames, None)
+    if first is None:
+        return Made(None, tuple(problems))
+    place = (job.scene, _split(opened(job.origin), job.scene))
+    facts = write_frames(job.store, job.name, place, _chained(first, frames))
+    return Made(write_beside(job.store, facts, problems), tuple(problems))
+
+
+def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
+    """Yield the labelled frames of a job; what cannot be read is told in one line of ``problems``."""
+    source = opened(job.origin)
+    refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
+    wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
+    reader = _Reader(source, job.origin)
+    track = Track.of(reader.sweep, refs, job.rules, (wanted[0], wanted[-1] + 1))
+    for place in wanted:
+        try:
+            truth, known = track.label(place)
+            yield Frame(reader.stored(refs[place]), truth, known)
+        except (ValueError, OSError) as error:
+            problems.append(" ".join(str(error).split()))
+
+
+def _chained(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
+    yield first
+    yield from rest
+
+
+def _sensors(refs: Any) -> list[tuple[str, str]]:
+    return list(dict.fromkeys((ref.agent, ref.sensor) for ref in refs))
+
+
+def _wanted(refs: Any, sensor: tuple[str, str], origin: Origin) -> list[SweepRef]:
+    return [ref for ref in refs if (ref.agent, ref.sensor) == sensor and (ref.keyframe or origin.every)]
+
+
+def _split(source: SweepSource, scene: str) -> str:
+    return source.split(scene) if isinstance(source, ArchiveSource) else SPLIT
+
+
+@lru_cache(maxsize=1)
+def opened(origin: Origin) -> SweepSource:
+    """Return the recording, opened once by each process; errors as :meth:`Origin.open`."""
+    return origin.open()
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Reads sweeps of one sensor and gives them its beam table where they do not name it."""
+
+    source: SweepSource
+    origin: Origin
+    _model: LidarModel | None = None
+    _asked: bool = False
+
+    def sweep(self, ref: SweepRef) -> Sweep:
+        """Return a sweep with its beam table."""
+        return self._dressed(self.source.read(ref))
+
+    def stored(self, ref: SweepRef) -> RangeImage | Sweep:
+        """Return what the archive of labels keeps of a sweep."""
+        return self.source.measured(ref) if isinstance(self.source, ArchiveSource) else self.sweep(ref)
+
+    def _dressed(self, sweep: Sweep) -> Sweep:
+        if sweep.model is not None:
+            return sweep
+        if not self._asked:
+            self._model, self._asked = self._found(sweep), True
+        fits = self._model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < self._model.rings)
+        return sweep.replace(model=self._model) if fits else sweep
+
+    def _found(self, sweep: Sweep) -> LidarModel | None:
+        if self.origin.sensor == "auto":
+            return infer_sensor(sweep.points, sweep.ring)[0]
+        return None if self.origin.sensor == "none" else lidar_model(self.origin.sensor)

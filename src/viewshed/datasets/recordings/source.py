@@ -1,0 +1,328 @@
+"""SweepSource: the role of a recording that somebody else made, read where it lies.
+
+Numbers in text files: one row a line, or one name a line.
+
+An index of sweeps as a recording: the files that it names, drive by drive.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io import IndexEntry, read_index, read_indexed
+from viewshed.io._source import one_line, open_source
+from viewshed.sweep import Sweep
+
+_A = TypeVar("_A")
+
+_R = TypeVar("_R")
+
+
+@dataclass(frozen=True, slots=True)
+class SweepRef:
+    """Where one sweep of a recording is: light, hashable, and fit to travel to other processes.
+
+    Attributes:
+        scene: name of the scene that it belongs to.
+        index: its place among the refs of the scene, from 0.
+        file: the file that holds it, as a path.
+        t_ns: time of the sweep in nanoseconds, or None where the recording has none.
+        agent: who measured it.
+        sensor: the recording's own name of the sensor.
+        keyframe: whether the recording marks it as one to annotate; True where it marks none.
+        key: how the source finds it again: a token, a number, a topic.
+    """
+
+    scene: str
+    index: int
+    file: str
+    t_ns: int | None = None
+    agent: str = "ego"
+    sensor: str = "lidar"
+    keyframe: bool = True
+    key: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectBox:
+    """One annotated object.
+
+    Attributes:
+        world_from_box: pose of the box's frame: origin at its center, x along its heading, y left, z up. Where the
+            sweep has no pose, its sensor's frame stands for the world.
+        size_m: its length (x), width (y) and height (z), metres.
+        category: what it is, in the recording's own words.
+        track: the same for one object over time, or None.
+
+    Raises:
+        ValueError: a size is not finite and positive.
+    """
+
+    world_from_box: Rigid
+    size_m: tuple[float, float, float]
+    category: str
+    track: str | None = None
+
+    def __post_init__(self) -> None:
+        size = np.asarray(self.size_m, np.float64)
+        if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
+            raise ValueError(f"size_m must be three positive numbers, got {self.size_m}")
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Center of the box in the world, (3,), metres."""
+        return self.world_from_box.translation
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the box in the world, radians, counter-clockwise from x."""
+        return self.world_from_box.yaw
+
+
+class SweepSource(Protocol):
+    """A recording on disk. It is never written to, and may be sent to other processes."""
+
+    def scenes(self) -> tuple[str, ...]:
+        """Return the names of the scenes, in the recording's order."""
+        ...
+
+    def refs(self, scene: str) -> Sequence[SweepRef]:
+        """Return the sweeps of a scene in time order; those of several agents or sensors follow each other by time.
+
+        Raises:
+            ValueError: there is no such scene, or its files do not tell what sweeps there are.
+            OSError: a file of the scene cannot be read.
+        """
+        ...
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep with its time, agent, and, where the recording tells them, pose, beams, height and attitude.
+
+        Raises:
+            ValueError: the sweep is damaged, or what the recording says about it is; one line that names the file.
+            OSError: its file cannot be read.
+        """
+        ...
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the annotated objects at the time of a sweep, in the world; None where nobody annotated it.
+
+        Raises:
+            ValueError: the annotations are damaged; one line that names the file.
+            OSError: their file cannot be read.
+        """
+        ...
+
+    def damage(self) -> tuple[str, ...]:
+        """Return one line for each thing that was found wrong on opening and that no ref stands for."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SourceKind:
+    """One layout that can be opened.
+
+    Attributes:
+        layout: what is looked for, in a few words, for messages.
+        fits: whether a folder (or file) has this layout, from names alone.
+        open: opens it; a ValueError or an OSError of one line where it cannot.
+    """
+
+    layout: str
+    fits: Callable[[Path], bool]
+    open: Callable[[Path], SweepSource]
+
+
+def each_sweep(
+    source: SweepSource,
+    scenes: Iterable[str] | None = None,
+    on_damage: Callable[[str, str], None] | None = None,
+) -> Iterator[tuple[SweepRef, Sweep]]:
+    """Yield the sweeps of a recording with their refs, scene by scene, in time order.
+
+    Args:
+        source: the recording.
+        scenes: which scenes; None is all of them.
+        on_damage: is told the scene ("" for none) and one line for whatever cannot be read, and the rest goes on;
+            None raises instead.
+
+    Raises:
+        ValueError: something is damaged, and nobody is told of it.
+        OSError: a file cannot be read, and nobody is told of it.
+    """
+    if on_damage is not None:
+        for problem in source.damage():
+            on_damage("", problem)
+    for scene in source.scenes() if scenes is None else scenes:
+        for ref in _tried(source.refs, scene, scene, on_damage) or ():
+            sweep = _tried(source.read, ref, scene, on_damage)
+            if sweep is not None:
+                yield ref, sweep
+
+
+def _tried(
+    action: Callable[[_A], _R], argument: _A, scene: str, on_damage: Callable[[str, str], None] | None
+) -> _R | None:
+    try:
+        return action(argument)
+    except (ValueError, OSError) as error:
+        if on_damage is None:
+            raise
+        on_damage(scene, str(error))
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndexSource:
+    """The sweeps that an index names, from :meth:`open`; those of one drive are a scene, each other one its own."""
+
+    _scenes: Mapping[str, tuple[IndexEntry, ...]]
+
+    @classmethod
+    def open(cls, index: str | os.PathLike[str]) -> IndexSource:
+        """Return the sweeps of an index file.
+
+        Raises:
+            ValueError: it is no index, or names no sweep.
+            OSError: it cannot be read.
+        """
+        drives: dict[str, list[IndexEntry]] = {}
+        for entry in read_index(index):
+            if entry.points:
+                drives.setdefault(_scene(entry, Path(index).resolve().parent), []).append(entry)
+        if not drives:
+            raise ValueError(f"{index} must name at least one sweep, got none")
+        return cls({name: tuple(sorted(entries, key=_time)) for name, entries in drives.items()})
+
+    def scenes(self) -> tuple[str, ...]:
+        """Return the names of the drives, and of the files that belong to none, in the index's order."""
+        return tuple(self._scenes)
+
+    def refs(self, scene: str) -> Sequence[SweepRef]:
+        """Return the sweeps of a drive in time order.
+
+        Raises:
+            ValueError: there is no such drive.
+        """
+        return [
+            SweepRef(scene, k, str(entry.file), None if entry.t is None else round(entry.t * 1e6) * 1000, key=str(k))
+            for k, entry in enumerate(self._entries(scene))
+        ]
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep with what the index tells about it.
+
+        Raises:
+            ValueError: its file is not a sweep, or the ref is not of this index.
+            OSError: its file cannot be read.
+        """
+        entries = self._entries(ref.scene)
+        if not 0 <= ref.index < len(entries) or str(entries[ref.index].file) != ref.file:
+            raise ValueError(f"ref must be one of the index, got {ref.file}")
+        return read_indexed(entries[ref.index])
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return None: an index has no boxes."""
+        return None
+
+    def damage(self) -> tuple[str, ...]:
+        """Return nothing: an index that is damaged cannot be opened."""
+        return ()
+
+    def _entries(self, scene: str) -> tuple[IndexEntry, ...]:
+        if scene not in self._scenes:
+            raise ValueError(f"scene must be one of the {len(self._scenes)} of the index, got {scene!r}")
+        return self._scenes[scene]
+
+
+def _scene(entry: IndexEntry, folder: Path) -> str:
+    """Return the drive and sensor of an entry, or its own name where it belongs to no drive."""
+    name = entry.file.relative_to(folder).as_posix()
+    return name if entry.seq is None else f"{entry.seq} ({entry.sensor})"
+
+
+def _time(entry: IndexEntry) -> tuple[float, str]:
+    return (0.0 if entry.t is None else entry.t, str(entry.file))
+
+
+def text_lines(place: Path) -> list[str]:
+    """Return the lines of a text file.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is empty, or no text.
+    """
+    with open_source(place) as source:
+        try:
+            return source.content().decode("utf-8").splitlines()
+        except UnicodeDecodeError as error:
+            raise source.error(f"must be text: {error}") from error
+
+
+def numbers_of(text: str, count: int, where: str) -> NDArray[np.float64]:
+    """Return the first ``count`` numbers of a line, (count,) float64.
+
+    Raises:
+        ValueError: there are fewer, or one is not finite; the message begins with ``where``.
+    """
+    try:
+        numbers = np.array([float(word) for word in text.split()[:count]])
+    except ValueError as error:
+        raise ValueError(one_line(f"{where}: must be {count} numbers: {error}")) from error
+    if len(numbers) < count or not np.isfinite(numbers).all():
+        raise ValueError(one_line(f"{where}: must be {count} finite numbers, got {text[:60]!r}"))
+    return numbers
+
+
+def named_texts(place: Path) -> dict[str, str]:
+    """Return name → what follows it, of lines ``name: …``.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is empty, or no text.
+    """
+    parts = (line.partition(":") for line in text_lines(place))
+    return {name.strip(): rest for name, colon, rest in parts if colon}
+
+
+def rigid_of(rotation: NDArray[np.float64], translation: NDArray[np.float64], where: str) -> Rigid:
+    """Return the transform of a rotation (3, 3) and a translation (3,).
+
+    Raises:
+        ValueError: it is not rigid; the message begins with ``where``.
+    """
+    try:
+        return Rigid(rotation, translation)
+    except ValueError as error:
+        raise ValueError(one_line(f"{where}: {error}")) from error
+
+
+def rigid_of_line(text: str, where: str) -> Rigid:
+    """Return the transform of a line of 12 numbers, the first three rows of its matrix.
+
+    Raises:
+        ValueError: the line is not one; the message begins with ``where``.
+    """
+    matrix = numbers_of(text, 12, where).reshape(3, 4)
+    return rigid_of(matrix[:, :3], matrix[:, 3], where)
+
+
+def rigid_named(place: Path, name: str) -> Rigid:
+    """Return the transform of the line ``name: 12 numbers``.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it has no such line, or the line is damaged.
+    """
+    texts = named_texts(place)
+    if name not in texts:
+        raise ValueError(f"{place}: must have a line {name}: …, got {', '.join(texts)[:80] or 'none'}")
+    return rigid_of_line(texts[name], f"{place}, {name}")

@@ -1,0 +1,162 @@
+"""Transforms between named frames over time, as tf says them: chains of frames, and interpolation between two times."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+
+WORLDS = ("map", "odom", "world", "earth")
+"""Frames that are taken as the world, the first that the sensor hangs from."""
+
+_PARALLEL = 0.9995
+
+
+def slerp(one: NDArray[np.float64], other: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Return the unit quaternion (4,) at ``share`` in [0, 1] of the shorter way from one to another.
+
+    Source: K. Shoemake, Animating rotation with quaternion curves, 1985.
+
+    >>> slerp(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, 0, 1]), 0.5).round(4).tolist()
+    [0.7071, 0.0, 0.0, 0.7071]
+    """
+    cosine = float(np.dot(one, other))
+    near = other if cosine >= 0 else -other
+    if abs(cosine) > _PARALLEL:
+        mixed = (1 - share) * one + share * near
+    else:
+        angle = np.arccos(abs(cosine))
+        mixed = (np.sin((1 - share) * angle) * one + np.sin(share * angle) * near) / np.sin(angle)
+    return np.asarray(mixed / np.linalg.norm(mixed), np.float64)
+
+
+@dataclass(slots=True, eq=False)
+class _Edge:
+    """One frame under its parent: times, ascending once sorted, with 7 numbers each (x, y, z, qw, qx, qy, qz)."""
+
+    parent: str
+    static: bool
+    rows: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    times: list[int] = field(default_factory=list)
+
+    def at(self, t_ns: int) -> Rigid | None:
+        """Return ``parent_from_child``, or None before the first or after the last time."""
+        if self.static:
+            return _rigid(np.array(next(reversed(self.rows.values()))))
+        if len(self.times) != len(self.rows):
+            self.times = sorted(self.rows)
+        late = bisect_left(self.times, t_ns)
+        if late == len(self.times) or (late == 0 and self.times[0] != t_ns):
+            return None
+        after = np.array(self.rows[self.times[late]])
+        if self.times[late] == t_ns:
+            return _rigid(after)
+        start = self.times[late - 1]
+        before, share = np.array(self.rows[start]), (t_ns - start) / (self.times[late] - start)
+        where = (1 - share) * before[:3] + share * after[:3]
+        return _rigid(np.concatenate([where, slerp(before[3:], after[3:], share)]))
+
+
+def _rigid(row: NDArray[np.float64]) -> Rigid:
+    return Rigid.from_quaternion(row[3:], row[:3])
+
+
+@dataclass(slots=True, eq=False)
+class TransformBuffer:
+    """All transforms of a recording; filled first, asked afterwards.
+
+    >>> buffer = TransformBuffer()
+    >>> buffer.add("map", "lidar", 0, (1.0, 2.0, 0.0), (1.0, 0.0, 0.0, 0.0), static=True)
+    >>> buffer.lookup("map", "lidar", 5).translation.tolist()
+    [1.0, 2.0, 0.0]
+    """
+
+    _edges: dict[str, _Edge] = field(default_factory=dict)
+
+    def add(
+        self,
+        parent: str,
+        child: str,
+        t_ns: int,
+        translation_m: Iterable[float],
+        quaternion_wxyz: Iterable[float],
+        *,
+        static: bool = False,
+    ) -> None:
+        """Take one transform ``parent_from_child``; a child keeps the parent that it had first.
+
+        Raises:
+            ValueError: it is not finite, its rotation has no length, or the child has another parent.
+        """
+        row = np.array([*translation_m, *quaternion_wxyz], np.float64)
+        length = float(np.linalg.norm(row[3:]))
+        if row.shape != (7,) or not np.isfinite(row).all() or length < 1e-6:
+            raise ValueError(f"the transform of {child!r} must be finite with a rotation, got {row.tolist()}")
+        row[3:] /= length
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        edge = self._edges.setdefault(child, _Edge(parent, static))
+        if edge.parent != parent or parent == child:
+            raise ValueError(f"frame {child!r} must have one parent, {edge.parent!r}, got {parent!r}")
+        edge.rows[t_ns] = tuple(row.tolist())
+
+    def has_parent(self, frame: str) -> bool:
+        """Return whether a frame hangs from another one."""
+        return frame.lstrip("/") in self._edges
+
+    def frames(self) -> tuple[str, ...]:
+        """Return the names of all frames, in alphabetical order."""
+        return tuple(sorted(self._edges.keys() | {edge.parent for edge in self._edges.values()}))
+
+    def lookup(self, target: str, source: str, t_ns: int) -> Rigid | None:
+        """Return ``target_from_source`` at a time, or None where a transform on the way does not reach that time.
+
+        Raises:
+            ValueError: the frames are not connected; the message names those that exist.
+        """
+        ups, downs = self._chain(source.lstrip("/")), self._chain(target.lstrip("/"))
+        common = next((frame for frame in ups if frame in downs), None)
+        if common is None:
+            known = ", ".join(self.frames()) or "none"
+            raise ValueError(f"no transform leads from frame {source!r} to {target!r}; frames that exist: {known}")
+        from_source = self._up(ups[: ups.index(common)], t_ns)
+        from_target = self._up(downs[: downs.index(common)], t_ns)
+        return None if from_source is None or from_target is None else from_target.inverse() @ from_source
+
+    def world_of(self, frame: str, worlds: Iterable[str] = WORLDS) -> str:
+        """Return the first frame among ``worlds`` that ``frame`` hangs from.
+
+        Raises:
+            ValueError: there is none; the message names the frames that exist.
+        """
+        chain = self._chain(frame.lstrip("/"))
+        worlds = tuple(worlds)
+        found = next((world for world in worlds if world in chain), None)
+        if found is None:
+            known = ", ".join(self.frames()) or "none"
+            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {known}")
+        return found
+
+    def _up(self, frames: list[str], t_ns: int) -> Rigid | None:
+        """Return the transform from the first of these frames to the parent of the last."""
+        total = Rigid.identity()
+        for frame in frames:
+            step = self._edges[frame].at(t_ns)
+            if step is None:
+                return None
+            total = step @ total
+        return total
+
+    def _chain(self, frame: str) -> list[str]:
+        """Return a frame and those above it; a loop ends where it closes."""
+        chain = [frame]
+        while chain[-1] in self._edges:
+            parent = self._edges[chain[-1]].parent
+            if parent in chain:
+                break
+            chain.append(parent)
+        return chain

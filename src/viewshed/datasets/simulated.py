@@ -1,0 +1,221 @@
+"""Simulated frames: everything that is random comes from the seed and the place of the frame in the data set.
+
+A simulated data set from start to end: what is there already is kept, the rest is made by an engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from viewshed._jobs import Engine
+from viewshed.datasets.archive.archive import Archive
+from viewshed.datasets.archive.build import Made, Task, make_archive, write_beside
+from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.schema import Layout
+from viewshed.datasets.archive.shard import ShardFacts, write_frames
+from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.presets import Preset
+from viewshed.fov.truth import OTHER_DEFINITIONS
+from viewshed.fov.visibility import TARGETS
+from viewshed.sim.lidar.weather import CONDITIONS
+from viewshed.sim.observe import Observation, Setting, observe
+from viewshed.sim.world import World
+from viewshed.sim.worlds import WORLDS
+
+FRAMES_PER_SHARD = 48
+
+_GOLDEN = (5**0.5 - 1) / 2
+
+_SILVER = 2**0.5 - 1
+
+_BRONZE = (13**0.5 - 3) / 2
+
+
+class _Purpose(IntEnum):
+    WORLD = 0
+    OBSERVATION = 1
+    WORLD_KIND = 2
+    CONDITIONS = 3
+    SENSOR = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePlan:
+    """One scene of a simulated data set.
+
+    Attributes:
+        preset: the composition that it is part of.
+        split: number of its split.
+        number: its number in the split.
+    """
+
+    preset: Preset
+    split: int
+    number: int
+
+    @property
+    def split_name(self) -> str:
+        """Name of its split."""
+        return self.preset.splits[self.split]
+
+    @property
+    def name(self) -> str:
+        """Its name in the archive: split, number, kind of world, conditions."""
+        return f"{self.split_name}-{self.number:04d}-{self.world_kind}-{self.conditions}"
+
+    @property
+    def frames(self) -> int:
+        """Number of its frames: agent after agent, then the next time."""
+        total, scenes = self.preset.frames[self.split], self.preset.scenes[self.split]
+        return total // scenes + (self.number < total % scenes)
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasts."""
+        return -(-self.frames // self.preset.agents) * self.preset.interval_s
+
+    @property
+    def world_kind(self) -> str:
+        """What kind of place it is."""
+        return self.preset.worlds[self._turn(_Purpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
+
+    @property
+    def conditions(self) -> str:
+        """Weather and faults."""
+        return self.preset.conditions[self._turn(_Purpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
+
+    @property
+    def sensor(self) -> int:
+        """Which of the preset's sensors the moving agents have."""
+        return self._turn(_Purpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
+
+    def chunks(self) -> Iterator[tuple[int, int]]:
+        """Yield the first frame of each shard and the one after its last: whole times, 48 frames if they fit."""
+        agents = self.preset.agents
+        times = -(-self.frames // agents)
+        count = -(-times // max(1, FRAMES_PER_SHARD // agents))
+        ends = [times * k // count * agents for k in range(count + 1)]
+        yield from ((first, min(last, self.frames)) for first, last in pairwise(ends))
+
+    def seed(self, purpose: int, frame: int = 0) -> np.random.SeedSequence:
+        """Return the seed of what is random in one frame (or in the scene) for one purpose."""
+        time, agent = divmod(frame, self.preset.agents)
+        return np.random.SeedSequence([self.preset.seed, self.split, self.number, agent, time, purpose])
+
+    def _turn(self, purpose: int, step: float, weights: tuple[float, ...]) -> int:
+        """Return the scene's turn: the multiples of an irrational number fill [0, 1) evenly (Kronecker, Weyl)."""
+        start = np.random.SeedSequence([self.preset.seed, self.split, 0, 0, 0, purpose]).generate_state(1)[0] / 2**32
+        at = (start + self.number * step) % 1.0 * sum(weights)
+        return min(int(np.searchsorted(np.cumsum(weights), at, side="right")), len(weights) - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ShardJob:
+    """What a worker must know to make one shard.
+
+    Attributes:
+        store: where the shard goes.
+        scene: that its frames are from.
+        name: of the file.
+        first: its first frame in the scene.
+        last: the frame after its last.
+    """
+
+    store: Store
+    scene: ScenePlan
+    name: str
+    first: int
+    last: int
+
+
+def jobs_of(preset: Preset, store: Store) -> list[ShardJob]:
+    """Return the shards of a data set, in order."""
+    return [
+        ShardJob(store, scene, f"{scene.split_name}-{scene.number:04d}-{chunk:03d}.parquet", first, last)
+        for split, scenes in enumerate(preset.scenes)
+        for scene in (ScenePlan(preset, split, number) for number in range(scenes))
+        for chunk, (first, last) in enumerate(scene.chunks())
+    ]
+
+
+def simulate_shard(job: ShardJob) -> ShardFacts:
+    """Return the facts of the shard of ``job``, which is written with a file beside it that tells them.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    frames = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
+    return write_beside(job.store, write_frames(job.store, job.name, (job.scene.name, job.scene.split_name), frames))
+
+
+def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
+    """Return one frame of a scene: range image, truth and where it is known."""
+    seen = observe_frame(scene, frame)
+    return Frame(seen.image, seen.truth, seen.known)
+
+
+def observe_frame(scene: ScenePlan, frame: int) -> Observation:
+    """Return what is observed in one frame of a scene: beside what is stored, what every beam met."""
+    preset, world = scene.preset, world_of(scene)
+    time, number = divmod(frame, preset.agents)
+    setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
+    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_Purpose.OBSERVATION, frame)
+    return observe(world, world.agents[number], t_s, setting, seed)
+
+
+@lru_cache(maxsize=2)
+def world_of(scene: ScenePlan) -> World:
+    """Return the world of a scene.
+
+    Raises:
+        ValueError: it does not have the agents of the preset.
+    """
+    rng = np.random.Generator(np.random.PCG64(scene.seed(_Purpose.WORLD)))
+    world = WORLDS[scene.world_kind](rng, scene.preset.plan(scene.sensor, scene.duration_s))
+    if len(world.agents) != scene.preset.agents:
+        raise ValueError(f"{scene.name} must have {scene.preset.agents} agents, got {len(world.agents)}")
+    return world
+
+
+def simulate(
+    preset: Preset, store: Store, engine: Engine, progress: Callable[[ShardFacts], None] | None = None
+) -> Archive:
+    """Return the archive of a preset, simulated into ``store``; its bytes do not depend on the engine.
+
+    Shards of an earlier run of the same preset that was stopped are kept where they are whole.
+
+    Args:
+        preset: what is simulated.
+        store: where it goes.
+        engine: makes the shards.
+        progress: is told of each shard that is there.
+
+    Raises:
+        ValueError: the place holds something else.
+        OSError: a shard could not be made or written; those that are finished stay.
+    """
+    layout = Layout(preset.grid, tuple(sorted(TARGETS)), tuple(sorted(OTHER_DEFINITIONS)))
+    task = Task(recipe_of(preset), layout, jobs_of(preset, store), _made)
+    return make_archive(task, store, engine, None if progress is None else lambda made: _tell(progress, made))
+
+
+def recipe_of(preset: Preset) -> dict[str, object]:
+    """Return how a simulated data set was made, as plain values."""
+    targets = {name: asdict(target) for name, target in TARGETS.items()}
+    about = {"command": "simulate", "preset": preset.name, "seed": preset.seed}
+    return about | {"config": preset.to_json(), "targets": targets}
+
+
+def _made(job: ShardJob) -> Made:
+    return Made(simulate_shard(job))
+
+
+def _tell(progress: Callable[[ShardFacts], None], made: Made) -> None:
+    if made.facts is not None:
+        progress(made.facts)

@@ -1,0 +1,598 @@
+"""Data sets under attack, or corrupted: shard by shard, truth kept, with a record of what was touched.
+
+The frames of one scene, wherever they lie: in an archive, in a recording, in a file.
+
+What spoils the sweeps of a data set: an attack or a corruption, by name and with a seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
+from itertools import chain, groupby
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from viewshed._jobs import Engine
+from viewshed.datasets.archive.archive import Archive
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, Made, Task, make_archive, write_beside
+from viewshed.datasets.archive.columns import Frame, Touched
+from viewshed.datasets.archive.schema import Layout
+from viewshed.datasets.archive.shard import write_frames
+from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.recordings import open_source
+from viewshed.datasets.recordings.source import SweepRef, SweepSource
+from viewshed.fov.estimate import FovEstimator
+from viewshed.fov.truth import Truth
+from viewshed.grid import BevGrid
+from viewshed.sweep import Sweep
+from viewshed.threats.attacks import ATTACKS, EARLIER, PAPER_ATTACK, PAPER_INDOOR_ATTACK, Attack, Knowledge
+from viewshed.threats.attacks.adaptive import ADAPTIVE
+from viewshed.threats.corruptions import CORRUPTIONS
+
+ReadFile = Callable[[Path], Iterator[Sweep]]
+
+
+class SceneFrames(Protocol):
+    """The frames of one scene by number; it travels to other processes."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        ...
+
+    def agent(self, index: int) -> str:
+        """Return who measured a frame; errors as :meth:`frame`."""
+        ...
+
+    def frame(self, index: int) -> Frame:
+        """Return one frame.
+
+        Raises:
+            ValueError: it is damaged.
+            OSError: it cannot be read.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchiveScene:
+    """A scene of an archive.
+
+    Attributes:
+        archive: its frames alone; see :meth:`of`.
+    """
+
+    archive: Archive
+
+    @classmethod
+    def of(cls, archive: Archive, scene: str) -> ArchiveScene:
+        """Return one scene of an archive, with no more of the manifest than it needs."""
+        shards = tuple(shard for shard in archive.shards if shard.scene == scene)
+        return cls(Archive(archive.store, replace(archive.manifest, shards=shards)))
+
+    def __len__(self) -> int:
+        return len(self.archive)
+
+    def agent(self, index: int) -> str:
+        """Return who measured a frame."""
+        return self.frame(index).measured.agent
+
+    def frame(self, index: int) -> Frame:
+        """Return one frame, as it is stored."""
+        return self.archive.frame(index)[0]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingScene:
+    """A scene of a recording: sweeps without truth.
+
+    Attributes:
+        place: of the recording, see :func:`viewshed.datasets.recordings.open_source`.
+        kind: of the recording.
+        scene: its name.
+        grid: of the truth that is not there.
+    """
+
+    place: str
+    kind: str
+    scene: str
+    grid: BevGrid
+
+    def __len__(self) -> int:
+        return len(self._refs())
+
+    def agent(self, index: int) -> str:
+        """Return who measured a frame."""
+        return self._refs()[index].agent
+
+    def frame(self, index: int) -> Frame:
+        """Return one sweep as a frame whose truth is nowhere known."""
+        return without_truth(opened(self.place, self.kind).read(self._refs()[index]), self.grid)
+
+    def _refs(self) -> tuple[SweepRef, ...]:
+        return _refs(self.place, self.kind, self.scene)
+
+
+@dataclass(frozen=True, slots=True)
+class FileScene:
+    """A file with one sweep or several, without truth.
+
+    Attributes:
+        path: of the file.
+        count: how many of its sweeps can be read.
+        read: yields them.
+        grid: of the truth that is not there.
+    """
+
+    path: Path
+    count: int
+    read: ReadFile
+    grid: BevGrid
+
+    def __len__(self) -> int:
+        return self.count
+
+    def agent(self, index: int) -> str:
+        """Return who measured a frame."""
+        return self.frame(index).measured.agent
+
+    def frame(self, index: int) -> Frame:
+        """Return one sweep as a frame whose truth is nowhere known."""
+        return without_truth(_cursor(self.path, self.read).at(index), self.grid)
+
+
+def without_truth(sweep: Sweep, grid: BevGrid) -> Frame:
+    """Return a sweep as a frame whose truth is nowhere known."""
+    return Frame(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_))
+
+
+@lru_cache(maxsize=2)
+def opened(place: str, kind: str) -> SweepSource:
+    """Return the recording at a place, opened once in each process; errors as ``open_source``."""
+    return open_source(place, kind)
+
+
+@lru_cache(maxsize=8)
+def _refs(place: str, kind: str, scene: str) -> tuple[SweepRef, ...]:
+    return tuple(opened(place, kind).refs(scene))
+
+
+class _Cursor:
+    """Reads a file forward, and from its start again for a sweep that has passed."""
+
+    def __init__(self, path: Path, read: ReadFile) -> None:
+        self._path, self._read = path, read
+        self._last: Sweep | None = None
+        self._index, self._sweeps = -1, read(path)
+
+    def at(self, index: int) -> Sweep:
+        if index < self._index:
+            self._index, self._sweeps = -1, self._read(self._path)
+        while self._index < index:
+            self._last = next(self._sweeps, None)
+            self._index += 1
+        if self._last is None:
+            raise ValueError(f"{self._path} must have more than {index} sweeps; it changed while it was read")
+        return self._last
+
+
+@lru_cache(maxsize=2)
+def _cursor(path: Path, read: ReadFile) -> _Cursor:
+    return _Cursor(path, read)
+
+
+History = Callable[[], tuple[Sweep, ...]]
+"""Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
+
+PAPER = "paper"
+
+_LASTING = EARLIER | {"coherent_phantom"}
+
+_FACTORIES = ATTACKS | ADAPTIVE
+
+_ROOM_M = 20.0
+
+
+class Spoiling(Protocol):
+    """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
+
+    def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
+        """Return the changed sweep, and what was touched where that is known.
+
+        Raises:
+            ValueError: it cannot be done to this sweep.
+        """
+        ...
+
+    @property
+    def command(self) -> str:
+        """What makes such a data set."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Name in its table."""
+        ...
+
+    def config(self) -> dict[str, Any]:
+        """Return all its parameters, as plain values."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class AttackPlan:
+    """An attack on every sweep of a data set.
+
+    Attributes:
+        attack: a name of ``ATTACKS`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture.
+        budget: most returns; None is the attack's own.
+        mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
+        half_extent_m: half the side of the victim's grid.
+        victim: name of the estimator that an attacker who adapts asks.
+        estimator: that estimator.
+
+    Raises:
+        ValueError: there is no such attack, or it has no such budget or mode.
+    """
+
+    attack: str
+    budget: int | None = None
+    mode: str | None = None
+    half_extent_m: float = 64.0
+    victim: str | None = None
+    estimator: FovEstimator | None = None
+
+    def __post_init__(self) -> None:
+        if self.attack != PAPER and self.attack not in _FACTORIES:
+            raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
+        self._made((Sweep(np.zeros((0, 3), np.float32)),))
+
+    def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
+        """Return the attacked sweep and what was touched. Before anything was seen, nothing can be replayed."""
+        earlier = history() if self.attack in _LASTING else ()
+        if not earlier and self.attack in EARLIER:
+            none = np.zeros(len(sweep), np.bool_)
+            return sweep, Touched(none, none)
+        done = self._made(earlier or (sweep,)).apply(sweep, rng)
+        wedge = None if done.wedge is None else (done.wedge.azimuth, done.wedge.width)
+        return done.sweep, Touched(done.added, done.removed, wedge)
+
+    @property
+    def command(self) -> str:
+        """What makes such a data set."""
+        return "attack"
+
+    @property
+    def name(self) -> str:
+        """Name of the attack."""
+        return self.attack
+
+    def config(self) -> dict[str, Any]:
+        """Return all its parameters, as plain values."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "estimator"}
+
+    def _made(self, earlier: tuple[Sweep, ...]) -> Attack:
+        if self.attack == PAPER:
+            if self.budget is not None or self.mode is not None:
+                raise ValueError("attack paper draws its own points; leave budget and mode out")
+            return PAPER_INDOOR_ATTACK if self.half_extent_m <= _ROOM_M else PAPER_ATTACK
+        attack: Any = _FACTORIES[self.attack](self.budget, Knowledge(earlier, self.estimator, self.half_extent_m))
+        if self.mode is None:
+            return attack  # type: ignore[no-any-return]
+        if "mode" not in {field.name for field in fields(attack)}:
+            raise ValueError(f"attack {self.attack} must be left in its own mode, got {self.mode!r}; leave mode out")
+        return replace(attack, mode=self.mode)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, slots=True)
+class CorruptionPlan:
+    """A corruption of every sweep of a data set.
+
+    Attributes:
+        corruption: a name of ``CORRUPTIONS``.
+        severity: 1 to 5.
+
+    Raises:
+        ValueError: there is no such corruption or severity.
+    """
+
+    corruption: str
+    severity: int = 3
+
+    def __post_init__(self) -> None:
+        if self.corruption not in CORRUPTIONS:
+            raise ValueError(f"corruption must be one of {', '.join(CORRUPTIONS)}, got {self.corruption!r}")
+        CORRUPTIONS[self.corruption](self.severity)
+
+    def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
+        """Return the spoilt sweep; nobody says which returns moved."""
+        return CORRUPTIONS[self.corruption](self.severity).apply(sweep, rng), None
+
+    @property
+    def command(self) -> str:
+        """What makes such a data set."""
+        return "corrupt"
+
+    @property
+    def name(self) -> str:
+        """Name of the corruption."""
+        return self.corruption
+
+    def config(self) -> dict[str, Any]:
+        """Return all its parameters, as plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Frames of one scene that become one shard.
+
+    Attributes:
+        name: of the shard's file.
+        frames: of the whole scene.
+        scene: its name.
+        split: that it belongs to.
+        number: of the scene in the data set, for seeds.
+        first: the first frame.
+        last: the frame after the last.
+    """
+
+    name: str
+    frames: SceneFrames
+    scene: str
+    split: str
+    number: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweeps:
+    """A data set of any kind that can be attacked.
+
+    Attributes:
+        layout: of its truth.
+        parts: what its shards are.
+        lineage: what it is, as plain values that do not depend on where it lies.
+        problems: one line for each thing that was found wrong on opening.
+    """
+
+    layout: Layout
+    parts: tuple[Part, ...]
+    lineage: Any
+    problems: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of sweeps."""
+        return sum(part.last - part.first for part in self.parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpoilJob:
+    """What a worker must know to make one shard.
+
+    Attributes:
+        store: where the shard goes.
+        part: what it is made from.
+        spoiling: what is done.
+        seed: of all that is random.
+    """
+
+    store: Store
+    part: Part
+    spoiling: Spoiling
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of the shard's file."""
+        return self.part.name
+
+
+def of_archive(archive: Archive, split: str | None = None) -> Sweeps:
+    """Return the sweeps of an archive, or of one of its splits; a sweep has the same seed in both.
+
+    Raises:
+        ValueError: there is no such split.
+    """
+    wanted = {shard.name for shard in (archive if split is None else archive.split(split)).shards}
+    parts = []
+    for number, scene in enumerate(archive.scenes):
+        frames, first = ArchiveScene.of(archive, scene), 0
+        for shard in frames.archive.shards:
+            if shard.name in wanted:
+                last = first + shard.frames
+                parts.append(Part(shard.name, frames, scene, shard.split, number, first, last))
+            first += shard.frames
+    shards = [shard.to_json() for shard in archive.shards]
+    lineage = {"recipe": dict(archive.manifest.recipe), "sha256": _digest(shards), "split": split}
+    return Sweeps(archive.manifest.layout, tuple(parts), lineage)
+
+
+def of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
+    """Return the sweeps of a recording, which has no truth: it is nowhere known.
+
+    Raises:
+        ValueError: no recording is there, or it is damaged.
+        OSError: it cannot be read.
+    """
+    source = opened(place, kind)
+    parts: list[Part] = []
+    told, problems = [], list(source.damage())
+    for number, scene in enumerate(source.scenes()):
+        try:
+            refs = source.refs(scene)
+        except (ValueError, OSError) as error:
+            problems.append(str(error))
+            continue
+        told.append([[ref.scene, ref.index, Path(ref.file).name, ref.t_ns, ref.key] for ref in refs])
+        parts += _chunks(RecordingScene(place, kind, scene, grid), len(refs), scene, number)
+    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(told)}, tuple(problems))
+
+
+def of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
+    """Return the sweeps of files, each a scene of its own; they have no truth.
+
+    Args:
+        files: of any format.
+        read: yields the sweeps of one; it travels to other processes.
+        grid: of the truth that is not there.
+    """
+    parts: list[Part] = []
+    told, problems = [], []
+    for number, file in enumerate(files):
+        count = 0
+        try:
+            for _ in read(file):
+                count += 1
+        except (ValueError, OSError) as error:
+            problems.append(str(error))
+        told.append([file.name, count, file.stat().st_size if file.is_file() else 0])
+        parts += _chunks(FileScene(file.absolute(), count, read, grid), count, file.name, number)
+    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(told)}, tuple(problems))
+
+
+def spoil(
+    sweeps: Sweeps,
+    spoiling: Spoiling,
+    store: Store,
+    engine: Engine,
+    seed: int = 0,
+    progress: Callable[[Made], None] | None = None,
+) -> Archive:
+    """Return the archive of attacked (or corrupted) sweeps, made into ``store``; its bytes do not depend on the engine.
+
+    Truth, known, scene and split are those of the source. The random numbers of a sweep follow from ``seed``, the
+    number of its scene and its number there. A run that was stopped goes on where it was.
+
+    Args:
+        sweeps: from :func:`of_archive`, :func:`of_recording` or :func:`of_files`.
+        spoiling: what is done to each.
+        store: where the archive goes.
+        engine: makes the shards.
+        seed: of all that is random.
+        progress: is told of each shard that is there, and of the sweeps that had to be left out.
+
+    Raises:
+        ValueError: the place holds something else, or the seed is negative.
+        OSError: a shard could not be made or written; those that are finished stay.
+    """
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed}")
+    config = spoiling.config() | {"source": sweeps.lineage}
+    recipe = {"command": spoiling.command, "name": spoiling.name, "seed": seed, "config": config}
+    jobs = [SpoilJob(store, part, spoiling, seed) for part in sweeps.parts]
+    return make_archive(Task(recipe, sweeps.layout, jobs, spoil_shard), store, engine, progress)
+
+
+def spoiled_sweep(sweeps: Sweeps, spoiling: Spoiling, seed: int = 0) -> tuple[Sweep, str]:
+    """Return the first of some sweeps, attacked or corrupted, and what was done to it as JSON.
+
+    The rows added are those of the new sweep, the rows removed those of the old one.
+
+    Raises:
+        ValueError: it cannot be done to this sweep.
+        OSError: the sweep cannot be read.
+    """
+    job = SpoilJob(Store.of("."), sweeps.parts[0], spoiling, seed)
+    frame = _one(job, 0, _Earlier(job.part))
+    about = {"command": spoiling.command, "name": spoiling.name, "seed": seed, "config": spoiling.config()}
+    touched = frame.touched
+    if touched is not None:
+        about |= {"wedge": touched.wedge, "added_rows": np.flatnonzero(touched.added).tolist()}
+        about |= {"removed_rows": np.flatnonzero(touched.removed).tolist()}
+    return frame.sweep, json.dumps(about) + "\n"
+
+
+def spoil_shard(job: SpoilJob) -> Made:
+    """Return what became of one shard: it is written with a file beside it; sweeps that cannot be used are left out.
+
+    Raises:
+        OSError: the source cannot be read now (a file that is not there is damage), or the shard cannot be written.
+    """
+    problems: list[tuple[int, str]] = []
+    frames = _spoiled(job, problems)
+    first = next(frames, None)
+    if first is None:
+        return Made(None, _folded(job.part, problems))
+    facts = write_frames(job.store, job.name, (job.part.scene, job.part.split), chain([first], frames))
+    lines = _folded(job.part, problems)
+    return Made(write_beside(job.store, facts, lines), lines)
+
+
+def _spoiled(job: SpoilJob, problems: list[tuple[int, str]]) -> Iterator[Frame]:
+    earlier = _Earlier(job.part)
+    for index in range(job.part.first, job.part.last):
+        try:
+            yield _one(job, index, earlier)
+        except (ValueError, FileNotFoundError) as error:
+            problems.append((index, " ".join(str(error).split())))
+
+
+def _one(job: SpoilJob, index: int, earlier: _Earlier) -> Frame:
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([job.seed, job.part.number, index])))
+    frame = job.part.frames.frame(index)
+    sweep = frame.sweep
+    done, touched = job.spoiling.apply(sweep, lambda: earlier.of(sweep, index), rng)
+    earlier.note(sweep)
+    return replace(frame, touched=touched, clean=None) if done is sweep else frame.attacked(done, touched)
+
+
+class _Earlier:
+    """The first sweep of each agent of a scene and the last before a frame; remembers what has passed."""
+
+    def __init__(self, part: Part) -> None:
+        self._part = part
+        self._first: dict[str, Sweep] = {}
+        self._last: dict[str, Sweep] = {}
+
+    def note(self, sweep: Sweep) -> None:
+        self._last[sweep.agent] = sweep
+
+    def of(self, sweep: Sweep, index: int) -> tuple[Sweep, ...]:
+        agent = sweep.agent
+        if agent not in self._last:
+            before = self._found(agent, range(self._part.first - 1, -1, -1))
+            if before is None:
+                self._first[agent] = sweep
+                return ()
+            self._last[agent] = before
+        if agent not in self._first:
+            self._first[agent] = self._found(agent, range(index)) or self._last[agent]
+        return self._first[agent], self._last[agent]
+
+    def _found(self, agent: str, indices: Iterable[int]) -> Sweep | None:
+        """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
+        for index in indices:
+            try:
+                if self._part.frames.agent(index) == agent:
+                    return self._part.frames.frame(index).sweep
+            except (ValueError, FileNotFoundError):
+                continue
+        return None
+
+
+def _folded(part: Part, problems: list[tuple[int, str]]) -> tuple[str, ...]:
+    """Return one line for each run of sweeps with one problem."""
+    lines = []
+    for message, group in groupby(problems, lambda problem: problem[1]):
+        numbers = [index for index, _ in group]
+        which = f"sweep {numbers[0]}" if len(numbers) == 1 else f"{len(numbers)} sweeps from {numbers[0]} on"
+        lines.append(f"{part.scene}, {which}: {message}")
+    return tuple(lines)
+
+
+def _chunks(frames: SceneFrames, count: int, scene: str, number: int) -> Iterator[Part]:
+    for chunk, first in enumerate(range(0, count, FRAMES_PER_SHARD)):
+        last = min(first + FRAMES_PER_SHARD, count)
+        yield Part(f"scene-{number:05d}-{chunk:03d}.parquet", frames, scene, "", number, first, last)
+
+
+def _digest(table: Any) -> str:
+    return hashlib.sha256(json.dumps(table, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,0 +1,57 @@
+"""The vote of five classical masks: the strong baseline that stands in every table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.estimators.first_blocker import FirstBlocker
+from viewshed.estimators.shadow_map import NoReturn, ShadowMap
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import CAR, Target
+from viewshed.grid import BevGrid
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.sweep import Sweep
+
+MAJORITY = 3
+
+VOTE_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
+"""What a missing return means to the three shadow maps that vote."""
+
+
+@dataclass(frozen=True, slots=True)
+class VoteOfFive:
+    """Visible where at least three of five masks agree.
+
+    The five: the shadow map with a missing return as unknown, as maximum range and filled from its neighbors; the
+    first blocker with and without the farthest return as a limit. The probability is the share of votes, so that
+    0.6 (three votes) is the first value above the threshold; ``std`` stays NaN, votes are not a posterior.
+
+    Limits: three of the five trust measured depths, so a far wall of spoofed returns still opens a corridor.
+    """
+
+    grid: BevGrid
+    target: Target = CAR
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate for one sweep; see the class for what it means."""
+        return self.estimate_level(level_sweep(sweep, self.grid))
+
+    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled."""
+        shadow = [ShadowMap(self.grid, self.target, rule).estimate_level(level) for rule in VOTE_RULES]
+        blockers = [
+            FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate_level(level) for limit in (True, False)
+        ]
+        votes: NDArray[Any] = np.sum([voter.visible() for voter in (*shadow, *blockers)], axis=0)
+        visible = votes >= MAJORITY
+        sound = shadow[0].state
+        state = np.where(sound == CellState.HIDDEN, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
+        state[~visible & shadow[0].visible()] = CellState.UNKNOWN
+        state[visible] = CellState.FREE
+        state[visible & level.obstacle_cells(self.grid)] = CellState.SURFACE
+        prob = (votes / np.float32(5.0)).astype(np.float32)
+        return replace(shadow[0], visible_prob=prob, state=state, method="vote")

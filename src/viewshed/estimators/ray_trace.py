@@ -1,0 +1,300 @@
+"""Ray traces to the farthest return: per azimuth bin (quantized) or per window of azimuth (continuous).
+
+Ray trace to the farthest return once the few farthest are dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, Target
+from viewshed.geometry import polar
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.preprocess.azimuth_bins import (
+    ALL_RETURNS,
+    FALLBACK_BINS,
+    Crop,
+    azimuth_bins_of,
+    bins_of_cells,
+    ends_on_obstacle,
+    farthest_in_bins,
+    fov_of_state,
+    measured_azimuth_bins,
+    reach_of,
+    require,
+    require_bins,
+    state_of_limits,
+    state_of_mask,
+    with_margin,
+)
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.sweep import Sweep
+
+_SLICES = 8
+"""Fine bins in a window's half width; only cells in doubt look at single returns."""
+
+
+@dataclass(frozen=True, slots=True)
+class QuantizedRayTrace:
+    """Visible up to the farthest return of the azimuth bin. Source: arXiv 2503.07375, section on classical estimators.
+
+    A cell belongs to the bin of its centre's azimuth from the sensor and is visible if its centre's range is at most
+    the bin's farthest return plus one cell. With ``range_bins`` ranges are compared as bin numbers instead. A bin
+    without a return is UNKNOWN. Beyond the farthest return a cell is HIDDEN if that return is an obstacle, and
+    UNKNOWN if it is ground.
+
+    Limits: holes behind low cars and poles are called visible (later returns of the bin pass over them); one spoofed
+    far point opens a whole bin; with ``about_centroid`` (the paper's labels) rays start where no sensor stands.
+
+    Attributes:
+        grid: where the cells are.
+        target: passed on; this estimator does not depend on it.
+        azimuth_bins: number of bins; None takes them from the measured azimuth step.
+        range_bins: number of range bins up to ``max_range_m``; None compares ranges themselves.
+        max_range_m: farther returns count as returns at this range.
+        crop: which returns count at all.
+        about_centroid: rays start at the centroid of the points, not at the sensor.
+        name: goes into the estimate's ``method``.
+
+    >>> import numpy as np
+    >>> sweep = Sweep(np.array([[9.0, 0.5, -1.7]]), sensor_height_m=1.7)
+    >>> QuantizedRayTrace(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[9.0, 0.6], [-9.0, 0.6]])).tolist()
+    [1.0, 0.0]
+    """
+
+    grid: BevGrid
+    target: Target = CAR
+    azimuth_bins: int | None = None
+    range_bins: int | None = None
+    max_range_m: float = np.inf
+    crop: Crop = ALL_RETURNS
+    about_centroid: bool = False
+    name: str = "quantized"
+
+    def __post_init__(self) -> None:
+        require_bins(self.azimuth_bins)
+        if not self.max_range_m > 0:
+            raise ValueError(f"max_range_m must be positive, got {self.max_range_m}")
+        if self.range_bins is not None:
+            require("range_bins", self.range_bins, 1, 1_000_000)
+            if not np.isfinite(self.max_range_m):
+                raise ValueError("range_bins need a finite max_range_m; give the range that they divide")
+        if self.about_centroid and self.azimuth_bins is None:
+            raise ValueError("azimuth_bins must be given with about_centroid; the sensor's step says nothing there")
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Estimate what the sensor sees: the farthest return of each azimuth bin."""
+        return self.estimate_level(level_sweep(sweep, self.grid))
+
+    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+        """Estimate from a sweep already levelled."""
+        level = self.crop.apply(level)
+        state = self._state_about_centroid(level) if self.about_centroid else self._state(level)
+        return fov_of_state(level, self.grid, state, self.name, self.target)
+
+    def _state(self, level: LevelSweep) -> NDArray[np.uint8]:
+        bins = self.azimuth_bins or measured_azimuth_bins(level.azimuth)
+        farthest_m = farthest_in_bins(level, bins)
+        hidden_m = np.where(ends_on_obstacle(level, farthest_m), reach_of(level), -1.0).astype(np.float32)
+        return state_of_limits(level, self.grid, self._limit(farthest_m), hidden_m)
+
+    def _state_about_centroid(self, level: LevelSweep) -> NDArray[np.uint8]:
+        bins = self.azimuth_bins or 1
+        xy = level.points[:, :2].astype(np.float64)
+        centroid = xy.mean(axis=0).round(6) if len(xy) else np.zeros(2)
+        range_m, azimuth = polar(xy - centroid)
+        farthest_m = np.full(bins, -1.0, np.float32)
+        np.maximum.at(farthest_m, azimuth_bins_of(azimuth, bins), range_m.astype(np.float32))
+        cell_range_m, cell_azimuth = polar(self.grid.centers - centroid)
+        limit_m = self._limit(farthest_m)[azimuth_bins_of(cell_azimuth, bins)]
+        return state_of_mask(level, self.grid, cell_range_m.astype(np.float32) <= limit_m)
+
+    def _limit(self, farthest_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the range (bins,) up to which a cell's centre is visible."""
+        farthest_m = np.minimum(farthest_m, np.float32(self.max_range_m))
+        if self.range_bins is None:
+            return with_margin(farthest_m, self.grid.cell_m)
+        step = self.max_range_m / self.range_bins
+        last = np.minimum(np.floor(farthest_m / step), self.range_bins - 1)
+        edge = np.nextafter(((last + 1) * step).astype(np.float32), np.float32(0))
+        return np.where(farthest_m >= 0, edge, np.float32(-1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class ContinuousRayTrace:
+    """Visible up to the farthest return within ± ``window`` of the cell's azimuth. Source: arXiv 2503.07375.
+
+    A cell is visible if its centre's range is at most the farthest return whose azimuth differs from the centre's by
+    at most ``window`` (plus ``margin_m``). Without a return in the window it is UNKNOWN; beyond the farthest return
+    HIDDEN if that return is an obstacle, else UNKNOWN (both to within an eighth of the window).
+
+    Limits: as the quantized ray trace, and smeared by the window: each far return opens 2 · ``window`` of azimuth.
+
+    Attributes:
+        grid: where the cells are.
+        target: passed on; this estimator does not depend on it.
+        window: half width in radians (the paper's is 0.05).
+        margin_m: how far beyond the return a cell's centre may lie; None is one cell.
+        crop: which returns count at all.
+        name: goes into the estimate's ``method``.
+
+    >>> ContinuousRayTrace(BevGrid(8, 4.0), window=4.0)
+    Traceback (most recent call last):
+    ...
+    ValueError: window must lie in [0.004, 1.5], got 4.0
+    """
+
+    grid: BevGrid
+    target: Target = CAR
+    window: float = 0.01
+    margin_m: float | None = None
+    crop: Crop = ALL_RETURNS
+    name: str = "continuous"
+
+    def __post_init__(self) -> None:
+        require("window", self.window, 0.004, 1.5)
+        if self.margin_m is not None:
+            require("margin_m", self.margin_m, 0.0, 100.0)
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Estimate what the sensor sees: the farthest return near each cell's azimuth."""
+        return self.estimate_level(level_sweep(sweep, self.grid))
+
+    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+        """Estimate from a sweep already levelled."""
+        level = self.crop.apply(level)
+        bins = int(np.ceil(2.0 * np.pi * _SLICES / self.window))
+        margin_m = self.grid.cell_m if self.margin_m is None else self.margin_m
+        range_m, azimuth = polar_of_cells(self.grid)
+        state = np.empty(self.grid.shape, np.uint8)
+        _trace(
+            (level.azimuth, level.range_m, level.height_m),
+            (bins_of_cells(self.grid, bins), range_m, azimuth, level.obstacle_cells(self.grid)),
+            np.array([self.window, margin_m, reach_of(level), *OBSTACLE_HEIGHTS_M]),
+            azimuth_bins_of(level.azimuth, bins),
+            bins,
+            state,
+        )
+        return fov_of_state(level, self.grid, state, self.name, self.target)
+
+
+@njit(cache=True, nogil=True)
+def _trace(
+    returns: Any, cells: Any, numbers: Any, slices: Any, bins: Any, state: Any
+) -> None:  # pragma: no cover - compiled
+    """Decide by whole slices where they agree; look at single returns only where the window's ends matter."""
+    azimuth, range_m, height = returns
+    bins_of, cell_range_m, cell_azimuth, surface = cells
+    window, margin_m, reach_m = numbers[0], numbers[1], numbers[2]
+    farthest, obstacle = _slice_maxima(slices, range_m, height, numbers[3:5], bins)
+    start, order = _slice_order(slices, bins)
+    whole = int(window / (2.0 * np.pi / bins))
+    inner = _sliding_maximum(farthest, whole - 1)
+    outer, outer_obstacle = _sliding_maximum(farthest, whole + 2), _sliding_maximum(obstacle, whole + 2)
+    for i in range(state.shape[0]):
+        for j in range(state.shape[1]):
+            b, need = bins_of[i, j], cell_range_m[i, j] - margin_m
+            seen = inner[b] >= 0.0 and need <= inner[b]
+            if not seen and outer[b] >= 0.0 and need <= outer[b]:
+                for offset in range(-whole - 2, whole + 3):
+                    c = (b + offset + bins) % bins
+                    if abs(offset) >= whole and farthest[c] >= need:
+                        for k in order[start[c] : start[c + 1]]:
+                            away = abs(np.float64(azimuth[k]) - cell_azimuth[i, j])
+                            seen |= range_m[k] >= need and min(away, 2.0 * np.pi - away) <= window
+            if seen:
+                state[i, j] = 2 if surface[i, j] else 1
+            else:
+                blocked = outer[b] >= 0.0 and outer_obstacle[b] >= outer[b] and cell_range_m[i, j] <= reach_m
+                state[i, j] = 3 if blocked else 0
+
+
+@njit(cache=True, nogil=True)
+def _slice_maxima(slices: Any, range_m: Any, height: Any, limits: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    farthest, obstacle = np.full(bins, -1.0, np.float32), np.full(bins, -1.0, np.float32)
+    for n in range(slices.shape[0]):
+        b = slices[n]
+        farthest[b] = max(farthest[b], range_m[n])
+        if limits[0] < height[n] < limits[1]:
+            obstacle[b] = max(obstacle[b], range_m[n])
+    return farthest, obstacle
+
+
+@njit(cache=True, nogil=True)
+def _slice_order(slices: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Counting sort: where each slice starts, and the returns in the order of slices."""
+    start = np.zeros(bins + 1, np.int64)
+    for n in range(slices.shape[0]):
+        start[slices[n] + 1] += 1
+    for b in range(bins):
+        start[b + 1] += start[b]
+    free = start.copy()
+    order = np.empty(slices.shape[0], np.int64)
+    for n in range(slices.shape[0]):
+        order[free[slices[n]]] = n
+        free[slices[n]] += 1
+    return start, order
+
+
+@njit(cache=True, nogil=True)
+def _sliding_maximum(values: Any, reach: Any) -> Any:  # pragma: no cover - compiled
+    bins = values.shape[0]
+    out = np.empty(bins, np.float32)
+    for b in range(bins):
+        best = np.float32(-1.0)
+        for offset in range(-reach, reach + 1):
+            best = max(best, values[(b + offset + bins) % bins])
+        out[b] = best
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class TrimmedRayTrace:
+    """Visible up to the farthest return of the azimuth bin but ``trim``. Source: the trimmed maximum of statistics.
+
+    As :class:`~viewshed.estimators.ray_trace.QuantizedRayTrace`, but the ``trim`` farthest returns of each bin are
+    dropped first. A bin with no more than ``trim`` returns is UNKNOWN. Beyond the limit a cell is HIDDEN if the
+    return at the limit is an obstacle, else UNKNOWN.
+
+    Limits: more than ``trim`` spoofed points in a bin open it as before; sensors with few beams lose their outer
+    rings (16 beams leave 12); holes behind low cars are called visible, as by every farthest-return method.
+
+    Attributes:
+        grid: where the cells are.
+        target: passed on; this estimator does not depend on it.
+        trim: farthest returns to drop in each bin.
+        azimuth_bins: number of bins; None takes them from the measured azimuth step, but at most 360, so that
+            a bin holds enough returns to drop some.
+        name: goes into the estimate's ``method``.
+
+    >>> TrimmedRayTrace(BevGrid(8, 4.0), trim=4).name
+    'trimmed'
+    """
+
+    grid: BevGrid
+    target: Target = CAR
+    trim: int = 4
+    azimuth_bins: int | None = None
+    name: str = "trimmed"
+
+    def __post_init__(self) -> None:
+        require("trim", self.trim, 0, 1000)
+        require_bins(self.azimuth_bins)
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Estimate what the sensor sees: the farthest return of each azimuth bin but the few farthest."""
+        return self.estimate_level(level_sweep(sweep, self.grid))
+
+    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+        """Estimate from a sweep already levelled."""
+        bins = self.azimuth_bins or min(measured_azimuth_bins(level.azimuth), FALLBACK_BINS)
+        limit_m = farthest_in_bins(level, bins, drop=self.trim)
+        hidden_m = np.where(ends_on_obstacle(level, limit_m), reach_of(level), -1.0).astype(np.float32)
+        state = state_of_limits(level, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
+        return fov_of_state(level, self.grid, state, self.name, self.target)

@@ -1,0 +1,119 @@
+"""A stream of sweeps: what is remembered of the earlier ones helps the estimate now, and claims can rest on two."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
+from viewshed.preprocess.history import PAST_SWEEPS, Past
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.sweep import Sweep
+
+
+@dataclass(slots=True)
+class Memory:
+    """The last sweeps of each agent of a stream, as many and as far apart as a :class:`Past` is made of.
+
+    Attributes:
+        sweeps: how many are kept of an agent.
+        every_s: least time in seconds between two of them.
+        forget_s: those from longer before are not used any more.
+    """
+
+    sweeps: int = PAST_SWEEPS
+    every_s: float = 1.0
+    forget_s: float = 10.0
+    _kept: dict[str, deque[LevelSweep]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.sweeps < 1 or not (self.every_s >= 0.0 and self.forget_s > 0.0):
+            raise ValueError(
+                "sweeps must be at least 1, every_s at least 0 and forget_s above 0, got "
+                f"{self.sweeps}, {self.every_s} and {self.forget_s}"
+            )
+
+    def past(self, level: LevelSweep) -> Past | None:
+        """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
+        now_ns, kept = level.sweep.t_ns, self._kept.get(level.sweep.agent, ())
+        if now_ns is None or level.world_from_level is None:
+            return None
+        return Past.of(level, [each for each in kept if 0 < now_ns - (each.sweep.t_ns or 0) <= self.forget_s * 1e9])
+
+    def add(self, level: LevelSweep) -> None:
+        """Keep a sweep, if it has a pose and a time at least ``every_s`` after the last one that was kept.
+
+        One from before it begins a new stream.
+        """
+        t_ns, kept = level.sweep.t_ns, self._kept.setdefault(level.sweep.agent, deque(maxlen=self.sweeps))
+        if t_ns is None or level.world_from_level is None:
+            return
+        if kept and t_ns < (kept[-1].sweep.t_ns or 0):
+            kept.clear()
+        if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
+            kept.append(level)
+
+
+class PastEstimator(Protocol):
+    """An estimator that earlier sweeps help."""
+
+    @property
+    def grid(self) -> BevGrid:
+        """The grid of every estimate that comes back."""
+        ...
+
+    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Remembering:
+    """An estimator for a stream: each estimate uses what the agent's earlier sweeps saw.
+
+    Sweeps without a pose or a time are estimated by themselves.
+
+    Attributes:
+        inner: what estimates.
+        memory: what it is told of the past.
+        wary: claim only what an earlier sweep would have seen as well, see :func:`where_supported`; without earlier
+            sweeps that is nothing.
+    """
+
+    inner: PastEstimator
+    memory: Memory = field(default_factory=Memory)
+    wary: bool = False
+
+    @property
+    def grid(self) -> BevGrid:
+        """Grid of the estimates."""
+        return self.inner.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate for the next sweep of the stream, and remember the sweep."""
+        level = level_sweep(sweep, self.grid)
+        past = self.memory.past(level)
+        found = self.inner.estimate_level(level, past)
+        self.memory.add(level)
+        return where_supported(found, past) if self.wary else found
+
+
+def where_supported(estimate: FovEstimate, past: Past | None) -> FovEstimate:
+    """Return an estimate whose claims each rest on two sweeps: this one, and an earlier one that saw the cell as well.
+
+    Elsewhere its probability is 0, and what was claimed is UNKNOWN. Who opens a view by spoofed returns must have begun
+    before the earlier sweeps; what comes into view for the first time waits for the next one.
+    """
+    supported = np.zeros(estimate.grid.shape, np.bool_)
+    if past is not None:
+        supported = past.support(estimate.grid, estimate.target) > 0
+    claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
+    return replace(
+        estimate,
+        visible_prob=np.where(supported, estimate.visible_prob, np.float32(0.0)),
+        state=np.where(claimed & ~supported, np.uint8(CellState.UNKNOWN), estimate.state),
+    )

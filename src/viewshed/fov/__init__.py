@@ -1,0 +1,1 @@
+"""What a sensor sees: the definition of visible, FovEstimate, Truth, heights of the ground, polygons."""

@@ -1,0 +1,136 @@
+"""③ FovEstimate: what a sweep could see, cell by cell; the role that makes one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.visibility import CAR, Target
+from viewshed.geometry import FloatArray, Rigid
+from viewshed.grid import BevGrid
+from viewshed.sweep import Sweep
+
+if TYPE_CHECKING:
+    from shapely import MultiPolygon
+
+
+THRESHOLD = 0.5
+"""A cell counts as visible from this probability on."""
+
+
+class CellState(IntEnum):
+    """What is known of a cell. Visible means FREE or SURFACE; only UNKNOWN says nothing."""
+
+    UNKNOWN = 0
+    """No evidence: outside coverage, too few beams, or beams with no return whose cause is not known."""
+    FREE = 1
+    """Visible, and nothing stands there."""
+    SURFACE = 2
+    """Visible, and the first surface that the beams meet."""
+    HIDDEN = 3
+    """Inside range and coverage, but blocked by something nearer."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FovEstimate:
+    """The field of view of one sweep on a :class:`BevGrid` in the ``level`` frame.
+
+    Attributes:
+        grid: where the cells are.
+        visible_prob: (cells, cells) float32 in [0, 1]: probability that a target in the cell would have given at
+            least ``target.min_returns`` returns (the one definition of visible).
+        std: (cells, cells) float32 standard deviation of that probability over the model's posterior;
+            NaN where the estimator has none.
+        state: (cells, cells) uint8 of :class:`CellState`.
+        method: name of the estimator.
+        target: what would have to be seen.
+        world_from_level: pose of the ``level`` frame in the map, or None.
+        t_ns: time of the sweep, or None.
+        agent: whose sensor it was.
+
+    Raises:
+        ValueError: a shape is not the grid's, or a value lies outside its range.
+    """
+
+    grid: BevGrid
+    visible_prob: NDArray[np.float32]
+    state: NDArray[np.uint8]
+    std: NDArray[np.float32] | None = None
+    method: str = ""
+    target: Target = CAR
+    world_from_level: Rigid | None = None
+    t_ns: int | None = None
+    agent: str = "ego"
+
+    def __post_init__(self) -> None:
+        self._store("visible_prob", self.visible_prob, np.float32)
+        std: Any = np.full(self.grid.shape, np.nan, np.float32) if self.std is None else self.std
+        self._store("std", std, np.float32)
+        self._store("state", self.state, np.uint8)
+        if not ((self.visible_prob >= 0) & (self.visible_prob <= 1)).all():
+            raise ValueError("visible_prob must lie in [0, 1] and not be NaN")
+        if (np.asarray(std) < 0).any():
+            raise ValueError("std must not be negative; NaN means that the estimator has none")
+        if self.state.size and self.state.max() > max(CellState):
+            raise ValueError(f"state must lie in [0, {max(CellState):d}], got {self.state.max()}")
+
+    def _store(self, name: str, value: Any, dtype: type[np.generic]) -> None:
+        array = np.ascontiguousarray(value, dtype=dtype)
+        if array.shape != self.grid.shape:
+            raise ValueError(f"{name} must have the grid's shape {self.grid.shape}, got {array.shape}")
+        array = array.view()
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+
+    def visible(self, threshold: float = THRESHOLD) -> NDArray[np.bool_]:
+        """Return the mask (cells, cells) of cells visible with probability ≥ ``threshold``."""
+        if not 0.0 < threshold <= 1.0:
+            raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
+        mask: NDArray[np.bool_] = self.visible_prob >= np.float32(threshold)
+        return mask
+
+    def area_m2(self, threshold: float = THRESHOLD) -> float:
+        """Return the visible area in square metres."""
+        return float(self.visible(threshold).sum()) * self.grid.cell_area_m2
+
+    def share(self, state: CellState) -> float:
+        """Return the share of the grid's cells in ``state``, in [0, 1]."""
+        return float((self.state == state).mean())
+
+    def at(self, xy: FloatArray) -> NDArray[np.float32]:
+        """Return the probability of visibility (…,) at points (…, 2+) in ``level``; NaN outside the grid.
+
+        A look-up, not an interpolation: a point has the probability of its cell.
+        """
+        cells, inside = self.grid.index(xy)
+        prob = self.visible_prob[cells[..., 0], cells[..., 1]]
+        return np.where(inside, prob, np.float32(np.nan)).astype(np.float32)
+
+    def polygon(self, threshold: float = THRESHOLD) -> MultiPolygon:
+        """Return the visible cells as a valid polygon with holes, exact to the cells' edges, metres in ``level``."""
+        from viewshed.fov.polygons import polygon_of_mask
+
+        return polygon_of_mask(self.visible(threshold), self.grid)
+
+    def inner_polygon(self, max_vertices: int, threshold: float = THRESHOLD) -> MultiPolygon:
+        """Return a simpler polygon of at most ``max_vertices`` vertices that never claims a cell the mask does not."""
+        from viewshed.fov.polygons import inner_polygon_of_mask
+
+        return inner_polygon_of_mask(self.visible(threshold), self.grid, max_vertices)
+
+
+class FovEstimator(Protocol):
+    """Anything that turns a sweep into an estimate on its own grid."""
+
+    @property
+    def grid(self) -> BevGrid:
+        """The grid of every estimate that comes back."""
+        ...
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Estimate what the sensor sees. Must not modify ``sweep``."""
+        ...

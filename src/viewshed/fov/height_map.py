@@ -1,0 +1,98 @@
+"""Height of the local ground on a square lattice, bilinear in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.geometry import FloatArray
+
+NODES = 64
+"""Lattice nodes per side."""
+
+
+class Places(NamedTuple):
+    """Where points lie on the lattice: the node (…,) before each, and how far beyond it (…,) in i and in j."""
+
+    node: NDArray[np.int32]
+    down: NDArray[np.float64]
+    right: NDArray[np.float64]
+
+
+def places_of(xy: FloatArray, half_extent_m: float, nodes: int) -> Places:
+    """Return the places of points (…, 2+) of ``level`` on a lattice of so many nodes a side."""
+    xy = np.ascontiguousarray(xy, dtype=np.float32)
+    shape = xy.shape[:-1]
+    found = Places(np.empty(shape, np.int32), np.empty(shape), np.empty(shape))
+    node, down, right = (each.reshape(-1) for each in found)
+    _place(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), node, down, right)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Ground height z (metres, ``level`` frame) on a square lattice about the sensor, bilinear in between.
+
+    Attributes:
+        heights_m: (n, n) float32 z of the ground at the middle of each node's cell, indexed like a BevGrid.
+        half_extent_m: the lattice spans ±half_extent_m in x and y; beyond it the edge holds.
+        seen: (n, n) bool, True where the height rests on returns and not on its neighbours.
+        plane: (a, b, c) of the plane z = a x + b y + c through the near ground.
+        support: share of the near nodes that lie on that plane, in [0, 1].
+    """
+
+    heights_m: NDArray[np.float32]
+    half_extent_m: float
+    seen: NDArray[np.bool_]
+    plane: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    support: float = 0.0
+
+    @classmethod
+    def flat(cls, half_extent_m: float, z_m: float = 0.0) -> Ground:
+        """Return level ground at ``z_m``, not seen anywhere."""
+        heights = np.full((NODES, NODES), z_m, np.float32)
+        return cls(heights, half_extent_m, np.zeros((NODES, NODES), bool), (0.0, 0.0, z_m))
+
+    def at(self, xy: FloatArray) -> NDArray[np.float32]:
+        """Return ground z (…,) in metres below points (…, 2+) of ``level``.
+
+        >>> Ground.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
+        [-1.5]
+        """
+        return self.on(places_of(xy, self.half_extent_m, len(self.heights_m)))
+
+    def on(self, places: Places) -> NDArray[np.float32]:
+        """Return ground z (…,) in metres at places found before, on a lattice like this one."""
+        heights = np.empty(places.node.shape, np.float32)
+        node, down, right = (each.reshape(-1) for each in places)
+        _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
+        return heights
+
+    def raised(self, by_m: float) -> Ground:
+        """Return the same ground with ``by_m`` metres added to every height."""
+        a, b, c = self.plane
+        heights = self.heights_m + np.float32(by_m)
+        return Ground(heights, self.half_extent_m, self.seen, (a, b, c + by_m), self.support)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(half: Any, n: int, xy: Any, node: Any, down: Any, right: Any) -> None:  # pragma: no cover - compiled
+    per_m = n / (2.0 * half)
+    for k in range(xy.shape[0]):
+        u = min(max((xy[k, 0] + half) * per_m - 0.5, 0.0), n - 1.001)
+        v = min(max((xy[k, 1] + half) * per_m - 0.5, 0.0), n - 1.001)
+        i, j = int(u), int(v)
+        node[k], down[k], right[k] = i * n + j, u - i, v - j
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(heights: Any, n: int, node: Any, down: Any, right: Any, out: Any) -> None:  # pragma: no cover
+    for k in range(node.shape[0]):
+        at, under, part = np.uint32(node[k]), np.uint32(node[k] + n), right[k]
+        low = heights[at] * (1 - part) + heights[at + np.uint32(1)] * part
+        high = heights[under] * (1 - part) + heights[under + np.uint32(1)] * part
+        out[k] = low * (1 - down[k]) + high * down[k]

@@ -1,0 +1,69 @@
+"""Truth: what a sensor could have seen, cell by cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.visibility import CAR, TARGETS, Target
+from viewshed.grid import BevGrid
+
+OTHER_DEFINITIONS = ("farthest", "first_blocker", "line_of_sight")
+"""Definitions of visible that others use (docs/conventions.md)."""
+
+MAX_COUNT = 255
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """The exact field of view of one sweep, or a label of one, on a grid in the ``level`` frame.
+
+    Attributes:
+        grid: where the cells are.
+        expected_returns: by target name (cells, cells) uint8 returns that a target there would have given, up to 255.
+        state: by target name (cells, cells) uint8 of ``CellState``.
+        definitions: by name of ``OTHER_DEFINITIONS`` (cells, cells) bool.
+
+    Raises:
+        ValueError: an array does not fit the grid, or a target or definition is unknown.
+    """
+
+    grid: BevGrid
+    expected_returns: Mapping[str, NDArray[np.uint8]]
+    state: Mapping[str, NDArray[np.uint8]]
+    definitions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if set(self.expected_returns) != set(self.state):
+            raise ValueError(f"state must have the targets {sorted(self.expected_returns)}, got {sorted(self.state)}")
+        unknown = set(self.definitions) - set(OTHER_DEFINITIONS)
+        if unknown:
+            raise ValueError(f"definitions must be among {', '.join(OTHER_DEFINITIONS)}, got {sorted(unknown)}")
+        for name, values in (("expected_returns", self.expected_returns), ("state", self.state)):
+            object.__setattr__(self, name, {key: self._fit(name, value, np.uint8) for key, value in values.items()})
+        masks = {key: self._fit(key, value, np.bool_) for key, value in self.definitions.items()}
+        object.__setattr__(self, "definitions", masks)
+
+    def _fit(self, name: str, value: Any, dtype: type[np.generic]) -> NDArray[Any]:
+        array = np.ascontiguousarray(value)
+        if array.shape != self.grid.shape or array.dtype != dtype:
+            raise ValueError(f"{name} must be {dtype.__name__} {self.grid.shape}, got {array.dtype} {array.shape}")
+        array = array.view()
+        array.setflags(write=False)
+        return array
+
+    def visible(self, target: Target | str = CAR) -> NDArray[np.bool_]:
+        """Return the mask (cells, cells) of cells where ``target`` would have given enough returns.
+
+        Raises:
+            ValueError: the truth was not made for this target.
+        """
+        known = TARGETS.get(target) if isinstance(target, str) else target
+        if known is None or known.name not in self.expected_returns:
+            raise ValueError(f"target must be one of {', '.join(self.expected_returns)}, got {target}")
+        mask: NDArray[np.bool_] = self.expected_returns[known.name] >= min(known.min_returns, MAX_COUNT)
+        return mask

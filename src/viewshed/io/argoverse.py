@@ -1,0 +1,113 @@
+"""Argoverse 2 sweeps: Arrow IPC (feather version 2) with x, y, z, intensity, laser_number, offset_ns."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io._columns import WANTED, Columns, columns_of_table
+from viewshed.io._source import FILE_FRAMES, Source, unpack_limit
+from viewshed.sweep import MAX_POINTS
+
+_NANOSECONDS = re.compile(r"(\d{18})\.feather$")
+
+_MAGIC_BYTES = 8
+
+
+def read_argoverse2(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+    """Yield the one sweep of an Argoverse 2 feather file, by default moved from the car's frame to ``up_lidar``."""
+    content = source.content()
+    try:
+        table = _table(content)
+        if frame is None and "laser_number" not in table:
+            raise ValueError("is no Argoverse 2 sweep (it has no laser_number); name the frame of its points")
+        columns = columns_of_table(table, frame or FILE_FRAMES["argoverse2"], ours=False)
+    except ValueError as error:
+        raise source.error(error) from error
+    named = _NANOSECONDS.search(source.name)
+    yield Columns(
+        columns.points, columns.intensity, laser=columns.laser, azimuth=columns.azimuth, time_s=columns.time_s,
+        t_ns=int(named[1]) if named else None, frame=columns.frame,
+    )  # fmt: skip
+
+
+def _table(content: bytes) -> dict[str, NDArray[Any]]:
+    """Return the wanted columns of the messages in an Arrow file; its footer is not used."""
+    import pyarrow as pa
+
+    stream = pa.py_buffer(content)[_MAGIC_BYTES:]
+    try:
+        _check_messages(pa, stream, unpack_limit(len(content)))
+        arrow = pa.ipc.open_stream(stream).read_all()
+        if arrow.num_rows > MAX_POINTS:
+            raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {arrow.num_rows}")
+        names = [name for name in arrow.column_names if name.lower() in WANTED]
+        return {name.lower(): _numbers(pa, name, arrow.column(name)) for name in names}
+    except pa.ArrowException as error:
+        raise ValueError(f"feather content is damaged or cut off: {error}") from error
+    except (KeyError, TypeError, OSError, UnicodeError, MemoryError) as error:
+        raise ValueError(f"feather content is damaged or cut off: {error or type(error).__name__}") from error
+
+
+def _numbers(pa: Any, name: str, column: Any) -> NDArray[Any]:
+    if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
+        raise ValueError(f"feather column {name} must be numbers, got {column.type}")
+    column.validate(full=True)
+    return np.asarray(column.to_numpy())
+
+
+def _check_messages(pa: Any, stream: Any, limit: int) -> None:
+    """Refuse messages whose compressed buffers claim more bytes than ``limit``, before Arrow allocates them."""
+    claimed = 0
+    batches = 0
+    for message in pa.ipc.MessageReader.open_stream(stream):
+        if message.type == "dictionary":
+            raise ValueError("feather must hold plain number columns, got a dictionary")
+        if message.type == "record batch":
+            batches += 1
+            claimed += _claimed_bytes(message.metadata.to_pybytes(), message.body.to_pybytes())
+        if claimed > limit:
+            raise ValueError(f"feather buffers claim {claimed} bytes, more than {limit}; refused")
+    if not batches:
+        raise ValueError("feather holds no rows")
+
+
+def _claimed_bytes(metadata: bytes, body: bytes) -> int:
+    """Return how many bytes the buffers of a record batch claim to unpack to.
+
+    Layout (format/Message.fbs of Apache Arrow): Message.header is field 2; RecordBatch.buffers is field 2, a vector of
+    (offset, length) int64 pairs, and RecordBatch.compression is field 3. A compressed buffer begins with its unpacked
+    length as int64, -1 where it is stored as it is.
+    """
+    try:
+        batch = _follow(metadata, _field(metadata, _follow(metadata, 0), 2))
+        if not _field(metadata, batch, 3):
+            return 0
+        vector = _follow(metadata, _field(metadata, batch, 2))
+        count = struct.unpack_from("<I", metadata, vector)[0]
+        claimed = 0
+        for offset, length in struct.iter_unpack("<qq", metadata[vector + 4 : vector + 4 + 16 * count]):
+            if length:
+                claimed += max(0, struct.unpack_from("<q", body, offset)[0])
+    except struct.error as error:
+        raise ValueError(f"feather metadata is damaged: {error}") from error
+    return claimed
+
+
+def _follow(data: bytes, at: int) -> int:
+    return int(at + struct.unpack_from("<I", data, at)[0])
+
+
+def _field(data: bytes, table: int, index: int) -> int:
+    """Return where a flatbuffer table keeps field ``index``, 0 where it has none."""
+    layout = table - struct.unpack_from("<i", data, table)[0]
+    if layout < 0 or struct.unpack_from("<H", data, layout)[0] < 6 + 2 * index:
+        return 0
+    slot = int(struct.unpack_from("<H", data, layout + 4 + 2 * index)[0])
+    return table + slot if slot else 0

@@ -1,0 +1,105 @@
+"""GeoJSON: polygons of the visible area and of each cell state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.affinity import affine_transform
+
+from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.fov.polygons import mask_of_polygon, polygon_of_mask
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+
+STATES = (
+    "one MultiPolygon each: `free`, `surface`, `hidden`, `unknown`; and `visible`, the cells at or above the threshold"
+)
+
+
+def to_geojson(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str, Any]:
+    """Return a GeoJSON FeatureCollection (dict) of five MultiPolygons: ``visible`` and the four cell states.
+
+    Coordinates are metres, **not** the WGS84 degrees of RFC 7946: of the ``world`` frame where the estimate has a pose
+    (its x, y and yaw; ``level`` is upright, so nothing else is left), else of ``level``. The member ``viewshed:frame``
+    says which. The four states tile the grid; ``visible`` overlaps them.
+    """
+    pose = estimate.world_from_level
+    masks = {"visible": estimate.visible(threshold)}
+    masks |= {state.name.lower(): estimate.state == state for state in CellState}
+    return {
+        "type": "FeatureCollection",
+        "viewshed:frame": {
+            "name": "level" if pose is None else "world",
+            "coordinates": f"metres in {'level' if pose is None else 'world'} frame, not WGS84",
+            "axes": "x forward, y left of the sensor" if pose is None else "x and y of the map",
+            "world_from_level": None if pose is None else pose.as_matrix().tolist(),
+        },
+        "viewshed:grid": {
+            "cells": estimate.grid.cells,
+            "half_extent_m": float(estimate.grid.half_extent_m),
+            "offset_m": [float(value) for value in estimate.grid.offset_m],
+        },
+        "features": [_feature(layer, mask, estimate, threshold) for layer, mask in masks.items()],
+    }
+
+
+def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float) -> dict[str, Any]:
+    polygon = polygon_of_mask(mask, estimate.grid)
+    pose = estimate.world_from_level
+    placed = polygon if pose is None else affine_transform(polygon, _flat(pose))
+    return {
+        "type": "Feature",
+        "geometry": {"type": "MultiPolygon", "coordinates": shapely.geometry.mapping(placed)["coordinates"]},
+        "properties": {
+            "layer": layer,
+            "area_m2": float(mask.sum()) * estimate.grid.cell_area_m2,
+            "threshold": threshold if layer == "visible" else None,
+            "method": estimate.method,
+            "target": estimate.target.name,
+            "t_ns": estimate.t_ns,
+            "agent": estimate.agent,
+        },
+    }
+
+
+def _flat(pose: Rigid) -> list[float]:
+    """Return the six numbers of the pose's x, y and yaw that shapely wants."""
+    c, s = float(np.cos(pose.yaw)), float(np.sin(pose.yaw))
+    return [c, -s, s, c, float(pose.translation[0]), float(pose.translation[1])]
+
+
+def fov_from_geojson(collection: dict[str, Any]) -> FovEstimate:
+    """Return the estimate in a collection of :func:`to_geojson`: states exact, probability 1 where visible, else 0.
+
+    Raises:
+        ValueError: a layer or a member of this package is missing.
+    """
+    try:
+        fields = collection["viewshed:grid"]
+        grid = BevGrid(fields["cells"], fields["half_extent_m"], (fields["offset_m"][0], fields["offset_m"][1]))
+        matrix = collection["viewshed:frame"]["world_from_level"]
+        pose = None if matrix is None else Rigid.from_matrix(matrix)
+        features = {feature["properties"]["layer"]: feature for feature in collection["features"]}
+        masks = {layer: _mask(feature["geometry"], pose, grid) for layer, feature in features.items()}
+        state = np.zeros(grid.shape, np.uint8)
+        for value in CellState:
+            state[masks[value.name.lower()]] = value
+        about = features["visible"]["properties"]
+        return FovEstimate(
+            grid, masks["visible"].astype(np.float32), state,
+            method=about["method"], world_from_level=pose, t_ns=about["t_ns"], agent=about["agent"],
+        )  # fmt: skip
+    except (KeyError, IndexError, TypeError) as error:
+        raise ValueError(f"collection must come from to_geojson, {error!r} is missing or wrong") from error
+
+
+def _mask(geometry: dict[str, Any], pose: Rigid | None, grid: BevGrid) -> Any:
+    polygon = shapely.geometry.shape(geometry)
+    back = polygon if pose is None else affine_transform(polygon, _flat(_upright(pose).inverse()))
+    return mask_of_polygon(back, grid)
+
+
+def _upright(pose: Rigid) -> Rigid:
+    return Rigid.from_yaw(pose.yaw, (pose.translation[0], pose.translation[1], 0.0))

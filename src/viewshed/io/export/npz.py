@@ -1,0 +1,99 @@
+"""NPZ: the whole estimate, without loss."""
+
+from __future__ import annotations
+
+import io
+import json
+import lzma
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from viewshed._files import write_bytes
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import Target
+from viewshed.geometry import Rigid
+from viewshed.grid import MAX_CELLS, BevGrid
+
+STATES = "array `state`: UNKNOWN 0, FREE 1, SURFACE 2, HIDDEN 3"
+
+_ARRAYS = ("visible_prob", "std", "state")
+
+_VERSION = 1
+
+_BROKEN = (
+    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
+)  # fmt: skip
+
+
+def write_npz(estimate: FovEstimate, path: str | Path) -> None:
+    """Write the estimate to ``path`` (compressed NPZ) at once or not at all; :func:`read_npz` gives it back exactly.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_bytes(path, to_npz(estimate))
+
+
+def to_npz(estimate: FovEstimate) -> bytes:
+    """Return the bytes of a compressed NPZ: visible_prob, std and state as they are, and ``about``, JSON in UTF-8."""
+    pose, target = estimate.world_from_level, estimate.target
+    about = {
+        "version": _VERSION,
+        "grid": [estimate.grid.cells, float(estimate.grid.half_extent_m), [float(v) for v in estimate.grid.offset_m]],
+        "method": estimate.method,
+        "target": [target.name, target.length_m, target.width_m, target.height_m, target.min_returns],
+        "world_from_level": None if pose is None else pose.as_matrix().tolist(),
+        "t_ns": estimate.t_ns,
+        "agent": estimate.agent,
+    }
+    arrays: dict[str, Any] = {name: getattr(estimate, name) for name in _ARRAYS}
+    file = io.BytesIO()
+    np.savez_compressed(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
+    return file.getvalue()
+
+
+def read_npz(path: str | Path) -> FovEstimate:
+    """Return the estimate in a file of :func:`write_npz`; nothing is unpickled.
+
+    Raises:
+        ValueError: the file is not such an NPZ.
+        OSError: the file cannot be read.
+    """
+    raw = Path(path).read_bytes()
+    try:
+        _check_sizes(raw)
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
+            about = json.loads(file["about"].tobytes())
+            return _estimate(about, {name: file[name] for name in _ARRAYS})
+    except _BROKEN as error:
+        raise ValueError(f"{path} must be an NPZ of write_npz: {' '.join(str(error).split())}") from error
+
+
+def _check_sizes(raw: bytes) -> None:
+    limit = 4 * MAX_CELLS**2 + 4096
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        for member in archive.infolist():
+            if member.file_size > limit:
+                raise ValueError(f"{member.filename} must be at most {limit} bytes, got {member.file_size}")
+
+
+def _estimate(about: dict[str, Any], arrays: dict[str, Any]) -> FovEstimate:
+    if about["version"] != _VERSION:
+        raise ValueError(f"version must be {_VERSION}, got {about['version']}")
+    cells, half_extent_m, offset = about["grid"]
+    matrix = about["world_from_level"]
+    return FovEstimate(
+        BevGrid(cells, half_extent_m, (offset[0], offset[1])),
+        **arrays,
+        method=about["method"],
+        target=Target(*about["target"]),
+        world_from_level=None if matrix is None else Rigid.from_matrix(matrix),
+        t_ns=about["t_ns"],
+        agent=about["agent"],
+    )

@@ -1,0 +1,57 @@
+"""Polygons in the style of ASAM OSI: rings of Vector3d and a Timestamp.
+
+OSI 3 has no message for a field of view (SensorViewConfiguration tells the nominal one only), so this is **not** an
+OSI message: it borrows OSI's field names, units and right-handed axes, for tools that already read those.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely import MultiPolygon, Polygon
+
+from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.fov.polygons import polygon_of_mask
+
+STATES = "`visible`: FREE and SURFACE, by the threshold; `hidden`: HIDDEN; `unknown`: UNKNOWN"
+
+
+def to_osi(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str, Any]:
+    """Return OSI-style polygons (dict): one entry a polygon, with its layer, outer ring and inner rings.
+
+    Rings are lists of {x, y, z} in metres of ``level``, z = 0 (the ground below the sensor), not closed; outer ones
+    counter-clockwise, inner ones clockwise. ``timestamp`` is {seconds, nanos}, absent where the time is not known.
+    """
+    visible = estimate.visible(threshold)
+    masks = {
+        "visible": visible,
+        "hidden": ~visible & (estimate.state == CellState.HIDDEN),
+        "unknown": ~visible & (estimate.state == CellState.UNKNOWN),
+    }
+    message: dict[str, Any] = {"frame": "level", "agent": estimate.agent, "method": estimate.method}
+    if estimate.t_ns is not None:
+        message["timestamp"] = dict(zip(("seconds", "nanos"), divmod(estimate.t_ns, 1_000_000_000), strict=True))
+    message["polygons"] = [
+        {"layer": layer, "outer": _vectors(part.exterior), "inner": [_vectors(ring) for ring in part.interiors]}
+        for layer, mask in masks.items()
+        for part in polygon_of_mask(mask, estimate.grid).geoms
+    ]
+    return message
+
+
+def _vectors(ring: Any) -> list[dict[str, float]]:
+    return [{"x": x, "y": y, "z": 0.0} for x, y in shapely.get_coordinates(ring)[:-1].tolist()]
+
+
+def polygons_of_osi(message: dict[str, Any]) -> dict[str, MultiPolygon]:
+    """Return the polygons of a message of :func:`to_osi` by layer, metres in ``level``."""
+    parts: dict[str, list[Polygon]] = {"visible": [], "hidden": [], "unknown": []}
+    for entry in message["polygons"]:
+        parts[entry["layer"]].append(Polygon(_xy(entry["outer"]), [_xy(ring) for ring in entry["inner"]]))
+    return {layer: MultiPolygon(polygons) for layer, polygons in parts.items()}
+
+
+def _xy(ring: list[dict[str, float]]) -> Any:
+    return np.array([[point["x"], point["y"]] for point in ring])

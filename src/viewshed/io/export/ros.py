@@ -1,0 +1,176 @@
+"""ROS messages as plain dictionaries: nav_msgs/OccupancyGrid and grid_map_msgs/GridMap. No ROS is needed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
+
+OCCUPANCY_STATES = (
+    "`occupancy`: FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1; "
+    "`visibility`: 0…100 % for FREE, SURFACE and HIDDEN, UNKNOWN -1; both together keep all four"
+)
+
+GRID_MAP_STATES = "layer `state`: UNKNOWN 0, FREE 1, SURFACE 2, HIDDEN 3"
+
+_MISSING = -1.0
+
+
+def to_occupancy_grid(estimate: FovEstimate, layer: str = "occupancy") -> dict[str, Any]:
+    """Return a nav_msgs/OccupancyGrid (dict) in the ``level`` frame; ``data`` row by row, x fastest.
+
+    Args:
+        estimate: what to export.
+        layer: ``occupancy`` (FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1, as costmaps read it) or ``visibility``
+            (probability in whole percent, UNKNOWN -1).
+
+    Raises:
+        ValueError: another layer.
+    """
+    if layer not in ("occupancy", "visibility"):
+        raise ValueError(f"layer must be occupancy or visibility, got {layer!r}")
+    grid = estimate.grid
+    values = _occupancy(estimate) if layer == "occupancy" else _visibility(estimate)
+    return {
+        "header": _header(estimate),
+        "info": {
+            "map_load_time": _stamp(estimate),
+            "resolution": grid.cell_m,
+            "width": grid.cells,
+            "height": grid.cells,
+            "origin": _pose(*grid.origin_m),
+        },
+        "data": values.T.ravel().tolist(),
+    }
+
+
+def to_occupancy_grids(estimate: FovEstimate) -> dict[str, Any]:
+    """Return both layers of :func:`to_occupancy_grid` by name (dict of two messages)."""
+    return {layer: to_occupancy_grid(estimate, layer) for layer in ("occupancy", "visibility")}
+
+
+def _occupancy(estimate: FovEstimate) -> NDArray[np.int8]:
+    values = np.full(estimate.grid.shape, -1, np.int8)
+    values[estimate.state == CellState.FREE] = 0
+    values[estimate.state == CellState.SURFACE] = 100
+    return values
+
+
+def _visibility(estimate: FovEstimate) -> NDArray[np.int8]:
+    percent = np.rint(100.0 * estimate.visible_prob).astype(np.int8)
+    return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
+
+
+def fov_from_occupancy_grid(occupancy: dict[str, Any], visibility: dict[str, Any]) -> FovEstimate:
+    """Return the estimate in the two layers: states exact, probability to the half percent, 0 where UNKNOWN.
+
+    Raises:
+        ValueError: a grid is not square or its data have another length.
+    """
+    info, origin = occupancy["info"], occupancy["info"]["origin"]["position"]
+    half_m = 0.5 * info["resolution"] * info["width"]
+    grid = BevGrid(info["width"], half_m, (origin["x"] + half_m, origin["y"] + half_m))
+    taken, percent = (_square(message, grid) for message in (occupancy, visibility))
+    state = np.full(grid.shape, CellState.UNKNOWN, np.uint8)
+    state[(taken < 0) & (percent >= 0)] = CellState.HIDDEN
+    state[taken == 0] = CellState.FREE
+    state[taken == 100] = CellState.SURFACE
+    prob = np.maximum(percent, 0).astype(np.float32) / np.float32(100)
+    return FovEstimate(grid, prob, state, t_ns=_t_ns(occupancy["header"]))
+
+
+def _square(message: dict[str, Any], grid: BevGrid) -> NDArray[np.int8]:
+    info, data = message["info"], np.asarray(message["data"], np.int8)
+    if info["width"] != info["height"] or data.shape != (grid.cells**2,):
+        raise ValueError(f"grid must be square with {grid.cells**2} cells, got {info['width']} × {info['height']}")
+    return data.reshape(grid.shape).T
+
+
+def to_grid_map(estimate: FovEstimate) -> dict[str, Any]:
+    """Return a grid_map_msgs/GridMap (dict) in the ``level`` frame with layers visible_prob, state and, if any, std.
+
+    As grid_map stores it: index (0, 0) is the cell of largest x and largest y, both fall with the index, and the data
+    are column-major (first dimension ``column_index``) with both start indices 0. JSON has no NaN: a cell without a
+    standard deviation is -1, and the layer is left out where no cell has one.
+    """
+    grid = estimate.grid
+    layers = {"visible_prob": estimate.visible_prob, "state": estimate.state.astype(np.float32)}
+    std = estimate.std
+    if std is not None and np.isfinite(std).any():
+        layers["std"] = np.where(np.isfinite(std), std, np.float32(_MISSING))
+    return {
+        "header": _header(estimate),
+        "info": {
+            "resolution": grid.cell_m,
+            "length_x": 2.0 * grid.half_extent_m,
+            "length_y": 2.0 * grid.half_extent_m,
+            "pose": _pose(*grid.offset_m),
+        },
+        "layers": list(layers),
+        "basic_layers": ["visible_prob"],
+        "data": [_multi_array(values) for values in layers.values()],
+        "outer_start_index": 0,
+        "inner_start_index": 0,
+    }
+
+
+def _multi_array(values: NDArray[np.float32]) -> dict[str, Any]:
+    rows, columns = values.shape
+    dim = [
+        {"label": "column_index", "size": columns, "stride": rows * columns},
+        {"label": "row_index", "size": rows, "stride": rows},
+    ]
+    return {"layout": {"dim": dim, "data_offset": 0}, "data": values[::-1, ::-1].ravel(order="F").tolist()}
+
+
+def fov_from_grid_map(message: dict[str, Any]) -> FovEstimate:
+    """Return the estimate in a message of :func:`to_grid_map`: probability, deviation and states exact.
+
+    Raises:
+        ValueError: a layer is missing, or the map is not square.
+    """
+    info, center = message["info"], message["info"]["pose"]["position"]
+    cells = message["data"][0]["layout"]["dim"][0]["size"]
+    layers = dict(zip(message["layers"], (_matrix(layer, cells) for layer in message["data"]), strict=True))
+    if not {"visible_prob", "state"} <= layers.keys():
+        raise ValueError(f"layers must include visible_prob and state, got {message['layers']}")
+    std = layers.get("std")
+    return FovEstimate(
+        BevGrid(cells, 0.5 * info["length_x"], (center["x"], center["y"])),
+        layers["visible_prob"],
+        layers["state"].astype(np.uint8),
+        std=None if std is None else np.where(std == _MISSING, np.float32(np.nan), std),
+        t_ns=_t_ns(message["header"]),
+    )
+
+
+def _matrix(layer: dict[str, Any], cells: int) -> NDArray[np.float32]:
+    data = np.asarray(layer["data"], np.float32)
+    if data.shape != (cells * cells,):
+        raise ValueError(f"a layer must have {cells * cells} values, got {data.size}")
+    return data.reshape((cells, cells), order="F")[::-1, ::-1]
+
+
+def _header(estimate: FovEstimate) -> dict[str, Any]:
+    return {"stamp": _stamp(estimate), "frame_id": f"{estimate.agent}/level"}
+
+
+def _stamp(estimate: FovEstimate) -> dict[str, int]:
+    seconds, nanoseconds = divmod(estimate.t_ns or 0, 1_000_000_000)
+    return {"sec": seconds, "nanosec": nanoseconds}
+
+
+def _t_ns(header: dict[str, Any]) -> int | None:
+    stamp = header["stamp"]
+    return int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"]) or None
+
+
+def _pose(x: float, y: float) -> dict[str, dict[str, float]]:
+    return {
+        "position": {"x": float(x), "y": float(y), "z": 0.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+    }

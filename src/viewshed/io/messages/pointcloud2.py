@@ -1,0 +1,173 @@
+"""sensor_msgs/PointCloud2 as a Sweep: every layout of fields, either byte order, padding, organized or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.io._ring_numbers import matched_azimuth, rings_by_elevation
+from viewshed.sensors import MAX_RINGS
+from viewshed.sweep import MAX_POINTS, Sweep
+
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+_INTENSITY = ("intensity", "i", "reflectivity", "reflectance", "signal", "remission")
+
+_RING = ("ring", "channel", "laser_id", "ring_id", "line", "row")
+
+_TIME = ("time", "t", "timestamp", "time_stamp", "time_offset", "offset_time")
+
+_REVOLUTION_S = 2.0
+
+_NEAR_M = 3.0
+
+_ROW_BYTES = 1 << 20
+
+
+class PointField(Protocol):
+    """One field of a cloud, as the message has it."""
+
+    name: str
+    offset: int
+    datatype: int
+    count: int
+
+
+class PointCloud2(Protocol):
+    """The parts of the message that are read."""
+
+    height: int
+    width: int
+    fields: Iterable[PointField]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: NDArray[np.uint8]
+
+
+def sweep_of_cloud(cloud: PointCloud2) -> Sweep:
+    """Return the sweep (N points, metres) of a message, row by row; points that are not finite are dropped.
+
+    Intensity, ring, azimuth and time are taken from fields of their usual names. Rings are counted from the lowest
+    beam; whole numbers of time are nanoseconds and fractions seconds, both since the earliest point.
+
+    Raises:
+        ValueError: x, y or z is missing, or the sizes that the message names do not fit its data.
+    """
+    table = _table(cloud)
+    names = table.dtype.names or ()
+    points = np.empty((table.size, 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis, name in enumerate("xyz"):
+            points[:, axis] = table[name].reshape(-1)
+    columns = {
+        part: table[name].reshape(-1)
+        for part, known in (("intensity", _INTENSITY), ("ring", _RING), ("time", _TIME), ("azimuth", ("azimuth",)))
+        for name in known if name in names
+    }  # fmt: skip
+    keep = _finite(points)
+    dropped = table.size - keep.size
+    if dropped:
+        points, columns = points.take(keep, 0), {part: column.take(keep) for part, column in columns.items()}
+    return _sweep(points, columns, dropped)
+
+
+def _finite(points: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return the rows whose three numbers are finite: 0 times anything else is not 0."""
+    with np.errstate(invalid="ignore"):
+        x, y, z = points.T * np.float32(0)
+        return np.flatnonzero(x + y + z == 0)
+
+
+def _sweep(points: NDArray[np.float32], columns: Mapping[str, NDArray[Any]], dropped: int) -> Sweep:
+    intensity, azimuth = columns.get("intensity"), columns.get("azimuth")
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Sweep(
+            points,
+            None if intensity is None else intensity.astype(np.float32),
+            _ring(columns.get("ring"), points),
+            None if azimuth is None else matched_azimuth(azimuth, points),
+            _time_s(columns.get("time")),
+            dropped_points=dropped,
+        )
+
+
+def _table(cloud: PointCloud2) -> NDArray[Any]:
+    """Return the points as a structured array (height, width), a view of the message's data.
+
+    Raises:
+        ValueError: a field leaves its point, a point its row, or a row the data; or x, y or z is missing.
+    """
+    order = ">" if cloud.is_bigendian else "<"
+    fields = {field.name.lower(): field for field in cloud.fields if field.count <= 1 and field.datatype in _KINDS}
+    missing = [name for name in "xyz" if name not in fields]
+    if missing:
+        raise ValueError(f"a cloud must have fields x, y and z, {', '.join(missing)} not found among {list(fields)}")
+    if not 0 < cloud.point_step <= _ROW_BYTES or cloud.width * cloud.height > MAX_POINTS:
+        size = f"{cloud.height} × {cloud.width} points of {cloud.point_step} bytes"
+        raise ValueError(f"a cloud must have at most {MAX_POINTS} points of 1 to {_ROW_BYTES} bytes, got {size}")
+    kind = np.dtype({
+        "names": list(fields),
+        "formats": [order + _KINDS[field.datatype] for field in fields.values()],
+        "offsets": [field.offset for field in fields.values()],
+        "itemsize": _point_bytes(cloud, fields),
+    })  # fmt: skip
+    data = np.ascontiguousarray(cloud.data, np.uint8)
+    row_step = cloud.row_step if cloud.height > 1 else cloud.width * cloud.point_step
+    needed = 0 if cloud.width * cloud.height == 0 else (cloud.height - 1) * row_step + cloud.width * cloud.point_step
+    if row_step < cloud.width * cloud.point_step or data.size < needed:
+        rows = f"{cloud.height} rows of {cloud.width} points of {cloud.point_step} bytes every {row_step}"
+        raise ValueError(f"a cloud is cut off: {rows} need {needed} bytes, the message holds {data.size}")
+    return np.ndarray((cloud.height, cloud.width), kind, data, strides=(row_step, cloud.point_step))
+
+
+def _point_bytes(cloud: PointCloud2, fields: Mapping[str, PointField]) -> int:
+    for name, field in fields.items():
+        if field.offset + np.dtype(_KINDS[field.datatype]).itemsize > cloud.point_step:
+            raise ValueError(f"field {name!r} at byte {field.offset} leaves a point of {cloud.point_step} bytes")
+    return cloud.point_step
+
+
+def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np.int16] | None:
+    """Return the ring (N,), 0 the lowest, of a field that counts beams in any order; None where it counts none."""
+    if laser is None:
+        return None
+    whole = laser.astype(np.int64)
+    if laser.size == 0:
+        return whole.astype(np.int16)
+    if not (whole == laser).all() or whole.min() < 0 or whole.max() >= MAX_RINGS:
+        return None
+    order = _order(whole, points)
+    if order == 0:
+        return rings_by_elevation(whole, points)
+    return (whole if order > 0 else whole.max() - whole).astype(np.int16)
+
+
+def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
+    """Return +1 where the mean slope of the beams ascends with their number, -1 where it descends, 0 where neither.
+
+    Nearly every driver counts in one of these orders. Near returns, of the vehicle itself or of nothing, are left out.
+    """
+    x, y, z = points.T
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        range_m = np.sqrt(x * x + y * y)
+        slope = z / range_m
+    usable = np.flatnonzero((range_m > _NEAR_M) & np.isfinite(slope))
+    laser, slope = laser.take(usable), slope.take(usable)
+    count = np.bincount(laser)
+    rising = np.diff(np.bincount(laser, slope)[count > 0] / count[count > 0])
+    return int((rising > 0).all()) - int((rising < 0).all())
+
+
+def _time_s(value: NDArray[Any] | None) -> NDArray[np.float32] | None:
+    """Return seconds (N,) since the earliest point, or None where the field does not lie within one revolution."""
+    if value is None or value.size == 0:
+        return None
+    low, high = value.min(), value.max()
+    scale = 1e-9 if value.dtype.kind in "iu" else 1.0
+    if not (np.isfinite(high) and (float(high) - float(low)) * scale <= _REVOLUTION_S):
+        return None
+    return np.asarray((value - low) * np.float32(scale), dtype=np.float32)

@@ -1,0 +1,182 @@
+"""NPY and NPZ. Their headers are read here, not by numpy.load: nothing is unpickled, evaluated or believed."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io._columns import Columns, Saved
+from viewshed.io._source import IDENTITY, Source, read_bounded, unpack_limit
+from viewshed.sensors import LidarModel
+from viewshed.sweep import MAX_POINTS, Sweep
+
+_HEADER = re.compile(
+    r"\s*\{\s*'descr'\s*:\s*'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*,\s*'fortran_order'\s*:\s*(True|False)\s*,"
+    r"\s*'shape'\s*:\s*\(((?:\d{1,12}\s*,?\s*){0,4})\)\s*,?\s*\}\s*"
+)
+
+_MEMBERS_MAX = 64
+
+_VERSION = 1
+
+_SAVED = ("intensity", "ring", "azimuth", "time_s")
+
+_BEAMS = ("elevation", "azimuth_offset", "origin_m")
+
+_LIMITS = ("azimuth_columns", "min_range_m", "max_range_m")
+
+
+def parse_npy(content: bytes) -> NDArray[Any]:
+    """Return the array in the bytes of an NPY file, a read-only view of them.
+
+    Raises:
+        ValueError: it is no NPY file of plain numbers or text, or its header does not agree with its size.
+    """
+    if content[:6] != b"\x93NUMPY" or len(content) < 12:
+        raise ValueError("is not an NPY array or is cut off")
+    wide = content[6] > 1
+    start = (12 if wide else 10) + int.from_bytes(content[8 : 12 if wide else 10], "little")
+    match = _HEADER.fullmatch(content[12 if wide else 10 : start].decode("latin-1")) if start <= 10_012 else None
+    if match is None:
+        raise ValueError("NPY header is damaged or its type is not plain numbers (pickled and structured are refused)")
+    kind = np.dtype(match[1])
+    shape = tuple(int(size) for size in re.findall(r"\d+", match[3]))
+    count = 1
+    for size in shape:
+        count *= size
+    held = len(content) - start
+    if count * kind.itemsize != held:
+        raise ValueError(f"NPY shape {shape} of {kind} needs {count * kind.itemsize} bytes, the array holds {held}")
+    flat = np.frombuffer(content, kind, count, start) if held else np.empty(0, kind)
+    return flat.reshape(shape, order="F" if match[2] == "True" else "C")
+
+
+def read_npy(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+    """Yield the one sweep of an NPY file of shape (N, 3+): metres, or millimetres where it is int32."""
+    try:
+        yield _columns_of_points(parse_npy(source.content()), frame)
+    except ValueError as error:
+        raise source.error(error) from error
+
+
+def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
+    if array.ndim != 2 or array.shape[1] < 3:
+        raise ValueError(f"points must have shape (N, 3) or more columns, got {array.shape}")
+    if len(array) > MAX_POINTS:
+        raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {len(array)}")
+    if array.dtype.kind != "f" and array.dtype.str[1:] != "i4":
+        raise ValueError(f"points must be floats (metres) or int32 (millimetres), got {array.dtype}")
+    millimetres = array.dtype.kind == "i"
+    with np.errstate(over="ignore"):
+        points = (array[:, :3] * 1e-3 if millimetres else array[:, :3]).astype(np.float32, order="C")
+        intensity = array[:, 3].astype(np.float32) if array.shape[1] > 3 and not millimetres else None
+    return Columns(points, intensity, frame=IDENTITY if frame is None else frame)
+
+
+def read_npz(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+    """Yield the one sweep of an NPZ file: key ``points`` (N, 3+), and all of a Sweep where this package wrote it."""
+    try:
+        members = _members(source)
+        if "points" not in members:
+            raise ValueError(f"NPZ must have an array 'points', got {', '.join(sorted(members)) or 'none'}")
+        columns = _columns_of_points(members["points"], frame)
+        yield _with_saved(columns, members) if "viewshed_sweep" in members else columns
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise source.error(error) from error
+
+
+def _members(source: Source) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a zip file by name; sizes are measured while unpacking, not believed."""
+    limit = unpack_limit(source.size)
+    members: dict[str, NDArray[Any]] = {}
+    try:
+        with zipfile.ZipFile(source.file) as archive:
+            if len(archive.infolist()) > _MEMBERS_MAX:
+                raise ValueError(f"NPZ must have at most {_MEMBERS_MAX} arrays, got {len(archive.infolist())}")
+            for info in archive.infolist():
+                if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError("NPZ must be stored or deflated, not packed in another way")
+                if info.filename.removesuffix(".npy") in _KEYS:
+                    with archive.open(info) as stream:
+                        content = read_bounded(stream, limit)  # type: ignore[arg-type]
+                    limit -= len(content)
+                    members[info.filename.removesuffix(".npy")] = parse_npy(content)
+    except ValueError:
+        raise
+    except Exception as error:  # zipfile and zlib raise a dozen types on damaged archives
+        raise ValueError(f"NPZ is damaged or cut off: {error or type(error).__name__}") from error
+    return members
+
+
+def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Columns:
+    if int(members["viewshed_sweep"]) != _VERSION:
+        raise ValueError(
+            f"NPZ is of version {members['viewshed_sweep']} of viewshed's format, this one reads {_VERSION}"
+        )
+    saved = Saved(
+        members.get("attitude"),
+        float(members["sensor_height_m"]) if "sensor_height_m" in members else None,
+        Rigid.from_matrix(members["world_from_sensor"]) if "world_from_sensor" in members else None,
+        str(members["agent"]),
+        int(members["dropped_points"]),
+    )
+    t_ns = int(members["t_ns"]) if "t_ns" in members else None
+    found: dict[str, Any] = {name: members.get(name) for name in _SAVED}
+    return Columns(
+        columns.points, **found, t_ns=t_ns, model=_saved_model(members), frame=columns.frame, saved=saved
+    )  # fmt: skip
+
+
+def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
+    if "model_name" not in members:
+        return None
+    elevation, offset, origin = (members[f"model_{key}"] for key in _BEAMS)
+    limits = members["model_limits"].reshape(3)
+    return LidarModel(
+        str(members["model_name"]), elevation, int(limits[0]), offset, origin,
+        float(limits[1]), float(limits[2]), str(members["model_source"]),
+    )  # fmt: skip
+
+
+_KEYS = {
+    "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
+    "dropped_points", "model_name", "model_source", "model_limits", *(f"model_{key}" for key in _BEAMS),
+}  # fmt: skip
+
+
+def write_npy(sweep: Sweep) -> bytes:
+    """Return an NPY file: (N, 3) float32 points, (N, 4) where the intensity is known; the rest is lost."""
+    table = sweep.points if sweep.intensity is None else np.column_stack((sweep.points, sweep.intensity))
+    buffer = io.BytesIO()
+    np.save(buffer, np.ascontiguousarray(table, "<f4"), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def write_npz(sweep: Sweep) -> bytes:
+    """Return an NPZ file that keeps every attribute of the sweep."""
+    arrays: dict[str, Any] = {
+        "viewshed_sweep": _VERSION, "points": sweep.points, "agent": sweep.agent,
+        "dropped_points": sweep.dropped_points,
+        "t_ns": sweep.t_ns, "attitude": sweep.attitude, "sensor_height_m": sweep.sensor_height_m,
+        **{name: getattr(sweep, name) for name in _SAVED},
+        "world_from_sensor": None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix(),
+    }  # fmt: skip
+    if sweep.model is not None:
+        arrays |= {"model_name": sweep.model.name, "model_source": sweep.model.source}
+        arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAMS}
+        arrays["model_limits"] = np.array([getattr(sweep.model, key) for key in _LIMITS], dtype=np.float64)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
+        for name, value in arrays.items():
+            if value is not None:
+                member = io.BytesIO()
+                np.save(member, np.asarray(value), allow_pickle=False)
+                archive.writestr(zipfile.ZipInfo(f"{name}.npy"), member.getvalue(), zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()

@@ -1,0 +1,227 @@
+"""Velodyne packets: a capture (pcap) or payloads of 1206 bytes one after the other, decoded by velodyne-decoder.
+
+UDP payloads of a packet capture (libpcap's classic format), with IPv4 fragments put together.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io._columns import Columns
+from viewshed.io._source import IDENTITY, Source
+from viewshed.sensors import lidar_model
+
+_MAGICS = {
+    b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6),
+    b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9),
+}  # fmt: skip
+
+PCAP_BEGINS = tuple(_MAGICS)
+"""First bytes of captures that can be read."""
+
+_LINK_HEADER_BYTES = {0: 4, 1: 14, 101: 0, 113: 16, 228: 0, 276: 20}
+
+_DATAGRAMS_OPEN = 64
+
+_PARTS_MAX = 512
+
+_DATAGRAM_MAX = 65_535
+
+_UDP = 17
+
+
+def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
+    """Yield (seconds since 1970, payload) for every UDP datagram of a capture, in order.
+
+    Raises:
+        ValueError: it is no capture, of a link type that is not known, or cut off within a packet.
+    """
+    if content[:4] not in _MAGICS or len(content) < 24:
+        raise ValueError("is not a packet capture or is cut off")
+    order, unit = _MAGICS[content[:4]]
+    link = struct.unpack_from(order + "I", content, 20)[0] & 0xFFFF
+    if link not in _LINK_HEADER_BYTES:
+        raise ValueError(f"packet capture must be of Ethernet or raw IP, got link type {link}")
+    record = struct.Struct(order + "IIII")
+    fragments: dict[bytes, dict[int, bytes]] = {}
+    at = 24
+    while at < len(content):
+        if at + 16 > len(content):
+            raise ValueError("packet capture is cut off within a packet header")
+        seconds, fraction, captured, _ = record.unpack_from(content, at)
+        at += 16
+        if captured > len(content) - at:
+            raise ValueError(f"packet capture is cut off: a packet of {captured} bytes, {len(content) - at} left")
+        datagram = _datagram(content[at : at + captured], link, fragments)
+        at += captured
+        if datagram is not None:
+            yield seconds + fraction * unit, datagram
+
+
+def _datagram(packet: bytes, link: int, fragments: dict[bytes, dict[int, bytes]]) -> bytes | None:
+    """Return the UDP payload that this packet holds or completes, else None."""
+    ip = _ip_packet(packet, link)
+    if len(ip) < 20 or ip[0] >> 4 != 4 or ip[9] != _UDP:
+        return None
+    header, total = 4 * (ip[0] & 15), int.from_bytes(ip[2:4], "big")
+    body = ip[header : total if total >= header else None]
+    flags = int.from_bytes(ip[6:8], "big")
+    if flags & 0x3FFF:
+        whole = _joined(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
+        if whole is None:
+            return None
+        body = whole
+    length = int.from_bytes(body[4:6], "big")
+    return body[8:length] if 8 <= length <= len(body) else None
+
+
+def _ip_packet(packet: bytes, link: int) -> bytes:
+    start = _LINK_HEADER_BYTES[link]
+    if link == 1:
+        while packet[start - 2 : start] in (b"\x81\x00", b"\x88\xa8"):
+            start += 4
+        if packet[start - 2 : start] != b"\x08\x00":
+            return b""
+    return packet[start:]
+
+
+def _joined(
+    key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, dict[int, bytes]]
+) -> bytes | None:  # fmt: skip
+    """Keep a fragment; return the datagram once it is complete. The last fragment is kept under offset -1 too."""
+    if key not in fragments and len(fragments) >= _DATAGRAMS_OPEN:
+        fragments.pop(next(iter(fragments)))
+    parts = fragments.setdefault(key, {})
+    if offset + len(body) > _DATAGRAM_MAX or len(parts) > _PARTS_MAX or not body:
+        return None
+    parts[offset] = body
+    if not more:
+        parts[-1] = b""
+    if -1 not in parts or 0 not in parts:
+        return None
+    whole = bytearray()
+    while len(whole) in parts and parts[len(whole)]:
+        whole += parts[len(whole)]
+    if sum(map(len, parts.values())) != len(whole):
+        return None
+    del fragments[key]
+    return bytes(whole)
+
+
+PACKET_BYTES = 1206
+
+_MODELS = {0x21: "HDL32E", 0x22: "VLP16", 0x24: "PuckHiRes", 0x28: "VLP32C", 0x31: "AlphaPrime"}
+
+_TABLES = {"HDL32E": "HDL-32E", "VLP16": "VLP-16", "VLP32C": "VLP-32C"}
+
+_NO_AZIMUTH_OFFSET = {"HDL32E", "VLP16", "PuckHiRes"}
+
+_INSTALL = "needs velodyne-decoder; install it with: pip install 'viewshed[packets]'"
+
+
+def is_velodyne(payload: bytes) -> bool:
+    """Return whether a UDP payload is a Velodyne data packet: 1206 bytes, twelve blocks that begin with ff ee."""
+    return len(payload) == PACKET_BYTES and payload[:2] == b"\xff\xee" and payload[1100:1102] == b"\xff\xee"
+
+
+def looks_like_payloads(size: int, head: bytes) -> bool:
+    """Return whether a file holds bare payloads, by its size and first bytes."""
+    return size % PACKET_BYTES == 0 and head[:2] == b"\xff\xee"
+
+
+def read_velodyne(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+    """Yield the revolutions of a capture or a file of bare payloads.
+
+    A revolution begins at the first packet's azimuth. The rest at the end is left out, unless it is all there is.
+    """
+    content = source.content()
+    bare = looks_like_payloads(source.size, source.head)
+    try:
+        yield from _revolutions(_bare(content) if bare else udp_payloads(content), frame)
+    except ImportError as error:
+        raise ImportError(f"{source.path}: {_INSTALL}") from error
+    except ValueError as error:
+        raise source.error(error) from error
+
+
+def _bare(content: bytes) -> Iterator[tuple[float, bytes]]:
+    """Yield (seconds since the full hour, payload); a bare payload knows no more of time."""
+    for start in range(0, len(content), PACKET_BYTES):
+        payload = content[start : start + PACKET_BYTES]
+        yield int.from_bytes(payload[1200:1204], "little") * 1e-6, payload
+
+
+def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) -> Iterator[Columns]:
+    import velodyne_decoder
+
+    decoder = name = None
+    found = False
+    for seconds, payload in packets:
+        if not is_velodyne(payload):
+            continue
+        if decoder is None:
+            name = _model_name(payload)
+            decoder = _decoder(velodyne_decoder, name)
+        scan = _call(decoder.decode, seconds, payload)
+        if scan is not None and len(scan[1]):
+            found = True
+            yield _columns(scan, name or "", frame)
+    if decoder is None:
+        raise ValueError("holds no Velodyne data packets (1206 bytes that begin with ff ee)")
+    rest = _call(decoder.finish)
+    if not found and rest is not None:
+        yield _columns(rest, name or "", frame)
+    elif not found:
+        raise ValueError("holds no revolution with a return")
+
+
+def _model_name(payload: bytes) -> str:
+    product = payload[-1]
+    if product not in _MODELS:
+        raise ValueError(f"Velodyne product must be {', '.join(_MODELS.values())}, got id 0x{product:02x}")
+    return _MODELS[product]
+
+
+def _decoder(library: Any, name: str) -> Any:
+    return library.StreamDecoder(library.Config(model=getattr(library.Model, name)))
+
+
+def _call(function: Any, *arguments: Any) -> Any:
+    try:
+        return function(*arguments)
+    except Exception as error:  # the decoder is compiled code with exceptions of its own
+        raise ValueError(f"velodyne-decoder refuses the packets: {error}") from error
+
+
+def _columns(scan: Any, name: str, frame: Rigid | None) -> Columns:
+    """Return the columns of one scan: x, y, z, intensity, time, column, ring, return type."""
+    stamp, table = scan
+    table = _one_turn(np.asarray(table, dtype=np.float32))
+    points = np.ascontiguousarray(table[:, :3])
+    begin = float(table[:, 4].min()) if len(table) else 0.0
+    return Columns(
+        points, table[:, 3],
+        ring=table[:, 6].astype(np.int16),
+        azimuth=np.arctan2(points[:, 1], points[:, 0]) if name in _NO_AZIMUTH_OFFSET else None,
+        time_s=table[:, 4] - np.float32(begin),
+        t_ns=round((stamp.host + begin) * 1e9),
+        model=lidar_model(_TABLES[name]) if name in _TABLES else None,
+        frame=IDENTITY if frame is None else frame,
+    )  # fmt: skip
+
+
+def _one_turn(table: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Leave out the late points past the first azimuth: the decoder cuts between packets, a few degrees too late."""
+    if len(table) < 2:
+        return table
+    azimuth = np.arctan2(table[:, 1], table[:, 0])
+    turned = np.mod(azimuth[0] - azimuth, 2 * np.pi)
+    late = table[:, 5] > 0.75 * table[:, 5].max()
+    kept: NDArray[np.float32] = table[~(late & (turned < np.pi / 2))]
+    return kept

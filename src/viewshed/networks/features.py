@@ -1,0 +1,377 @@
+"""Channels: what a network may be shown of a sweep, each a map of one byte a cell.
+
+``counts`` is the input of arXiv 2503.07375. The others are measured as the classical estimators measure them, so that a
+network starts from what they know and learns what they do not: what a missing return means here, which ground to
+believe, which returns to doubt.
+
+What one pass over the returns of a sweep tells: of each cell its lowest and highest ones, and of each azimuth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed._numba import BLOCK, split
+from viewshed.fov.visibility import Target, returns_by_kind
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.preprocess.azimuth_bins import (
+    BINS_LADDER,
+    bins_filled,
+    bins_of_cells,
+    farthest_in_bins,
+    nearest_obstacle_in_bins,
+)
+from viewshed.preprocess.history import Past
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep
+from viewshed.preprocess.no_return import ToldBeams, told_beams
+
+HEIGHTS_M = (-2.0, 4.0)
+"""Heights above local ground that ``lowest`` and ``highest`` tell apart."""
+
+EVIDENCE_BINS = 360
+"""Azimuth bins in which returns are counted."""
+
+_BINS = BINS_LADDER[0]
+
+_FOLDED = (1080, 540, 360, 180, 120)
+"""Bins that are the same whether told from an azimuth or from the narrowest bins; the edges of others are rounded."""
+
+Bytes = NDArray[np.uint8]
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """What the returns of a level sweep tell.
+
+    Attributes:
+        lowest: (cells, cells) code of the lowest return of each cell: 0 for none, 1 to 255 upwards.
+        highest: (cells, cells) code of the highest one.
+        obstacle: (cells, cells) bool, as :meth:`viewshed.preprocess.leveling.LevelSweep.obstacle_cells`.
+        returns: (EVIDENCE_BINS,) returns of each azimuth bin.
+        bins: azimuth bins that the returns fill, as :func:`viewshed.preprocess.azimuth_bins.measured_azimuth_bins`.
+        blocker_m: (bins,) range in metres of the nearest obstacle of each azimuth bin; inf where none.
+        farthest_m: (bins,) range in metres of the farthest return of each azimuth bin; -1 where none.
+    """
+
+    lowest: Bytes
+    highest: Bytes
+    obstacle: NDArray[np.bool_]
+    returns: NDArray[np.int32]
+    bins: int
+    blocker_m: Floats
+    farthest_m: Floats
+
+
+def scan(level: LevelSweep, grid: BevGrid) -> Scan:
+    """Return what the returns of ``level`` tell of the cells of ``grid`` and of their azimuths."""
+    lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells], np.float32)
+    heights = np.array([*HEIGHTS_M, *OBSTACLE_HEIGHTS_M], np.float32)
+    columns = level.points, level.range_m, level.azimuth, level.height_m
+    cells, obstacle, returns, ranges_m = _scan(columns, lattice, heights)
+    bins = bins_filled(returns > 0)
+    if bins in _FOLDED:
+        shape = bins, _BINS // bins
+        blocker_m, farthest_m = ranges_m[0].reshape(shape).min(axis=1), ranges_m[1].reshape(shape).max(axis=1)
+    else:
+        blocker_m = nearest_obstacle_in_bins(level, bins, 1, OBSTACLE_HEIGHTS_M)
+        farthest_m = farthest_in_bins(level, bins)
+    lowest, highest = cells[0, :-1].reshape(grid.shape), cells[1, :-1].reshape(grid.shape)
+    counts = returns.reshape(EVIDENCE_BINS, -1).sum(axis=1, dtype=np.int32)
+    return Scan(lowest, highest, obstacle[:-1].reshape(grid.shape), counts, bins, blocker_m, farthest_m)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _scan(columns: Any, lattice: Any, heights: Any) -> Any:  # pragma: no cover - compiled
+    """Return codes of the lowest and highest return, obstacles, returns and ranges; the last cell is outside."""
+    points, range_m, azimuth, height_m = columns
+    last = np.uint32(lattice[3]) ** 2
+    cells, obstacle = np.zeros((2, last + 1), np.uint8), np.zeros(last + 1, np.bool_)
+    lowest, highest = cells[0], cells[1]
+    returns, ranges_m = np.zeros(_BINS, np.int32), np.full((2, _BINS), np.inf, np.float32)
+    nearest_m, farthest_m = ranges_m[0], ranges_m[1]
+    farthest_m[:] = -1.0
+    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    cell, bearing, code = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32), np.empty(BLOCK, np.uint8)
+    for start in range(0, points.shape[0], BLOCK):
+        count = split(points, start, x, y, z)
+        block = slice(start, start + count)
+        ranges, highs = range_m[block], height_m[block]
+        _cells(x[:count], y[:count], lattice, cell)
+        _write_bins_and_heights(azimuth[block], highs, heights, bearing, code)
+        for k in range(count):
+            c, b = np.uint32(cell[k]), np.uint32(bearing[k])
+            highest[c] = max(highest[c], code[k])
+            lowest[c] = max(lowest[c], np.uint8(-code[k]))  # 256 less the code, so that 0 is none here as well
+            returns[b] += 1
+            farthest_m[b] = max(farthest_m[b], ranges[k])
+            if heights[2] < highs[k] < heights[3]:
+                obstacle[c] = True
+                nearest_m[b] = min(nearest_m[b], ranges[k])
+    for k in range(last):
+        lowest[k] = np.uint8(-lowest[k])
+    return cells, obstacle, returns, ranges_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cells(x: Any, y: Any, lattice: Any, cell: Any) -> None:  # pragma: no cover - compiled
+    """Write the cell of each point of a block, cells · cells outside."""
+    x0, y0, per_m, side = lattice
+    none = np.float32(0.0)
+    for k in range(x.shape[0]):
+        u, v = (x[k] - x0) * per_m, (y[k] - y0) * per_m
+        inside = (u >= none) & (v >= none) & (u < side) & (v < side)
+        i, j = np.int32(u if inside else side), np.int32(v if inside else none)
+        cell[k] = i * np.int32(side) + j
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _write_bins_and_heights(
+    azimuth: Any, height_m: Any, heights: Any, bearing: Any, code: Any
+) -> None:  # pragma: no cover - compiled
+    """Write the azimuth bin of each point of a block, and the code of its height."""
+    bottom, top = heights[0], heights[1]
+    scale = np.float32(254.0) / (top - bottom)
+    for k in range(azimuth.shape[0]):
+        position = (np.float64(azimuth[k]) + np.pi) * (_BINS / (2.0 * np.pi))
+        bearing[k] = min(max(np.int32(position), np.int32(0)), np.int32(_BINS - 1))
+    for k in range(azimuth.shape[0]):
+        code[k] = 1 + np.int32(min(max(height_m[k] - bottom, np.float32(0.0)), top - bottom) * scale)
+
+
+MOST_RETURNS = 127
+"""Expected returns that the codes tell apart."""
+
+FARTHEST_M = 100.0
+"""Distances that ``blocker``, ``farthest`` and ``range`` tell apart."""
+
+NO_PAST = 128
+"""Code of ``supported`` without earlier sweeps: neither none of them nor all."""
+
+_STEPS = 16
+
+_STEPS_A_METRE = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What the channels of one sweep are made of; each part is computed when it is first asked for.
+
+    Attributes:
+        level: the sweep.
+        grid: of the maps.
+        target: what would have to be seen.
+        counts: (cells, cells) uint8, returns of each cell as the network's card counts them.
+        past: what earlier sweeps saw, or None where there are none.
+    """
+
+    level: LevelSweep
+    grid: BevGrid
+    target: Target
+    counts: Bytes
+    past: Past | None = None
+
+    @cached_property
+    def scan(self) -> Scan:
+        """What one pass over the returns tells."""
+        return scan(self.level, self.grid)
+
+    @cached_property
+    def told(self) -> ToldBeams:
+        """The beams by what is known of them."""
+        return told_beams(self.level, self.target.height_m)
+
+    @cached_property
+    def returns(self) -> Floats:
+        """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
+        level, told = self.level, self.told
+        kinds = told.confirmed, told.explained, told.unexplained
+        return returns_by_kind(kinds, level.sensor_height_m, level.ground, self.grid, self.target)
+
+    @cached_property
+    def codes(self) -> Bytes:
+        """(3, cells, cells) codes of the returns expected by confirmed, by told (also explained) and by other beams."""
+        codes = np.empty(self.returns.shape, np.uint8)
+        _write_beam_codes(self.returns.reshape(3, -1), _returns_table(), codes.reshape(3, -1))
+        return codes
+
+    def beyond(self, limit_m: Floats) -> Bytes:
+        """Return the code (cells, cells) of how far a limit (bins,) lies beyond each cell; 128 where they meet."""
+        code, bins = np.empty(self.grid.shape, np.uint8), bins_of_cells(self.grid, self.scan.bins)
+        flat = bins.reshape(-1), polar_of_cells(self.grid)[0].reshape(-1)
+        _beyond(limit_m, *flat, *_away_table(), code.reshape(-1))
+        return code
+
+
+def away_code(away_m: Floats) -> Bytes:
+    """Return the code (…) of signed distances (…): 128.5, more or less their logarithm, cut to a whole number.
+
+    >>> away_code(np.array([-np.inf, -1.0, 0.0, 1.0, np.inf], np.float32)).tolist()
+    [1, 109, 128, 147, 255]
+    """
+    size = np.log1p(np.minimum(np.abs(away_m), np.float32(FARTHEST_M))) * np.float32(127.0 / np.log1p(FARTHEST_M))
+    code: Bytes = (np.float32(128.5) + np.copysign(size, away_m)).astype(np.uint8)
+    return code
+
+
+@lru_cache(maxsize=1)
+def _away_table() -> tuple[Bytes, Floats]:
+    """Return the code at each step of distance from -``FARTHEST_M`` on, and the distances (257,) where codes begin.
+
+    A step is shorter than any code is wide, so that a distance has the code of its step or the next one.
+    """
+    ends = np.array([-FARTHEST_M, FARTHEST_M], np.float32)
+    low, high = np.full(256, ends[0]), np.full(256, ends[1])
+    codes = np.arange(256)
+    for _ in range(64):
+        middle = (low + high) / np.float32(2.0)
+        reached = away_code(middle) >= codes
+        low, high = np.where(reached, low, middle), np.where(reached, middle, high)
+    steps = np.arange(int(2 * FARTHEST_M) * _STEPS_A_METRE + 1, dtype=np.float32) / np.float32(_STEPS_A_METRE) + ends[0]
+    return away_code(np.maximum(steps - np.float32(1e-4), ends[0])), np.append(high, np.float32(np.inf))
+
+
+def returns_code(returns: Floats) -> Bytes:
+    """Return the code (…) of expected returns (…): their logarithm, 255 from ``MOST_RETURNS`` on.
+
+    >>> returns_code(np.array([0.0, 5.0, 1000.0], np.float32)).tolist()
+    [0, 94, 255]
+    """
+    code = np.empty(returns.shape, np.uint8)
+    _looked_up(np.ascontiguousarray(returns, np.float32).reshape(-1), _returns_table(), code.reshape(-1))
+    return code
+
+
+@lru_cache(maxsize=1)
+def _returns_table() -> Bytes:
+    returns = np.arange(MOST_RETURNS * _STEPS + 1) / _STEPS
+    table: Bytes = np.round(255.0 * np.log1p(returns) / np.log1p(MOST_RETURNS)).astype(np.uint8)
+    return table
+
+
+@lru_cache(maxsize=8)
+def _range_code(grid: BevGrid) -> Bytes:
+    code: Bytes = np.minimum(polar_of_cells(grid)[0] * np.float32(255.0 / FARTHEST_M), 255.0).astype(np.uint8)
+    return code
+
+
+def _supported(shown: Shown) -> Bytes:
+    """Return the code of the share of the earlier sweeps that saw each cell: 0 to 255, 128 without any."""
+    if shown.past is None:
+        return np.full(shown.grid.shape, NO_PAST, np.uint8)
+    share = shown.past.support(shown.grid, shown.target) * (255.0 / len(shown.past.earlier))
+    code: Bytes = np.round(share).astype(np.uint8)
+    return code
+
+
+CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
+    "counts": lambda shown: shown.counts,
+    "lowest": lambda shown: shown.scan.lowest,
+    "highest": lambda shown: shown.scan.highest,
+    "confirmed": lambda shown: shown.codes[0],
+    "expected": lambda shown: shown.codes[1],
+    "unexplained": lambda shown: shown.codes[2],
+    "blocker": lambda shown: shown.beyond(shown.scan.blocker_m),
+    "farthest": lambda shown: shown.beyond(shown.scan.farthest_m),
+    "range": lambda shown: _range_code(shown.grid),
+    "supported": _supported,
+}
+"""The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
+another one confirms, ``unexplained`` the beams whose end nothing tells, as if nothing stopped them; ``blocker`` and
+``farthest`` tell how far the nearest obstacle and the farthest return of the azimuth lie beyond the cell.
+
+One is of earlier sweeps: ``supported`` tells how many of them would have seen a target in the cell."""
+
+PAST_CHANNELS = ("supported",)
+"""Channels that earlier sweeps change."""
+
+
+def maps_of(names: Sequence[str], shown: Shown) -> Bytes:
+    """Return the maps (channels, cells, cells) of channels by their names."""
+    maps = np.empty((len(names), *shown.grid.shape), np.uint8)
+    for name, found in zip(names, maps, strict=True):
+        found[:] = CHANNELS[name](shown)
+    return maps
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beyond(limit_m: Any, bins: Any, range_m: Any, table: Any, begins: Any, codes: Any) -> None:  # pragma: no cover
+    """By blocks: what is calculated vectorizes, what is looked up does not."""
+    most, per_m = np.float32(FARTHEST_M), np.float32(_STEPS_A_METRE)
+    away, step = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.int32)
+    for start in range(0, codes.shape[0], BLOCK):
+        block = slice(start, min(start + BLOCK, codes.shape[0]))
+        some, ranges, found = bins[block], range_m[block], codes[block]
+        for k in range(found.shape[0]):
+            away[k] = limit_m[np.uint32(some[k])]
+        for k in range(found.shape[0]):
+            away[k] = min(max(away[k] - ranges[k], -most), most)
+            step[k] = np.int32((away[k] + most) * per_m)
+        for k in range(found.shape[0]):
+            code = np.uint32(table[np.uint32(step[k])])
+            found[k] = code + np.uint32(away[k] >= begins[code + np.uint32(1)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _write_beam_codes(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+    both = np.empty(BLOCK, np.float32)
+    for start in range(0, returns.shape[1], BLOCK):
+        block = slice(start, min(start + BLOCK, returns.shape[1]))
+        confirmed, explained = returns[0, block], returns[1, block]
+        for k in range(confirmed.shape[0]):
+            both[k] = confirmed[k] + explained[k]
+        _looked_up(confirmed, table, codes[0, block])
+        _looked_up(both[: confirmed.shape[0]], table, codes[1, block])
+        _looked_up(returns[2, block], table, codes[2, block])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _looked_up(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+    steps, last = np.float32(_STEPS), np.float32(table.shape[0] - 1)
+    for n in range(returns.shape[0]):
+        codes[n] = table[np.uint32(np.int32(min(returns[n] * steps, last)))]
+
+
+def folded(maps: Bytes, fold: int) -> Bytes:
+    """Return maps (channels, cells, cells) in blocks (side, side, channels · fold²), ordered by channel, row, column.
+
+    >>> folded(np.arange(8, dtype=np.uint8).reshape(2, 2, 2), 2).tolist()
+    [[[0, 1, 2, 3, 4, 5, 6, 7]]]
+    """
+    channels, cells = maps.shape[:2]
+    side = cells // fold
+    if fold not in (1, 2, 4, 8):
+        blocks = maps.reshape(channels, side, fold, side, fold).transpose(1, 3, 0, 2, 4)
+        return np.ascontiguousarray(blocks).reshape(side, side, -1)
+    found = np.empty((side, side, channels * fold**2), np.uint8)
+    word = f"u{fold}"
+    _fold(np.ascontiguousarray(maps).view(word), found.view(word))
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fold(words: Any, blocks: Any) -> None:  # pragma: no cover - compiled
+    """Move what lies side by side in a row of a block at once."""
+    fold = words.shape[1] // blocks.shape[0]
+    for i in range(blocks.shape[0]):
+        for c in range(words.shape[0]):
+            for d in range(fold):
+                for j in range(blocks.shape[1]):
+                    blocks[i, j, c * fold + d] = words[c, i * fold + d, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def recode(blocks: Any, table: Any) -> None:  # pragma: no cover - compiled
+    """Replace each byte of blocks (side, side, size) by what a table (256,) has for it."""
+    for i in range(blocks.shape[0]):
+        for j in range(blocks.shape[1]):
+            for k in range(blocks.shape[2]):
+                blocks[i, j, k] = table[blocks[i, j, k]]

@@ -1,0 +1,54 @@
+"""Monte Carlo dropout (Gal and Ghahramani 2016): mean and standard deviation of a network over random masks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.networks.card import Runner
+
+Floats = NDArray[np.float32]
+
+
+def mean_and_std(runner: Runner, inputs: Floats, passes: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return mean and standard deviation (cells, cells) of the probability of one input over ``passes`` masks.
+
+    The deviation is that of the passes themselves (divided by their number, as numpy's).
+    """
+    return moments(runner.run(inputs[None], runner.card.shape.masks(passes, rng)))
+
+
+def moments(probability: Floats) -> tuple[Floats, Floats]:
+    """Return mean and standard deviation (…) of probabilities (passes, …) over the first axis.
+
+    >>> mean, std = moments(np.array([[0.25], [0.75]], np.float32))
+    >>> mean.tolist(), std.tolist()
+    ([0.5], [0.25])
+    """
+    flat = np.ascontiguousarray(probability, np.float32).reshape(len(probability), -1)
+    mean, std = np.empty(flat.shape[1], np.float32), np.empty(flat.shape[1], np.float32)
+    _moments(flat, mean, std)
+    return mean.reshape(probability.shape[1:]), std.reshape(probability.shape[1:])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _moments(values: Any, mean: Any, std: Any) -> None:  # pragma: no cover - compiled
+    """Sums of the differences to the first pass, in blocks that stay in the cache."""
+    passes, count = values.shape
+    block = 2048
+    total, squares = np.empty(block, np.float32), np.empty(block, np.float32)
+    for start in range(0, count, block):
+        width = min(block, count - start)
+        total[:], squares[:] = 0.0, 0.0
+        for k in range(1, passes):
+            for n in range(width):
+                away = values[k, start + n] - values[0, start + n]
+                total[n] += away
+                squares[n] += away * away
+        for n in range(width):
+            shift = total[n] / np.float32(passes)
+            mean[start + n] = values[0, start + n] + shift
+            std[start + n] = np.sqrt(max(squares[n] / np.float32(passes) - shift * shift, np.float32(0.0)))

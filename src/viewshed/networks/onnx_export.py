@@ -1,0 +1,163 @@
+"""From a trained U-Net to one ONNX file that runs without torch: the dropout masks stay an input of the graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+from torch import Tensor, nn
+
+from viewshed._files import write_bytes
+from viewshed.networks.card import MOST_DEVIATION, NetworkCard
+from viewshed.networks.unet_torch import Stage, UNet
+from viewshed.networks.weights import CARD_KEY, sealed
+
+_OPSET, _IR = 17, 9
+
+
+def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
+    """Write ``module`` to a new ONNX file: inputs ``inputs`` and ``masks``, output ``probability``, and the card.
+
+    A network with a head for it has the output ``deviation`` as well, one for each of the inputs.
+
+    ``inputs`` (1 or N, channels, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
+    folded into the convolutions. One input is enough for N masks: what comes before the first mask (encoder stages 1
+    and 2) and the half of the last decoder stage that reads stage 1 are computed once, exactly, by linearity.
+    """
+    if module.shape != card.shape:
+        raise ValueError(f"module must have the card's shape {card.shape}, got {module.shape}")
+    write_bytes(path, sealed(onnx_model(card, module).SerializeToString()))
+
+
+def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
+    """Return the ONNX model of ``module``, without a checksum; see :func:`export_onnx`."""
+    graph = _Graph()
+    graph.unet(module)
+    cells, total = card.grid.cells, sum(card.shape.masked_channels)
+    inputs = [
+        helper.make_tensor_value_info("inputs", TensorProto.FLOAT, ["frames", card.shape.channels, cells, cells]),
+        helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", total]),
+    ]
+    names = ["probability", "deviation"] if card.shape.doubt else ["probability"]
+    counts = dict(zip(names, ("passes", "frames"), strict=False))
+    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [counts[name], cells, cells]) for name in names]
+    made = helper.make_graph(graph.nodes, "unet", inputs, outputs, graph.constants)
+    model = helper.make_model(
+        made, producer_name="viewshed", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
+    )
+    helper.set_model_props(model, {CARD_KEY: card.to_json()})
+    onnx.checker.check_model(model)
+    return model
+
+
+@dataclass(slots=True)
+class _Graph:
+    """Nodes and constants in the making; every method returns the name of what its nodes give."""
+
+    nodes: list[onnx.NodeProto] = field(default_factory=list)
+    constants: list[onnx.TensorProto] = field(default_factory=list)
+
+    def unet(self, module: UNet) -> None:
+        shape = module.shape
+        parts = self.parts(shape.masked_channels)
+        skips: list[str] = []
+        x = "inputs" if shape.fold == 1 else self.node("SpaceToDepth", ["inputs"], blocksize=shape.fold)
+        for i, stage in enumerate(module.encoder):
+            x = x if i == 0 else self.node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2])
+            x = self.stage(_stage(stage), x, shape.fold if i == 0 else 1)
+            x = x if i == 0 else self.node("Mul", [x, parts[i - 1]])
+            skips.append(x)
+        skips.pop()
+        for i, (up, stage) in enumerate(zip(module.up, module.decoder, strict=True)):
+            assert isinstance(up, nn.ConvTranspose2d)
+            x = self.node("ConvTranspose", [x, *self.weights(up.weight, up.bias)], kernel_shape=[2, 2], strides=[2, 2])
+            last = i == shape.depth - 1
+            x = self.split_stage(_stage(stage), x, skips.pop()) if last else self.joined(_stage(stage), x, skips.pop())
+            x = x if last else self.node("Mul", [x, parts[shape.depth + i]])
+        self.output(self.head(x, module.head, shape.fold), "probability")
+        if module.doubt is not None:
+            x = self.once(x)
+            x = self.node("Relu", [self.conv(x, module.doubt.first.weight, module.doubt.first.bias)])
+            most = self.constant(np.array(MOST_DEVIATION, np.float32))
+            self.output(self.node("Mul", [self.head(x, module.doubt.last, shape.fold), most]), "deviation")
+
+    def once(self, x: str) -> str:
+        """As many of ``x`` as there are inputs: the deviation of one input is not computed for each of its masks."""
+        frames = self.node("Shape", ["inputs"], start=0, end=1)
+        return self.node("Slice", [x, self.constant(np.array([0])), frames, self.constant(np.array([0]))])
+
+    def head(self, x: str, conv: nn.Conv2d, fold: int) -> str:
+        assert conv.bias is not None
+        x = self.node("Conv", [x, *self.weights(conv.weight, conv.bias)], kernel_shape=[1, 1])
+        x = x if fold == 1 else self.node("DepthToSpace", [x], blocksize=fold, mode="CRD")
+        return self.node("Sigmoid", [x])
+
+    def output(self, x: str, name: str) -> None:
+        self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], [name]))
+
+    def parts(self, channels: tuple[int, ...]) -> list[str]:
+        names = [f"part{i}" for i in range(len(channels))]
+        self.nodes.append(helper.make_node("Split", ["masks", self.constant(np.array(channels))], names, axis=1))
+        axes = self.constant(np.array([2, 3]))
+        return [self.node("Unsqueeze", [name, axes]) for name in names]
+
+    def stage(self, stage: Stage, x: str, fold: int = 1) -> str:
+        weight, bias = _folded(stage.conv1, stage.norm1)
+        weight = _by_block(weight, fold)
+        return self.second(stage, self.node("Relu", [self.conv(x, weight, bias)]))
+
+    def joined(self, stage: Stage, x: str, skip: str) -> str:
+        return self.stage(stage, self.node("Concat", [x, skip], axis=1))
+
+    def split_stage(self, stage: Stage, x: str, skip: str) -> str:
+        """As ``joined``, with the convolution of the skip, which no mask touches, apart from that of ``x``."""
+        weight, bias = _folded(stage.conv1, stage.norm1)
+        half = weight.shape[1] // 2
+        shared = self.conv(skip, weight[:, half:], bias)
+        own = self.conv(x, weight[:, :half], None)
+        return self.second(stage, self.node("Relu", [self.node("Add", [own, shared])]))
+
+    def second(self, stage: Stage, x: str) -> str:
+        return self.node("Relu", [self.conv(x, *_folded(stage.conv2, stage.norm2))])
+
+    def conv(self, x: str, weight: Tensor, bias: Tensor | None) -> str:
+        return self.node("Conv", [x, *self.weights(weight, bias)], kernel_shape=[3, 3], pads=[1, 1, 1, 1])
+
+    def weights(self, weight: Tensor, bias: Tensor | None) -> list[str]:
+        return [self.constant(each.detach().cpu().numpy()) for each in (weight, bias) if each is not None]
+
+    def constant(self, array: NDArray[np.float32] | NDArray[np.int64]) -> str:
+        name = f"c{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        return name
+
+    def node(self, kind: str, inputs: list[str], **settings: Any) -> str:
+        name = f"n{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, inputs, [name], name, **settings))
+        return name
+
+
+def _stage(module: nn.Module) -> Stage:
+    assert isinstance(module, Stage)
+    return module
+
+
+def _folded(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
+    """Weight and bias of a convolution with the batch normalization after it folded in."""
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
+    scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+    return conv.weight * scale[:, None, None, None], norm.bias - norm.running_mean * scale
+
+
+def _by_block(weight: Tensor, fold: int) -> Tensor:
+    """A weight for inputs (place in the block, channel), as ONNX folds, of one for (channel, place in the block)."""
+    outer, inner = weight.shape[:2]
+    parts = weight.reshape(outer, inner // fold**2, fold**2, *weight.shape[2:])
+    return parts.transpose(1, 2).reshape(weight.shape)

@@ -1,0 +1,328 @@
+"""Runs an exported network without torch: ONNX Runtime, or where asked for OpenVINO or a graphics card by CUDA.
+
+ONNX Runtime on a graphics card, or an error that says what is missing: never on the processor instead.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from llvmlite import binding
+from numpy.typing import NDArray
+
+from viewshed.networks.card import INT8, NetworkCard, require_doubt
+from viewshed.networks.weights import CARD_KEY, check_seal, shipped_content, shipped_names
+
+_CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
+
+_SETTINGS = {"use_tf32": "0", "cudnn_conv_algo_search": "HEURISTIC"}
+"""Products in float32, and the way to convolve chosen without trying all of them for every size of a batch."""
+
+_FATAL, _WARNING = 4, 2
+
+_INSTALL = "pip install 'onnxruntime-gpu[cuda,cudnn]'"
+
+_INSTEAD = "or take the engine onnxruntime (--device cpu)"
+
+Run = Callable[[Sequence[str], Mapping[str, Any]], list[Any]]
+"""From names of outputs, and inputs by name, to these outputs."""
+
+
+def on_card(content: bytes) -> Run:
+    """Return what runs a network, known to be sound, on the first graphics card; it raises an OSError if that fails.
+
+    Raises:
+        ImportError: this ONNX Runtime has no CUDA.
+        ValueError: there is no graphics card that it can use.
+    """
+    session = _cuda_session(content)
+
+    def run(names: Sequence[str], inputs: Mapping[str, Any]) -> list[Any]:
+        try:
+            found: list[Any] = session.run(names, inputs)
+        except Exception as error:  # its errors share no class but this
+            raise OSError(
+                f"the graphics card failed ({_first_line(str(error))}); free its memory, {_INSTEAD}"
+            ) from error
+        return found
+
+    return run
+
+
+def _cuda_session(content: bytes) -> Any:
+    import onnxruntime
+
+    if _CUDA not in onnxruntime.get_available_providers():
+        raise ImportError(
+            "engine cuda needs an ONNX Runtime with CUDA, and the one installed has none; run: pip uninstall -y"
+            f" onnxruntime; {_INSTALL}; {_INSTEAD}"
+        )
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = _FATAL
+    onnxruntime.set_default_logger_severity(_FATAL)  # what it would say at length is said below in a line
+    why = _preloaded(onnxruntime)
+    try:
+        providers = [(_CUDA, _SETTINGS), _CPU]
+        session = onnxruntime.InferenceSession(content, options, providers=providers, enable_fallback=False)
+    except Exception as error:  # its errors share no class but this
+        raise ValueError(_no_card(_first_line(str(error)))) from error
+    finally:
+        onnxruntime.set_default_logger_severity(_WARNING)
+    if _CUDA not in session.get_providers():
+        raise ValueError(_no_card(why))
+    return session
+
+
+def _preloaded(onnxruntime: Any) -> str:
+    """Load the libraries of CUDA that pip installed, if any, and return what is missing."""
+    preload, told = getattr(onnxruntime, "preload_dlls", None), io.StringIO()
+    if preload is not None:  # it is there from 1.21 on
+        with redirect_stdout(told):
+            preload()
+    return _first_line(told.getvalue()) or "no card or no driver"
+
+
+def _no_card(why: str) -> str:
+    return (
+        f"engine cuda needs a graphics card, and ONNX Runtime found none that it can use ({why}); see that nvidia-smi"
+        f" shows one, and run: {_INSTALL}; {_INSTEAD}"
+    )
+
+
+def _first_line(text: str) -> str:
+    return text.strip().partition("\n")[0][:120]
+
+
+ENGINES = ("onnxruntime", "openvino", "cuda")
+"""What can run a network. A process that has used OpenVINO dies when workers of torch end: take it where none train.
+``cuda`` is ONNX Runtime on a graphics card, in float32 without TF32."""
+
+IN_BYTES = "onnxruntime"
+"""The engine that runs networks in bytes."""
+
+PRECISIONS = ("f32", "bf16")
+"""Numbers that the convolutions multiply; bf16 needs OpenVINO and a processor that has it."""
+
+_CELLS_AT_ONCE = 1 << 21
+
+Floats = NDArray[np.float32]
+
+Call = Callable[[NDArray[Any], Floats, Sequence[str]], list[Floats]]
+"""From inputs, masks and names of outputs to these."""
+
+_PROBABILITY, _DEVIATION = "probability", "deviation"
+
+_NO_BYTES = {"openvino": "which computes its masks wrong", "cuda": "which is for networks in float32"}
+
+
+class OnnxRunner:
+    """Runs a network that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
+
+    Args:
+        path: the file; its checksum is checked.
+        threads: threads of one run; None leaves it to the engine (one for each core).
+        engine: one of ``ENGINES``.
+        precision: one of ``PRECISIONS``.
+
+    Raises:
+        ValueError: the file is damaged, another, or of another version; or the engine cannot do what is asked.
+        OSError: it cannot be read.
+        ImportError: the engine is not installed.
+
+    With ``cuda`` a run may also raise an OSError: the graphics card failed.
+    """
+
+    _alone: OnnxRunner | None
+
+    def __init__(
+        self, path: str | Path, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
+    ) -> None:
+        self._start(Path(path).read_bytes(), str(path), threads, engine, precision)
+
+    @classmethod
+    def of_content(
+        cls, content: bytes, name: str, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
+    ) -> OnnxRunner:
+        """Return the runner of a file's ``content``; ``name`` stands for it in messages."""
+        made = cls.__new__(cls)
+        made._start(content, name, threads, engine, precision)
+        return made
+
+    def _start(self, content: bytes, name: str, threads: int | None, engine: str, precision: str) -> None:
+        self._content, self._name, self._alone = content, name, None
+        check_seal(content, name)
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self.engine, self.precision = _resolved(engine, precision), precision
+        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda: reads the card, proves it sound
+        try:
+            card, self._call = start(content, threads, precision)
+        except RuntimeError as error:
+            raise ValueError(f"{name} must be a network in ONNX, got another file ({_first(error)})") from error
+        try:
+            self.card = NetworkCard.from_json(card)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+        if self.card.precision == INT8 and self.engine != IN_BYTES:
+            raise ValueError(
+                f"engine must be {IN_BYTES} for {name}, a network in bytes, got {engine}, {_NO_BYTES[engine]}; give the"
+                " network in float32"
+            )
+        if self.engine == "cuda":
+            self._call = _cuda(content)
+
+    def side_by_side(self) -> OnnxRunner | None:
+        """Return the same network, each run of it in one thread, for runs in several threads at once.
+
+        None where the engine gains nothing by that or runs one at a time.
+        """
+        if self._alone is None and self.engine == "onnxruntime":
+            self._alone = OnnxRunner.of_content(self._content, self._name, 1)
+        return self._alone
+
+    def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
+        """Return probabilities (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
+        self._check(inputs, masks)
+        step = max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
+        if len(masks) <= step:
+            return self._call(inputs, masks, [_PROBABILITY])[0]
+        parts = [slice(start, start + step) for start in range(0, len(masks), step)]
+        shared = len(inputs) == 1
+        return np.concatenate([self.run(inputs if shared else inputs[part], masks[part]) for part in parts])
+
+    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
+        """Return probabilities and deviations (N, cells, cells); see :class:`viewshed.networks.card.Runner`.
+
+        Raises:
+            ValueError: the network has no head for deviations.
+        """
+        require_doubt(self.card)
+        masks = self.card.shape.no_masks(len(inputs))
+        self._check(inputs, masks)
+        prob, std = self._call(inputs, masks, [_PROBABILITY, _DEVIATION])
+        return prob, std
+
+    def _check(self, inputs: NDArray[Any], masks: Floats) -> None:
+        card = self.card
+        one, dtype = card.input_shape, "uint8" if card.precision == INT8 else "float32"
+        if inputs.ndim != 4 or inputs.shape[1:] != one or inputs.dtype != dtype:
+            raise ValueError(f"inputs must be {dtype} of shape (N, {', '.join(map(str, one))}), got {_kind(inputs)}")
+        total = sum(card.shape.masked_channels)
+        if masks.ndim != 2 or masks.shape[1] != total or not len(masks) or masks.dtype != np.float32:
+            raise ValueError(f"masks must be float32 of shape (N, {total}) with N at least 1, got {_kind(masks)}")
+        if len(inputs) not in (1, len(masks)):
+            raise ValueError(f"inputs must be 1 or as many as masks ({len(masks)}), got {len(inputs)}")
+
+
+def load_runner(
+    path_or_name: str | Path, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
+) -> OnnxRunner:
+    """Return the runner of a file, or of the weights of that name that viewshed ships.
+
+    Raises:
+        ValueError: no such name and no such file, or a file that cannot be used.
+    """
+    name = str(path_or_name)
+    if name in shipped_names():
+        return OnnxRunner.of_content(shipped_content(name), name, threads, engine, precision)
+    if not Path(path_or_name).is_file():
+        raise ValueError(f"weights must be {_choices()}, got {name!r}, which is neither")
+    return OnnxRunner(path_or_name, threads, engine, precision)
+
+
+def _choices() -> str:
+    names = ", ".join(shipped_names())
+    return (
+        f"a file that viewshed train exported or one of {names}"
+        if names
+        else ("a file that viewshed train exported (this version ships none by name)")
+    )
+
+
+def _resolved(engine: str, precision: str) -> str:
+    for name, value, known in (("engine", engine, ENGINES), ("precision", precision, PRECISIONS)):
+        if value not in known:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+    if engine != "openvino" and precision != "f32":
+        raise ValueError(f"precision must be f32 with {engine}, got {precision}; use engine='openvino'")
+    return engine
+
+
+def _onnxruntime(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+    session = _session(content, threads)
+    card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
+
+    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
+        found: list[Floats] = session.run(names, {"inputs": inputs, "masks": masks})
+        return found
+
+    return card, call
+
+
+def values_of(content: bytes) -> Call:
+    """Return what runs a model without card and checksum for any of its outputs, to look into a network."""
+    session = _session(content, None)
+    return lambda inputs, masks, names: list(session.run(names, {"inputs": inputs, "masks": masks}))
+
+
+def may_saturate(features: Mapping[str, bool]) -> bool:
+    """Return whether sums of products of bytes saturate on a processor with these features: an x86 without VNNI.
+
+    >>> may_saturate({"avx2": True, "avxvnni": False}), may_saturate({"avx2": True, "avx512vnni": True})
+    (True, False)
+    """
+    x86 = bool(features.get("sse2") or features.get("avx2"))
+    return x86 and not (features.get("avx512vnni") or features.get("avxvnni"))
+
+
+def _session(content: bytes, threads: int | None) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads or 0
+    options.log_severity_level = 3
+    if may_saturate(binding.get_host_cpu_features()):
+        options.add_session_config_entry("session.x64quantprecision", "1")  # exact, and two to four times as slow
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors share no class but this
+        raise RuntimeError(_first(error)) from error
+
+
+def _cuda(content: bytes) -> Call:
+    run = on_card(content)
+    return lambda inputs, masks, names: run(names, {"inputs": inputs, "masks": masks})
+
+
+def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+    try:
+        import openvino
+    except ImportError as error:
+        raise ImportError("openvino is not installed; run: pip install 'viewshed[openvino]'") from error
+    core = openvino.Core()
+    settings: dict[str, Any] = {"INFERENCE_PRECISION_HINT": precision, "PERFORMANCE_HINT": "LATENCY"}
+    if threads is not None:
+        settings["INFERENCE_NUM_THREADS"] = threads
+    model = core.read_model(content)
+    request = core.compile_model(model, "CPU", settings).create_infer_request()
+    place = ["framework", CARD_KEY]
+    card = model.get_rt_info(place).astype(str) if model.has_rt_info(place) else ""
+
+    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
+        found = request.infer({"inputs": inputs, "masks": masks})
+        return [found[name].copy() for name in names]
+
+    return card, call
+
+
+def _first(error: BaseException) -> str:
+    return " ".join(str(error).split())[:120]
+
+
+def _kind(array: NDArray[Any]) -> str:
+    return f"{array.dtype} of shape {array.shape}"

@@ -1,0 +1,176 @@
+"""The U-Net of arXiv 2503.07375 in torch, with the dropout masks as an input: one network for MLE and MCD."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from viewshed._files import write_bytes
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import MOST_DEVIATION, NetworkCard, require_doubt
+
+
+class Stage(nn.Module):
+    """Twice convolution 3 × 3, batch normalization and ReLU."""
+
+    def __init__(self, inner: int, outer: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inner, outer, 3, padding=1, bias=False)
+        self.norm1 = nn.BatchNorm2d(outer)
+        self.conv2 = nn.Conv2d(outer, outer, 3, padding=1, bias=False)
+        self.norm2 = nn.BatchNorm2d(outer)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (N, outer, H, W) of (N, inner, H, W)."""
+        x = torch.relu(self.norm1(self.conv1(x)))
+        return torch.relu(self.norm2(self.conv2(x)))
+
+
+class DoubtHead(nn.Module):
+    """Reads the last stage: convolution 3 × 3, ReLU, convolution 1 × 1."""
+
+    def __init__(self, shape: UNetShape) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(shape.width, shape.width, 3, padding=1)
+        self.last = nn.Conv2d(shape.width, shape.fold**2, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (N, fold², H, W) of (N, width, H, W)."""
+        out: Tensor = self.last(torch.relu(self.first(x)))
+        return out
+
+
+class UNet(nn.Module):
+    """Encoder, bottleneck and decoder with skips; masks multiply the channels after the stages that drop out.
+
+    ``forward(inputs (N, channels, H, W), masks (N, M))`` returns logits (N, 1, H, W); masks of ones are no dropout.
+    """
+
+    def __init__(self, shape: UNetShape) -> None:
+        super().__init__()
+        self.shape = shape
+        inner = (shape.channels * shape.fold**2, *shape.widths[:-1])
+        self.encoder = nn.ModuleList(Stage(a, b) for a, b in zip(inner, shape.widths, strict=True))
+        self.up = nn.ModuleList(nn.ConvTranspose2d(2 * w, w, 2, stride=2) for w in shape.widths[-2::-1])
+        self.decoder = nn.ModuleList(Stage(2 * w, w) for w in shape.widths[-2::-1])
+        self.head = nn.Conv2d(shape.width, shape.fold**2, 1)
+        self.doubt = DoubtHead(shape) if shape.doubt else None
+
+    def forward(self, inputs: Tensor, masks: Tensor) -> Tensor:
+        """Return logits (N, 1, H, W)."""
+        return self._unfolded(self.head(self.features(inputs, masks)))
+
+    def with_doubt(self, inputs: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
+        """Return logits of the probability and of twice the deviation, both (N, 1, H, W)."""
+        assert self.doubt is not None
+        x = self.features(inputs, masks)
+        return self._unfolded(self.head(x)), self._unfolded(self.doubt(x))
+
+    def features(self, inputs: Tensor, masks: Tensor) -> Tensor:
+        """Return what the heads read, (N, width, H / fold, W / fold)."""
+        parts = torch.split(masks[:, :, None, None], list(self.shape.masked_channels), dim=1)
+        skips: list[Tensor] = []
+        x = nn.functional.pixel_unshuffle(inputs, self.shape.fold)
+        for i, stage in enumerate(self.encoder):
+            x = stage(x if i == 0 else torch.max_pool2d(x, 2))
+            x = x if i == 0 else x * parts[i - 1]
+            skips.append(x)
+        skips.pop()
+        for i, (up, stage) in enumerate(zip(self.up, self.decoder, strict=True)):
+            x = stage(torch.cat([up(x), skips.pop()], dim=1))
+            x = x * parts[self.shape.depth + i] if i < self.shape.depth - 1 else x
+        return x
+
+    def _unfolded(self, x: Tensor) -> Tensor:
+        return nn.functional.pixel_shuffle(x, self.shape.fold)
+
+
+class TorchRunner:
+    """Runs a :class:`UNet` in evaluation mode: batch normalization keeps its statistics."""
+
+    def __init__(self, card: NetworkCard, module: UNet, device: str | torch.device = "cpu") -> None:
+        if module.shape != card.shape:
+            raise ValueError(f"module must have the card's shape {card.shape}, got {module.shape}")
+        self.card = card
+        self._module, self._device = module.to(device), torch.device(device)
+
+    def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return probabilities (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
+        with self._evaluating():
+            x, m = self._tensor(inputs), self._tensor(masks)
+            x = x.expand(len(m), *x.shape[1:]) if len(x) == 1 else x
+            return _probability(self._module(x, m))
+
+    def run_with_doubt(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return probabilities and deviations (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
+        require_doubt(self.card)
+        with self._evaluating():
+            masks = self.card.shape.no_masks(len(inputs))
+            prob, doubt = self._module.with_doubt(self._tensor(inputs), self._tensor(masks))
+            return _probability(prob), _probability(doubt) * np.float32(MOST_DEVIATION)
+
+    @contextlib.contextmanager
+    def _evaluating(self) -> Iterator[None]:
+        training = self._module.training
+        self._module.eval()
+        try:
+            with torch.inference_mode():
+                yield
+        finally:
+            self._module.train(training)
+
+    def _tensor(self, array: NDArray[np.float32]) -> Tensor:
+        return torch.from_numpy(np.array(array, np.float32)).to(self._device)
+
+
+def _probability(logits: Tensor) -> NDArray[np.float32]:
+    found: NDArray[np.float32] = torch.sigmoid(logits)[:, 0].float().cpu().numpy()
+    return found
+
+
+def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:
+    """Write the card and the weights of ``module`` to a new file, whole or not at all."""
+    buffer = io.BytesIO()
+    state = {name: value.detach().cpu() for name, value in module.state_dict().items()}
+    torch.save({"card": card.to_json(), "state": state}, buffer)
+    write_bytes(path, buffer.getvalue())
+
+
+def load_weights(path: str | Path) -> tuple[NetworkCard, UNet]:
+    """Return the card and the network that :func:`save_weights` wrote, in evaluation mode, on the processor.
+
+    Raises:
+        ValueError: the file is damaged, no checkpoint of viewshed, or one of another version.
+    """
+    content = _content(Path(path))
+    card = NetworkCard.from_json(content["card"])
+    module = UNet(card.shape)
+    try:
+        module.load_state_dict(content["state"])
+    except (RuntimeError, AttributeError) as error:
+        first = " ".join(str(error).split())[:120]
+        raise ValueError(f"{path} must hold the weights of {card.shape}, got others ({first}); train again") from error
+    return card, module.eval()
+
+
+def _content(path: Path) -> dict[str, Any]:
+    data = path.read_bytes()
+    try:
+        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises whatever its parts raise
+        raise ValueError(
+            f"{path} must be a checkpoint of weights, got a damaged or another file; copy it again, or train again"
+        ) from error
+    if not (isinstance(content, dict) and {"card", "state"} <= set(content) and isinstance(content["card"], str)):
+        raise ValueError(
+            f"{path} must be a checkpoint that viewshed saved, got another; give the one of viewshed train"
+        )
+    return content

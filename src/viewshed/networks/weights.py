@@ -1,0 +1,150 @@
+"""Weights that travel with the package: a manifest of names, files and checksums.
+
+A checksum inside a network's file: its last entry of metadata is the SHA-256 of all bytes before it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from viewshed._files import write_bytes
+from viewshed.grid import BevGrid
+
+CARD_KEY = "viewshed.card"
+"""Where in a file's metadata the card is."""
+
+_KEY = b"viewshed.sha256"
+
+_DIGITS = 64
+
+# The entry as protocol buffers encode it: field 14 (metadata_props) of onnx.ModelProto, then key (1) and value (2).
+_HEAD = (
+    bytes([14 << 3 | 2, 4 + len(_KEY) + _DIGITS, 1 << 3 | 2, len(_KEY)]) + _KEY + bytes([2 << 3 | 2, _DIGITS])
+)  # fmt: skip
+
+
+def sealed(model: bytes) -> bytes:
+    """Return a serialized ONNX model with the checksum of its bytes as one more entry of its metadata."""
+    return model + _HEAD + hashlib.sha256(model).hexdigest().encode()
+
+
+def check_seal(content: bytes, name: str) -> None:
+    """Raise a ValueError unless ``content`` is what :func:`sealed` returned; ``name`` is the file in the message.
+
+    >>> check_seal(sealed(b"model"), "a.onnx")
+    >>> check_seal(sealed(b"model").replace(b"m", b"n", 1), "a.onnx")
+    Traceback (most recent call last):
+    ...
+    ValueError: a.onnx must have the checksum 9372c470ee…, got 6499ba3c93…: it is damaged; copy it again
+    """
+    model, end = content[: -_DIGITS - len(_HEAD)], content[-_DIGITS - len(_HEAD) :]
+    if not end.startswith(_HEAD):
+        raise ValueError(
+            f"{name} must be a network that viewshed exported, got a file that is cut short or another; copy it again,"
+            " or export it with viewshed train"
+        )
+    found, promised = hashlib.sha256(model).hexdigest(), end[-_DIGITS:].decode("ascii", "replace")
+    if found != promised:
+        raise ValueError(
+            f"{name} must have the checksum {promised[:10]}…, got {found[:10]}…: it is damaged; copy it again"
+        )
+
+
+WEIGHTS = Path(__file__).parent / "weights"
+"""Folder of the shipped weights."""
+
+_MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Shipped:
+    """One line of the manifest.
+
+    Attributes:
+        name: what to ask for.
+        file: its file in the folder.
+        sha256: checksum of the whole file.
+        cells: of the grid.
+        half_extent_m: of the grid.
+        target: what would have to be seen.
+        methods: estimators that take it if no weights are named: ``unet``, ``mcd``, ``viewnet``; perhaps none.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    cells: int
+    half_extent_m: float
+    target: str
+    methods: tuple[str, ...]
+
+
+def manifest(folder: Path = WEIGHTS) -> dict[str, Shipped]:
+    """Return the shipped weights by name; none where there is no manifest."""
+    path = folder / _MANIFEST
+    if not path.is_file():
+        return {}
+    lines = json.loads(path.read_text(encoding="utf-8"))
+    return {line["name"]: Shipped(**{**line, "methods": tuple(line["methods"])}) for line in lines}
+
+
+def shipped_names(folder: Path = WEIGHTS) -> tuple[str, ...]:
+    """Return the names of the shipped weights."""
+    return tuple(manifest(folder))
+
+
+def shipped_content(name: str, folder: Path = WEIGHTS) -> bytes:
+    """Return the bytes of the shipped weights called ``name``.
+
+    Raises:
+        ValueError: the file is not the one that was shipped.
+    """
+    line = manifest(folder)[name]
+    content = (folder / line.file).read_bytes()
+    found = hashlib.sha256(content).hexdigest()
+    if found != line.sha256:
+        raise ValueError(
+            f"{line.file} must have the checksum {line.sha256[:10]}…, got {found[:10]}…: it is damaged; install"
+            " viewshed again"
+        )
+    return content
+
+
+def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS) -> str:
+    """Return the name of the shipped weights that ``method`` takes on ``grid`` for the target of this name.
+
+    Raises:
+        ValueError: none are shipped for it.
+    """
+    known = manifest(folder)
+    for name, line in known.items():
+        fits = (line.cells, line.half_extent_m, (0.0, 0.0)) == (grid.cells, grid.half_extent_m, grid.offset_m)
+        if fits and line.target == target and method in line.methods:
+            return name
+    fitting = ", ".join(f"{x.cells}x{x.half_extent_m:g} ({x.target})" for x in known.values() if method in x.methods)
+    raise ValueError(
+        f"method {method} needs weights, and this version ships none for a {target} on a grid of"
+        f" {grid.cells}x{grid.half_extent_m:g}, but for: {fitting or 'nothing'}; give --weights FILE of a network that"
+        " viewshed train exported"
+    )
+
+
+def in_float32(name: str) -> str:
+    """Return the name of the shipped network in float32 that ``name`` is, or of which it is the one in bytes.
+
+    >>> in_float32("viewnet_road_int8"), in_float32("road")
+    ('viewnet_road', 'road')
+    """
+    return name.removesuffix("_int8")
+
+
+def ship(content: bytes, line: Shipped, folder: Path = WEIGHTS) -> None:
+    """Write weights into ``folder`` and their line into its manifest; an older line of that name is replaced."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_bytes(folder / line.file, content)
+    lines = {**manifest(folder), line.name: line}
+    text = json.dumps([asdict(each) for each in lines.values()], indent=1) + "\n"
+    write_bytes(folder / _MANIFEST, text.encode())

@@ -1,0 +1,279 @@
+"""Shared kernels of the geometric estimators: azimuth bins, limits in range, cell states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import Target
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep
+
+BINS_LADDER = (1080, 540, 360, 216, 180, 120)
+"""Azimuth bins that :func:`measured_azimuth_bins` chooses from; each divides the first."""
+
+FALLBACK_BINS = 360
+"""Azimuth bins where the returns are too few to tell the sensor's step."""
+
+MAX_BINS = 32_000
+
+_UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
+    int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
+)  # fmt: skip
+
+
+def require(name: str, value: float, low: float, high: float) -> None:
+    """Raise a ValueError unless ``low`` ≤ ``value`` ≤ ``high``."""
+    if not low <= value <= high:
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
+
+
+def require_bins(azimuth_bins: int | None) -> None:
+    """Raise a ValueError unless ``azimuth_bins`` is None or a usable number of bins."""
+    if azimuth_bins is not None:
+        require("azimuth_bins", azimuth_bins, 4, MAX_BINS)
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """Which returns an estimator uses; the default uses all.
+
+    Attributes:
+        max_range_m: horizontal range up to which returns count.
+        height_m: lowest and highest z from the sensor, in the level attitude.
+    """
+
+    max_range_m: float = np.inf
+    height_m: tuple[float, float] = (-np.inf, np.inf)
+
+    def __post_init__(self) -> None:
+        if not self.max_range_m > 0:
+            raise ValueError(f"max_range_m must be positive, got {self.max_range_m}")
+        if not self.height_m[0] < self.height_m[1]:
+            raise ValueError(f"height_m must be (low, high) with low < high, got {self.height_m}")
+
+    def apply(self, level: LevelSweep) -> LevelSweep:
+        """Return ``level`` with the returns that count, in their order."""
+        if self == ALL_RETURNS:
+            return level
+        z_m = level.points[:, 2] - np.float32(level.sensor_height_m)
+        used = (level.range_m <= self.max_range_m) & (z_m >= self.height_m[0]) & (z_m <= self.height_m[1])
+        keep = np.flatnonzero(used)
+        columns = {name: getattr(level, name)[keep] for name in ("points", "range_m", "azimuth", "height_m", "rows")}
+        return replace(level, **columns)
+
+    def any_on(self, level: LevelSweep, grid: BevGrid) -> bool:
+        """Return whether a return that counts lies on ``grid``."""
+        limits = np.array([self.max_range_m, *self.height_m, level.sensor_height_m], np.float32)
+        lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells])
+        return bool(_any_on(level.points, level.range_m, limits, lattice))
+
+
+ALL_RETURNS = Crop()
+"""No crop."""
+
+
+def measured_azimuth_bins(azimuth: NDArray[np.float32]) -> int:
+    """Return how many azimuth bins the returns (M,) fill without gaps: the most of ``BINS_LADDER`` that they do.
+
+    A bin is well filled if both neighbors hold a return as well; 95 % of the occupied bins must be. Sparse returns
+    fill none and get ``FALLBACK_BINS``.
+
+    >>> measured_azimuth_bins(np.linspace(-3.14, 3.14, 400, dtype=np.float32))
+    360
+    """
+    occupied = np.zeros(BINS_LADDER[0], np.bool_)
+    _occupy(azimuth, occupied)
+    return bins_filled(occupied)
+
+
+def bins_filled(occupied: NDArray[np.bool_]) -> int:
+    """Return :func:`measured_azimuth_bins` of returns that occupy some of the narrowest bins."""
+    for bins in BINS_LADDER:
+        filled: NDArray[np.bool_] = np.asarray(occupied.reshape(bins, -1).any(axis=1))
+        inner = int(np.count_nonzero(filled[:-2] & filled[1:-1] & filled[2:]))
+        inner += int(filled[0] & filled[-1]) * (int(filled[1]) + int(filled[-2]))
+        if inner >= 0.95 * max(int(np.count_nonzero(filled)), 1):
+            return bins
+    return FALLBACK_BINS
+
+
+def azimuth_bins_of(azimuth: NDArray[np.floating[Any]], bins: int) -> NDArray[np.int16]:
+    """Return the bin (…,) in [0, bins) of azimuths (…,) in [-π, π): half-open bins, the first begins at -π.
+
+    >>> azimuth_bins_of(np.array([-np.pi, -0.01, 0.01]), 4).tolist()
+    [0, 1, 2]
+    """
+    position = (azimuth.astype(np.float64) + np.pi) * (bins / (2.0 * np.pi))
+    return np.clip(position, 0, bins - 1).astype(np.int16)
+
+
+@lru_cache(maxsize=16)
+def bins_of_cells(grid: BevGrid, bins: int) -> NDArray[np.int16]:
+    """Return the azimuth bin (cells, cells) of each cell's centre, seen from the sensor; read-only."""
+    table = azimuth_bins_of(polar_of_cells(grid)[1], bins)
+    table.setflags(write=False)
+    return table
+
+
+def farthest_in_bins(level: LevelSweep, bins: int, drop: int = 0) -> NDArray[np.float32]:
+    """Return the range (bins,) in metres of the farthest return but ``drop`` in each azimuth bin; -1 where none."""
+    best = np.full((bins, drop + 1), -1.0, np.float32)
+    if drop == 0:
+        _farthest(level.azimuth, level.range_m, best[:, 0])
+        return best[:, 0]
+    _largest(level.azimuth, level.range_m, best)
+    return best[:, drop]
+
+
+def nearest_obstacle_in_bins(
+    level: LevelSweep, bins: int, rank: int, height_m: tuple[float, float]
+) -> NDArray[np.float32]:
+    """Return the range (bins,) in metres of the ``rank``-th nearest obstacle return of each bin; inf where none."""
+    best = np.full((bins, rank), np.inf, np.float32)
+    _smallest(level.azimuth, level.range_m, level.height_m, np.array(height_m, np.float32), best)
+    return best[:, rank - 1]
+
+
+def ends_on_obstacle(level: LevelSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return for each azimuth bin (bins,) whether an obstacle return lies exactly at ``limit_m`` (bins,)."""
+    found = np.zeros(limit_m.shape, np.bool_)
+    _at_limit(level.azimuth, level.range_m, level.height_m, np.array(OBSTACLE_HEIGHTS_M, np.float32), limit_m, found)
+    return found
+
+
+def reach_of(level: LevelSweep) -> float:
+    """Return how far the sensor reaches in metres: its model's maximum, else its farthest return (0 without any)."""
+    if level.sweep.model is not None:
+        return level.sweep.model.max_range_m
+    return float(level.range_m.max(initial=0.0))
+
+
+def with_margin(limit_m: NDArray[np.float32], margin_m: float) -> NDArray[np.float32]:
+    """Return ``limit_m`` moved out by ``margin_m``, but not where it is negative: there is no return."""
+    return np.where(limit_m >= 0, limit_m + np.float32(margin_m), np.float32(-1.0)).astype(np.float32)
+
+
+def state_of_limits(
+    level: LevelSweep, grid: BevGrid, visible_m: NDArray[np.float32], hidden_m: NDArray[np.float32]
+) -> NDArray[np.uint8]:
+    """Return the state (cells, cells) from limits per azimuth bin: visible up to one, then hidden up to the other.
+
+    A cell is judged by its centre: the bin of its azimuth, its range from the sensor (both ends belong to it).
+    """
+    state = np.empty(grid.shape, np.uint8)
+    bins = bins_of_cells(grid, len(visible_m))
+    _states(bins, polar_of_cells(grid)[0], visible_m, hidden_m, level.obstacle_cells(grid), state)
+    return state
+
+
+def state_of_mask(level: LevelSweep, grid: BevGrid, visible: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return the state (cells, cells) of a mask that says nothing of what it leaves out: FREE, SURFACE or UNKNOWN."""
+    seen = np.where(level.obstacle_cells(grid), _SURFACE, _FREE)
+    return np.where(visible, seen, _UNKNOWN).astype(np.uint8)
+
+
+def fov_of_state(level: LevelSweep, grid: BevGrid, state: NDArray[np.uint8], name: str, target: Target) -> FovEstimate:
+    """Return the estimate that claims the FREE and SURFACE cells of ``state`` (cells, cells), with probability 1."""
+    visible = (state == _FREE) | (state == _SURFACE)
+    return FovEstimate(
+        grid=grid,
+        visible_prob=visible.astype(np.float32),
+        state=state,
+        method=name,
+        target=target,
+        world_from_level=level.world_from_level,
+        t_ns=level.sweep.t_ns,
+        agent=level.sweep.agent,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _any_on(points: Any, range_m: Any, limits: Any, lattice: Any) -> Any:  # pragma: no cover - compiled
+    far, low, high, sensor = limits
+    x0, y0, per_m, cells = lattice
+    for n in range(points.shape[0]):
+        z = points[n, 2] - sensor
+        if range_m[n] <= far and low <= z <= high:
+            u, v = (points[n, 0] - x0) * per_m, (points[n, 1] - y0) * per_m
+            if 0 <= u < cells and 0 <= v < cells:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    position = int((np.float64(azimuth) + np.pi) * (bins / (2.0 * np.pi)))
+    return min(max(position, 0), bins - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _occupy(azimuth: Any, occupied: Any) -> None:  # pragma: no cover - compiled
+    for n in range(azimuth.shape[0]):
+        occupied[_bin(azimuth[n], occupied.shape[0])] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _farthest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover - compiled
+    for n in range(azimuth.shape[0]):
+        b = _bin(azimuth[n], best.shape[0])
+        best[b] = max(best[b], range_m[n])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _largest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover - compiled
+    bins, last = best.shape[0], best.shape[1] - 1
+    for n in range(azimuth.shape[0]):
+        b, r = _bin(azimuth[n], bins), range_m[n]
+        if r > best[b, last]:
+            k = last
+            while k > 0 and best[b, k - 1] < r:
+                best[b, k] = best[b, k - 1]
+                k -= 1
+            best[b, k] = r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smallest(azimuth: Any, range_m: Any, height: Any, limits: Any, best: Any) -> None:  # pragma: no cover - compiled
+    bins, last = best.shape[0], best.shape[1] - 1
+    for n in range(azimuth.shape[0]):
+        if not limits[0] < height[n] < limits[1]:
+            continue
+        b, r = _bin(azimuth[n], bins), range_m[n]
+        if r < best[b, last]:
+            k = last
+            while k > 0 and best[b, k - 1] > r:
+                best[b, k] = best[b, k - 1]
+                k -= 1
+            best[b, k] = r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _at_limit(
+    azimuth: Any, range_m: Any, height: Any, limits: Any, limit_m: Any, found: Any
+) -> None:  # pragma: no cover - compiled
+    bins = limit_m.shape[0]
+    for n in range(azimuth.shape[0]):
+        if limits[0] < height[n] < limits[1]:
+            b = _bin(azimuth[n], bins)
+            if range_m[n] == limit_m[b]:
+                found[b] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _states(
+    bins: Any, range_m: Any, visible_m: Any, hidden_m: Any, surface: Any, state: Any
+) -> None:  # pragma: no cover - compiled
+    for i in range(state.shape[0]):
+        for j in range(state.shape[1]):
+            b, r = bins[i, j], range_m[i, j]
+            if r <= visible_m[b]:
+                state[i, j] = _SURFACE if surface[i, j] else _FREE
+            else:
+                state[i, j] = _HIDDEN if r <= hidden_m[b] else _UNKNOWN

@@ -1,0 +1,160 @@
+"""What a cloud tells of the sensor that measured it: the beam table that explains it, and the ring of each return."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import FloatArray
+from viewshed.preprocess.ring_recovery import (
+    EXPLAINED,
+    NEAR_M,
+    Angles,
+    match_beams,
+    polar,
+    ring_medians,
+    rings_by_order,
+)
+from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sweep import Sweep
+
+SAMPLE = 16_384
+"""Returns by which a sensor is told."""
+
+Rings = tuple[NDArray[np.int16], int]
+"""Ring of each return, and how many rings there are."""
+
+_SURE = 0.5
+
+_FEW, _LIKELY = 2048, 2
+
+_CROWDED = 1.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What is known of a sweep's beams.
+
+    Attributes:
+        ring: (N,) int16 beam of each return, 0 the lowest, -1 where no beam explains it; None where nothing tells.
+        model: the sensor, or None where nothing tells.
+    """
+
+    ring: NDArray[np.int16] | None
+    model: LidarModel | None
+
+
+NOTHING_TOLD = Told(None, None)
+
+
+def told_rings(sweep: Sweep) -> Told:
+    """Return the sweep's own rings and sensor; where it has none, those that its points tell.
+
+    Rings come from the order of the points, else from the nearest beam of the sensor, which :func:`infer_sensor` finds
+    if it is not known. Neither is guessed: a cloud that no beam table explains has none.
+    """
+    if len(sweep) == 0 or (sweep.ring is not None and sweep.model is not None):
+        return Told(sweep.ring, sweep.model)
+    if sweep.ring is not None:
+        model = infer_sensor(sweep.points, sweep.ring)[0]
+        fits = model is not None and int(sweep.ring.max()) < model.rings
+        return Told(sweep.ring, model if fits else None)
+    azimuth, slope, range_m = polar(sweep.points)
+    ordered, model = rings_by_order(azimuth, slope), sweep.model
+    if model is None:
+        chosen = _sample(len(sweep))
+        model = _best(slope[chosen], range_m[chosen], _drawn(ordered, chosen), len(sweep))[0]
+    if ordered is not None and (model is None or int(ordered.max()) < model.rings):
+        return Told(ordered, model)
+    if model is None:
+        return NOTHING_TOLD
+    match = match_beams(slope, range_m, model)
+    return Told(match.ring if match.excess >= EXPLAINED else None, model)
+
+
+def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
+    """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
+
+    Where the rings are known (given, or told by the order of the points) the score is the share of returns whose ring
+    lies, in the median, where the table has it. Where that is below 0.5, or nothing tells the rings, it is the share of
+    returns near a beam, less what chance would give, times the share of the table's beams that were hit. A score of at
+    least 0.3 explains the cloud (a moving sensor's points lie beside its beams), below 0.5 only if no ring has more
+    returns than columns: two sensors in one frame are none. Of large clouds ``SAMPLE`` returns are looked at, drawn by
+    a fixed seed.
+
+    >>> infer_sensor(np.zeros((0, 3)))
+    (None, 0.0)
+    """
+    points = np.ascontiguousarray(points, dtype=np.float32)
+    if ring is None:
+        azimuth, slope, _ = polar(points)
+        ring = rings_by_order(azimuth, slope)
+    chosen = _sample(len(points))
+    _, slope, range_m = polar(points[chosen])
+    return _best(slope, range_m, _drawn(ring, chosen), len(points))
+
+
+def _sample(count: int) -> NDArray[np.int64]:
+    """Return rows of a cloud in random order: all of them, or as many as are looked at."""
+    rng = np.random.default_rng(0)
+    return rng.permutation(count) if count <= SAMPLE else rng.integers(count, size=SAMPLE)
+
+
+def _drawn(ring: NDArray[np.integer[Any]] | None, chosen: NDArray[np.int64]) -> Rings | None:
+    """Return the rings of a sample, and how many the whole cloud has."""
+    return None if ring is None else (np.asarray(ring[chosen], np.int16), int(ring.max(initial=0)) + 1)
+
+
+def _best(slope: Angles, range_m: Angles, rings: Rings | None, count: int) -> tuple[LidarModel | None, float]:
+    """Return the best table for a sample of ``count`` returns and its score, None where it explains too little."""
+    few = slope[:_FEW], range_m[:_FEW]
+    if rings is not None:
+        told = rings[0][:_FEW], rings[1]
+        best, score = _most({name: _ring_score(told, *few, lidar_model(name)) for name in sensor_names()})
+        if score >= _SURE:
+            return best, score
+    roughly = {name: _cluster_score(*few, lidar_model(name)) for name in sensor_names()}
+    likely = sorted(roughly, key=lambda name: roughly[name], reverse=True)[:_LIKELY]
+    best, score = _most({name: _cluster_score(slope, range_m, lidar_model(name)) for name in likely})
+    if best is None or score < EXPLAINED or (score < _SURE and _crowded(slope, range_m, best, count)):
+        return None, score
+    return best, score
+
+
+def _most(scores: Mapping[str, float]) -> tuple[LidarModel | None, float]:
+    """Return the sensor with the highest score, None where none has any."""
+    name = max(scores, key=lambda name: scores[name])
+    return (lidar_model(name) if scores[name] > 0.0 else None), scores[name]
+
+
+def _crowded(slope: Angles, range_m: Angles, model: LidarModel, count: int) -> bool:
+    """Return whether the median of the table's rings would hold clearly more returns than a revolution has columns."""
+    ring = match_beams(slope, range_m, model).ring
+    sizes = np.bincount(ring[ring >= 0], minlength=model.rings) * (count / max(len(slope), 1))
+    return bool(np.median(sizes) > _CROWDED * model.azimuth_columns)
+
+
+def _cluster_score(slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return ``excess`` times the share of beams that were hit, among those inside the elevations of the returns."""
+    match = match_beams(slope, range_m, model)
+    hit = match.hits > max(2.0, 0.02 * match.hits.sum() / model.rings)
+    if not hit.any():
+        return 0.0
+    first, last = np.flatnonzero(hit)[[0, -1]]
+    return match.excess * float(hit[first : last + 1].mean())
+
+
+def _ring_score(told: Rings, slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return the share of returns whose ring's median lies within half a gap, and 0.5°, of the table's beam."""
+    ring, rings = told
+    if len(ring) == 0 or rings != model.rings:
+        return 0.0
+    corrected = slope - (model.origin_m[ring] / np.maximum(range_m, NEAR_M)).astype(np.float32)
+    medians = np.arctan(ring_medians(ring, np.where(range_m > NEAR_M, corrected, np.nan), rings))
+    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
+    limit = np.minimum(np.minimum(gap[:-1], gap[1:]) / 2, np.deg2rad(0.5))
+    return float((np.abs(medians - model.elevation) < limit)[ring].mean())

@@ -1,1 +1,0 @@
-"""The published study, made again by one command."""

@@ -1,0 +1,1 @@
+"""Things that worlds are made of: buildings, vehicles, furniture, the street and the warehouse."""

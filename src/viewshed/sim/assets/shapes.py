@@ -1,0 +1,173 @@
+"""The convex solids that things are made of, in the frame of their thing (z from the local ground, metres).
+
+What surfaces are made of: how much they return, and whether a beam passes through.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A surface or a volume.
+
+    Attributes:
+        name: what it is.
+        reflectivity: share of the light that comes back at normal incidence, 0 for none (absorbers, mirrors); above 1
+            for retroreflectors.
+        per_m: stops per metre of path: infinite for opaque things; finite for volumes that a beam may pass (leaves,
+            wire mesh, panes), where the free path is exponential (Beer's law).
+    """
+
+    name: str
+    reflectivity: float
+    per_m: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.reflectivity <= 10 or not self.per_m > 0:
+            raise ValueError(f"{self.name}: reflectivity must lie in [0, 10] and per_m be positive")
+
+
+MATERIALS: tuple[Material, ...] = (
+    Material("asphalt", 0.12),
+    Material("concrete", 0.35),
+    Material("plaster", 0.55),
+    Material("brick", 0.30),
+    Material("paint", 0.45),
+    Material("dark_paint", 0.06),
+    Material("metal", 0.40),
+    Material("sign", 3.0),
+    Material("clothes", 0.30),
+    Material("bark", 0.25),
+    Material("grass", 0.25),
+    Material("wood", 0.40),
+    Material("rubber", 0.04),
+    Material("leaves", 0.35, per_m=0.9),
+    Material("hedge", 0.35, per_m=3.0),
+    Material("mesh", 0.30, per_m=6.0),
+    Material("glass", 0.0, per_m=18.0),
+    Material("absorber", 0.0),
+    Material("cabin", 0.2, per_m=2.0),
+)
+"""A beam that stops in glass is mirrored away and gives no return; panes are about 2 cm thick, so two in three pass. A
+cabin is the inside of a car behind its windows: seats some way in, and now and then out at the other side."""
+
+_INDEX = {material.name: index for index, material in enumerate(MATERIALS)}
+
+REFLECTIVITY: NDArray[np.float32] = np.array([material.reflectivity for material in MATERIALS], np.float32)
+
+PER_M: NDArray[np.float32] = np.array([material.per_m for material in MATERIALS], np.float32)
+
+
+def material_index(name: str) -> int:
+    """Return the row of ``name`` in :data:`MATERIALS`.
+
+    Raises:
+        ValueError: there is no such material.
+
+    >>> MATERIALS[material_index("glass")].reflectivity
+    0.0
+    """
+    if name not in _INDEX:
+        raise ValueError(f"material must be one of {', '.join(_INDEX)}, got {name!r}")
+    return _INDEX[name]
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An upright box.
+
+    Attributes:
+        x_m: centre, forward.
+        y_m: centre, left.
+        length_m: side along ``yaw``.
+        width_m: side across ``yaw``.
+        top_m: top above the ground.
+        bottom_m: bottom above the ground; negative is sunk into it.
+        yaw: radians from x, counter-clockwise from above.
+        material: a name of ``MATERIALS``.
+    """
+
+    x_m: float
+    y_m: float
+    length_m: float
+    width_m: float
+    top_m: float
+    bottom_m: float = -1.0
+    yaw: float = 0.0
+    material: str = "paint"
+
+    def __post_init__(self) -> None:
+        _check(self.length_m, self.width_m, self.top_m - self.bottom_m)
+        material_index(self.material)
+
+    @property
+    def half_sizes_m(self) -> tuple[float, float, float]:
+        """Half the sides along the shape's own axes."""
+        return self.length_m / 2, self.width_m / 2, (self.top_m - self.bottom_m) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """An upright cylinder; attributes as in :class:`Box`."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+    top_m: float
+    bottom_m: float = -1.0
+    material: str = "concrete"
+
+    def __post_init__(self) -> None:
+        _check(self.radius_m, self.top_m - self.bottom_m)
+        material_index(self.material)
+
+    @property
+    def yaw(self) -> float:
+        """No matter for a cylinder: 0."""
+        return 0.0
+
+    @property
+    def half_sizes_m(self) -> tuple[float, float, float]:
+        """Radius, radius, half the height."""
+        return self.radius_m, self.radius_m, (self.top_m - self.bottom_m) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipsoid:
+    """An upright ellipsoid that fills the box of the same measures; attributes as in :class:`Box`."""
+
+    x_m: float
+    y_m: float
+    length_m: float
+    width_m: float
+    top_m: float
+    bottom_m: float
+    yaw: float = 0.0
+    material: str = "leaves"
+
+    def __post_init__(self) -> None:
+        _check(self.length_m, self.width_m, self.top_m - self.bottom_m)
+        material_index(self.material)
+
+    @property
+    def half_sizes_m(self) -> tuple[float, float, float]:
+        """Semi-axes."""
+        return self.length_m / 2, self.width_m / 2, (self.top_m - self.bottom_m) / 2
+
+
+Shape = Box | Cylinder | Ellipsoid
+
+BOX, CYLINDER, ELLIPSOID = 0, 1, 2
+
+KINDS: dict[type, int] = {Box: BOX, Cylinder: CYLINDER, Ellipsoid: ELLIPSOID}
+"""The number of each kind in a snapshot."""
+
+
+def _check(*sizes_m: float) -> None:
+    if not all(np.isfinite(size) and size > 0 for size in sizes_m):
+        raise ValueError(f"sizes must be positive and finite, got {sizes_m}")

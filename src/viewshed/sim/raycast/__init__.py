@@ -1,0 +1,1 @@
+"""What each beam meets: solids and terrain, exactly."""

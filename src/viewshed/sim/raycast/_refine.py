@@ -1,0 +1,149 @@
+"""The loops before and after the caster: beams in its order, and every stop again in double precision."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from viewshed.sim.raycast._solids import DRAWS, mixed
+from viewshed.sim.raycast._windows import BLOCK
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turn_beams(
+    still: Any, turns: Any, starts: Any, times: Any, turned: Any, beams: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill unit directions and starts (C, R, 3) in world axes, and the same beams in the order of the caster.
+
+    Args:
+        still: directions (C, R, 3) in the sensor's frame.
+        turns: ``world_from_sensor`` rotations (C, 3, 3).
+        starts: shift of the column (C, 3), and height of ring k on the sensor's axis (R).
+        times: of the columns.
+        turned: directions and starts.
+        beams: x, y, z, rise and time in blocks of rings, a block column after column.
+    """
+    (shifts, rises), (direction, origin) = starts, turned
+    bx, by, bz, rise_of, time_of = beams
+    columns, rings = still.shape[0], still.shape[1]
+    for c in range(columns):
+        xx, xy, xz = turns[c, 0, 0], turns[c, 0, 1], turns[c, 0, 2]
+        yx, yy, yz = turns[c, 1, 0], turns[c, 1, 1], turns[c, 1, 2]
+        zx, zy, zz = turns[c, 2, 0], turns[c, 2, 1], turns[c, 2, 2]
+        for k in range(rings):
+            i = ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
+            x, y, z, rise = still[c, k, 0], still[c, k, 1], still[c, k, 2], rises[k]
+            bx[i], by[i], bz[i] = xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
+            rise_of[i], time_of[i] = rise, times[c]
+            direction[c, k, 0], direction[c, k, 1], direction[c, k, 2] = bx[i], by[i], bz[i]
+            origin[c, k, 0] = shifts[c, 0] + xz * rise
+            origin[c, k, 1] = shifts[c, 1] + yz * rise
+            origin[c, k, 2] = shifts[c, 2] + zz * rise
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_stops(beams: Any, times: Any, solids: Any, ground: Any, best: Any, out: Any) -> None:  # pragma: no cover
+    """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
+
+    ``beams`` are starts and directions (C, R, 3); ``ground`` is the lattice (x, y, z from the sensor), materials of the
+    quads, free paths and maximum range.
+    """
+    boxes, kinds, per_m, salts, things, materials = solids
+    (xs, ys, zs), quad_material, draws, max_range = ground
+    (origin, direction), (depth32, winner), (depth, thing, material, cosine) = beams, best, out
+    planes, local, count, deep = _planes(xs, ys, zs), np.empty(6), boxes.shape[0], quad_material.shape[1]
+    for c in range(depth.shape[0]):
+        for k in range(depth.shape[1]):
+            i = ((k // BLOCK) * depth.shape[0] + c) * BLOCK + k % BLOCK
+            s = winner[i]
+            beam = (origin[c, k, 0], origin[c, k, 1], origin[c, k, 2],
+                    direction[c, k, 0], direction[c, k, 1], direction[c, k, 2])  # fmt: skip
+            t, cos, met, made_of = np.inf, 0.0, -2, 0
+            if s >= count:
+                t, cos = _on_ground(beam, planes, s - count)
+                met, made_of = -1, quad_material[(s - count) // 2 // deep, (s - count) // 2 % deep]
+            elif s >= 0:
+                _into(beam, boxes, s, times[c], local)
+                t, cos = _enter(local, boxes, s, kinds[s], float(depth32[i]))
+                if not np.isinf(per_m[s]):
+                    path = float(draws[mixed(np.uint32(i), salts[s]) & np.uint32(DRAWS - 1)]) / per_m[s]
+                    t, cos = max(t, 0.0) + path, 1.0
+                met, made_of = things[s], materials[s]
+            if t > max_range:
+                t, cos, met, made_of = np.inf, 0.0, -2, 0
+            depth[c, k], cosine[c, k], thing[c, k], material[c, k] = t, cos, met, made_of
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _planes(xs: Any, ys: Any, zs: Any) -> Any:  # pragma: no cover - compiled
+    """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
+    planes = np.empty((2 * (xs.shape[0] - 1) * (ys.shape[0] - 1), 4))
+    row = 0
+    for i in range(xs.shape[0] - 1):
+        for j in range(ys.shape[0] - 1):
+            wide, deep = xs[i + 1] - xs[i], ys[j + 1] - ys[j]
+            for upper in range(2):
+                if upper == 0:
+                    a, b = (zs[i + 1, j] - zs[i, j]) / wide, (zs[i + 1, j + 1] - zs[i + 1, j]) / deep
+                else:
+                    a, b = (zs[i + 1, j + 1] - zs[i, j + 1]) / wide, (zs[i, j + 1] - zs[i, j]) / deep
+                planes[row, 0], planes[row, 1] = a, b
+                planes[row, 2] = zs[i, j] - a * xs[i] - b * ys[j]
+                planes[row, 3] = 1.0 / np.sqrt(1.0 + a * a + b * b)
+                row += 1
+    return planes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _on_ground(beam: Any, planes: Any, row: Any) -> Any:  # pragma: no cover - compiled
+    a, b = planes[row, 0], planes[row, 1]
+    fall = a * beam[3] + b * beam[4] - beam[5]
+    return (beam[2] - a * beam[0] - b * beam[1] - planes[row, 2]) / fall, abs(fall) * planes[row, 3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _into(beam: Any, boxes: Any, s: Any, time: Any, local: Any) -> None:  # pragma: no cover - compiled
+    """Store start and direction (6) of a beam in the frame of a solid."""
+    x = beam[0] - boxes[s, 0, 0] - boxes[s, 5, 0] * time
+    y = beam[1] - boxes[s, 0, 1] - boxes[s, 5, 1] * time
+    z = beam[2] - boxes[s, 0, 2] - boxes[s, 5, 2] * time
+    for k in range(3):
+        a, b, c = boxes[s, 1, k], boxes[s, 2, k], boxes[s, 3, k]
+        local[k], local[3 + k] = a * x + b * y + c * z, a * beam[3] + b * beam[4] + c * beam[5]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+    """Depth at which the beam enters the solid, and its cosine there; ``t32`` where rounding makes it miss."""
+    if kind == 0:
+        return _enter_box(local, boxes, s, t32)
+    a, b, c, cos = 0.0, 0.0, -1.0, 0.0
+    for k in range(2 if kind == 1 else 3):
+        o, d = local[k] / boxes[s, 4, k], local[3 + k] / boxes[s, 4, k]
+        a, b, c = a + d * d, b + o * d, c + o * o
+    root2 = b * b - a * c
+    t = t32 if kind == 2 or root2 < 0.0 else -np.inf  # along a cylinder's axis its end decides
+    if root2 >= 0.0 and a > 0.0:
+        t = (-b - np.sqrt(root2)) / a
+    if kind == 1 and local[5] != 0.0:
+        cap = (-local[2] - np.copysign(boxes[s, 4, 2], local[5])) / local[5]
+        if cap > t:
+            return cap, abs(local[5])
+    length2 = 0.0
+    for k in range(2 if kind == 1 else 3):
+        normal = (local[k] + t * local[3 + k]) / (boxes[s, 4, k] * boxes[s, 4, k])
+        cos, length2 = cos + normal * local[3 + k], length2 + normal * normal
+    return t, min(abs(cos) / np.sqrt(length2 + 1e-30), 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _enter_box(local: Any, boxes: Any, s: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+    near, cos = -np.inf, 1.0
+    for k in range(3):
+        if local[3 + k] != 0.0:
+            t = (-local[k] - np.copysign(boxes[s, 4, k], local[3 + k])) / local[3 + k]
+            if t > near:
+                near, cos = t, abs(local[3 + k])
+    return (near, cos) if np.isfinite(near) else (t32, cos)

@@ -1,0 +1,1 @@
+"""The exact field of view of a simulated sweep."""

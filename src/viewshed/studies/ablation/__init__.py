@@ -1,0 +1,1 @@
+"""What each part of the network is worth, and the shipped network against the estimators."""

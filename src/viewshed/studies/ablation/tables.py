@@ -1,0 +1,139 @@
+"""The tables of the ablation's page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import isnan
+
+from viewshed._page import Table
+from viewshed.metrics import Scores
+from viewshed.studies.ablation.contest import BENIGN, CASES, UNTOUCHED
+from viewshed.studies.ablation.plan import WHOLE, AblationPlan
+from viewshed.studies.ablation.results import JAMMING, OURS, Results, Sure, Target
+from viewshed.studies.robustness.tables import three
+
+SURE = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""How sure a network must be before it tells anything of a cell."""
+
+
+def targets_table(targets: list[Target]) -> Table:
+    """Return targets beside what was found."""
+    rows = [[each.what, each.wanted, each.found, "met" if each.met else "**missed**"] for each in targets]
+    return Table(["what", "target", "here", ""], rows)
+
+
+def ablation_table(results: Results) -> Table:
+    """Return one line of figures for each contestant of the ablation."""
+    columns = list(results.figures(WHOLE))
+    names = list(results.said)
+    rows = []
+    for name in names:
+        size = results.plan.config_of(name).shape if name in results.plan.variants else None
+        cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
+        rows.append([name, cost, *(three(value) for value in results.figures(name).values())])
+    return Table(["network", "GFLOP", *columns], rows)
+
+
+def changes_table(plan: AblationPlan) -> Table:
+    """Return what the line of each variant changes."""
+    rows = [[name, ", ".join(f"{key} = {value}" for key, value in changes.items()) or "–"]
+            for name, changes in plan.variants.items()]  # fmt: skip
+    return Table(["network", "what its line changes"], rows)
+
+
+def views_table(results: Results, names: Sequence[str]) -> Table:
+    """Return the F1 of the view, case by case."""
+    rows = [[_kind(results, case), *_best_in_bold([results.f1(name, [case]) for name in names])] for case in CASES]
+    return Table(["case", *names], rows)
+
+
+def wedges_table(results: Results, names: Sequence[str]) -> Table:
+    """Return precision / recall in the wedge, case by case."""
+    rows = []
+    for case in CASES:
+        wedges = [results.wedge(name, [case]) for name in names]
+        if wedges[0].cells:
+            rows.append([_kind(results, case), *map(_both, wedges)])
+    return Table(["case", *names], rows)
+
+
+def parts_table(results: Results) -> Table:
+    """Return the F1 of parts of the untouched view."""
+    names = results.alone
+    rows = []
+    for part, sweeps in results.parts.items():
+        scores = [results.f1_of_part(name, part) for name in names]
+        rows.append([part, str(sweeps), *_best_in_bold(scores)])
+    return Table(["part", "sweeps", *names], rows)
+
+
+def _best_in_bold(scores: list[float]) -> list[str]:
+    most = max((score for score in scores if not isnan(score)), default=float("nan"))
+    return [f"**{three(score)}**" if score == most else three(score) for score in scores]
+
+
+def chosen_table(chosen: Results) -> Table:
+    """Return precision / recall of each victim, untouched and with points chosen against it."""
+    cell_m2 = chosen.plan.config_in(chosen.setting).grid.cell_area_m2
+    rows = []
+    for name, cases in chosen.said.items():
+        for case, said in cases.items():
+            sweeps, asked = len(said.sweeps), case if case != UNTOUCHED else "–"
+            false_m2 = said.wedge.counts()[1] * cell_m2 / sweeps
+            rows.append([name, asked, str(sweeps), _both(said.view), _both(said.wedge), f"{false_m2:.0f}"])
+    heads = ["victim", "questions", "sweeps", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"]
+    return Table(heads, rows)
+
+
+def abstention_table(validation: Results, test: Results) -> Table:
+    """Return precision / recall in opened wedges of those claims of our network that are sure."""
+    step = validation.sure
+    row = [OURS, f"{step:g}", *(_both(test.wedge(OURS, cases), step) for cases in test.opening)]
+    return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], [row])
+
+
+def sure_table(results: Results, *, wedge: bool) -> Table:
+    """Return the share of cells told / precision of claims / of denials of our network, by how sure it must be."""
+    groups: dict[str, Iterable[str]] = {
+        "trained": results.trained, "unseen": results.unseen, "jamming": (JAMMING,),
+    }  # fmt: skip
+    groups = groups | dict(zip(_OPENED, results.opening, strict=True)) if wedge else {"benign": (BENIGN,)} | groups
+    scores = {
+        group: results.wedge(OURS, cases) if wedge else sum(results.view(OURS, cases), Scores())
+        for group, cases in groups.items()
+    }
+    rows = [[f"{sure:g}", *(_told(Sure.of(each, sure)) for each in scores.values())] for sure in SURE]
+    return Table(["sure", *scores], rows)
+
+
+_OPENED = ("trained, opening a view", "unseen, opening a view")
+
+
+def _told(sure: Sure) -> str:
+    return " / ".join(map(three, (sure.share, sure.claims, sure.denials)))
+
+
+def doubts_table(results: Results) -> Table:
+    """Return how good probabilities and doubts are."""
+    groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
+    rows = []
+    for name in results.alone:
+        cells = []
+        for cases in groups.values():
+            scores = sum(results.view(name, cases), Scores())
+            cells += [_four(value) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
+        rows.append([name, *cells])
+    heads = [f"{what}, {group}" for group in groups for what in ("ECE", "Brier", "AURC", "AURC by deviation")]
+    return Table(["", *heads], rows)
+
+
+def _kind(results: Results, case: str) -> str:
+    return f"{case} \\*" if case in results.attacks else case
+
+
+def _both(scores: Scores, threshold: float = 0.5) -> str:
+    return f"{three(scores.precision(threshold))} / {three(scores.recall(threshold))}"
+
+
+def _four(value: float) -> str:
+    return "–" if isnan(value) else f"{value:.4f}"

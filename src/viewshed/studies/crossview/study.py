@@ -1,0 +1,392 @@
+"""Cross-view truth: what one posed sweep sees of a static scene tells what another one should have seen.
+
+No estimator makes this truth: a column that sweep B sees, and that sweep A must either show or miss, is a known
+answer about A's field of view. Rates: ``over`` = P(claimed visible | A does not see the column), ``under`` =
+P(not claimed visible | A sees it).
+
+Several views of one scene with their exact beams: worlds in which cross-view truth can be checked.
+
+The floor of cross-view truth: how wrong the metric calls a mask that is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.stats import binomtest
+
+from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.height_map import Ground
+from viewshed.fov.visibility import CAR, Beams, expected_returns, probability_of_visible
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sim.assets.shapes import Box, Cylinder
+from viewshed.sim.scene import Scene, cast, depth_image, junction
+from viewshed.sweep import Sweep
+
+
+@dataclass(frozen=True, slots=True)
+class CrossViewRules:
+    """How columns are chosen; every length in metres above each sweep's own local ground.
+
+    Attributes:
+        body_m: a column needs ``body_returns`` returns of B between these heights.
+        body_returns: how many.
+        top_m: and one return between these, so that it is about as tall as a car.
+        foot_m: a column counts as not seen only if B has a return of it between these heights, so that A's beams
+            cannot pass below it as they do below a bus; None asks for nothing.
+        range_a_m: distance of the column from A.
+        range_b_m: and from B.
+        static_s: another sweep, this many seconds from B or more, must see it too.
+        near_m: returns within this distance of the column's middle belong to it.
+        seen_m: A sees the column with ``seen_returns`` returns between these heights.
+        seen_returns: how many.
+        clear_m: A does not see it if it has no return between those heights within this distance.
+        coverage: returned beams of A that must aim at the column.
+        through_share: a column that this share (and at least two) of those beams pass by ``through_m`` has moved or
+            can be seen through, and is dropped.
+        through_m: see there.
+        across_m: a column counts as not seen only if the scene is as tall this far to its left and right as A looks
+            at it, so that it hides a target and not a post in front of a gap; 0 asks for nothing.
+    """
+
+    body_m: tuple[float, float] = (0.5, 1.5)
+    body_returns: int = 3
+    top_m: tuple[float, float] = (1.1, 2.2)
+    foot_m: tuple[float, float] | None = (0.1, 0.3)
+    range_a_m: tuple[float, float] = (4.0, 45.0)
+    range_b_m: tuple[float, float] = (3.0, 50.0)
+    static_s: float = 0.7
+    near_m: float = 0.5
+    seen_m: tuple[float, float] = (0.2, 1.7)
+    seen_returns: int = 2
+    clear_m: float = 1.5
+    coverage: int = 3
+    through_share: float = 0.3
+    through_m: float = 1.0
+    across_m: float = 0.9
+
+
+FIRST_RULES = CrossViewRules(foot_m=None, across_m=0.0)
+"""The metric as first defined: it takes any column for a target, so that even an exact mask over-claims."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each.
+
+    Attributes:
+        xy: (M, 2) metres.
+        seen: (M,) bool: A sees the column; the others it does not.
+        through: (M,) bool: not seen, but A's beams pass it: moved or see-through; left out of ``over``.
+    """
+
+    xy: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    through: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A rate, its 95 % interval, and how many columns it rests on.
+
+    The interval is the wider of a bootstrap over sweeps and the exact binomial one (Clopper and Pearson 1934): with
+    no error among a few columns the bootstrap alone would claim certainty.
+    """
+
+    value: float
+    low: float
+    high: float
+    columns: int
+
+
+@dataclass(frozen=True, slots=True)
+class CrossViewRow:
+    """One estimator's rates: over-claim, under-claim, over-claim with no column dropped, and the share dropped."""
+
+    method: str
+    over: Rate
+    under: Rate
+    over_unfiltered: Rate
+    dropped_share: float
+
+
+def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules) -> Columns:
+    """Return the columns that ``others`` know about the view of ``a``; all need poses and times."""
+    found = [columns for b in others for columns in [_columns_of_pair(a, b, others, rules)] if len(columns)]
+    if not found:
+        return Columns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
+    xy, standing = _merged(np.concatenate(found))
+    band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
+    tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
+    near = _counts(tree, xy, rules.near_m)
+    clear = (_counts(tree, xy, rules.clear_m) == 0) & standing & _as_wide_as_target(xy, rules)
+    seen = near >= rules.seen_returns
+    aimed, through = _aimed_and_through(a, xy, rules)
+    known = (seen | clear) & (aimed >= rules.coverage)
+    passes = (through >= 2) & (through >= rules.through_share * aimed) & ~seen
+    return Columns(xy[known], seen[known], passes[known])
+
+
+def _merged(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return places (M, 2) on a lattice of 0.25 m, each once, and whether any of its columns stands on the ground."""
+    places, inverse = np.unique(np.round(columns[:, :2] / 0.25), axis=0, return_inverse=True)
+    standing = np.zeros(len(places), bool)
+    np.logical_or.at(standing, inverse.ravel(), columns[:, 2] > 0)
+    return places * 0.25, standing
+
+
+def _columns_of_pair(
+    a: LevelSweep, b: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules
+) -> NDArray[np.float64]:
+    """Return (M, 3): x and y in A's level frame, and 1 where the column stands on the ground, else 0."""
+    xy_b, standing = _tall_columns(b, rules)
+    witnesses = [c for c in others if _seconds_apart(b, c) >= rules.static_s]
+    if not len(xy_b) or not witnesses:
+        return np.empty((0, 3))
+    a_from_b = _between(a, b)
+    static = np.zeros(len(xy_b), bool)
+    for c in witnesses:
+        body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
+        in_b = _between(b, c) @ c.points[body]
+        static |= _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy_b, rules.near_m) > 0
+    xyz = np.column_stack([xy_b, b.ground.at(xy_b)])
+    columns: NDArray[np.float64] = np.column_stack([(a_from_b @ xyz[static])[:, :2], standing[static]])
+    range_a = np.hypot(columns[:, 0], columns[:, 1])
+    return columns[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+
+
+def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArray[np.bool_]:
+    if rules.across_m == 0:
+        return np.ones(len(xy), bool)
+    tree = cKDTree(xy)
+    left = np.column_stack([-xy[:, 1], xy[:, 0]]) / np.hypot(xy[:, 0], xy[:, 1])[:, None] * rules.across_m
+    return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
+
+
+def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the columns (M, 2) of ``b`` that are as tall as the target, and whether each stands on the ground."""
+    grid = BevGrid(round(4 * rules.range_b_m[1]), rules.range_b_m[1])
+    range_b = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
+    enough = (range_b > rules.range_b_m[0]) & (range_b < rules.range_b_m[1])
+    enough &= _between_heights(b, grid, rules.body_m) >= rules.body_returns
+    enough &= _between_heights(b, grid, rules.top_m) >= 1
+    if rules.foot_m is None:
+        return grid.centers[enough], np.ones(int(enough.sum()), bool)
+    return grid.centers[enough], (_between_heights(b, grid, rules.foot_m) >= 1)[enough]
+
+
+def _between_heights(b: LevelSweep, grid: BevGrid, height_m: tuple[float, float]) -> NDArray[np.int32]:
+    return grid.count(b.points[(b.height_m > height_m[0]) & (b.height_m < height_m[1])])
+
+
+def _between(to: LevelSweep, of: LevelSweep) -> Any:
+    to_pose, of_pose = to.world_from_level, of.world_from_level
+    if to_pose is None or of_pose is None:
+        raise ValueError("cross-view truth needs the pose of every sweep (world_from_sensor)")
+    return to_pose.inverse() @ of_pose
+
+
+def _seconds_apart(b: LevelSweep, c: LevelSweep) -> float:
+    if b.sweep.t_ns is None or c.sweep.t_ns is None:
+        raise ValueError("cross-view truth needs the time of every sweep (t_ns)")
+    return abs(b.sweep.t_ns - c.sweep.t_ns) * 1e-9
+
+
+def _counts(tree: Any, xy: NDArray[np.float64], radius_m: float) -> NDArray[np.intp]:
+    if tree.n == 0:
+        return np.zeros(len(xy), np.intp)
+    counts: NDArray[np.intp] = tree.query_ball_point(xy, radius_m, return_length=True)
+    return counts
+
+
+def _aimed_and_through(
+    a: LevelSweep, xy: NDArray[np.float64], rules: CrossViewRules
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return how many returned beams of ``a`` aim at each column, and how many of them end well behind it."""
+    beams = a.beams()
+    order = np.argsort(beams.azimuth, kind="stable")
+    azimuth, slope, depth = beams.azimuth[order], beams.slope[order], beams.depth_m[order]
+    ground = a.ground.at(xy) - a.sensor_height_m
+    aimed, through = np.zeros(len(xy), np.intp), np.zeros(len(xy), np.intp)
+    for n, (x, y) in enumerate(xy):
+        r = float(np.hypot(x, y))
+        middle, half = np.arctan2(y, x), np.arctan2(rules.near_m / 2, r)
+        for turn in (-2 * np.pi, 0.0, 2 * np.pi):
+            i, j = np.searchsorted(azimuth, [middle - half + turn, middle + half + turn])
+            height = slope[i:j] * r - ground[n]
+            hits = (height > rules.seen_m[0]) & (height < rules.seen_m[1])
+            aimed[n] += hits.sum()
+            through[n] += (hits & (depth[i:j] > r + rules.through_m)).sum()
+    return aimed, through
+
+
+def evaluate_crossview(
+    sequences: Sequence[Sequence[Sweep]],
+    estimators: Mapping[str, FovEstimator],
+    *,
+    rng: np.random.Generator,
+    rules: CrossViewRules | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[CrossViewRow]:
+    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
+
+    Raises:
+        ValueError: a sweep has no pose or no time.
+    """
+    return rows_of(crossview_truth(sequences, rules, progress), estimators, rng=rng, progress=progress)
+
+
+def crossview_truth(
+    sequences: Sequence[Sequence[Sweep]],
+    rules: CrossViewRules | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[tuple[Sweep, Columns]]:
+    """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
+    truth: list[tuple[Sweep, Columns]] = []
+    for sweeps in sequences:
+        levels = [level_sweep(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
+        for k, a in enumerate(levels):
+            progress(f"truth of sweep {len(truth) + 1}")
+            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules or CrossViewRules())))
+    return truth
+
+
+def rows_of(
+    truth: Sequence[tuple[Sweep, Columns]],
+    estimators: Mapping[str, FovEstimator],
+    *,
+    rng: np.random.Generator,
+    progress: Callable[[str], None] = lambda _: None,
+    shown: Callable[[Sweep], Sweep] = lambda sweep: sweep,
+) -> list[CrossViewRow]:
+    """Return one row of rates for each estimator against the truth of some sweeps, of :func:`crossview_truth`.
+
+    ``shown`` returns what estimators are shown of a sweep, perhaps attacked; the truth is of the sweep itself.
+    """
+    seen = [(shown(sweep), columns) for sweep, columns in truth]
+    rows = []
+    for method, estimator in estimators.items():
+        progress(method)
+        rows.append(_row(method, estimator, seen, rng))
+    return rows
+
+
+def _row(
+    method: str, estimator: FovEstimator, truth: Sequence[tuple[Sweep, Columns]], rng: np.random.Generator
+) -> CrossViewRow:
+    tallies = np.zeros((len(truth), 3, 2))
+    dropped = unseen = 0
+    for n, (sweep, columns) in enumerate(truth):
+        estimate = estimator.estimate(sweep)
+        claimed = np.nan_to_num(estimate.at(columns.xy)) >= 0.5
+        sure = ~columns.seen & ~columns.through
+        for k, (wrong, base) in enumerate(
+            ((claimed & sure, sure), (~claimed & columns.seen, columns.seen), (claimed & ~columns.seen, ~columns.seen))
+        ):
+            tallies[n, k] = wrong.sum(), base.sum()
+        dropped += int(columns.through.sum())
+        unseen += int((~columns.seen).sum())
+    picks = rng.integers(0, len(truth), (2000, len(truth)))
+    rates = [_rate(tallies[:, k], picks) for k in range(3)]
+    return CrossViewRow(method, rates[0], rates[1], rates[2], dropped / max(unseen, 1))
+
+
+def _rate(tally: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
+    total = tally.sum(axis=0)
+    if total[1] == 0:
+        return Rate(float("nan"), float("nan"), float("nan"), 0)
+    sums = tally[picks].sum(axis=1)
+    low, high = np.quantile(sums[sums[:, 1] > 0, 0] / sums[sums[:, 1] > 0, 1], [0.025, 0.975])
+    wrong, columns = (int(count) for count in total)
+    exact = binomtest(wrong, columns).proportion_ci(0.95)
+    return Rate(wrong / columns, min(float(low), exact.low), max(float(high), exact.high), columns)
+
+
+def view(
+    scene: Scene, model: LidarModel, pose: tuple[float, float, float], height_m: float, rng: np.random.Generator
+) -> tuple[Sweep, Beams]:
+    """Return a noisy sweep of a flat ``scene`` and its exact beams (no return: depth +inf), both from ``pose``.
+
+    Args:
+        scene: what stands there; its ground must be level.
+        model: the sensor.
+        pose: x and y in metres and yaw in radians, in the scene.
+        height_m: sensor height above the ground.
+        rng: noise of the measured ranges.
+
+    Raises:
+        ValueError: the scene's ground slopes.
+    """
+    if any(scene.slope):
+        raise ValueError(f"scene must have level ground to be seen from several places, got slope {scene.slope}")
+    x, y, yaw = pose
+    seen = _moved(scene, x, y, yaw)
+    depth = depth_image(model, seen, height_m)
+    flat = np.cos(model.elevation)[:, None]
+    azimuth = -np.pi + np.arange(model.azimuth_columns) * model.azimuth_step + np.zeros((model.rings, 1))
+    slope = np.tan(model.elevation)[:, None] + np.zeros_like(azimuth)
+    beams = Beams(*(a.ravel().astype(np.float32) for a in (azimuth, slope, depth * flat)))
+    sweep = cast(model, seen, height_m, rng=rng)
+    return sweep.replace(world_from_sensor=Rigid.from_yaw(yaw, (x, y, height_m))), beams
+
+
+def drive(
+    scene: Scene, model: LidarModel, poses: Sequence[tuple[float, float, float]], rng: np.random.Generator
+) -> list[tuple[Sweep, Beams]]:
+    """Return the views from ``poses``, one a second, by a sensor 1.8 m above the ground."""
+    views = [view(scene, model, pose, 1.8, rng) for pose in poses]
+    return [(sweep.replace(t_ns=second * 10**9), beams) for second, (sweep, beams) in enumerate(views)]
+
+
+def _moved(scene: Scene, x_m: float, y_m: float, yaw: float) -> Scene:
+    c, s = np.cos(yaw), np.sin(yaw)
+
+    def there(solid: Box | Cylinder) -> dict[str, Any]:
+        dx, dy = solid.x_m - x_m, solid.y_m - y_m
+        return {"x_m": float(c * dx + s * dy), "y_m": float(c * dy - s * dx)}
+
+    return Scene(
+        boxes=tuple(replace(box, **there(box), yaw=box.yaw - yaw) for box in scene.boxes),
+        cylinders=tuple(replace(cylinder, **there(cylinder)) for cylinder in scene.cylinders),
+    )
+
+
+POSES = (
+    (-30.0, 3.4, 3.14), (-20.0, 3.4, 3.14), (-6.0, 0.3, 0.0), (2.0, 0.2, 0.0), (14.0, 0.3, 0.1),
+    (24.0, -8.0, -1.5), (24.5, 6.0, 1.57), (30.0, 20.0, -1.57), (34.0, 0.2, 0.0), (50.0, 0.2, 0.0),
+)  # fmt: skip
+"""Where the sensor stands in the simulated junction: x, y in metres and yaw."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactMask:
+    """The definition of visible on each simulated sweep's noise-free beams and its level ground."""
+
+    grid: BevGrid
+    beams: Mapping[int, Beams]
+    height_m: float = 1.8
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the exact mask; the sweep's time says which view it is."""
+        beams = self.beams[sweep.t_ns or 0]
+        returns, _ = expected_returns(beams, self.height_m, Ground.flat(64.0), self.grid, CAR)
+        prob = probability_of_visible(returns, CAR.min_returns)
+        return FovEstimate(self.grid, prob, (prob >= 0.5).astype(np.uint8), method="exact mask")
+
+
+def evaluate_floor(
+    estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator, rules: CrossViewRules | None = None
+) -> list[CrossViewRow]:
+    """Return the rates of the exact mask, then of ``estimators``, in a simulated junction seen from ten places."""
+    views = drive(junction(), lidar_model("hdl64e"), POSES, rng)
+    exact = ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: beams for sweep, beams in views})
+    sweeps = [sweep for sweep, _ in views]
+    return evaluate_crossview([sweeps], {"exact mask": exact, **estimators}, rng=rng, rules=rules)

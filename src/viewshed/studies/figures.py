@@ -1,0 +1,367 @@
+"""Figures of the vulnerability study: violins, curves, and what attacks do to single sweeps, seen from above.
+
+Pictures of the reproduced study: probability and deviation seen from above, and the trade study.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
+from numpy.typing import NDArray
+from PIL import Image
+
+from viewshed.grid import BevGrid
+
+Kind = Literal["returns", "truth", "probability", "deviation"]
+
+COLORS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00")
+"""After Okabe and Ito (2008)."""
+
+MARKERS = "osD^vP"
+
+_SCALES: dict[Kind, tuple[str, float | None]] = {
+    "returns": ("bone_r", 1.0), "truth": ("Blues", 1.6), "probability": ("cividis", 1.0), "deviation": ("magma", None),
+}  # fmt: skip
+
+_DPI = 100
+
+_MAP_COLORS = 256
+
+_MAP_INCHES = 1.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Map:
+    """One picture from above.
+
+    Attributes:
+        title: of the picture.
+        kind: what the values are, which decides their colors.
+        values: (cells, cells), forward with the first index, left with the second.
+    """
+
+    title: str
+    kind: Kind
+    values: NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """One network of the trade study.
+
+    Attributes:
+        cells: of its grid, a side.
+        depth: poolings.
+        width: channels of its first stage.
+        values: figures by name.
+    """
+
+    cells: int
+    depth: int
+    width: int
+    values: Mapping[str, float]
+
+
+def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
+    """Return a PNG of rows of pictures, each with its name at the left; all deviations have one scale."""
+    across = max(map(len, rows.values()))
+    figure = Figure(
+        (across * _MAP_INCHES + 0.5, len(rows) * (_MAP_INCHES + 0.25) + 0.6), dpi=_DPI, layout="constrained"
+    )
+    axes = figure.subplots(len(rows), across, squeeze=False)
+    most = max(
+        (float(each.values.max()) for row in rows.values() for each in row if each.kind == "deviation"), default=0
+    )
+    drawn: dict[Kind, Any] = {}
+    for line, (name, maps) in zip(axes, rows.items(), strict=True):
+        line[0].set_ylabel(name, fontsize=9)
+        for axis, each in zip(line, maps, strict=False):
+            drawn[each.kind] = _map(axis, each, max(most, 1e-3))
+    half = across // 2
+    for kind, columns in (("probability", axes[:, :half]), ("deviation", axes[:, half:])):
+        if kind in drawn:
+            bar = figure.colorbar(drawn[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
+            bar.set_label("mean: probability of visible" if kind == "probability" else "deviation", fontsize=8)
+            bar.ax.tick_params(labelsize=7)
+    return _map_png(figure)
+
+
+def _map(axis: Axes, each: Map, most: float) -> Any:
+    """Draw values with forward up and left on the left."""
+    colors, high = _SCALES[each.kind]
+    drawn = axis.imshow(
+        np.asarray(each.values, np.float64)[::-1, ::-1], cmap=colors, vmin=0.0, vmax=most if high is None else high,
+        interpolation="nearest",
+    )  # fmt: skip
+    axis.set_title(each.title, fontsize=8, pad=3)
+    axis.set(xticks=[], yticks=[])
+    return drawn
+
+
+def trade_figure(dots: Sequence[Dot], across: str, ups: Sequence[str]) -> bytes:
+    """Return a PNG with one panel for each figure of ``ups`` over ``across``: color resolution, mark depth, size width.
+
+    Args:
+        dots: the networks.
+        across: name of the figure on the horizontal axis, drawn with equal ratios.
+        ups: names of the figures on the vertical axes.
+    """
+    figure = Figure((4.3 * len(ups), 4.3), dpi=_DPI, layout="constrained")
+    axes = figure.subplots(1, len(ups), squeeze=False)[0]
+    cells, depths = sorted({dot.cells for dot in dots}), sorted({dot.depth for dot in dots})
+    for axis, up in zip(axes, ups, strict=True):
+        for c, color in zip(cells, COLORS, strict=False):
+            for d, mark in zip(depths, MARKERS, strict=False):
+                _shape_line(
+                    axis, [dot for dot in dots if (dot.cells, dot.depth) == (c, d)], (across, up), (color, mark)
+                )
+        axis.set_xscale("log")
+        axis.xaxis.set_minor_locator(NullLocator())
+        _decades(axis, [dot.values[across] for dot in dots])
+        axis.set_xlabel(across, fontsize=9)
+        axis.set_ylabel(up, fontsize=9)
+        axis.grid(linewidth=0.4, color="#cccccc")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    return _map_png(figure)
+
+
+def _shape_line(axis: Axes, dots: Sequence[Dot], names: tuple[str, str], look: tuple[str, str]) -> None:
+    """Draw networks of one resolution and depth, joined from narrow to wide."""
+    if not dots:
+        return
+    chosen = sorted(dots, key=lambda dot: dot.width)
+    x, y = ([dot.values[name] for dot in chosen] for name in names)
+    label = f"{chosen[0].cells} cells, depth {chosen[0].depth}, widths {', '.join(str(dot.width) for dot in chosen)}"
+    axis.plot(x, y, color=look[0], marker=look[1], markersize=4.5, linewidth=0.9, alpha=0.85, label=label)
+    for dot, left, up in zip(chosen, x, y, strict=True):
+        axis.annotate(str(dot.width), (left, up), textcoords="offset points", xytext=(4, 3), fontsize=6.5)
+
+
+def _decades(axis: Axes, values: Sequence[float]) -> None:
+    """Put ticks at 1, 2 and 5 of each decade in plain numbers."""
+    low, high = min(values), max(values)
+    ticks = [m * 10.0**e for e in range(-4, 6) for m in (1, 2, 5) if low / 1.6 <= m * 10.0**e <= high * 1.6]
+    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], fontsize=8)
+    axis.tick_params(axis="y", labelsize=8)
+
+
+def _map_png(figure: Figure) -> bytes:
+    """Return the figure with few colors: some hundred kilobytes less."""
+    drawn, buffer = io.BytesIO(), io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(drawn, format="png")
+    image = Image.open(drawn).convert("RGB").quantize(_MAP_COLORS, dither=Image.Dither.NONE)
+    image.save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
+
+
+PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#8FB8DE", "#D55E00")
+"""After Okabe and Ito (2008); styles of lines tell apart what the colors may not."""
+
+DASHES = ("-", "--", ":", "-.")
+
+AGREE, OVER, UNDER, HIDDEN, OUTSIDE = (0.68, 0.84, 0.95), (0.84, 0.37, 0.0), (0.55, 0.24, 0.62), (0.86,) * 3, (1.0,) * 3
+"""Cells that both call visible, only the estimate, only the truth, none, and cells without truth."""
+
+_BENIGN, _ATTACKED = "#0072B2", "#D55E00"
+
+_COLORS = 96
+
+Mask = NDArray[np.bool_]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Violins:
+    """One panel: for each label the values of all samples, benign and attacked.
+
+    Attributes:
+        title: of the panel.
+        pairs: by label, values (S,) benign and (T,) attacked; NaN is left out.
+    """
+
+    title: str
+    pairs: Mapping[str, tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """One panel: for each label a value at each step.
+
+    Attributes:
+        title: of the panel.
+        steps: names of the steps on the horizontal axis.
+        values: by label, one value a step; NaN leaves a gap.
+    """
+
+    title: str
+    steps: Sequence[str]
+    values: Mapping[str, Sequence[float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One row of pictures: an attacked sweep over the truth, then what estimators make of it.
+
+    Attributes:
+        title: of the row.
+        grid: of the masks.
+        truth: (cells, cells) bool.
+        known: (cells, cells) bool, where there is truth.
+        points: (N, 2) x and y of the returns in metres.
+        added: (N,) bool, the attacker's.
+        wedge: azimuth and width in radians, or None.
+        claims: by estimator, (cells, cells) bool.
+    """
+
+    title: str
+    grid: BevGrid
+    truth: Mask
+    known: Mask
+    points: NDArray[np.float32]
+    added: Mask
+    wedge: tuple[float, float] | None
+    claims: Mapping[str, Mask]
+
+
+def violin_figure(panels: Sequence[Violins], across: int, attacked: str) -> bytes:
+    """Return a PNG of violins, benign on the left and ``attacked`` (its name) on the right of each label."""
+    figure, axes = _page(len(panels), across, (6.4, 2.9))
+    for axis, panel in zip(axes, panels, strict=False):
+        _violins(axis, panel)
+    handles = [Patch(color=_BENIGN, label="benign"), Patch(color=_ATTACKED, label=attacked)]
+    figure.legend(handles=handles, loc="lower center", ncols=2, frameon=False, fontsize=9)
+    return _png(figure)
+
+
+def _violins(axis: Axes, panel: Violins) -> None:
+    for place, (benign, attacked) in enumerate(panel.pairs.values()):
+        for values, side, color in ((benign, "low", _BENIGN), (attacked, "high", _ATTACKED)):
+            _half(axis, values[~np.isnan(values)], place, (side, color))
+    axis.set_xticks(range(len(panel.pairs)), panel.pairs, rotation=35, ha="right", fontsize=7.5)
+    axis.set_xlim(-0.6, len(panel.pairs) - 0.4)
+    _rates(axis, panel.title)
+
+
+def _half(axis: Axes, values: Floats, place: int, look: tuple[Any, str]) -> None:
+    """Half a violin; values that hardly differ have no density and are a line."""
+    side, color = look
+    if len(values) == 0:
+        return
+    if np.ptp(values) > 1e-6:
+        drawn: Any = axis.violinplot([values], [place], widths=0.85, showextrema=False, side=side)
+        for body in drawn["bodies"]:
+            body.set(facecolor=color, edgecolor="none", alpha=0.55)
+    reach = (-0.3, 0.0) if side == "low" else (0.0, 0.3)
+    median = float(np.median(values))
+    axis.plot([place + reach[0], place + reach[1]], [median, median], color=color, linewidth=1.6)
+
+
+def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
+    """Return a PNG of curves, one panel each with ``label`` at the vertical axis and one legend for all."""
+    across = max(3, min(across, len(panels)))
+    figure, axes = _page(len(panels), across, (2.7, 2.15), legend=0.75)
+    names = list(dict.fromkeys(name for panel in panels for name in panel.values))
+    for number, (axis, panel) in enumerate(zip(axes, panels, strict=False)):
+        for name, values in panel.values.items():
+            axis.plot(range(len(panel.steps)), values, **_line(names.index(name)))
+        axis.set_xticks(range(len(panel.steps)), panel.steps, fontsize=6.5, rotation=35)
+        _rates(axis, panel.title)
+        if number % across == 0:
+            axis.set_ylabel(label, fontsize=8)
+    handles = [Line2D([], [], label=name, **_line(number)) for number, name in enumerate(names)]
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(names), 5), frameon=False, fontsize=8)
+    return _png(figure)
+
+
+def _line(number: int) -> dict[str, Any]:
+    color, style = PALETTE[number % len(PALETTE)], DASHES[number % len(DASHES)]
+    return {"color": color, "linestyle": style, "linewidth": 1.3, "marker": "o", "markersize": 2.2}
+
+
+def scene_figure(scenes: Sequence[Scene]) -> bytes:
+    """Return a PNG of one row for each scene: the truth with returns, the attacker's in red, then the estimators."""
+    names = list(dict.fromkeys(name for scene in scenes for name in scene.claims))
+    figure, axes = _page(len(scenes) * (len(names) + 1), len(names) + 1, (1.75, 1.75), legend=0.35)
+    for row, scene in enumerate(scenes):
+        cells = axes[row * (len(names) + 1) : (row + 1) * (len(names) + 1)]
+        _raster(cells[0], scene, scene.truth)
+        _returns(cells[0], scene)
+        cells[0].set_ylabel(scene.title, fontsize=7.5)
+        for axis, name in zip(cells[1:], names, strict=True):
+            _raster(axis, scene, scene.claims[name])
+        if row == 0:
+            for axis, name in zip(cells, ["truth and returns", *names], strict=True):
+                axis.set_title(name, fontsize=8.5, pad=3)
+    words = {"both visible": AGREE, "only claimed": OVER, "only true": UNDER, "neither": HIDDEN}
+    handles: list[Any] = [Patch(color=color, label=word) for word, color in words.items()]
+    handles.append(Line2D([], [], color="red", marker=".", linestyle="none", label="the attacker's returns"))
+    figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False, fontsize=8)
+    return _png(figure)
+
+
+def compared(claimed: Mask, truth: Mask, known: Mask) -> NDArray[np.float64]:
+    """Return the colors (cells, cells, 3) of a claim against the truth."""
+    image = np.full((*truth.shape, 3), HIDDEN, np.float64)
+    image[claimed & truth], image[claimed & ~truth], image[~claimed & truth] = AGREE, OVER, UNDER
+    image[~known] = OUTSIDE
+    return image
+
+
+def _raster(axis: Axes, scene: Scene, claimed: Mask) -> None:
+    """Draw cells with forward up and left on the left, and the edges of the wedge."""
+    half = scene.grid.half_extent_m
+    image = compared(claimed, scene.truth, scene.known)[::-1, ::-1]
+    axis.imshow(image, extent=(half, -half, -half, half), interpolation="nearest", aspect="equal")
+    axis.set(xticks=[], yticks=[], xlim=(half, -half), ylim=(-half, half))
+    if scene.wedge is not None and scene.wedge[1] < 6.28:
+        for edge in (scene.wedge[0] - scene.wedge[1] / 2, scene.wedge[0] + scene.wedge[1] / 2):
+            axis.plot([0, 1.5 * half * np.sin(edge)], [0, 1.5 * half * np.cos(edge)], color="black", linewidth=0.5)
+
+
+def _returns(axis: Axes, scene: Scene) -> None:
+    for rows, color, size in ((~scene.added, "#555555", 0.1), (scene.added, "red", 0.9)):
+        axis.scatter(scene.points[rows, 1], scene.points[rows, 0], s=size, c=color, linewidths=0, rasterized=True)
+
+
+def _rates(axis: Axes, title: str) -> None:
+    axis.set_title(title, fontsize=8.5, pad=3)
+    axis.set_ylim(-0.02, 1.02)
+    axis.tick_params(axis="y", labelsize=7)
+    axis.grid(axis="y", linewidth=0.4, color="#cccccc")
+    axis.set_axisbelow(True)
+
+
+def _page(panels: int, across: int, size: tuple[float, float], legend: float = 0.3) -> tuple[Figure, list[Axes]]:
+    """Return a figure of panels of ``size`` inches, ``across`` in a row, with room for a legend below."""
+    down = -(-max(panels, 1) // across)
+    height = down * size[1] + legend
+    engine = ConstrainedLayoutEngine(rect=(0.0, legend / height, 1.0, 1.0 - legend / height))
+    figure = Figure(figsize=(across * size[0], height), dpi=_DPI, layout=engine)
+    axes = list(figure.subplots(down, across, squeeze=False).ravel())
+    for unused in axes[panels:]:
+        unused.set_visible(False)
+    return figure, axes[:panels]
+
+
+def _png(figure: Figure) -> bytes:
+    """Return the figure with few colors: some hundred kilobytes less."""
+    drawn, buffer = io.BytesIO(), io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(drawn, format="png")
+    image = Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE)
+    image.save(buffer, format="png", optimize=True)
+    return buffer.getvalue()

@@ -1,0 +1,1 @@
+"""The published study, reproduced: plan, jobs, page."""

@@ -1,0 +1,1 @@
+"""Which estimator withstands which attack, corruption and defense: plan, jobs, page."""

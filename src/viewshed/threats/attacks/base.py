@@ -1,0 +1,109 @@
+"""The role of an attack, and its record of what it touched.
+
+Checks of the parameters of attacks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.sweep import Sweep
+
+
+def require(name: str, value: float, low: float, high: float) -> None:
+    """Raise a ValueError unless ``low`` ≤ ``value`` ≤ ``high``."""
+    if not low <= value <= high:
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
+
+
+def require_budget(budget: int | None) -> None:
+    """Raise a ValueError unless ``budget`` is a whole number of returns, or None for the whole wedge."""
+    if budget is None:
+        return
+    if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or not 0 <= budget <= MOST:
+        raise ValueError(f"budget must be a whole number of returns in [0, {MOST}], got {budget!r}")
+
+
+def require_azimuth(azimuth: float | None) -> None:
+    """Raise a ValueError unless ``azimuth`` is a finite angle, or None for one drawn anew for each sweep."""
+    if azimuth is not None and not np.isfinite(azimuth):
+        raise ValueError(f"azimuth must be finite, in radians, got {azimuth}")
+
+
+def require_one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+    """Raise a ValueError unless ``value`` is one of ``known``."""
+    if value not in known:
+        raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+
+
+MOST = 1_000_000_000
+"""The largest budget; more than any wedge holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wedge:
+    """The azimuths that an attacker reaches, in the sensor's frame.
+
+    Attributes:
+        azimuth: middle, radians counter-clockwise from forward.
+        width: whole opening in radians, up to 2π.
+    """
+
+    azimuth: float
+    width: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.azimuth) and 0.0 < self.width <= 2 * np.pi):
+            raise ValueError(f"a wedge must have a finite azimuth and a width in (0, 2π], got {self}")
+
+    def holds(self, azimuth: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return which azimuths (…) lie in the wedge.
+
+        >>> Wedge(np.pi, 0.2).holds(np.array([-3.1, 3.1, 0.0])).tolist()
+        [True, True, False]
+        """
+        apart = np.abs((np.asarray(azimuth) - self.azimuth + np.pi) % (2 * np.pi) - np.pi)
+        mask: NDArray[np.bool_] = apart <= self.width / 2
+        return mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tampered:
+    """A sweep after an attack, with what the attacker did to it. A moved return is one removed and one added.
+
+    Attributes:
+        sweep: what the sensor reports under attack.
+        added: (N,) bool, rows of ``sweep`` that the attacker made.
+        removed: (M,) bool, rows of the clean sweep that are gone.
+        wedge: where the attacker works, or None if anywhere.
+
+    Raises:
+        ValueError: the masks do not fit: rows of ``sweep`` that are not added must be those left of the clean one.
+    """
+
+    sweep: Sweep
+    added: NDArray[np.bool_]
+    removed: NDArray[np.bool_]
+    wedge: Wedge | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("added", "removed"):
+            mask = np.array(getattr(self, name), np.bool_)
+            mask.setflags(write=False)
+            object.__setattr__(self, name, mask)
+        if self.added.shape != (len(self.sweep),) or self.removed.ndim != 1:
+            raise ValueError(f"added must have shape {(len(self.sweep),)}, got {self.added.shape}")
+        if (~self.added).sum() != (~self.removed).sum():
+            raise ValueError(f"{(~self.added).sum()} rows were kept, but {(~self.removed).sum()} were not removed")
+
+
+class Attack(Protocol):
+    """Anything that tampers with a sweep. The clean sweep is never modified; the same generator, the same bytes."""
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        ...

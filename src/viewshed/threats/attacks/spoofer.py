@@ -1,0 +1,261 @@
+"""What a laser that fires at a sensor achieves: which beams it wins and how exactly it sets their ranges.
+
+What an attacker knows of the scene: level frame, ground and obstacles, as the victim's own sweep tells them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.grid import GRIDS
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.sweep import Sweep
+from viewshed.threats.attacks.assembly import Made, assembled, untouched
+from viewshed.threats.attacks.base import Tampered, Wedge, require
+from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, within
+
+Floats = NDArray[np.float64]
+
+_NEAR_M, _NEAR_SHARE = 25.0, 0.01
+
+_ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """A box on the ground, in the level frame.
+
+    Attributes:
+        center: (x, y) of its middle, metres.
+        heading: yaw of its length, radians.
+        size_m: length, width, height.
+        ground_m: z of its lower side.
+    """
+
+    center: tuple[float, float]
+    heading: float
+    size_m: tuple[float, float, float]
+    ground_m: float
+
+
+@lru_cache(maxsize=2)
+def scene_of(sweep: Sweep) -> LevelSweep:
+    """Return ``sweep`` levelled over the extent that it fills: indoors where hardly anything lies beyond 25 m."""
+    x, y, _ = sweep.points.T
+    far = np.count_nonzero(x * x + y * y > _NEAR_M**2)
+    return level_sweep(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
+
+
+def heights_m(sweep: Sweep) -> NDArray[np.float32]:
+    """Return the height (N,) in metres of each return above local ground; NaN for ego and null returns."""
+    level = scene_of(sweep)
+    heights = np.full(len(sweep), np.nan, np.float32)
+    heights[level.rows] = level.height_m
+    return heights
+
+
+def is_obstacle(sweep: Sweep, rays: Rays) -> NDArray[np.bool_]:
+    """Return which rays (K,) returned from more than 0.3 m above local ground."""
+    heights = np.append(heights_m(sweep), np.float32(np.nan))[rays.row]
+    found: NDArray[np.bool_] = heights > OBSTACLE_HEIGHTS_M[0]
+    return found
+
+
+def azimuth_of_obstacle(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
+    """Return the azimuth, in the sensor's frame, of a return of an obstacle drawn at random; None without any."""
+    level = scene_of(sweep)
+    low, high = OBSTACLE_HEIGHTS_M
+    fits = (level.height_m > low) & (level.height_m < high) & (level.range_m > near_m) & (level.range_m < far_m)
+    rows = level.rows[fits]
+    if len(rows) == 0:
+        return None
+    x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
+    return float(np.arctan2(y, x))
+
+
+def drawn_azimuth(azimuth: float | None, rng: np.random.Generator) -> float:
+    """Return ``azimuth``, or one drawn at random where it is None."""
+    return float(rng.uniform(-np.pi, np.pi)) if azimuth is None else azimuth
+
+
+def open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
+    """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
+    level = scene_of(sweep)
+    rows = level.rows[level.range_m > range_m]
+    if len(rows) == 0:
+        return drawn_azimuth(None, rng)
+    x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
+    return float(np.arctan2(y, x))
+
+
+def level_rays(sweep: Sweep, rays: Rays) -> tuple[Floats, Floats]:
+    """Return starts (K, 3) in metres and directions (K, 3) in the level frame, the ground below the sensor at z = 0."""
+    to_level = scene_of(sweep).level_from_sensor
+    return to_level @ rays.start_m, rays.direction @ to_level.rotation.T
+
+
+def ahead(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, float]:
+    """Return the place (x, y) in the level frame at an azimuth of the sensor and a range, and its level azimuth."""
+    rotation = scene_of(sweep).level_from_sensor.rotation
+    x, y, _ = rotation @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    level_azimuth = float(np.arctan2(y, x))
+    return range_m * np.cos(level_azimuth), range_m * np.sin(level_azimuth), level_azimuth
+
+
+def ground_at(sweep: Sweep, x_m: float, y_m: float) -> float:
+    """Return z of the ground at a place in the level frame, in metres."""
+    return float(scene_of(sweep).ground.at(np.array([[x_m, y_m]]))[0])
+
+
+def to_sensor(sweep: Sweep, points: NDArray[Any]) -> Floats:
+    """Return points (A, 3) of the level frame in the sensor's frame."""
+    return scene_of(sweep).level_from_sensor.inverse() @ points
+
+
+def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> Floats:
+    """Return how far the rays (K,) would go on an empty street with a wall at range ``wall_m`` at its end.
+
+    To the ground, found by iteration on its height, or to the wall, whichever is nearer.
+    """
+    ground = scene_of(sweep).ground
+    start, way = level_rays(sweep, rays)
+    flat = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-6)
+    wall = wall_m / flat
+    down = way[:, 2] < -1e-4
+    depth = wall.copy()
+    for _ in range(_ROUNDS):
+        below = ground.at(start[:, :2] + depth[:, None] * way[:, :2]).astype(np.float64)
+        depth = np.where(down, np.clip((below - start[:, 2]) / np.minimum(way[:, 2], -1e-4), 0.0, wall), wall)
+    return depth
+
+
+def chord_m(start: Floats, way: Floats, box: Box) -> tuple[Floats, Floats]:
+    """Return the depths (K,) in metres at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
+
+    By slabs (Kay and Kajiya 1986).
+    """
+    c, s = np.cos(box.heading), np.sin(box.heading)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    middle = np.array([*box.center, box.ground_m + box.size_m[2] / 2])
+    start, way = (start - middle) @ turn.T, way @ turn.T
+    way = np.where(np.abs(way) < 1e-12, 1e-12, way)
+    half = np.array(box.size_m) / 2
+    first, second = (-half - start) / way, (half - start) / way
+    enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
+    hit = (enter > 0.0) & (enter <= leave)
+    return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
+
+
+Mask = NDArray[np.bool_]
+
+RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
+"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
+
+DEFAULT_RELIABILITY = 0.985
+"""The same for other sensors."""
+
+FINGERPRINT_RELIABILITY = 0.02
+"""The same for a sensor whose pulses carry a fingerprint."""
+
+LEAVE, NO_RETURN = np.nan, np.inf
+"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
+
+_MAX_RANGE_M = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Spoofer:
+    """A spoofer: one return for each beam that it wins.
+
+    Attributes:
+        reliability: share of the aimed beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name.
+        point_sigma_m: noise of each range along its ray.
+        frame_sigma_m: noise that all ranges of a sweep share.
+    """
+
+    reliability: float | None = None
+    point_sigma_m: float = 0.10
+    frame_sigma_m: float = 0.35
+
+    def __post_init__(self) -> None:
+        if self.reliability is not None:
+            require("reliability", self.reliability, 0.0, 1.0)
+        require("point_sigma_m", self.point_sigma_m, 0.0, 10.0)
+        require("frame_sigma_m", self.frame_sigma_m, 0.0, 10.0)
+
+    def wins(self, sweep: Sweep, count: int, rng: np.random.Generator) -> Mask:
+        """Return which of ``count`` beams are won."""
+        name = "" if sweep.model is None else sweep.model.name
+        share = RELIABILITY.get(name, DEFAULT_RELIABILITY) if self.reliability is None else self.reliability
+        return rng.random(count) < share
+
+    def spoof(self, sweep: Sweep, rays: Rays, wanted_m: Floats, wedge: Wedge, rng: np.random.Generator) -> Tampered:
+        """Return ``sweep`` after an attempt to give the rays depths (K,) in metres, ``LEAVE`` or ``NO_RETURN``.
+
+        A return nearer or farther than the sensor reports is none. A beam whose return would leave the wedge is left
+        as it is.
+        """
+        aimed = np.flatnonzero(~np.isnan(wanted_m))
+        aimed = aimed[self.wins(sweep, len(aimed), rng)]
+        rays, depth_m = rays.select(aimed), self._noisy(sweep, wanted_m[aimed], rng)
+        low_m, high_m = limits_m(sweep)
+        reported = (depth_m >= low_m) & (depth_m <= high_m)
+        points = rays.at(np.where(reported, depth_m, 0.0))
+        stays = ~reported | within(points, wedge)
+        if not stays.any():
+            return untouched(sweep, wedge)
+        removed = np.zeros(len(sweep), np.bool_)
+        removed[rays.row[stays & (rays.row >= 0)]] = True
+        kept = reported & stays
+        made = Made(points[kept], rays.ring[kept], rays.column[kept], rays.row[kept])
+        return assembled(sweep, removed, made, wedge, rng)
+
+    def _noisy(self, sweep: Sweep, depth_m: Floats, rng: np.random.Generator) -> Floats:
+        """Return depths (K,) with noise, in whole steps of the sensor's range where they are known."""
+        noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(depth_m)) * self.point_sigma_m
+        lattice = lattice_of(sweep)
+        step_m = 0.0 if lattice is None else lattice.step_m
+        noisy = depth_m + noise_m
+        return np.rint(noisy / step_m) * step_m if step_m > 0 else noisy
+
+
+AS_MEASURED = Spoofer()
+"""What was measured on commercial sensors."""
+
+NOISELESS = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
+"""For ranges that are random anyway, or recorded with the noise of their own sweep."""
+
+
+def limits_m(sweep: Sweep) -> tuple[float, float]:
+    """Return the nearest and farthest depth in metres that the sensor reports, as far as it is known."""
+    if sweep.model is not None:
+        return max(sweep.model.min_range_m, 0.05), sweep.model.max_range_m
+    if len(sweep) == 0:
+        return 0.5, _MAX_RANGE_M
+    farthest2 = float((sweep.points.astype(np.float64) ** 2).sum(axis=1).max())
+    return 0.5, max(_MAX_RANGE_M, float(np.sqrt(farthest2)))
+
+
+def nearest_first(rays: Rays, candidates: NDArray[Any], wedge: Wedge, budget: int | None) -> Mask:
+    """Return which rays (K,) to attack: those among ``candidates`` (K,) nearest to the wedge's middle, in azimuth."""
+    if budget is None or int(candidates.sum()) <= budget:
+        return np.asarray(candidates, np.bool_)
+    azimuth = np.arctan2(rays.direction[:, 1], rays.direction[:, 0])
+    apart = np.abs((azimuth - wedge.azimuth + np.pi) % (2 * np.pi) - np.pi)
+    among = np.flatnonzero(candidates)
+    chosen = np.zeros(len(rays), np.bool_)
+    chosen[among[np.argsort(apart[among], kind="stable")[:budget]]] = True
+    return chosen
+
+
+def some_of(candidates: Mask, budget: int | None, rng: np.random.Generator) -> Mask:
+    """Return which rays (K,) to attack: at most ``budget`` of ``candidates`` (K,), drawn at random."""
+    among = np.flatnonzero(candidates)
+    chosen = np.zeros(len(candidates), np.bool_)
+    chosen[rng.permutation(among)[: len(among) if budget is None else budget]] = True
+    return chosen

@@ -1,0 +1,101 @@
+"""What single things do to the beams that meet them: panes and absorbers return nothing, leaves return too early."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.sim.assets.shapes import PER_M, material_index
+from viewshed.sweep import Sweep
+from viewshed.threats.corruptions.base import at_ranges, heights_of, ranges_of, within
+
+ABOVE_GROUND_M = 0.3
+"""Surfaces whose returns lie higher than this above local ground may be panes, if there are any."""
+
+BUSH_RANGES_M = (3.0, 40.0)
+"""Horizontal ranges at which bushes stand."""
+
+BEFORE_SURFACE = (0.3, 0.9)
+"""A bush stands at this share of the way to the surface that it hides."""
+
+
+@dataclass(frozen=True, slots=True)
+class GlassPatches:
+    """Glass, mirrors and absorbers: contiguous patches of surfaces return nothing.
+
+    Attributes:
+        patches: how many.
+        radius_m: returns within this distance of the middle of a patch are gone.
+    """
+
+    patches: int
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        within("patches", self.patches, 0, 1000)
+        within("radius_m", self.radius_m, 0, 100)
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
+        """Return ``sweep`` without the patches; their middles are returns above the ground, where there are any."""
+        if len(sweep) == 0:
+            return sweep
+        raised = np.flatnonzero(heights_of(sweep) > ABOVE_GROUND_M)
+        chosen = rng.choice(raised if len(raised) else len(sweep), self.patches)
+        keep = np.ones(len(sweep), np.bool_)
+        for middle in sweep.points[chosen]:
+            apart = sweep.points - middle
+            keep &= np.einsum("ij,ij->i", apart, apart) > self.radius_m**2
+        return sweep.select(keep)
+
+
+@dataclass(frozen=True, slots=True)
+class Vegetation:
+    """Bushes before surfaces: balls of leaves in which a beam stops after a random path (Beer's law), or passes.
+
+    Attributes:
+        bushes: how many.
+        radius_m: of each.
+        per_m: stops per metre of path; the simulator's leaves by default.
+    """
+
+    bushes: int
+    radius_m: float
+    per_m: float = float(PER_M[material_index("leaves")])
+
+    def __post_init__(self) -> None:
+        within("bushes", self.bushes, 0, 1000)
+        within("radius_m", self.radius_m, 0, BUSH_RANGES_M[0] - 0.5)
+        within("per_m", self.per_m, 0, 1e6)
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
+        """Return ``sweep`` with the returns that the leaves stopped moved nearer along their rays."""
+        range_m = ranges_of(sweep).astype(np.float64)
+        flat_m = np.hypot(sweep.points[:, 0], sweep.points[:, 1])
+        hidden = np.flatnonzero(flat_m * BEFORE_SURFACE[0] > BUSH_RANGES_M[0])
+        if len(hidden) == 0:
+            return sweep
+        way = sweep.points / np.maximum(range_m, 1e-9)[:, None]
+        chosen = hidden[rng.integers(len(hidden), size=self.bushes)]
+        share = np.minimum(rng.uniform(*BEFORE_SURFACE, self.bushes), BUSH_RANGES_M[1] / flat_m[chosen])
+        for middle in sweep.points[chosen] * share[:, None]:
+            self._grow(middle, way, range_m, rng)
+        return at_ranges(sweep, range_m)
+
+    def _grow(
+        self,
+        middle: NDArray[np.float64],
+        way: NDArray[np.float64],
+        range_m: NDArray[np.float64],
+        rng: np.random.Generator,
+    ) -> None:
+        """Shorten the ranges (N,) of the beams that stop in the ball around ``middle``."""
+        nearest = way @ middle
+        half2 = self.radius_m**2 - (middle @ middle - nearest**2)
+        met = np.flatnonzero((half2 > 0) & (nearest > 0) & (range_m > 0))
+        half = np.sqrt(half2[met])
+        path = rng.standard_exponential(len(met)) / max(self.per_m, 1e-9)
+        stop = nearest[met] - half + path
+        stopped = (path < 2 * half) & (stop < range_m[met])
+        range_m[met[stopped]] = stop[stopped]

@@ -1,0 +1,360 @@
+"""Cross-validation by scene: which width, dropout and learning rate; a stopped run goes on where it was.
+
+What the folds of a cross-validation came to, line by line in a file that survives a kill.
+
+The page of a cross-validation, and a config as TOML.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import viewshed
+from viewshed import _files as journal
+from viewshed._page import facts, page, table
+from viewshed.training.config import TrainConfig
+from viewshed.training.data import Fold, check_data, check_folds
+from viewshed.training.log import Machines, save
+from viewshed.training.run import require_torch, train
+
+if TYPE_CHECKING:
+    from viewshed.training.module import Step
+
+
+FILE = "folds.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class FoldScore:
+    """The best epoch of one fold.
+
+    Attributes:
+        setting: name of what was tried.
+        fold: number of the fold, whose scenes were held out.
+        f1: of the held-out scenes.
+        iou: of the held-out scenes.
+        loss: of the held-out scenes.
+        epoch: its number.
+    """
+
+    setting: str
+    fold: int
+    f1: float
+    iou: float
+    loss: float
+    epoch: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoldStore:
+    """Scores in a file: the first line tells what they are of, each other one a finished fold.
+
+    Attributes:
+        path: of the file.
+        scores: by setting and fold.
+    """
+
+    path: Path
+    scores: dict[tuple[str, int], FoldScore]
+
+    @classmethod
+    def open(cls, folder: Path, about: dict[str, Any]) -> FoldStore:
+        """Return the store in a folder, begun if there is none; what a kill left of a last line is cut off.
+
+        Raises:
+            ValueError: the folder holds another cross-validation, or the file is damaged.
+            OSError: it cannot be read or written.
+        """
+        path = folder / FILE
+        store = cls(path, {})
+        if not journal.is_begun(path):
+            folder.mkdir(parents=True, exist_ok=True)
+            journal.append(path, about)
+            return store
+        try:
+            head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+            scores = [FoldScore(**line) for line in lines]
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path} is damaged; delete it, finished folds are read from their folders") from error
+        if head != about:
+            before, now = head.get("config", {}), about["config"]
+            keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
+            other = ", ".join(sorted(keys)) or ", ".join(key for key in about if head.get(key) != about[key])
+            raise ValueError(f"{path} is of a cross-validation with other {other}; choose another --out, or delete it")
+        store.scores.update({(score.setting, score.fold): score for score in scores})
+        return store
+
+    def get(self, setting: str, fold: int) -> FoldScore | None:
+        """Return a score, or None where that fold is not finished."""
+        return self.scores.get((setting, fold))
+
+    def add(self, score: FoldScore) -> None:
+        """Add a score, on the disk when this returns.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        journal.append(self.path, asdict(score))
+        self.scores[score.setting, score.fold] = score
+
+
+WIDTHS = (4, 8, 16, 32)
+
+DROPOUTS = (0.05, 0.10, 0.15)
+
+LEARNING_RATES = (1e-4, 1e-3, 1e-2)
+"""The settings of arXiv 2503.07375."""
+
+SAMPLERS = ("grid", "optuna")
+
+FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
+"""What cross-validation leaves in its folder, beside the trainings."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Setting:
+    """What cross-validation chooses.
+
+    Attributes:
+        width: channels of the first stage.
+        dropout: share of dropped channels.
+        learning_rate: of Adam.
+
+    >>> Setting(8, 0.1, 1e-3).name
+    'w8-p0.10-lr1e-03'
+    """
+
+    width: int
+    dropout: float
+    learning_rate: float
+
+    @property
+    def name(self) -> str:
+        """Short name, also of its folder."""
+        return f"w{self.width}-p{self.dropout:.2f}-lr{self.learning_rate:.0e}"
+
+    def of(self, config: TrainConfig) -> TrainConfig:
+        """Return the config with this setting."""
+        return replace(
+            config, width=self.width, dropout=self.dropout, learning_rate=self.learning_rate,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Which settings are tried.
+
+    Attributes:
+        sampler: ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for.
+        trials: how many; None is all of the grid.
+        folds: of the scenes.
+        widths: to choose from.
+        dropouts: to choose from.
+        learning_rates: to choose from.
+
+    Raises:
+        ValueError: a name is not known or a number is too small.
+    """
+
+    sampler: str = "grid"
+    trials: int | None = None
+    folds: int = 5
+    widths: tuple[int, ...] = WIDTHS
+    dropouts: tuple[float, ...] = DROPOUTS
+    learning_rates: tuple[float, ...] = LEARNING_RATES
+
+    def __post_init__(self) -> None:
+        if self.sampler not in SAMPLERS:
+            raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
+        if self.trials is not None and self.trials < 1:
+            raise ValueError(f"trials must be at least 1, got {self.trials}")
+        if self.folds < 2:
+            raise ValueError(f"folds must be at least 2, got {self.folds}")
+
+    @property
+    def grid(self) -> list[Setting]:
+        """All settings."""
+        return [Setting(*values) for values in product(self.widths, self.dropouts, self.learning_rates)]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what the results depend on as plain values: not how many or which are tried."""
+        return {"folds": self.folds}
+
+
+@dataclass(frozen=True, slots=True)
+class Validated:
+    """What cross-validation found.
+
+    Attributes:
+        chosen: the setting with the highest mean F1; of equals the smaller network.
+        scores: by setting, one of each fold, in the order in which they were tried.
+    """
+
+    chosen: Setting
+    scores: dict[Setting, tuple[FoldScore, ...]]
+
+
+def crossval(
+    config: TrainConfig,
+    out: str | Path,
+    *,
+    search: Search | None = None,
+    device: str = "cpu",
+    progress: Callable[[str, Step], None] | None = None,
+) -> Validated:
+    """Return the best setting of a config by folds of whole scenes; figure, page and chosen config are in ``out``.
+
+    Folds that are finished stay; one that was stopped goes on after its last epoch.
+
+    Args:
+        config: what is trained; its own width, dropout and learning rate do not matter.
+        out: folder of this cross-validation alone.
+        search: which settings; None is the whole grid.
+        device: ``cpu`` or ``cuda``.
+        progress: is told of every batch, with the name of the fold.
+
+    Raises:
+        ValueError: there are fewer scenes than folds, or ``out`` holds another cross-validation.
+        OSError: something cannot be read or written.
+        ImportError: torch or optuna is not installed.
+    """
+    require_torch()
+    from viewshed.training.fit import check_device
+
+    wanted, folder = Search() if search is None else search, Path(out)
+    check_device(Machines(device))
+    check_data(config)
+    check_folds(config, wanted.folds)
+    store = FoldStore.open(folder, {"version": viewshed.__version__, "config": config.to_json()} | wanted.to_json())
+    runner = _Runner(config, folder, store, wanted.folds, device, progress)
+    tried = _asked(wanted, config, runner) if wanted.sampler == "optuna" else _swept(wanted, config, runner)
+    scores = dict(tried)
+    found = Validated(_best(scores), scores)
+    _write(config, folder, found)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Runner:
+    """Runs the folds of a setting that the store does not have."""
+
+    config: TrainConfig
+    out: Path
+    store: FoldStore
+    folds: int
+    device: str
+    progress: Callable[[str, Step], None] | None
+
+    def scores(self, setting: Setting) -> tuple[FoldScore, ...]:
+        """Return one score of each fold."""
+        return tuple(self._score(setting, number) for number in range(self.folds))
+
+    def _score(self, setting: Setting, number: int) -> FoldScore:
+        done = self.store.get(setting.name, number)
+        if done is not None:
+            return done
+        name = f"{setting.name}/fold-{number}"
+        told = None if self.progress is None else _named(self.progress, name)
+        trained = train(
+            setting.of(self.config), self.out / name, device=self.device, progress=told,
+            cache=self.out / "cache", fold=Fold(number, self.folds),
+        )  # fmt: skip
+        best = trained.best
+        score = FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number)
+        self.store.add(score)
+        return score
+
+
+def _named(progress: Callable[[str, Step], None], name: str) -> Callable[[Step], None]:
+    return lambda step: progress(name, step)
+
+
+Tried = Iterator[tuple[Setting, tuple[FoldScore, ...]]]
+
+
+def _swept(search: Search, config: TrainConfig, runner: _Runner) -> Tried:
+    order = np.random.default_rng([config.seed, len(search.grid)]).permutation(len(search.grid))
+    for index in order[: search.trials]:
+        setting = search.grid[index]
+        yield setting, runner.scores(setting)
+
+
+def _asked(search: Search, config: TrainConfig, runner: _Runner) -> Tried:
+    """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
+    optuna = _optuna()
+    study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
+    choices = {"width": search.widths, "dropout": search.dropouts, "learning_rate": search.learning_rates}
+    spaces = {name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()}
+    for _ in range(search.trials or len(search.grid)):
+        trial = study.ask(spaces)
+        setting = Setting(**trial.params)
+        scores = runner.scores(setting)
+        study.tell(trial, mean_f1(scores))
+        yield setting, scores
+
+
+def _optuna() -> Any:
+    try:
+        import optuna
+    except ImportError as error:
+        raise ImportError(f"--sampler optuna needs optuna ({error}); pip install 'viewshed[train]'") from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return optuna
+
+
+def mean_f1(scores: Sequence[FoldScore]) -> float:
+    """Return the mean F1 of the folds."""
+    return float(np.mean([score.f1 for score in scores]))
+
+
+def _best(scores: dict[Setting, tuple[FoldScore, ...]]) -> Setting:
+    return min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting))
+
+
+def _write(config: TrainConfig, out: Path, found: Validated) -> None:
+    """Write figure, page and the chosen config."""
+    from viewshed.training.figures import fold_figure
+
+    ordered = sorted(found.scores)
+    values = {setting.name: [score.f1 for score in found.scores[setting]] for setting in ordered}
+    save(out / FIGURE, fold_figure(config.name, values, found.chosen.name))
+    save(out / PAGE, page_of(config, found).encode())
+    save(out / CHOSEN, toml_of(found.chosen.of(config)).encode())
+
+
+def page_of(config: TrainConfig, found: Validated) -> str:
+    """Return the page of a cross-validation: the setting chosen and the scores of all, as Markdown."""
+    rows = []
+    for setting in sorted(found.scores, key=lambda key: -np.mean([score.f1 for score in found.scores[key]])):
+        f1 = np.array([score.f1 for score in found.scores[setting]])
+        iou = np.mean([score.iou for score in found.scores[setting]])
+        name = f"**{setting.name}**" if setting == found.chosen else setting.name
+        rows.append([name, f"{f1.mean():.4f}", f"{f1.std():.4f}", f"{f1.min():.4f}", f"{f1.max():.4f}", f"{iou:.4f}"])
+    count = len(found.scores[found.chosen])
+    about = facts(config=config.name, data=", ".join(config.data), truth=config.truth, seed=str(config.seed))
+    text = (
+        f"Chosen: **{found.chosen.name}** (width {found.chosen.width}, dropout {found.chosen.dropout:g}, learning rate "
+        f"{found.chosen.learning_rate:g}), by the mean F1 over {count} folds of whole scenes. No scene is on both "
+        "sides of a fold, and the test split is never read."
+    )
+    header = ["setting", "mean F1", "deviation", "lowest", "highest", "mean IoU"]
+    return page("Cross-validation", about, text, "![F1 of every fold](crossval.png)", table(header, rows))
+
+
+def toml_of(config: TrainConfig) -> str:
+    """Return a config as TOML, without its name, which is the file's.
+
+    A string in JSON is a string in TOML, and so are the lists of strings and numbers here.
+    """
+    return "".join(f"{key} = {_value(value)}\n" for key, value in config.to_json().items() if key != "name")
+
+
+def _value(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)

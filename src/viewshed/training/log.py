@@ -1,0 +1,170 @@
+"""History: what every epoch of a training came to, and whether it is over. Needs no torch.
+
+Files of a training: whole or not there, and a full disk is told in one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import errno
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from viewshed._files import write_bytes
+from viewshed._jobs import J, LocalEngine
+from viewshed.training.config import TrainConfig
+
+DEVICES = ("cpu", "cuda")
+
+CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
+"""What a training leaves in its folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Machines:
+    """What a training runs on.
+
+    Attributes:
+        device: ``cpu`` or ``cuda``.
+        devices: processes, or graphics cards, of each machine.
+        nodes: machines.
+
+    Raises:
+        ValueError: a name or number is wrong.
+    """
+
+    device: str = "cpu"
+    devices: int = 1
+    nodes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.device not in DEVICES:
+            raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
+        for name in ("devices", "nodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def save(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all; one that exists is replaced.
+
+    Raises:
+        OSError: it cannot be written; what was there before is still there.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, content)
+    except OSError as error:
+        what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}; mend that"
+        named = type(error)(f"{path}: {what} and start the same command again, it goes on from the last whole epoch")
+        named.errno = error.errno
+        raise named from error
+
+
+def make_files(work: Callable[[J], int], jobs: Sequence[J], workers: int, told: Callable[[int], None] | None) -> None:
+    """Do jobs that each leave a file and return how many frames it holds, in so many processes.
+
+    Raises:
+        OSError: a job failed; files that are finished stay.
+    """
+    with contextlib.closing(LocalEngine(workers).run(work, jobs)) as run:
+        for done in run:
+            if done.result is None:
+                raise OSError(f"{done.error}; what is finished is kept, the same command goes on from here")
+            if told is not None:
+                told(done.result)
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """One epoch.
+
+    Attributes:
+        number: from 1.
+        train_loss: mean over the frames it showed, while the weights changed.
+        validation_loss: over the frames that validate, without dropout.
+        precision: of the cells called visible there, the share that is.
+        recall: of the visible cells there, the share that is called so.
+        f1: harmonic mean of these two.
+        iou: cells both called and truly visible, of those that are either.
+        accuracy: share of cells that are called what they are.
+        learning_rate: at its end.
+        seconds: that it took.
+        frames_per_s: frames trained on in a second of training, waiting counted, validation not.
+        network_share: share of training and validation in which the network ran, not waiting for frames.
+    """
+
+    number: int
+    train_loss: float
+    validation_loss: float
+    precision: float
+    recall: float
+    f1: float
+    iou: float
+    accuracy: float
+    learning_rate: float
+    seconds: float
+    frames_per_s: float
+    network_share: float
+
+
+TIMES = ("seconds", "frames_per_s", "network_share")
+"""What another run of the same config would not repeat."""
+
+
+def best_of(history: Sequence[Epoch]) -> Epoch:
+    """Return the first epoch with the lowest validation loss."""
+    return min(history, key=lambda epoch: epoch.validation_loss)
+
+
+def is_over(history: Sequence[Epoch], config: TrainConfig) -> bool:
+    """Return whether training has ended: all epochs done, or ``patience`` of them without a lower validation loss."""
+    if not history:
+        return False
+    return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
+
+
+def epoch_of(table: dict[str, Any]) -> Epoch:
+    """Return the epoch in plain values."""
+    return Epoch(**table)
+
+
+def plain(history: Sequence[Epoch]) -> list[dict[str, Any]]:
+    """Return a history as plain values."""
+    return [asdict(epoch) for epoch in history]
+
+
+def csv_of(history: Sequence[Epoch]) -> str:
+    """Return a history as a table with commas, one epoch a line."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, [item.name for item in fields(Epoch)], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(plain(history))
+    return buffer.getvalue()
+
+
+def scores_of(counts: Sequence[float]) -> dict[str, float]:
+    """Return the scores of cells: true and false positives, false and true negatives; 0 where there is nothing.
+
+    >>> scores_of([6, 2, 1, 11])["f1"]
+    0.8
+    """
+    hit, over, missed, right = counts
+    return {
+        "precision": _ratio(hit, hit + over),
+        "recall": _ratio(hit, hit + missed),
+        "f1": _ratio(2 * hit, 2 * hit + over + missed),
+        "iou": _ratio(hit, hit + over + missed),
+        "accuracy": _ratio(hit + right, hit + over + missed + right),
+    }
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else 0.0

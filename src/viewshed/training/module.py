@@ -1,0 +1,307 @@
+"""Learner: the network, its loss and its scores, as Lightning wants them [torch].
+
+Teaches a trained network's second head what Monte Carlo dropout would say: its deviation, in one pass [torch].
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import lightning as L  # noqa: N812
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+import viewshed
+from viewshed.networks.card import MOST_DEVIATION
+from viewshed.networks.unet_torch import UNet
+from viewshed.training.config import TrainConfig
+from viewshed.training.log import Epoch, best_of, epoch_of, plain, scores_of
+from viewshed.training.samples import TrainingFrames, TrainingOrder
+
+PASSES = 20
+"""Passes whose deviation is the target."""
+
+_BATCH = 4
+
+_RATE = 3e-3
+
+_SEED = 0x646F756274
+
+Told = Callable[[int, int, float], None]
+"""Is told how many frames are done, how many there are, and the loss."""
+
+
+def with_doubt(
+    config: TrainConfig, module: UNet, frames: TrainingFrames, device: torch.device, told: Told | None = None
+) -> UNet:
+    """Return the network with a second head, fitted to the deviation over ``PASSES`` dropout masks; the rest stays.
+
+    The loss is the cross-entropy to twice the deviation, which lies in [0, 1], over known cells.
+
+    Args:
+        config: of the training; says how many frames.
+        module: the trained network.
+        frames: that it was trained on.
+        device: where it runs.
+        told: hears how far it is.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        student = UNet(replace(module.shape, doubt=True))
+    student.load_state_dict(module.state_dict(), strict=False)
+    student = student.to(device).eval()
+    assert student.doubt is not None
+    optimizer = torch.optim.Adam(student.doubt.parameters(), lr=_RATE)
+    steps = max(config.doubt_frames // _BATCH, 1)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for done, (inputs, masks, known) in enumerate(_batches(config, frames, steps), 1):
+        loss = _loss(student, inputs.to(device), masks.to(device), known.to(device))
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        schedule.step()
+        if told is not None:
+            told(done * _BATCH, steps * _BATCH, float(loss.detach()))
+    return student.cpu()
+
+
+def _batches(config: TrainConfig, frames: TrainingFrames, steps: int) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Yield inputs (B, channels, cells, cells), masks (B, passes, M) and known (B, cells, cells)."""
+    rng = np.random.default_rng([config.seed, _SEED])
+    epoch, keys = 0, list[tuple[int, int]]()
+    for _ in range(steps):
+        while len(keys) < _BATCH:
+            keys += TrainingOrder(len(frames), len(frames), frames.source.block, config.seed, epoch=epoch)
+            epoch += 1
+        drawn, keys = [frames[key] for key in keys[:_BATCH]], keys[_BATCH:]
+        masks = np.stack([config.shape.masks(PASSES, rng) for _ in drawn])
+        inputs, known = (torch.from_numpy(np.stack([each[name] for each in drawn])) for name in ("inputs", "known"))
+        yield inputs, torch.from_numpy(masks), known
+
+
+def _loss(student: UNet, inputs: Tensor, masks: Tensor, known: Tensor) -> Tensor:
+    assert student.doubt is not None
+    with torch.no_grad(), torch.autocast(inputs.device.type, torch.bfloat16):
+        off = torch.ones_like(masks[:, 0])
+        features = student.features(inputs, off)
+        passes = [torch.sigmoid(student(inputs, masks[:, k]).float()) for k in range(masks.shape[1])]
+    target = torch.stack(passes).std(dim=0, correction=0)[:, 0] / MOST_DEVIATION
+    logits = functional.pixel_shuffle(student.doubt(features.float()), student.shape.fold)[:, 0]
+    cells = functional.binary_cross_entropy_with_logits(logits, target, reduction="none") * known
+    return cells.sum() / known.sum().clamp(min=1.0)
+
+
+FORMAT = 1
+"""Version of what a checkpoint holds beside Lightning's own."""
+
+KEY = "viewshed"
+
+_LAST_RATE = 0.01
+
+_MOMENTUM = 0.1
+
+Batch = dict[str, Tensor]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """How far a training is.
+
+    Attributes:
+        stage: ``train``, ``validate``, or what is prepared before.
+        epoch: number, from 1; 0 before the first.
+        epochs: at most.
+        done: batches or frames of the stage that are done.
+        total: how many there are.
+        loss: of the last batch.
+    """
+
+    stage: str
+    epoch: int
+    epochs: int
+    done: int
+    total: int
+    loss: float
+
+
+Progress = Callable[[Step], None]
+
+
+@dataclass(slots=True)
+class Watch:
+    """Adds up the time in which the network runs, and the time since it was reset."""
+
+    began: float = field(default_factory=time.perf_counter)
+    busy: float = 0.0
+    step_began: float = 0.0
+    train_s: float = 0.0
+
+    def start(self) -> None:
+        """Begin a step of the network."""
+        self.step_began = time.perf_counter()
+
+    def stop(self, device: torch.device) -> None:
+        """End it: a graphics card has done what it was told."""
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        self.busy += time.perf_counter() - self.step_began
+
+    def elapsed(self) -> float:
+        """Return the seconds since the beginning."""
+        return time.perf_counter() - self.began
+
+
+class Learner(L.LightningModule):
+    """Fits a U-Net to frames; checkpoints hold its history and the weights of its best epoch.
+
+    Args:
+        config: what is trained.
+        steps: of an epoch, for the schedule.
+        progress: is told of every batch.
+    """
+
+    def __init__(self, config: TrainConfig, steps: int, progress: Progress | None = None) -> None:
+        super().__init__()
+        self.config, self.steps, self.progress = config, steps, progress
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.network = UNet(config.shape).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.history: list[Epoch] = []
+        self.best: dict[str, Tensor] = {}
+        self._watch = Watch()
+        self._train = torch.zeros(2)
+        self._cells = torch.zeros(6, dtype=torch.float64)
+
+    def loss(self, logits: Tensor, batch: Batch) -> Tensor:
+        """Return the config's loss over the cells whose truth is known."""
+        visible, known = batch["visible"], batch["known"]
+        logits = logits[:, 0].float()
+        cells = functional.binary_cross_entropy_with_logits(logits, visible, reduction="none") * known
+        loss = cells.sum() / known.sum().clamp(min=1.0)
+        if self.config.loss == "bce":
+            return loss
+        prob = torch.sigmoid(logits) * known
+        both, either = (prob * visible).sum(), prob.sum() + (visible * known).sum()
+        return loss + 1.0 - (2.0 * both + 1.0) / (either + 1.0)
+
+    def configure_optimizers(self) -> Any:
+        """Return Adam and the config's schedule."""
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.config.learning_rate)
+        if self.config.schedule == "constant":
+            return optimizer
+        total = max(self.steps * self.config.epochs, 1)
+        cosine = torch.optim.lr_scheduler.CosineAnnealingLR(
+            optimizer, total, eta_min=_LAST_RATE * self.config.learning_rate
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": cosine, "interval": "step"}}
+
+    def on_train_epoch_start(self) -> None:
+        """Begin to count."""
+        self._watch, self._train = Watch(), torch.zeros(2, device=self.device)
+
+    def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
+        """Begin to measure a step. In the very first, batch normalization takes over the statistics of the batch.
+
+        They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
+        """
+        self._watch.start()
+        self._set_momentum(1.0 if self.trainer.global_step == 0 else _MOMENTUM)
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Return the loss of a batch."""
+        loss = self.loss(self._logits(batch), batch)
+        count = len(batch["inputs"])
+        self._train += torch.stack([loss.detach() * count, loss.new_tensor(count)])
+        return loss
+
+    def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
+        """End a step and tell of it."""
+        self._watch.stop(self.device)
+        self._watch.train_s = self._watch.elapsed()
+        self._tell("train", batch_idx + 1, self.trainer.num_training_batches, float(outputs["loss"]))
+
+    def on_validation_epoch_start(self) -> None:
+        """Begin to count."""
+        self._cells = torch.zeros(6, dtype=torch.float64, device=self.device)
+
+    def on_validation_batch_start(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        """Begin to measure a step."""
+        self._watch.start()
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Count the cells of a batch; dropout is off."""
+        logits = self._logits(batch | {"masks": torch.ones_like(batch["masks"])})[:, 0].float()
+        visible, known = batch["visible"] > 0, batch["known"] > 0
+        cells = functional.binary_cross_entropy_with_logits(logits, batch["visible"], reduction="none")
+        called = torch.sigmoid(logits) >= self.config.threshold
+        masks = (called & visible, called & ~visible, ~called & visible, ~called & ~visible)
+        counts = [(mask & known).sum() for mask in masks]
+        self._cells += torch.stack([(cells * known).sum(dtype=torch.float64), known.sum(), *counts]).double()
+
+    def on_validation_batch_end(self, outputs: Any, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        """End a step and tell of it."""
+        self._watch.stop(self.device)
+        total = self.trainer.num_val_batches
+        self._tell("validate", batch_idx + 1, total[0] if isinstance(total, list) else total, float("nan"))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the loss over all processes."""
+        self._cells = self._summed(self._cells)
+        self.log("validation_loss", self._cells[0] / self._cells[1].clamp(min=1.0), rank_zero_only=False)
+
+    def on_train_epoch_end(self) -> None:
+        """Add the epoch to the history; keep its weights if it is the best.
+
+        Raises:
+            ValueError: the loss is no number any more.
+        """
+        loss, known, *counts = (float(value) for value in self._cells.cpu())
+        trained, frames = (float(value) for value in self._summed(self._train).cpu())
+        if not math.isfinite(trained + loss):
+            raise ValueError(
+                f"{self.config.name}: the loss of epoch {self.current_epoch + 1} is not finite; choose a smaller "
+                "learning_rate, or precision 32"
+            )
+        watch, rate = self._watch, float(self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
+        elapsed = watch.elapsed()
+        self.history.append(Epoch(
+            self.current_epoch + 1, trained / max(frames, 1.0), loss / max(known, 1.0), **scores_of(counts),
+            learning_rate=rate, seconds=elapsed, frames_per_s=frames / max(watch.train_s, 1e-9),
+            network_share=watch.busy / elapsed,
+        ))  # fmt: skip
+        if best_of(self.history) is self.history[-1]:
+            self.best = {name: value.detach().cpu().clone() for name, value in self.network.state_dict().items()}
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add what is ours."""
+        about = {"format": FORMAT, "version": viewshed.__version__, "config": self.config.to_json()}
+        checkpoint[KEY] = about | {"history": plain(self.history), "best": self.best}
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take over what is ours."""
+        self.history = [epoch_of(table) for table in checkpoint[KEY]["history"]]
+        self.best = checkpoint[KEY]["best"]
+
+    def _set_momentum(self, momentum: float) -> None:
+        for module in self.network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.momentum = momentum
+
+    def _logits(self, batch: Batch) -> Tensor:
+        inputs = batch["inputs"].contiguous(memory_format=torch.channels_last)
+        logits: Tensor = self.network(inputs, batch["masks"])
+        return logits
+
+    def _summed(self, values: Tensor) -> Tensor:
+        total = self.trainer.strategy.reduce(values, reduce_op="sum")
+        return torch.as_tensor(total)
+
+    def _tell(self, stage: str, done: int, total: float, loss: float) -> None:
+        if self.progress is not None and self.trainer.is_global_zero:
+            self.progress(Step(stage, self.current_epoch + 1, self.config.epochs, done, int(total), loss))

@@ -1,0 +1,333 @@
+"""TrainingFrames: what the network is shown and what it should say, frame by frame; works with torch, needs none.
+
+The attack on one training frame: which, how strong, and what becomes of the sweep.
+
+In which order an epoch shows its frames, and which process shows which.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import lru_cache
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.preprocess.history import PAST_SWEEPS
+from viewshed.sweep import Sweep, unorganised_no_sensor
+from viewshed.threats.attacks import (
+    ATTACKS,
+    BUDGETS,
+    EARLIER,
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    SEVERITIES,
+    Attack,
+    Knowledge,
+    Wedge,
+    at_severity,
+)
+from viewshed.training.config import PAPER, TrainConfig
+from viewshed.training.sources import CleanFrames
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Struck:
+    """A sweep as the network is shown it.
+
+    Attributes:
+        sweep: attacked, or as it was measured.
+        attack: what was done to it, None for nothing.
+        wedge: where the attacker works, None if anywhere.
+    """
+
+    sweep: Sweep
+    attack: Attack | None = None
+    wedge: Wedge | None = None
+
+    def before(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
+        """Return earlier sweeps as if the attack had lasted: each attacked as well, in the same direction of the map.
+
+        One that does not allow the attack stays as it is.
+        """
+        return tuple(self._struck(sweep, rng) for sweep in earlier)
+
+    def _struck(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
+        attack, now, then = self.attack, self.sweep.world_from_sensor, sweep.world_from_sensor
+        if attack is None:
+            return sweep
+        if self.wedge is not None and hasattr(attack, "azimuth") and now is not None and then is not None:
+            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))  # type: ignore[type-var]
+        try:
+            return attack.apply(sweep, rng).sweep
+        except ValueError:
+            return sweep
+
+
+def attacked(
+    config: TrainConfig, sweep: Sweep, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
+) -> Struck:
+    """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
+
+    Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
+    that this sweep does not allow leaves it as it is.
+
+    Args:
+        config: says which attacks, and how often.
+        sweep: the clean sweep, not modified.
+        earlier: returns earlier sweeps of the same sensor; asked only where the attack needs one.
+        rng: all that is random.
+    """
+    if not config.attacks or rng.random() >= config.attack_share:
+        return Struck(sweep)
+    name = config.attacks[rng.integers(len(config.attacks))]
+    try:
+        attack = _made(config, name, earlier, rng)
+        found = attack.apply(sweep, rng)
+    except ValueError:
+        return Struck(sweep)
+    return Struck(found.sweep, attack, found.wedge)
+
+
+def _heading(pose: Rigid) -> float:
+    return float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+
+
+def _wrapped(azimuth: float) -> float:
+    return float((azimuth + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _made(config: TrainConfig, name: str, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator) -> Attack:
+    if name == PAPER:
+        return PAPER_INDOOR_ATTACK if config.indoor else PAPER_ATTACK
+    strengths = strengths_of(name)
+    strength = strengths[rng.integers(len(strengths))]
+    before = earlier() if name in EARLIER else ()
+    knowledge = Knowledge(before, half_extent_m=config.half_extent_m)
+    if isinstance(strength, tuple):
+        return at_severity(name, *strength, knowledge)
+    return ATTACKS[name](strength, knowledge)
+
+
+@lru_cache(maxsize=64)
+def strengths_of(name: str) -> tuple[int | tuple[str, float] | None, ...]:
+    """Return how strong an attack may be drawn: None its default, a budget, or an attribute with a value.
+
+    >>> strengths_of("ghost_car")
+    (None, 50, 100, 150, 200, 1000, 1000000000)
+    """
+    budgets = tuple(budget for budget in BUDGETS[name] if budget)
+    return (None, *budgets, *SEVERITIES.get(name, ()))
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+Arrays = dict[str, NDArray[np.float32]]
+
+Key = tuple[int, int]
+"""Epoch and number of a frame."""
+
+BLANK = -1
+"""Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
+
+_LASTING = 0.5
+"""Share of the attacks that had begun before the earlier sweeps."""
+
+
+class _Purpose(IntEnum):
+    ATTACK = 1
+    MASKS = 2
+    TURN = 3
+    RINGS = 4
+    PAST = 5
+
+
+class KeptFrames(Protocol):
+    """Frames that were made before."""
+
+    def frame(self, epoch: int, index: int) -> Drawn:
+        """Return one of them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A frame before it is shown to the network.
+
+    Attributes:
+        maps: (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked.
+        visible: (cells, cells) bool, of the clean sweep.
+        known: (cells, cells) bool, where that counts.
+    """
+
+    maps: NDArray[np.uint8]
+    visible: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+
+    def turned(self, turn: int) -> Drawn:
+        """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
+
+        >>> Drawn(np.array([[[1, 2], [3, 4]]]), np.eye(2, dtype=bool), np.eye(2, dtype=bool)).turned(5).maps.tolist()
+        [[[3, 4], [1, 2]]]
+        """
+        return Drawn(_turned(self.maps, turn), _turned(self.visible, turn), _turned(self.known, turn))
+
+
+def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
+    return np.rot90(maps.swapaxes(-2, -1) if turn >= 4 else maps, turn % 4, axes=(-2, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingFrames:
+    """Frames of one config as a map-style data set, in any number of processes.
+
+    Attributes:
+        source: the clean frames.
+        config: attacks, variant and seed.
+        kept: frames that were made before; None makes each when it is asked for.
+        mirrored: whether frames are turned and mirrored at random.
+    """
+
+    source: CleanFrames
+    config: TrainConfig
+    kept: KeptFrames | None = None
+    mirrored: bool = False
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, key: Key) -> Arrays:
+        """Return the frame ``(epoch, number)`` as float32 arrays; all that is random follows from seed and key.
+
+        ``inputs`` (channels, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` and
+        ``known`` (cells, cells): 0 or 1, of the clean sweep, and 1 where that counts; ``masks`` (M,): dropout's, ones
+        for ``mle``.
+
+        Raises:
+            IndexError: there is no such frame.
+            ValueError: its shard is damaged.
+            OSError: its shard cannot be read.
+        """
+        epoch, index = key
+        if index == BLANK:
+            return self._blank()
+        drawn = self.draw(epoch, index) if self.kept is None else self.kept.frame(epoch, index)
+        if self.mirrored:
+            drawn = drawn.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
+        return {
+            "inputs": self.config.card().shown(drawn.maps),
+            "visible": drawn.visible.astype(np.float32),
+            "known": drawn.known.astype(np.float32),
+            "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
+        }
+
+    def draw(self, epoch: int, index: int) -> Drawn:
+        """Return a frame made now, with the attack of this epoch."""
+        clean = self.source.clean(epoch, index)
+        rng = self._rng(epoch, index, _Purpose.ATTACK)
+        struck = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        shown = struck.sweep, *self._past(epoch, index, struck)
+        if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
+            shown = tuple(map(unorganised_no_sensor, shown))
+        return Drawn(self.config.card().maps_of(shown[0], shown[1:]), clean.visible, clean.known)
+
+    def _past(self, epoch: int, index: int, struck: Struck) -> tuple[Sweep, ...]:
+        """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks."""
+        rng = self._rng(epoch, index, _Purpose.PAST)
+        if rng.random() >= self.config.past_share or not self.config.card().uses_past:
+            return ()
+        earlier = self.source.earlier(epoch, index, int(rng.integers(1, PAST_SWEEPS + 1)))
+        return struck.before(earlier, rng) if rng.random() < _LASTING else earlier
+
+    def _blank(self) -> Arrays:
+        zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
+        inputs = np.zeros((shape.channels, *zeros.shape), np.float32)
+        return {"inputs": inputs, "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
+
+    def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
+        return np.random.default_rng([self.config.seed, epoch, index, purpose])
+
+
+VALIDATION_EPOCH = 0
+"""Epoch in which validation frames are drawn: the same attacks every time. Training's begin with 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """The part of one of several processes.
+
+    Attributes:
+        rank: number of the process.
+        world: how many there are.
+    """
+
+    rank: int = 0
+    world: int = 1
+
+
+@dataclass(slots=True)
+class TrainingOrder:
+    """The frames of an epoch in an order of its own, as keys; a sampler for torch's DataLoader.
+
+    Attributes:
+        frames: how many there are.
+        take: how many an epoch shows.
+        block: so many in a row stay together.
+        seed: with the epoch it decides the order.
+        share: this process's part; all are equally long, the first frames fill up.
+        epoch: number of the epoch, from 0; Lightning sets it.
+
+    >>> list(TrainingOrder(4, 4, 1, 7)) == sorted(TrainingOrder(4, 4, 1, 7))
+    False
+    """
+
+    frames: int
+    take: int
+    block: int
+    seed: int
+    share: Share = Share()
+    epoch: int = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Begin an epoch."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        return math.ceil(self.take / self.share.world)
+
+    def __iter__(self) -> Iterator[Key]:
+        order = np.resize(self._order(), len(self) * self.share.world)
+        for index in order[self.share.rank :: self.share.world]:
+            yield self.epoch + 1, int(index)
+
+    def _order(self) -> NDArray[np.int64]:
+        rng = np.random.default_rng([self.seed, self.epoch + 1])
+        blocks = rng.permutation(-(-self.frames // self.block))
+        order = (blocks[:, None] * self.block + np.arange(self.block)).reshape(-1)
+        return order[order < self.frames][: self.take]
+
+
+@dataclass(frozen=True, slots=True)
+class ValidationOrder:
+    """The frames that validate, one after the other, as keys; a sampler for torch's DataLoader.
+
+    Attributes:
+        frames: how many there are.
+        share: this process's part; all are equally long, blank frames fill up.
+    """
+
+    frames: int
+    share: Share = Share()
+
+    def __len__(self) -> int:
+        return math.ceil(self.frames / self.share.world)
+
+    def __iter__(self) -> Iterator[Key]:
+        for step in range(len(self)):
+            index = step * self.share.world + self.share.rank
+            yield VALIDATION_EPOCH, index if index < self.frames else BLANK

@@ -1,0 +1,76 @@
+"""``viewshed estimate --past`` as a stranger types it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.test_networks import run
+
+from viewshed import BevGrid
+from viewshed._jobs import LocalEngine
+from viewshed.datasets.archive.archive import ArchiveSource
+from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.presets import preset_named
+from viewshed.datasets.recordings.source import each_sweep
+from viewshed.datasets.simulated import simulate
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.temporal import Memory, Remembering
+from viewshed.io.export import read_npz
+
+GRID = BevGrid(64, 32.0)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two agents for six seconds, one sweep a second."""
+    out = tmp_path_factory.mktemp("drive") / "street"
+    preset = replace(
+        preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("all",), scenes=(1,),
+        frames=(12,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,), interval_s=1.0,
+    )  # fmt: skip
+    simulate(preset, Store.of(out), LocalEngine(1))
+    return out
+
+
+def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, tmp_path: Path) -> None:
+    words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--out")
+    assert run(*words, tmp_path / "past", "--past", 3)[0] == 0
+    assert run(*words, tmp_path / "alone")[0] == 0
+    estimator, alone = Remembering(ShadowMap(GRID), Memory(3)), ShadowMap(GRID)
+    fewer = 0
+    for number, (_, sweep) in enumerate(each_sweep(ArchiveSource.open(drive))):
+        found = read_npz(tmp_path / "past" / f"street_{number:03}.npz")
+        np.testing.assert_allclose(found.visible_prob, estimator.estimate(sweep).visible_prob, atol=0.01)
+        before = read_npz(tmp_path / "alone" / f"street_{number:03}.npz")
+        np.testing.assert_allclose(before.visible_prob, alone.estimate(sweep).visible_prob, atol=0.01)
+        fewer += int(found.visible().sum() < before.visible().sum())
+    assert number == 11
+    assert fewer >= 5
+
+
+def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, tmp_path: Path) -> None:
+    words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--past", 3, "--results", "npz", "--out")
+    assert run(*words, tmp_path / "wary", "--wary")[0] == 0
+    assert run(*words, tmp_path / "past")[0] == 0
+    wary, past = (
+        [read_npz(tmp_path / kind / f"street_{number:03}.npz").visible() for number in range(12)]
+        for kind in ("wary", "past")
+    )
+    assert not any(mask.any() for mask in wary[:2])
+    assert all(mask.any() and not (mask & ~other).any() for mask, other in zip(wary[2:], past[2:], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--wary",), "--wary goes with --past 1 or more"),
+        (("--method", "vote", "--past", 5), "--past goes with --method viewnet or shadow_map"),
+        (("--method", "unet", "--past", 5, "--grid", "road"), "--past goes with --method viewnet or shadow_map"),
+        (("--past", 21), "less than or equal to 20"),
+    ],
+)
+def test_a_past_that_helps_nobody_is_refused(drive: Path, tmp_path: Path, words: tuple[object, ...], line: str) -> None:
+    code, _, err = run("estimate", drive, "--out", tmp_path / "out", *words)
+    assert code == 2
+    assert line in err

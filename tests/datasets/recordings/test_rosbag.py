@@ -1,0 +1,397 @@
+"""Bags that the tests write: ROS 1, ROS 2 in SQLite, MCAP; real and made-up clouds, transforms, and damage."""
+
+import pickle
+import struct
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.typing import NDArray
+
+from viewshed.datasets.recordings import open_source
+from viewshed.datasets.recordings.rosbag import BagRecording
+from viewshed.datasets.recordings.source import each_sweep
+from viewshed.io import read_sweep
+from viewshed.sweep import Sweep
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not tested")
+CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+S = 1_000_000_000
+POINTS = np.array([[5.0, 3.0, -1.5], [8.0, -2.0, 0.5], [-4.0, 1.0, 0.25]], np.float32)
+TURN = 0.5**0.5  # cosine and sine of 45 degrees: a turn of 90
+Entry = tuple[str, int, Any]
+Write = Callable[[Path, Iterable[Entry]], Path]
+
+
+@dataclass
+class Ros:
+    """Messages of one ROS version."""
+
+    one: bool
+
+    @cached_property
+    def store(self) -> Any:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.ROS1_NOETIC if self.one else Stores.ROS2_FOXY)
+        if TF not in store.types:
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        return store
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        types = self.store.types
+        stamp = types["builtin_interfaces/msg/Time"](t_ns // S, t_ns % S)
+        make = types["std_msgs/msg/Header"]
+        return make(0, stamp, frame) if self.one else make(stamp, frame)
+
+    def cloud(self, t_ns: int, table: NDArray[Any] | None = None, frame: str = "lidar") -> Any:
+        types, codes = self.store.types, {"f4": 7, "f8": 8, "i2": 3, "u2": 4, "u4": 6}
+        if table is None:
+            table = _table(POINTS)
+        make = types["sensor_msgs/msg/PointField"]
+        named: dict[str, Any] = dict(table.dtype.fields or {})
+        fields = [make(name, kind[1], codes[kind[0].str[1:]], 1) for name, kind in named.items()]
+        data = np.frombuffer(table.tobytes(), np.uint8)
+        step = table.dtype.itemsize
+        return types[CLOUD](self.header(t_ns, frame), 1, len(table), fields, False, step, data.size, data, True)
+
+    def tf(self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float]) -> Any:
+        types = self.store.types
+        moved = types["geometry_msgs/msg/Transform"](
+            types["geometry_msgs/msg/Vector3"](*where), types["geometry_msgs/msg/Quaternion"](*turn_xyzw)
+        )
+        stamped = types["geometry_msgs/msg/TransformStamped"](self.header(t_ns, parent), child, moved)
+        return types[TF]([stamped])
+
+    def odometry(self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float]) -> Any:
+        types = self.store.types
+        pose = types["geometry_msgs/msg/Pose"](
+            types["geometry_msgs/msg/Point"](*where), types["geometry_msgs/msg/Quaternion"](*turn_xyzw)
+        )
+        zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+        return types[ODOMETRY](
+            self.header(t_ns, parent), child, types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)),
+        )  # fmt: skip
+
+
+ROS1, ROS2 = Ros(True), Ros(False)
+
+
+def _table(points: NDArray[np.float32]) -> NDArray[Any]:
+    table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    for axis, name in enumerate("xyz"):
+        table[name] = points[:, axis]
+    return table
+
+
+def write_ros1(path: Path, entries: Iterable[Entry]) -> Path:
+    from rosbags.rosbag1 import Writer
+
+    place = path.with_suffix(".bag")
+    _write(Writer(place), ROS1.store, "serialize_ros1", entries)
+    return place
+
+
+def write_ros2(path: Path, entries: Iterable[Entry]) -> Path:
+    from rosbags.rosbag2 import Writer
+
+    try:
+        writer = Writer(path, version=8)  # type: ignore[call-arg]  # newer rosbags want it
+    except TypeError:
+        writer = Writer(path)
+    _write(writer, ROS2.store, "serialize_cdr", entries)
+    return path
+
+
+def _write(writer: Any, store: Any, serialize: str, entries: Iterable[Entry]) -> None:
+    connections: dict[str, Any] = {}
+    with writer:
+        for topic, t_ns, message in entries:
+            kind = message if isinstance(message, str) else message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            if not isinstance(message, str):
+                writer.write(connections[topic], t_ns, bytes(getattr(store, serialize)(message, kind)))
+
+
+def _record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def _text(text: str) -> bytes:
+    return struct.pack("<I", len(text.encode())) + text.encode()
+
+
+def write_mcap(path: Path, entries: Iterable[Entry], packing: str = "zstd") -> Path:
+    """MCAP as the specification says, a chunk for each message."""
+    channels: dict[str, int] = {}
+    content = b"\x89MCAP0\r\n" + _record(0x01, _text("ros2") + _text("test"))
+    for topic, t_ns, message in entries:
+        kind = message if isinstance(message, str) else message.__msgtype__
+        if topic not in channels:
+            number = channels[topic] = len(channels) + 1
+            content += _record(0x03, struct.pack("<H", number) + _text(kind) + _text("ros2msg") + _text("unread"))
+            content += _record(0x04, struct.pack("<HH", number, number) + _text(topic) + _text("cdr") + _text(""))
+        if isinstance(message, str):
+            continue
+        raw = bytes(ROS2.store.serialize_cdr(message, kind))
+        record = _record(0x05, struct.pack("<HIQQ", channels[topic], 0, t_ns, t_ns) + raw)
+        packed = bytes(pa.Codec(packing).compress(record, asbytes=True)) if packing else record
+        head = struct.pack("<QQQI", t_ns, t_ns, len(record), zlib.crc32(record))
+        content += _record(0x06, head + _text(packing) + struct.pack("<Q", len(packed)) + packed)
+    content += _record(0x0F, bytes(4)) + _record(0x02, bytes(20)) + b"\x89MCAP0\r\n"
+    place = path.with_suffix(".mcap")
+    place.write_bytes(content)
+    return place
+
+
+KINDS = pytest.mark.parametrize(
+    ("ros", "write"), [(ROS1, write_ros1), (ROS2, write_ros2), (ROS2, write_mcap)], ids=["ros1", "ros2", "mcap"]
+)
+
+
+def _world(source: Any, ref: Any) -> NDArray[np.float64]:
+    sweep = source.read(ref)
+    assert sweep.world_from_sensor is not None
+    return np.asarray(sweep.world_from_sensor @ sweep.points)
+
+
+@KINDS
+def test_real_sweeps_come_back_exactly(real_data: Path, tmp_path: Path, ros: Ros, write: Write) -> None:
+    sweep = read_sweep(sorted((real_data / "nuscenes").glob("*.pcd.bin"))[0])
+    assert sweep.intensity is not None
+    assert sweep.ring is not None
+    kind = np.dtype({"names": ["x", "y", "z", "intensity", "ring", "time"], "itemsize": 32,
+                     "offsets": [0, 4, 8, 16, 20, 24], "formats": [*["<f4"] * 4, "<u2", "<f4"]})  # fmt: skip
+    table = np.zeros(len(sweep), kind)
+    for axis, name in enumerate("xyz"):
+        table[name] = sweep.points[:, axis]
+    table["intensity"], table["ring"] = sweep.intensity, sweep.ring
+    table["time"] = np.linspace(-0.05, 0, len(sweep))
+    place = write(tmp_path / "drive", [("/points", 7 * S, ros.cloud(6 * S, table))])
+    source = open_source(place)
+    [(ref, read)] = each_sweep(source)
+    assert (ref.scene, ref.agent, ref.sensor, ref.t_ns, read.t_ns) == ("drive", "ego", "/points", 6 * S, 6 * S)
+    np.testing.assert_array_equal(read.points, sweep.points)
+    np.testing.assert_array_equal(read.intensity, sweep.intensity)
+    np.testing.assert_array_equal(read.ring, sweep.ring)
+    assert read.time_s is not None
+    np.testing.assert_allclose(read.time_s, table["time"] + 0.05, atol=1e-7)
+    assert source.boxes(ref) is None
+
+
+@KINDS
+def test_poses_from_a_chain_of_transforms_by_hand(tmp_path: Path, ros: Ros, write: Write) -> None:
+    # map -> odom is 100 m east; odom -> base moves from x = 0 to x = 4 while it turns left by 90 degrees, in 1 s; the
+    # lidar is 1 m ahead of the base and 2 m above it, turned left by 90 degrees. Half way: base at (102, 0), heading 45
+    # degrees; the lidar's x axis points to 135 degrees and the lidar is at (102 + c, c, 2), c = cos 45 degrees.
+    unturned, left = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, TURN, TURN)
+    entries: list[Entry] = [
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (1.0, 0.0, 2.0), left)),
+        ("/tf", 0, ros.tf(0, "map", "odom", (100.0, 0.0, 0.0), unturned)),
+        ("/tf", 1, ros.tf(0, "odom", "base_link", (0.0, 0.0, 0.0), unturned)),
+        ("/points", 2, ros.cloud(S // 2)),
+        ("/tf", 3, ros.tf(S, "map", "odom", (100.0, 0.0, 0.0), unturned)),
+        ("/tf", 4, ros.tf(S, "odom", "base_link", (4.0, 0.0, 0.0), left)),
+        ("/points", 5, ros.cloud(S)),
+        ("/points", 6, ros.cloud(S + 1)),
+    ]
+    source = open_source(write(tmp_path / "a", entries))
+    refs = source.refs("a")
+    x, y, z = POINTS.T.astype(np.float64)
+    c = TURN
+    half = np.column_stack([102 + c - c * x - c * y, c + c * x - c * y, z + 2])
+    np.testing.assert_allclose(_world(source, refs[0]), half, atol=1e-5)
+    np.testing.assert_allclose(_world(source, refs[1]), np.column_stack([104 - x, 1 - y, z + 2]), atol=1e-5)
+    assert source.read(refs[2]).world_from_sensor is None
+    assert any("1 of 3 clouds of /points lie outside the times" in line for line in source.damage())
+
+
+@KINDS
+def test_odometry_is_a_pose_where_tf_has_none(tmp_path: Path, ros: Ros, write: Write) -> None:
+    entries: list[Entry] = [
+        ("/odom", 0, ros.odometry(S, "start", "base_link", (10.0, 5.0, 0.0), (0.0, 0.0, TURN, TURN))),
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/tf_static", 1, ros.tf(0, "base_footprint", "unrelated", (0.0, 0.0, 9.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/points", 1, ros.cloud(S)),
+    ]
+    source = open_source(write(tmp_path / "a", entries))
+    x, y, z = POINTS.T.astype(np.float64)
+    [ref] = source.refs("a")
+    np.testing.assert_allclose(_world(source, ref), np.column_stack([10 - y, 5 + x, z + 1.5]), atol=1e-5)
+    assert source.read(ref).sensor_height_m is None
+    assert source.damage() == ()
+
+
+def test_the_footprint_tells_the_height(tmp_path: Path) -> None:
+    entries: list[Entry] = [
+        ("/tf_static", 0, ROS2.tf(0, "base_footprint", "base_link", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0))),
+        ("/tf_static", 1, ROS2.tf(0, "base_link", "lidar", (0.4, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/points", 1, ROS2.cloud(0)),
+    ]
+    [(_, sweep)] = each_sweep(open_source(write_ros2(tmp_path / "a", entries)))
+    assert sweep.sensor_height_m == pytest.approx(1.8)
+    assert sweep.world_from_sensor is None
+
+
+def test_missing_frames_are_named_with_those_that_exist(tmp_path: Path) -> None:
+    entries: list[Entry] = [
+        ("/tf", 0, ROS2.tf(0, "map", "base_link", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0))),
+        ("/points", 1, ROS2.cloud(0, frame="velodyne")),
+    ]
+    source = open_source(write_ros2(tmp_path / "a", entries))
+    assert [line.split(": ", 1)[1] for line in source.damage()] == [
+        "clouds have no pose: frame 'velodyne' hangs from none of map, odom, world, earth; "
+        "frames that exist: base_link, map"
+    ]
+
+
+@KINDS
+def test_topics_are_agents_and_come_in_the_order_of_their_stamps(tmp_path: Path, ros: Ros, write: Write) -> None:
+    def cloud(t_ns: int, shift: float) -> Any:
+        return ros.cloud(t_ns, _table(POINTS + np.float32(shift)))
+
+    entries: list[Entry] = [
+        ("/front/points", 10, cloud(3 * S, 1.0)), ("/rear/points", 10, cloud(2 * S, 2.0)),
+        ("/front/points", 10, cloud(1 * S, 3.0)), ("/rear/points", 11, cloud(0, 4.0)),
+    ]  # fmt: skip
+    source = pickle.loads(pickle.dumps(BagRecording.open(write(tmp_path / "a", entries))))  # noqa: S301
+    read = [(ref.agent, ref.t_ns, float(sweep.points[0, 0])) for ref, sweep in each_sweep(source)]
+    assert read == [
+        ("rear/points", 11, 9.0), ("front/points", S, 8.0), ("rear/points", 2 * S, 7.0), ("front/points", 3 * S, 6.0),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("packing", ["", "lz4", "zstd"])
+def test_mcap_chunks_of_every_packing(tmp_path: Path, packing: str) -> None:
+    place = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S)), ("/points", 2, ROS2.cloud(2 * S))], packing)
+    sweeps = [sweep for _, sweep in each_sweep(open_source(place))]
+    assert [sweep.t_ns for sweep in sweeps] == [S, 2 * S]
+    np.testing.assert_array_equal(sweeps[1].points, POINTS)
+
+
+def test_an_mcap_file_that_was_cut_off_keeps_what_lies_before(tmp_path: Path) -> None:
+    place = write_mcap(tmp_path / "a", [("/points", k, ROS2.cloud(k * S)) for k in range(1, 5)])
+    content = place.read_bytes()
+    place.write_bytes(content[: len(content) * 7 // 10])
+    source = open_source(place)
+    assert 2 <= len(source.refs("a")) < 4
+    [line] = [line for line in source.damage() if "cut off" in line]
+    assert f"{len(source.refs('a'))} clouds before that are kept" in line
+    np.testing.assert_array_equal(source.read(source.refs("a")[1]).points, POINTS)
+
+
+def test_every_cut_of_an_mcap_file_is_one_line(tmp_path: Path) -> None:
+    place = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S))])
+    content = place.read_bytes()
+    for end in range(len(content) - 50):
+        place.write_bytes(content[:end])
+        try:
+            lines: Iterable[str] = BagRecording.open(place).damage()
+        except ValueError as error:
+            lines = [str(error)]
+        assert all(line.startswith(str(place)) and "\n" not in line for line in lines)
+        assert any("cut off" in line or "first bytes" in line for line in lines), (end, lines)
+
+
+def test_bytes_changed_at_random_never_trace(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    for write in (write_ros1, write_mcap):
+        place = write(
+            tmp_path / "a", [("/points", k, (ROS1 if write is write_ros1 else ROS2).cloud(S)) for k in (1, 2)]
+        )
+        content = np.frombuffer(place.read_bytes(), np.uint8)
+        for _ in range(150):
+            changed = content.copy()
+            changed[rng.integers(0, content.size, 8)] = rng.integers(0, 256, 8)
+            place.write_bytes(changed.tobytes())
+            try:
+                told: list[str] = []
+                count = len(list(each_sweep(BagRecording.open(place), on_damage=lambda _, line: told.append(line))))  # noqa: B023
+            except ValueError as error:
+                told, count = [str(error)], 0
+            assert count <= 2
+            assert all("\n" not in line for line in told)
+
+
+@pytest.mark.parametrize("write", [write_ros1, write_ros2], ids=["ros1", "ros2"])
+def test_a_truncated_bag_is_one_line_and_its_neighbors_are_read(tmp_path: Path, write: Write) -> None:
+    ros = ROS1 if write is write_ros1 else ROS2
+    (tmp_path / "all").mkdir()
+    good = write(tmp_path / "all" / "good", [("/points", 1, ros.cloud(S))])
+    bad = write(tmp_path / "all" / "bad", [("/points", 1, ros.cloud(S))])
+    file = bad if bad.is_file() else next(bad.glob("*.db3"))
+    file.write_bytes(file.read_bytes()[:300])
+    source = open_source(tmp_path / "all")
+    assert source.scenes() == ("good",)
+    assert len(source.refs("good")) == 1
+    [line] = [line for line in source.damage() if line.startswith(str(bad))]
+    assert "is damaged" in line
+    with pytest.raises(ValueError, match="is damaged"):
+        open_source(bad)
+    assert good.exists()
+
+
+def test_wrong_magic_and_missing_metadata(tmp_path: Path) -> None:
+    for name in ("a.bag", "a.mcap"):
+        (tmp_path / name).write_bytes(b"GIF89a" + bytes(100))
+        with pytest.raises(ValueError, match=rf"{name}: is (damaged|no MCAP file)"):
+            open_source(tmp_path / name)
+    folder = write_ros2(tmp_path / "b", [("/points", 1, ROS2.cloud(S))])
+    (folder / "metadata.yaml").unlink()
+    with pytest.raises(ValueError, match=r"\.db3: is one file of a ROS 2 bag; name its folder.*metadata\.yaml"):
+        open_source(folder)
+    folder = write_ros2(tmp_path / "c", [("/points", 1, ROS2.cloud(S))])
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
+    with pytest.raises(ValueError, match=r"c: is damaged"):
+        open_source(folder)
+
+
+@KINDS
+def test_empty_topics_and_bags_without_clouds(tmp_path: Path, ros: Ros, write: Write) -> None:
+    pose = ros.odometry(0, "odom", "base_link", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    place = write(
+        tmp_path / "a", [("/points", 1, ros.cloud(0, frame="base_link")), ("/none", 1, CLOUD), ("/o", 1, pose)]
+    )
+    source = open_source(place)
+    assert len(source.refs("a")) == 1
+    assert any("topic /none has no cloud" in line for line in source.damage())
+    with pytest.raises(ValueError, match=r"no topic has .*PointCloud2; topics that exist: /o \(nav_msgs/msg/Odom"):
+        open_source(write(tmp_path / "b", [("/o", 1, pose)]))
+
+
+def test_unknown_types_are_left_alone_and_packets_are_named(tmp_path: Path) -> None:
+    class Packets:
+        __msgtype__ = "velodyne_msgs/msg/VelodyneScan"
+
+    content = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S)), ("/packets", 2, Packets.__msgtype__),
+                                          ("/own", 3, "my_msgs/msg/Own")])  # fmt: skip
+    source = open_source(content)
+    assert len(source.refs("a")) == 1
+    [line] = [line for line in source.damage() if "topic" in line]
+    assert "/packets has velodyne_msgs/msg/VelodyneScan, which is not read" in line
+
+
+def test_one_damaged_cloud_does_not_stop_the_others(tmp_path: Path) -> None:
+    short = ROS2.cloud(2 * S)
+    object.__setattr__(short, "width", 9)
+    entries: list[Entry] = [("/points", 1, ROS2.cloud(S)), ("/points", 2, short), ("/points", 3, ROS2.cloud(3 * S))]
+    told: list[str] = []
+    source = open_source(write_ros2(tmp_path / "a", entries))
+    assert [ref.t_ns for ref, _ in each_sweep(source, on_damage=lambda _, line: told.append(line))] == [S, 3 * S]
+    assert sum("/points at 2000000000 ns: a cloud is cut off" in line for line in told) == 1
+
+
+def test_reading_leaves_no_file_behind(tmp_path: Path) -> None:
+    place = write_ros2(tmp_path / "a", [("/points", 1, ROS2.cloud(S))])
+    before = sorted(path.name for path in place.iterdir())
+    [(_, sweep)] = each_sweep(open_source(place))
+    assert isinstance(sweep, Sweep)
+    assert sorted(path.name for path in place.iterdir()) == before

@@ -1,0 +1,199 @@
+"""The contract of every estimator over the learned ones, on the grid of a network made by hand; then what is theirs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.estimators.test_contracts import (  # noqa: F401 - they run here with the fixtures of this file
+    test_a_million_points_are_no_trouble,
+    test_an_empty_sweep_sees_nothing_and_says_so,
+    test_degenerate_points_claim_little,
+    test_null_and_ego_returns_are_no_returns,
+    test_null_returns_of_a_low_robot_are_no_returns,
+    test_order_of_points_is_irrelevant,
+    test_order_of_points_without_rings_leaves_the_mask,
+    test_returns_beyond_every_range_are_no_returns,
+    test_rows_that_are_not_finite_change_nothing,
+    test_the_name_in_the_table_is_the_method,
+    test_the_same_sweep_gives_the_same_estimate,
+    test_the_side_without_returns_is_not_claimed,
+    test_the_sweep_is_left_as_it_was,
+    test_time_agent_and_pose_are_passed_on,
+    test_visible_cells_are_free_or_surface,
+)
+from tests.networks.made import card, drawn, nearby
+
+from viewshed.estimators import EstimatorFactory
+from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator, learned
+from viewshed.fov.estimate import CellState, FovEstimator
+from viewshed.grid import BevGrid
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import NetworkCard
+from viewshed.networks.onnx_export import export_onnx
+from viewshed.networks.unet_torch import TorchRunner
+from viewshed.sweep import Sweep
+
+GRID = BevGrid(64, 16.0)
+SHAPE = UNetShape(4, 2, 0.3)
+
+
+@pytest.fixture(params=list(LEARNED))
+def named(request: pytest.FixtureRequest) -> tuple[str, EstimatorFactory]:
+    name: str = request.param
+
+    def make(grid: BevGrid) -> FovEstimator:
+        return LEARNED[name](TorchRunner(card(SHAPE, grid), nearby(SHAPE)))
+
+    return name, make
+
+
+@pytest.fixture
+def make(named: tuple[str, EstimatorFactory]) -> EstimatorFactory:
+    return named[1]
+
+
+@pytest.mark.parametrize("grid", [GRID, BevGrid(36, 12.0, (5.0, -3.0)), BevGrid(4, 4.0, (6.0, 0.0))], ids=str)
+def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: BevGrid) -> None:
+    estimate = make(grid).estimate(street)
+    assert make(grid).grid == estimate.grid == grid
+    assert estimate.visible_prob.dtype == np.float32
+    assert estimate.visible_prob.min() >= 0
+    assert estimate.visible_prob.max() <= 1
+
+
+def test_one_pass_is_the_network_without_dropout(street: Sweep) -> None:
+    runner = TorchRunner(card(SHAPE, GRID), drawn(SHAPE))
+    found = UnetEstimator(runner, seed=3).estimate(street).visible_prob
+    inputs = runner.card.input_of(street)[None]
+    assert np.array_equal(found, runner.run(inputs, SHAPE.no_masks(1))[0])
+    assert not np.allclose(found, runner.run(inputs, SHAPE.masks(1, np.random.default_rng(3)))[0])
+
+
+def test_a_second_head_tells_the_deviation_in_one_pass(street: Sweep) -> None:
+    shape = UNetShape(4, 2, 0.3, doubt=True)
+    runner = TorchRunner(card(shape, GRID), drawn(shape))
+    once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)
+    prob, std = runner.run_with_doubt(runner.card.input_of(street)[None])
+    assert np.array_equal(once.visible_prob, prob[0])
+    assert once.std is not None
+    assert np.array_equal(once.std, std[0])
+    assert several.std is not None
+    assert not np.array_equal(several.std, std[0])
+
+
+def test_mcd_has_a_deviation_and_mle_has_none(street: Sweep) -> None:
+    runner = TorchRunner(card(SHAPE, GRID), drawn(SHAPE))
+    once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)
+    assert once.std is not None
+    assert several.std is not None
+    assert np.isnan(once.std).all()
+    assert (several.std > 0).mean() > 0.9
+    assert (once.method, several.method) == ("unet", "mcd")
+    assert np.abs(once.visible_prob - several.visible_prob).max() > 1e-3
+
+
+def test_the_mean_and_deviation_are_those_of_the_seeds_masks(street: Sweep) -> None:
+    made = card(SHAPE, GRID)
+    runner = TorchRunner(made, drawn(SHAPE))
+    masks = SHAPE.masks(6, np.random.Generator(np.random.PCG64(4)))
+    passes = np.stack([runner.run(made.input_of(street)[None], mask[None])[0] for mask in masks]).astype(np.float64)
+    found = UnetEstimator(runner, 6, seed=4).estimate(street)
+    assert found.std is not None
+    np.testing.assert_allclose(found.visible_prob, passes.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(found.std, passes.std(axis=0), atol=1e-5)
+    other = UnetEstimator(runner, 6, seed=5).estimate(street)
+    assert not np.array_equal(found.visible_prob, other.visible_prob)
+
+
+def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_range() -> None:
+    ground = np.stack(np.meshgrid(np.arange(-15, 15.5, 0.25), np.arange(-15, 15.5, 0.25)), axis=-1).reshape(-1, 2)
+    ground = ground[(np.abs(ground[:, 1]) > 4) | (ground[:, 0] < 6)]
+    wall = np.stack(
+        [np.full(240, 6.0), np.tile(np.linspace(-1.0, 1.0, 80), 3), np.repeat([-1.0, -0.5, 0.0], 80)], axis=1
+    )
+    points = np.concatenate([np.column_stack([ground, np.full(len(ground), -1.8)]), wall]).astype(np.float32)
+    made = NetworkCard("made", SHAPE, GRID, max_range_m=14.0)
+    estimate = UnetEstimator(TorchRunner(made, nearby(SHAPE))).estimate(Sweep(points, sensor_height_m=1.8))
+    i, j = (GRID.index(np.array([[12.0, 0.1], [6.1, 0.1], [3.1, 3.1], [14.5, 3.0], [-12.0, 9.0]]))[0]).T
+    words = [CellState(state).name for state in estimate.state[i, j]]
+    assert words == ["HIDDEN", "SURFACE", "FREE", "UNKNOWN", "UNKNOWN"]
+    assert estimate.visible_prob[i[3], j[3]] == 0
+
+
+def test_nothing_is_hidden_beyond_the_farthest_return() -> None:
+    """A post at 4 m, and ground as far as 9 m on the other side: behind the post HIDDEN ends at 9 m."""
+    post = np.stack([np.full(40, 4.0), np.linspace(-0.4, 0.4, 40), np.full(40, -0.8)], axis=1)
+    ground = np.stack([np.full(40, -9.0), np.linspace(-0.4, 0.4, 40), np.full(40, -1.8)], axis=1)
+    sweep = Sweep(np.concatenate([post, ground]).astype(np.float32), sensor_height_m=1.8)
+    found = UnetEstimator(TorchRunner(card(SHAPE, GRID), nearby(SHAPE))).estimate(sweep)
+    cells = GRID.index(np.array([[7.5, 0.0], [8.5, 0.2], [9.6, 0.0], [13.0, 0.0]]))[0]
+    states = [CellState(found.state[i, j]).name for i, j in cells]
+    assert states == ["HIDDEN", "HIDDEN", "UNKNOWN", "UNKNOWN"]
+
+
+def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
+    runner = TorchRunner(card(SHAPE, GRID, threshold=0.7), drawn(SHAPE))
+    found = UnetEstimator(runner).estimate(street)
+    claimed = (found.state == CellState.FREE) | (found.state == CellState.SURFACE)
+    assert np.array_equal(found.visible(0.7), claimed)
+    assert not np.array_equal(found.visible(0.5), claimed)
+
+
+@pytest.mark.parametrize(("threshold", "sure"), [(0.5, 0.7), (0.2, 0.7), (0.9, 0.7), (0.5, 0.6)])
+def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: float, sure: float) -> None:
+    plain = UnetEstimator(TorchRunner(card(SHAPE, GRID, threshold=threshold), drawn(SHAPE)))
+    every, found = plain.estimate(street), plain.when_sure(sure).estimate(street)
+    assert np.array_equal(every.visible_prob, found.visible_prob)
+    claimed, denied = found.visible_prob >= max(threshold, sure), found.visible_prob <= np.float32(1 - sure)
+    assert claimed.any() or threshold == 0.9
+    assert (denied & (every.state == CellState.HIDDEN)).any()
+    assert (~claimed & ~denied & (every.state != CellState.UNKNOWN)).any()
+    assert np.array_equal(np.isin(found.state, [CellState.FREE, CellState.SURFACE]), claimed)
+    assert (found.state[~claimed & ~denied] == CellState.UNKNOWN).all()
+    kept = claimed | (denied & (every.visible_prob < threshold))
+    assert np.array_equal(found.state[kept], every.state[kept])
+    assert np.array_equal(plain.when_sure(0.5).estimate(street).state, every.state)
+
+
+@pytest.mark.parametrize("sure", [0.49, 1.01, float("nan")])
+def test_to_be_less_sure_than_even_is_refused(sure: float) -> None:
+    with pytest.raises(ValueError, match=r"sure must lie in \[0.5, 1\], got"):
+        UnetEstimator(TorchRunner(card(SHAPE), drawn(SHAPE)), sure=sure)
+
+
+@pytest.mark.parametrize(
+    ("passes", "dropout", "message"),
+    [
+        (0, 0.1, r"passes must lie in \[1, 1000\], got 0"),
+        (1001, 0.1, r"passes must lie in \[1, 1000\], got 1001"),
+        (5, 0.0, "passes must be 1 for made, which has no dropout, got 5; use unet"),
+    ],
+)
+def test_passes_that_make_no_sense_are_refused(passes: int, dropout: float, message: str) -> None:
+    shape = UNetShape(4, 2, dropout)
+    with pytest.raises(ValueError, match=message):
+        UnetEstimator(TorchRunner(card(shape), drawn(shape)), passes)
+
+
+def test_a_file_makes_an_estimator_for_its_grid_and_target_only(tmp_path: Path, street: Sweep) -> None:
+    path = tmp_path / "net.onnx"
+    export_onnx(path, card(SHAPE, GRID), nearby(SHAPE))
+    found = learned("mcd", GRID, "car", path, passes=3)
+    assert (found.passes, found.grid, found.target.name) == (3, GRID, "car")
+    assert found.estimate(street).visible().any()
+    with pytest.raises(
+        ValueError, match="grid must be 64x16 for the network made, got 64x8; ask for that grid, or train"
+    ):
+        learned("unet", BevGrid(64, 8.0), "car", path)
+    with pytest.raises(ValueError, match="target must be car for the network made, got pedestrian; train a network"):
+        learned("unet", GRID, "pedestrian", path)
+    with pytest.raises(ValueError, match="method must be one of unet, mcd, viewnet, got 'vote'"):
+        learned("vote", GRID, "car", path)
+    with pytest.raises(ValueError, match="passes must be 1 for unet; use mcd, got 5"):
+        learned("unet", GRID, "car", path, passes=5)
+    with pytest.raises(ValueError, match="passes must be at least 2 for mcd; use unet for one pass, got 1"):
+        learned("mcd", GRID, "car", path, passes=1)
+    with pytest.raises(
+        ValueError, match=r"method mcd needs weights, .* on a grid of 64x16, but for: .*; give --weights"
+    ):
+        learned("mcd", GRID)

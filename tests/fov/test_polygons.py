@@ -1,0 +1,311 @@
+"""Masks to polygons and back; inner polygons and sectors never leave the mask."""
+
+import itertools
+import time
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from shapely import MultiPolygon
+
+from viewshed.fov._sector_polygons import best_sectors
+from viewshed.fov._star_polygons import free_ranges
+from viewshed.fov.polygons import (
+    blind_spot,
+    inner_polygon_of_mask,
+    mask_of_polygon,
+    polygon_of_mask,
+    sectors_of_mask,
+    vertices_of,
+)
+from viewshed.grid import BevGrid
+
+Mask = NDArray[np.bool_]
+SIDES = st.integers(1, 9)
+MASKS = SIDES.flatmap(lambda n: hnp.arrays(np.bool_, (n, n)))
+
+
+def grid_of(mask: Mask) -> BevGrid:
+    return BevGrid(len(mask), 0.37 * len(mask), (0.4, -1.3))
+
+
+def union_of_cells(mask: Mask, grid: BevGrid) -> shapely.Geometry:
+    half = grid.cell_m / 2
+    centers = grid.centers[mask]
+    return shapely.union_all(shapely.box(*(centers - half).T, *(centers + half).T))
+
+
+def street(seed: int, cells: int = 96, noise: float = 0.0) -> tuple[Mask, BevGrid]:
+    """An asymmetric star: range that differs by direction, shadows of boxes, some of them short, and noise."""
+    rng, grid = np.random.default_rng(seed), BevGrid(cells, cells / 4)
+    x, y = grid.centers[..., 0], grid.centers[..., 1]
+    distance, angle = np.hypot(x, y), np.arctan2(y, x)
+    mask = (distance < 22 + 3 * np.sin(angle)) & (y < 11) & (x > -15)
+    for _ in range(12):
+        near, at, width = rng.uniform(4, 18), rng.uniform(-np.pi, np.pi), rng.uniform(0.5, 3)
+        off = np.abs((angle - at + np.pi) % (2 * np.pi) - np.pi)
+        mask &= ~((off < width / near / 2) & (distance > near) & (distance < near + rng.uniform(2, 30)))
+    return mask ^ (rng.random(mask.shape) < noise), grid
+
+
+def outside_area(shape: shapely.Geometry, mask: Mask, grid: BevGrid) -> float:
+    return float(shapely.difference(shape, polygon_of_mask(mask, grid)).area)
+
+
+@given(MASKS)
+def test_polygon_is_the_union_of_the_cells(mask: Mask) -> None:
+    grid = grid_of(mask)
+    polygon = polygon_of_mask(mask, grid)
+    assert polygon.is_valid
+    assert polygon.area == pytest.approx(mask.sum() * grid.cell_area_m2)
+    difference = shapely.symmetric_difference(
+        shapely.set_precision(polygon, 1e-9), shapely.set_precision(union_of_cells(mask, grid), 1e-9)
+    )
+    assert difference.area < 1e-7
+
+
+@given(MASKS)
+def test_mask_to_polygon_to_mask_is_exact(mask: Mask) -> None:
+    grid = grid_of(mask)
+    np.testing.assert_array_equal(mask_of_polygon(polygon_of_mask(mask, grid), grid), mask)
+
+
+def test_axes_by_hand() -> None:
+    mask = np.zeros((4, 4), bool)
+    mask[3, 0] = mask[3, 1] = True
+    polygon = polygon_of_mask(mask, BevGrid(4, 2.0))
+    assert polygon.bounds == (1.0, -2.0, 2.0, 0.0)
+    assert vertices_of(polygon) == 4
+
+
+def test_holes_islands_and_corner_contacts_by_hand() -> None:
+    mask = np.ones((7, 7), bool)
+    mask[1:6, 1:6] = False
+    mask[3, 3] = True
+    mask[0, 0] = False
+    polygon = polygon_of_mask(mask, BevGrid(7, 3.5))
+    assert sorted(len(part.interiors) for part in polygon.geoms) == [0, 1]
+    ring = np.array([[0, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
+    touching = polygon_of_mask(ring, BevGrid(3, 1.5))
+    assert touching.is_valid
+    assert [len(part.interiors) for part in touching.geoms] == [1]
+    assert len(polygon_of_mask(np.eye(3, dtype=bool), BevGrid(3, 1.5)).geoms) == 3
+
+
+def test_empty_mask_gives_an_empty_polygon() -> None:
+    grid = BevGrid(4, 2.0)
+    empty = np.zeros((4, 4), bool)
+    assert polygon_of_mask(empty, grid).is_empty
+    assert inner_polygon_of_mask(empty, grid, 16).is_empty
+    assert not mask_of_polygon(MultiPolygon(), grid).any()
+    assert len(sectors_of_mask(empty, grid, 4).range_m) == 0
+
+
+@given(st.integers(0, 10_000), st.floats(0, 6.3))
+@settings(max_examples=50, deadline=None)
+def test_mask_of_polygon_agrees_with_shapely(seed: int, turn: float) -> None:
+    rng, grid = np.random.default_rng(seed), BevGrid(17, 6.0, (1.0, -2.0))
+    shell = rng.uniform(-7, 7, (6, 2))
+    polygon = shapely.difference(shapely.convex_hull(shapely.MultiPoint(shell)), shapely.Point(1, 0).buffer(1.5))
+    polygon = shapely.affinity.rotate(polygon, turn, use_radians=True)
+    if polygon.is_empty:
+        return
+    inside = shapely.contains_xy(polygon, grid.centers[..., 0], grid.centers[..., 1])
+    np.testing.assert_array_equal(mask_of_polygon(polygon, grid), inside)
+
+
+def test_mask_of_polygon_agrees_with_rasterio() -> None:
+    features, affine = pytest.importorskip("rasterio.features"), pytest.importorskip("affine")
+    mask, grid = street(3)
+    polygon = shapely.affinity.scale(polygon_of_mask(mask, grid), 0.83, 0.91, origin=(0.3, 0.1))
+    transform = affine.Affine(0.0, grid.cell_m, grid.origin_m[0], grid.cell_m, 0.0, grid.origin_m[1])
+    expected = features.rasterize([polygon], grid.shape, transform=transform).astype(bool)
+    assert (mask_of_polygon(polygon, grid) != expected).mean() < 1e-3
+
+
+def test_mask_of_polygon_wants_an_area() -> None:
+    with pytest.raises(ValueError, match="polygon must be a Polygon or MultiPolygon, got LineString"):
+        mask_of_polygon(shapely.LineString([(0, 0), (1, 1)]), BevGrid(4, 2.0))
+
+
+@pytest.mark.parametrize("function", [polygon_of_mask, lambda m, g: inner_polygon_of_mask(m, g, 9)])
+def test_wrong_masks_are_refused(function: object) -> None:
+    assert callable(function)
+    with pytest.raises(ValueError, match=r"mask must be bool of the grid's shape \(4, 4\), got bool \(3, 4\)"):
+        function(np.zeros((3, 4), bool), BevGrid(4, 2.0))
+    with pytest.raises(ValueError, match="got float64"):
+        function(np.zeros((4, 4)), BevGrid(4, 2.0))
+
+
+@given(MASKS, st.sampled_from([3, 4, 7, 16]))
+@settings(max_examples=60, deadline=None)
+def test_inner_polygon_stays_inside_any_mask(mask: Mask, vertices: int) -> None:
+    grid = grid_of(mask)
+    inner = inner_polygon_of_mask(mask, grid, vertices)
+    assert inner.is_valid
+    assert vertices_of(inner) <= vertices
+    assert outside_area(inner, mask, grid) < 1e-9
+
+
+@pytest.mark.parametrize(("seed", "noise"), [(0, 0.0), (1, 0.0), (2, 0.02)])
+@pytest.mark.parametrize("vertices", [16, 100])
+def test_inner_polygon_stays_inside_realistic_masks(seed: int, noise: float, vertices: int) -> None:
+    mask, grid = street(seed, noise=noise)
+    inner = inner_polygon_of_mask(mask, grid, vertices)
+    assert inner.is_valid
+    assert vertices_of(inner) <= vertices
+    assert outside_area(inner, mask, grid) < 1e-9
+    assert not (mask_of_polygon(inner, grid) & ~mask).any()
+    assert inner.area > 0.0
+
+
+def test_inner_polygon_keeps_much_of_a_clean_mask_and_more_with_more_vertices() -> None:
+    mask, grid = street(0)
+    kept = [inner_polygon_of_mask(mask, grid, n).area / (mask.sum() * grid.cell_area_m2) for n in (8, 32, 128)]
+    assert kept == sorted(kept)
+    assert kept[1] > 0.6
+    assert kept[2] > 0.8
+
+
+def test_inner_polygon_is_exact_where_the_outline_is_short() -> None:
+    mask = np.zeros((8, 8), bool)
+    mask[2:5, 1:7] = True
+    mask[3, 3] = False
+    grid = BevGrid(8, 4.0)
+    assert inner_polygon_of_mask(mask, grid, 8).equals(polygon_of_mask(mask, grid))
+
+
+def test_inner_polygon_keeps_the_blind_spot_out() -> None:
+    mask, grid = np.ones((32, 32), bool), BevGrid(32, 16.0)
+    mask[15:18, 15:17] = False
+    mask[0, ::2] = False
+    inner = inner_polygon_of_mask(mask, grid, 24)
+    assert not inner.contains(shapely.Point(0, 0))
+    assert inner.area > 0.85 * mask.sum()
+
+
+def test_inner_polygon_needs_three_vertices() -> None:
+    with pytest.raises(ValueError, match="max_vertices must be at least 3, got 2"):
+        inner_polygon_of_mask(np.ones((4, 4), bool), BevGrid(4, 2.0), 2)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 20), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_sectors_stay_inside(seed: int, count: int, whole_cells: bool) -> None:
+    mask, grid = street(seed % 50, cells=64, noise=0.002)
+    found = sectors_of_mask(mask, grid, count, whole_cells=whole_cells, range_step_m=0.1)
+    assert len(found.range_m) <= count
+    assert not (found.covers(grid.centers) & ~mask).any()
+    if whole_cells:
+        rng = np.random.default_rng(seed)
+        points = rng.uniform(-16, 16, (4000, 2))
+        cells, on_grid = grid.index(points)
+        seen = np.where(on_grid, mask[cells[:, 0], cells[:, 1]], False)
+        assert not (found.covers(points) & ~seen).any()
+
+
+def test_sectors_by_hand() -> None:
+    grid = BevGrid(40, 20.0)
+    x, y = grid.centers[..., 0], grid.centers[..., 1]
+    mask = (x > 0) & (y > 0) & (np.hypot(x, y) < 12) | (x < 0) & (y > 0) & (np.hypot(x, y) < 6)
+    found = sectors_of_mask(mask, grid, 2)
+    far, near = np.argsort(-found.range_m)
+    np.testing.assert_allclose([found.start[far], found.end[far]], [0, np.pi / 2])
+    np.testing.assert_allclose([found.start[near], found.end[near]], [0, np.pi])
+    assert 11 < found.range_m[far] <= 12
+    assert 5 < found.range_m[near] <= 6
+    assert found.area_m2 == pytest.approx(np.pi / 4 * (found.range_m**2).sum())
+
+
+def test_sectors_lie_upon_one_another() -> None:
+    first, end, reach = best_sectors(np.array([4.0, 4.0, 9.0, 9.0, 4.0, 4.0, 4.0, 4.0]), 2)
+    assert (first.tolist(), end.tolist(), reach.tolist()) == ([0, 2], [8, 4], [4.0, 9.0])
+
+
+@given(st.lists(st.integers(0, 6), min_size=4, max_size=8), st.integers(1, 3), st.sampled_from([0.0, 1.5]))
+@settings(deadline=None)
+def test_sectors_are_the_best_of_all(ranges: list[int], count: int, inner: float) -> None:
+    bins = len(ranges)
+
+    def gain(choice: tuple[tuple[int, int, float], ...]) -> float:
+        cover = np.full(bins, inner)
+        for first, end, reach in choice:
+            cover[np.arange(first, end) % bins] = np.maximum(cover[np.arange(first, end) % bins], reach)
+        return float((cover**2 - inner**2).sum())
+
+    wrapped = np.array(ranges * 2, float)
+    every = [(i, i + w, wrapped[i : i + w].min()) for i in range(bins) for w in range(1, bins + 1)]
+    expected = max(gain(choice) for choice in itertools.combinations(every, count))
+    found = tuple(zip(*(part.tolist() for part in best_sectors(wrapped[:bins], count, inner)), strict=True))
+    assert len(found) <= count
+    assert all(reach <= wrapped[first:end].min() for first, end, reach in found)
+    assert gain(found) == pytest.approx(expected)
+
+
+def test_sectors_of_a_square_touch_its_sides() -> None:
+    grid = BevGrid(8, 4.0)
+    found = sectors_of_mask(np.ones((8, 8), bool), grid, 1)
+    np.testing.assert_allclose(found.range_m, [4.0])
+    assert found.end[0] - found.start[0] == pytest.approx(2 * np.pi)
+
+
+def test_sectors_begin_beyond_the_blind_spot() -> None:
+    mask, grid = np.ones((16, 16), bool), BevGrid(16, 8.0)
+    mask[6:10, 7:9] = False
+    hole = blind_spot(mask, grid)
+    assert hole is not None
+    np.testing.assert_array_equal(hole, ~mask)
+    found = sectors_of_mask(mask, grid, 4)
+    assert found.inner_m >= np.hypot(2, 1)
+    assert not (found.covers(grid.centers) & ~mask).any()
+    assert found.area_m2 > 0.6 * mask.sum()
+
+
+def test_blind_spot_of_an_open_or_absent_sensor_is_none() -> None:
+    half = np.ones((8, 8), bool)
+    half[:, :4] = False
+    assert blind_spot(half, BevGrid(8, 4.0)) is None
+    assert blind_spot(np.ones((8, 8), bool), BevGrid(8, 4.0, (50.0, 0.0))) is None
+    seen = blind_spot(np.ones((8, 8), bool), BevGrid(8, 4.0))
+    assert seen is not None
+    assert not seen.any()
+
+
+def test_sector_count_is_checked() -> None:
+    with pytest.raises(ValueError, match=r"sectors must lie in \[1, 256\], got 0"):
+        sectors_of_mask(np.ones((4, 4), bool), BevGrid(4, 2.0), 0)
+
+
+@given(st.integers(0, 500), st.floats(-5, 5), st.floats(-5, 5))
+@settings(max_examples=40, deadline=None)
+def test_free_ranges_agree_with_marching_along_rays(seed: int, x: float, y: float) -> None:
+    mask, grid = street(seed % 20, cells=64)
+    ranges = free_ranges(mask, grid, (x, y), 360)
+    turns = (np.arange(360) + np.random.default_rng(seed).uniform(0.01, 0.99, 360)) * np.pi / 180
+    radii = np.arange(0.005, 24, 0.05)
+    points = np.stack([x + np.cos(turns)[:, None] * radii, y + np.sin(turns)[:, None] * radii], axis=-1)
+    cells, on_grid = grid.index(points)
+    blocked = ~np.where(on_grid, mask[cells[..., 0], cells[..., 1]], False)
+    first = np.where(blocked.any(axis=1), radii[np.argmax(blocked, axis=1)], np.inf)
+    assert (ranges <= first + 1e-9).all()
+    assert np.median(first - ranges) < 1.0
+
+
+def test_free_ranges_wants_quarters() -> None:
+    with pytest.raises(ValueError, match="bins must be a positive multiple of 4, got 10"):
+        free_ranges(np.ones((4, 4), bool), BevGrid(4, 2.0), (0.0, 0.0), 10)
+
+
+def test_polygon_of_a_realistic_mask_is_quick() -> None:
+    mask, grid = street(1, cells=256)
+    polygon_of_mask(mask, grid)
+    seconds = []
+    for _ in range(7):
+        begin = time.perf_counter()
+        polygon_of_mask(mask, grid)
+        seconds.append(time.perf_counter() - begin)
+    assert min(seconds) < 0.02

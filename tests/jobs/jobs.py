@@ -1,0 +1,71 @@
+"""What the engines' tests let workers do; a module of its own, so that other processes can import it."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from viewshed._files import write_bytes
+
+
+def square(job: int) -> int:
+    if job == 3:
+        raise ValueError("job must not be 3,\ngot 3; leave it out")
+    if job == 4:
+        raise KeyError("four")
+    return job * job
+
+
+def unlike(job: int) -> object:
+    """A result that cannot travel."""
+    return (lambda: job) if job == 1 else job
+
+
+def kill_own_process(folder: Path, times: int, job: int) -> int:
+    """Kill this worker (job 2 only) until it has been begun more than ``times`` times."""
+    if job == 2:
+        with (folder / "begun").open("a") as file:
+            file.write("x")
+        if len((folder / "begun").read_text()) <= times:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return job * job
+
+
+def write_file(folder: Path, job: int) -> tuple[int, int]:
+    """Write a file; on the doomed node do so twice, then say so and hang: it dies in the middle of the third job."""
+    doomed, begun = folder / "doomed", folder / f"begun{os.getppid()}"
+    with begun.open("a") as file:
+        file.write("x")
+    if doomed.exists() and int(doomed.read_text()) == os.getppid() and len(begun.read_text()) > 2:
+        (folder / f"hangs{job}").touch()
+        time.sleep(120)
+    time.sleep(0.05)
+    content = f"shard {job}\n".encode() * 1000
+    write_bytes(folder / f"{job}.shard", content)
+    return len(content), os.getppid()
+
+
+def process_id(folder: Path, job: int) -> int:
+    """Say which process works, then hang in all but the first job."""
+    (folder / f"{os.getpid()}.pid").touch()
+    time.sleep(0.3 if job == 0 else 120)
+    return os.getpid()
+
+
+def loud(job: int) -> int:
+    """Print what nobody wants to see beside a progress bar."""
+    print("a worker's chatter")
+    print("a worker's complaint", file=sys.stderr)
+    return job
+
+
+def hang_on_doomed_node(folder: Path, work: Callable[[Any], Any], job: Any) -> Any:
+    """Do the work; on the doomed node say so and hang, so that the node dies before it can report what it has done."""
+    result = work(job)
+    if int((folder / "doomed").read_text()) == os.getppid():
+        (folder / f"hangs{os.getpid()}").touch()
+        time.sleep(120)
+    return result

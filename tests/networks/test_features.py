@@ -1,0 +1,137 @@
+"""The channels on sampled sweeps: each says what its name says, and turns with the sensor."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.presets import preset_named
+from viewshed.datasets.simulated import ScenePlan, simulate_frame
+from viewshed.estimators import ESTIMATORS
+from viewshed.fov.visibility import CAR, returns_by_kind
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import NetworkCard
+from viewshed.networks.features import CHANNELS, FARTHEST_M, MOST_RETURNS, Shown, away_code, maps_of, returns_code
+from viewshed.preprocess.azimuth_bins import bins_of_cells
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.no_return import told_beams
+from viewshed.sweep import Sweep
+
+GRID = BevGrid(64, 64.0)
+Maps = dict[str, NDArray[np.uint8]]
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    return simulate_frame(ScenePlan(preset_named("nuscenes-small"), 0, 1), 0)
+
+
+def shown(level: LevelSweep) -> Shown:
+    return Shown(level, GRID, CAR, GRID.count(level.points).clip(0, 255).astype(np.uint8))
+
+
+def maps(sweep: Sweep) -> Maps:
+    return dict(zip(CHANNELS, maps_of(tuple(CHANNELS), shown(level_sweep(sweep, GRID))), strict=True))
+
+
+def test_expected_returns_are_the_shadow_maps(frame: Frame) -> None:
+    found = maps(frame.sweep)
+    prob = ESTIMATORS["shadow_map"](GRID).estimate(frame.sweep).visible_prob
+    threshold = returns_code(np.array([CAR.min_returns], np.float32))[0]
+    clear = np.abs(found["expected"].astype(int) - threshold) > 2
+    assert ((prob >= 0.5) == (found["expected"] > threshold))[clear].all()
+    assert clear.mean() > 0.9
+    assert (found["confirmed"] <= found["expected"]).all()
+    assert (found["confirmed"] < found["expected"]).any()
+
+
+def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
+    """Confirmed, explained and unexplained together reach each cell at least as often as with no gap filled."""
+    returns = shown(level_sweep(frame.sweep, GRID)).returns
+    assert returns.shape == (3, *GRID.shape)
+    assert (returns >= 0).all()
+    assert (returns.max(axis=(1, 2)) > CAR.min_returns).all()
+
+
+def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Frame) -> None:
+    level = level_sweep(frame.sweep, GRID)
+    beams = told_beams(level, CAR.height_m).unexplained
+    assert np.isinf(beams.depth_m).all()
+    returns = returns_by_kind([beams], level.sensor_height_m, level.ground, GRID, CAR)[0]
+    found = maps(frame.sweep)["unexplained"]
+    assert np.array_equal(found, returns_code(returns))
+    assert found.any()
+
+
+def test_codes_ascend_with_the_returns() -> None:
+    codes = returns_code(np.linspace(0, 2 * MOST_RETURNS, 4001, dtype=np.float32)).astype(int)
+    assert (np.diff(codes) >= 0).all()
+    around = returns_code(np.arange(2, 12, dtype=np.float32)).astype(int)
+    assert (np.diff(around) >= 4).all()
+
+
+def test_the_code_of_a_limit_is_that_of_its_distance() -> None:
+    """Tables give what the logarithm does, cell by cell, also where one code ends and the next begins."""
+    rng, seen = np.random.default_rng(2), shown(level_sweep(Sweep(np.zeros((0, 3), np.float32)), GRID))
+    bins, range_m = bins_of_cells(GRID, seen.scan.bins), polar_of_cells(GRID)[0]
+    edges = np.expm1(np.arange(1, 254, 2) * np.log1p(FARTHEST_M) / 254)
+    for limit_m in (
+        rng.uniform(-1.0, 200.0, seen.scan.bins),
+        rng.choice([-1.0, np.inf], seen.scan.bins),
+        rng.choice(range_m.reshape(-1), seen.scan.bins)
+        + rng.choice(edges, seen.scan.bins) * rng.choice([-1, 1], seen.scan.bins),
+    ):
+        limit = limit_m.astype(np.float32)
+        assert np.array_equal(seen.beyond(limit), away_code(limit[bins] - range_m))
+
+
+def test_limits_are_where_their_code_crosses_the_middle() -> None:
+    """A round wall at 20 m and ground at 40 m behind it: nearest obstacle and farthest return."""
+    azimuth = np.linspace(-np.pi, np.pi, 3000, endpoint=False)
+    parts = [
+        np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.full(3000, z)], axis=1)
+        for r, z in ((20.0, -0.8), (40.0, -1.8), (8.0, -1.8))
+    ]
+    level = np.array([1.0, 0.0, 0.0, 0.0])
+    found = maps(Sweep(np.concatenate(parts).astype(np.float32), sensor_height_m=1.8, attitude=level))
+    range_m = polar_of_cells(GRID)[0]
+    for name, limit_m in (("blocker", 20.0), ("farthest", 40.0)):
+        assert (found[name][range_m < limit_m - 0.5] > 128).all()
+        assert (found[name][range_m > limit_m + 0.5] < 128).all()
+    cells = (range_m > 19.5) & (found["highest"] > 0) & (range_m < 20.5)
+    assert cells.any()
+    height = (found["highest"][cells].astype(float) - 1) * 6 / 254 - 2
+    assert np.abs(height - 1.0).max() < 0.1
+
+
+def test_maps_turn_with_the_sensor(frame: Frame) -> None:
+    sweep = frame.sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
+    turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
+    straight, left = maps(sweep), maps(turned)
+    for name in set(CHANNELS) - {"range", "supported"}:
+        right, wrong = (
+            (np.abs(each.astype(int) - left[name]) > 8).mean() for each in (np.rot90(straight[name]), straight[name])
+        )
+        beside_edges = 0.2 if name in ("blocker", "farthest") else 0.02  # a beam on the edge of a bin may change it
+        assert right < beside_edges, name
+        assert wrong > right + 0.04, name
+
+
+def test_a_sweep_without_returns_is_shown_as_nothing() -> None:
+    found = maps(Sweep(np.zeros((0, 3), np.float32)))
+    for name in ("counts", "lowest", "highest", "confirmed", "expected", "unexplained"):
+        assert not found[name].any()
+
+
+def test_a_card_shows_its_channels_in_their_order(frame: Frame) -> None:
+    names = ("range", "expected", "counts")
+    card = NetworkCard("made", UNetShape(4, 2, channels=3), GRID, inputs=names, heights_m=(-10.0, 3.0), counts="log")
+    found, every = card.input_of(frame.sweep), maps(frame.sweep)
+    assert found.shape == (3, *GRID.shape)
+    np.testing.assert_allclose(found[0], every["range"] / np.float32(255.0), rtol=1e-6)
+    np.testing.assert_allclose(found[1], every["expected"] / np.float32(255.0), rtol=1e-6)
+    alone = NetworkCard("made", UNetShape(4, 2), GRID, heights_m=(-10.0, 3.0), counts="log")
+    assert np.array_equal(found[2], alone.input_of(frame.sweep)[0])
+    assert np.array_equal(found, card.input_of_level(level_sweep(frame.sweep, GRID)))

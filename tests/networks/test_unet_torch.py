@@ -1,0 +1,147 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as f
+from tests.networks.made import SMALL, card, drawn, inputs, nearby
+from torch import Tensor
+
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import FORMAT_VERSION
+from viewshed.networks.mc_dropout import mean_and_std, moments
+from viewshed.networks.unet_torch import TorchRunner, UNet, load_weights, save_weights
+
+
+def _by_the_book(module: UNet, x: Tensor, dropped: set[tuple[int, int]]) -> Tensor:
+    """The paper's network in functions, width 4 and depth 2; ``dropped`` are (stage, channel), p = 0.1 here."""
+    w = module.state_dict()
+
+    def stage(name: str, x: Tensor) -> Tensor:
+        for k in (1, 2):
+            x = f.conv2d(x, w[f"{name}.conv{k}.weight"], padding=1)
+            n = f"{name}.norm{k}"
+            x = f.batch_norm(x, w[f"{n}.running_mean"], w[f"{n}.running_var"], w[f"{n}.weight"], w[f"{n}.bias"])
+            x = f.relu(x)
+        return x
+
+    def drop(number: int, x: Tensor) -> Tensor:
+        x = x / 0.9 if dropped else x.clone()
+        for of, channel in dropped:
+            if of == number:
+                x[:, channel] = 0.0
+        return x
+
+    def up(i: int, x: Tensor) -> Tensor:
+        return f.conv_transpose2d(x, w[f"up.{i}.weight"], w[f"up.{i}.bias"], stride=2)
+
+    one = stage("encoder.0", x)
+    two = drop(0, stage("encoder.1", f.max_pool2d(one, 2)))
+    deep = drop(1, stage("encoder.2", f.max_pool2d(two, 2)))
+    x = drop(2, stage("decoder.0", torch.cat([up(0, deep), two], 1)))
+    x = stage("decoder.1", torch.cat([up(1, x), one], 1))
+    return torch.sigmoid(f.conv2d(x, w["head.weight"], w["head.bias"]))[:, 0]
+
+
+@pytest.mark.parametrize("dropped", [set(), {(0, 3), (1, 0), (1, 15), (2, 7)}], ids=["mle", "mcd"])
+def test_the_network_is_the_papers(dropped: set[tuple[int, int]]) -> None:
+    module, x = drawn(), inputs(2)
+    masks = SMALL.no_masks(2) / np.float32(0.9 if dropped else 1.0)
+    for stage, channel in dropped:
+        masks[:, sum(SMALL.masked_channels[:stage]) + channel] = 0.0
+    expected = _by_the_book(module, torch.from_numpy(x), dropped).numpy()
+    np.testing.assert_allclose(TorchRunner(card(), module).run(x, masks), expected, atol=1e-5)
+
+
+def test_passes_of_mcd_differ_and_those_of_mle_do_not() -> None:
+    runner, x = TorchRunner(card(), drawn()), inputs(1)[0]
+    mean, std = mean_and_std(runner, x, 8, np.random.default_rng(0))
+    once = runner.run(x[None], SMALL.no_masks(1))[0]
+    several = runner.run(x[None], SMALL.no_masks(4))
+    passes = runner.run(x[None], SMALL.masks(8, np.random.default_rng(0)))
+    assert all(np.abs(passes[a] - passes[b]).max() > 1e-3 for a in range(8) for b in range(a))
+    assert (std > 0).mean() > 0.99
+    np.testing.assert_allclose(several, np.stack([once] * 4), atol=1e-6)
+    np.testing.assert_allclose(moments(several)[1], 0.0, atol=1e-6)
+    assert np.abs(mean - once).max() > 1e-3
+    again, _ = mean_and_std(runner, x, 8, np.random.default_rng(0))
+    assert np.array_equal(mean, again)
+
+
+def test_evaluating_moves_no_statistics_and_leaves_the_mode() -> None:
+    module = drawn().train()
+    before = {name: value.clone() for name, value in module.state_dict().items()}
+    runner = TorchRunner(card(), module)
+    first = runner.run(inputs(3), SMALL.masks(3, np.random.default_rng(1)))
+    assert module.training
+    assert all(torch.equal(before[name], value) for name, value in module.state_dict().items())
+    assert np.array_equal(first, runner.run(inputs(3), SMALL.masks(3, np.random.default_rng(1))))
+    module(torch.from_numpy(inputs(3)), torch.from_numpy(SMALL.no_masks(3)))
+    assert not torch.equal(before["encoder.0.norm1.running_mean"], module.state_dict()["encoder.0.norm1.running_mean"])
+
+
+def test_one_input_stands_for_as_many_as_there_are_masks() -> None:
+    runner, masks = TorchRunner(card(), drawn()), SMALL.masks(3, np.random.default_rng(1))
+    np.testing.assert_allclose(
+        runner.run(inputs(1), masks), runner.run(np.repeat(inputs(1), 3, axis=0), masks), atol=1e-6
+    )
+
+
+def test_the_mask_keeps_the_mean_of_what_it_multiplies() -> None:
+    """Dropout of the last masked stage alone reaches a linear layer: the mean over masks is the value without."""
+    shape = UNetShape(4, 1, dropout=0.5)
+    module = nearby(shape)
+    x = torch.from_numpy(inputs(1, shape))
+    taken: list[Tensor] = []
+    module.up[0].register_forward_hook(lambda _m, _i, out: taken.append(out))
+    masks = torch.from_numpy(shape.masks(4000, np.random.default_rng(4)))
+    with torch.no_grad():
+        module(x[..., :4, :4], torch.ones(1, 8))
+        module(x[..., :4, :4].expand(4000, -1, -1, -1), masks)
+    bias = module.up[0].bias[:, None, None]  # type: ignore[index]
+    dropped, whole = taken[1].mean(0) - bias, taken[0][0] - bias
+    assert (taken[1] - taken[0]).norm() > 10 * whole.norm()
+    assert (dropped - whole).norm() < 0.03 * whole.norm()
+
+
+def test_moments_are_numpys() -> None:
+    values = np.random.default_rng(0).random((20, 70, 65)).astype(np.float32)
+    mean, std = moments(values)
+    np.testing.assert_allclose(mean, values.astype(np.float64).mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(std, values.astype(np.float64).std(axis=0), atol=1e-6)
+    assert not moments(np.full((5, 3, 3), 0.1, np.float32))[1].any()
+
+
+def test_weights_come_back_as_they_were(tmp_path: Path) -> None:
+    module = drawn()
+    save_weights(tmp_path / "a.pt", card(), module)
+    found, again = load_weights(tmp_path / "a.pt")
+    assert found == card()
+    assert not again.training
+    x, masks = inputs(2), SMALL.masks(2, np.random.default_rng(0))
+    assert np.array_equal(TorchRunner(card(), module).run(x, masks), TorchRunner(found, again).run(x, masks))
+
+
+def test_damaged_and_other_checkpoints_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pt"
+    save_weights(path, card(), drawn())
+    whole = path.read_bytes()
+    for content in (whole[: len(whole) // 2], b"", b"words"):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"a\.pt must be a checkpoint of weights, got a damaged or another file"):
+            load_weights(path)
+    torch.save({"epoch": 3}, path)
+    with pytest.raises(ValueError, match=r"a\.pt must be a checkpoint that viewshed saved, got another; give the one"):
+        load_weights(path)
+    state = drawn(UNetShape(8, 2)).state_dict()
+    torch.save({"card": card().to_json(), "state": state}, path)
+    with pytest.raises(ValueError, match=r"a\.pt must hold the weights of UNetShape\(width=4.*; train again"):
+        load_weights(path)
+    torch.save({"card": card().to_json().replace(f'"version": {FORMAT_VERSION}', '"version": 0'), "state": {}}, path)
+    with pytest.raises(ValueError, match=f"network must have format version {FORMAT_VERSION}, got 0; train it again"):
+        load_weights(path)
+
+
+def test_a_module_of_another_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"module must have the card's shape UNetShape\(width=4"):
+        TorchRunner(card(), drawn(UNetShape(8, 2)))

@@ -1,0 +1,210 @@
+"""Earlier sweeps: obstacles that stood there end the beams now, what moved does not, and only poses tell where."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from viewshed import BevGrid, Sweep
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.temporal import Memory, Remembering, where_supported
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import CAR, PEDESTRIAN
+from viewshed.geometry import Rigid
+from viewshed.preprocess.history import GAP_ROWS, Past, _fill, past_of
+from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.sensors import LidarModel
+from viewshed.sim import Box, Scene, cast
+
+MODEL = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 33)), azimuth_columns=720, max_range_m=100.0)
+GRID = BevGrid(128, 32.0)
+HEIGHT_M = 1.8
+WALL, FAR = Box(12, 2, 1, 6, 3), Box(24, 2, 1, 12, 5)
+NOTHING = Sweep(np.zeros((0, 3), np.float32))
+Mask = NDArray[np.bool_]
+
+
+def at(x: float, y: float, yaw: float = 0.0) -> Rigid:
+    return Rigid.from_yaw(yaw, (x, y, HEIGHT_M))
+
+
+def seen(solids: Sequence[Box], pose: Rigid, t_s: float = 0.0) -> Sweep:
+    """A sweep of solids that are given in the map, by a sensor at ``pose``."""
+    back = pose.inverse()
+    turn = float(np.arctan2(back.rotation[1, 0], back.rotation[0, 0]))
+    turned = []
+    for box in solids:
+        x, y, _ = back @ np.array([box.x_m, box.y_m, 0.0])
+        turned.append(replace(box, x_m=float(x), y_m=float(y), yaw=box.yaw + turn))
+    sweep = cast(MODEL, Scene(tuple(turned)), HEIGHT_M)
+    return sweep.replace(world_from_sensor=pose, t_ns=int(1e9 * t_s), sensor_height_m=HEIGHT_M)
+
+
+def level_of(sweep: Sweep) -> LevelSweep:
+    return level_sweep(sweep, GRID)
+
+
+def behind_wall() -> Mask:
+    centers = np.asarray(GRID.centers)
+    return np.asarray((centers[..., 0] > 14) & (centers[..., 0] < 22) & (np.abs(centers[..., 1] - 3) < 1.5))
+
+
+def claimed(sweep: Sweep, earlier: Sequence[Sweep] = ()) -> Mask:
+    return np.asarray(ShadowMap(GRID).estimate(sweep, earlier).visible())
+
+
+POSES = (at(-6, -1), at(-3, 4, np.pi / 2), at(0, -5, -np.pi / 2), at(-8, 2))
+
+
+def test_a_wall_that_stood_there_hides_what_the_beams_now_claim_to_see() -> None:
+    """The wall is gone from the sweep now, as if its returns had been spoofed farther away."""
+    truth, lie = seen([WALL, FAR], at(0, 0)), seen([FAR], at(0, 0))
+    earlier = [seen([WALL, FAR], pose) for pose in POSES]
+    hidden = behind_wall()
+    assert not claimed(truth)[hidden].any()
+    assert claimed(lie)[hidden].all()
+    assert claimed(lie, earlier)[hidden].mean() < 0.1
+    elsewhere = np.asarray(GRID.centers)[..., 0] < 9
+    assert (claimed(lie, earlier) == claimed(lie))[elsewhere].mean() > 0.98
+
+
+def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
+    moving = [seen([Box(12, 2 + 9 * step, 1, 6, 3), FAR], pose) for step, pose in enumerate(POSES, start=-1)]
+    now = seen([FAR], at(0, 0))
+    assert claimed(now, moving)[behind_wall()].mean() > 0.9
+    assert claimed(now, moving[1:2])[behind_wall()].mean() < 0.5  # a single earlier sweep is believed
+
+
+def test_depths_are_those_from_where_the_sensor_is_now() -> None:
+    now = level_of(seen([FAR], at(0, 0)))
+    past = past_of(now, [seen([WALL, FAR], pose) for pose in POSES], GRID)
+    assert past is not None
+    beams = now.beams()
+    ahead = (np.abs(beams.azimuth - np.arctan2(2, 11.5)) < 0.05) & (np.abs(beams.slope) < 0.05)
+    assert ahead.sum() > 20
+    within = past.within(beams).depth_m[ahead]
+    assert np.abs(within / np.hypot(11.5, 2) - 1).max() < 0.1
+    assert (beams.depth_m[ahead] > 20).all()
+    left = np.abs(beams.azimuth - np.pi / 2) < 0.3
+    assert np.array_equal(past.within(beams).depth_m[left], beams.depth_m[left])
+
+
+def test_support_counts_the_earlier_sweeps_that_see_a_cell_from_where_they_were() -> None:
+    now = seen([FAR], at(0, 0))
+    poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
+    earlier = [seen([WALL, FAR], pose) for pose in poses]
+    past = past_of(level_of(now), earlier, GRID)
+    assert past is not None
+    support = past.support(GRID, CAR)
+    assert (support[behind_wall()] == 2).mean() > 0.9  # the two that stood beyond the wall
+    assert np.array_equal(support, past.support(GRID, CAR))
+    alone = Past.of(level_of(now), [level_of(earlier[0])])
+    assert alone is not None
+    assert (alone.support(GRID, CAR) == claimed(earlier[0])).mean() > 0.99
+    assert (alone.support(GRID, PEDESTRIAN) != alone.support(GRID, CAR)).any()
+
+
+def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see_them_together() -> None:
+    sweep = seen([WALL], at(0, 0))
+    assert past_of(level_of(sweep), [], GRID) is None
+    assert past_of(level_of(sweep), [NOTHING], GRID) is None
+    for now, before in ((sweep, sweep.replace(world_from_sensor=None)), (sweep.replace(world_from_sensor=None), sweep)):
+        with pytest.raises(ValueError, match=r"must have poses.*world_from_sensor"):
+            ShadowMap(GRID).estimate(now, [before])
+
+
+@given(st.lists(st.floats(0, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
+def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], sweeps: int, every_s: float) -> None:
+    memory, times = Memory(sweeps, every_s), np.cumsum(steps_s)
+    kept: list[int] = []
+    empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
+    for t_s in times:
+        level = LevelSweep(
+            empty.sweep.replace(t_ns=int(1e9 * t_s)), empty.points, empty.range_m, empty.azimuth, empty.height_m,
+            empty.rows, empty.level_from_sensor, empty.ground,
+        )  # fmt: skip
+        memory.add(level)
+        if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
+            kept.append(int(1e9 * t_s))
+    assert [level.sweep.t_ns for level in memory._kept["ego"]] == kept[-sweeps:]
+
+
+def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    lie = seen([FAR], at(0, 0), 10.0)
+    estimator = Remembering(ShadowMap(GRID), Memory(every_s=1.0))
+    found: list[FovEstimate] = [estimator.estimate(sweep) for sweep in stream]
+    assert all(each.visible().any() for each in found)
+    assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie, stream))
+    other = Remembering(ShadowMap(GRID))
+    for sweep in stream:
+        other.estimate(sweep.replace(agent="b"))
+    assert np.array_equal(other.estimate(lie).visible(), claimed(lie))
+    assert np.array_equal(estimator.estimate(lie.replace(t_ns=-1)).visible(), claimed(lie))
+    assert estimator.grid == GRID
+
+
+def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    lie = seen([FAR], at(0, 0), 10.0)
+    estimator, trusting = Remembering(ShadowMap(GRID), wary=True), Remembering(ShadowMap(GRID))
+    first = estimator.estimate(stream[0])
+    assert not first.visible().any()
+    assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
+    for sweep in stream:
+        found, other = estimator.estimate(sweep), trusting.estimate(sweep)
+    found, other = estimator.estimate(lie), trusting.estimate(lie)
+    past = past_of(level_of(lie), stream, GRID)
+    assert past is not None
+    assert np.array_equal(found.visible(), other.visible() & (past.support(GRID, CAR) > 0))
+    refused = other.visible() & ~found.visible()
+    assert (found.state[refused] == CellState.UNKNOWN).all()
+    assert refused[behind_wall()].any()
+    assert np.array_equal(where_supported(other, past).visible(), found.visible())
+
+
+def test_a_sweep_is_not_its_own_past() -> None:
+    estimator = Remembering(ShadowMap(GRID))
+    estimator.estimate(seen([WALL, FAR], at(0, 0)))
+    lie = seen([FAR], at(0, 0))
+    assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie))
+
+
+def test_what_lies_long_before_is_forgotten() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    for late_s, known in ((12.0, True), (14.0, False)):
+        estimator = Remembering(ShadowMap(GRID))
+        for sweep in stream:
+            estimator.estimate(sweep)
+        lie = seen([FAR], at(0, 0), late_s)
+        assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie)) != known
+
+
+@pytest.mark.parametrize(("sweeps", "every_s"), [(0, 1.0), (5, -1.0), (5, float("nan"))])
+def test_a_memory_of_nothing_is_refused(sweeps: int, every_s: float) -> None:
+    with pytest.raises(ValueError, match="sweeps must be at least 1, every_s at least 0 and forget_s"):
+        Memory(sweeps, every_s)
+
+
+def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
+    estimator = Remembering(ShadowMap(GRID))
+    sweep = seen([WALL], at(0, 0))
+    for bare in (sweep.replace(world_from_sensor=None), sweep.replace(t_ns=None)):
+        assert np.array_equal(estimator.estimate(bare).visible(), claimed(bare))
+    assert not any(estimator.memory._kept.values())
+
+
+def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
+    image = np.full((160, 720), np.inf, np.float32)
+    image[[40, 45, 100], 7] = 10.0, 11.0, 11.0
+    image[[40, 45], 9] = 10.0, 30.0
+    _fill(image, GAP_ROWS, np.float32(1.25))
+    assert (image[41:45, 7] == 11.0).all()
+    assert np.isinf(image[46:100, 7]).all()
+    assert np.isinf(image[41:45, 9]).all()
+    assert np.isfinite(image).sum() == 9
+    assert Past(1.8, (), ()).support(GRID, CAR).sum() == 0

@@ -1,0 +1,88 @@
+"""Rings and sensors that a bare cloud tells, and when it tells none."""
+
+import numpy as np
+import pytest
+
+from viewshed import BevGrid, Sweep
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.preprocess.sensor_identification import SAMPLE, infer_sensor, told_rings
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sim import Box, Scene, cast
+
+SCENE = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
+KNOWN = cast(lidar_model("hdl32e"), SCENE, 1.8)
+GRID = BevGrid(128, 32.0)
+
+
+def bare(sweep: Sweep, seed: int = 1) -> Sweep:
+    """The points alone, in no order."""
+    return sweep.select(np.random.default_rng(seed).permutation(len(sweep))).replace(ring=None, model=None)
+
+
+def test_a_sweep_that_knows_its_beams_is_taken_at_its_word() -> None:
+    told = told_rings(KNOWN)
+    assert told.ring is KNOWN.ring
+    assert told.model is KNOWN.model
+
+
+def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
+    assert len(KNOWN) > SAMPLE
+    order = np.random.default_rng(1).permutation(len(KNOWN))
+    told = told_rings(bare(KNOWN))
+    assert told.model is KNOWN.model
+    assert told.ring is not None
+    assert KNOWN.ring is not None
+    assert (told.ring == KNOWN.ring[order]).mean() > 0.99
+
+
+def test_rings_without_a_sensor_tell_it() -> None:
+    assert told_rings(KNOWN.replace(model=None)).model is KNOWN.model
+
+
+def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> None:
+    model = LidarModel("nobody's", np.deg2rad(np.linspace(-24, 8, 23) ** 3 / 300), azimuth_columns=720)
+    sweep = cast(model, SCENE, 1.8)
+    assert sweep.ring is not None
+    ordered = sweep.select(np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring)))
+    told = told_rings(ordered.replace(ring=None, model=None))
+    assert told.model is None
+    assert told.ring is not None
+    assert (told.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
+    nothing = told_rings(bare(ordered))
+    assert nothing.ring is None
+    assert nothing.model is None
+
+
+def test_two_sensors_in_one_frame_are_none() -> None:
+    model = lidar_model("vlp32c")
+    sweep = cast(model, SCENE, 1.8)
+    again = sweep.points * np.float32(1.02) + np.array([0, 0, 0.06], np.float32)
+    both = np.concatenate([sweep.points, again])
+    assert infer_sensor(bare(sweep).points)[0] is model
+    moved = bare(sweep).points + np.random.default_rng(0).normal(0, 0.03, (len(sweep), 3)).astype(np.float32)
+    assert infer_sensor(moved)[0] is model  # beside its beams, as a moving sensor's points lie
+    assert infer_sensor(both[np.random.default_rng(2).permutation(len(both))])[0] is None
+
+
+def test_points_of_a_driving_sensor_lie_beside_its_beams_and_still_tell_it() -> None:
+    points = bare(KNOWN).points
+    range_m = np.linalg.norm(points[:, :2], axis=1)
+    shifted = points + np.array([0.5, 0.0, 0.0], np.float32) * np.sin(np.arctan2(points[:, 1], points[:, 0]))[:, None]
+    model, score = infer_sensor(shifted)
+    assert (range_m < 10).mean() > 0.3
+    assert model is KNOWN.model
+    assert 0.3 < score < 0.9
+
+
+def test_a_bare_cloud_is_seen_as_well_as_one_with_rings() -> None:
+    """Some beams return nothing: only rings tell which, and the bare cloud's are told by its sensor's table."""
+    gone = (np.arctan2(KNOWN.points[:, 1], KNOWN.points[:, 0]) > 2.0) & (KNOWN.points[:, 2] < -1.7)
+    sweep = KNOWN.select(~gone | (np.random.default_rng(3).random(len(KNOWN)) < 0.3))
+    known, cloud = (ShadowMap(GRID).estimate(each).visible() for each in (sweep, bare(sweep)))
+    assert (known == cloud).mean() > 0.98
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.full((50, 3), 1e-9)])
+def test_almost_nothing_tells_nothing(points: np.ndarray) -> None:
+    told = told_rings(Sweep(points))
+    assert told.model is None
