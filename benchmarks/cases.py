@@ -14,7 +14,7 @@ from benchmarks import alternatives, clouds
 from viewshed import ESTIMATORS, GRIDS, BevGrid, Sweep, read_sweep
 from viewshed.fov.polygons import polygon_of_mask
 from viewshed.geometry import Rigid
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 
 GRID: BevGrid = GRIDS["road"]
 HEIGHTS_M = (-2.5, 2.0)
@@ -97,7 +97,7 @@ def _counting(size: str, sweep: Sweep) -> Case:
 
 def _estimating(size: str, sweep: Sweep) -> Iterator[Case]:
     floor = POINT_BYTES * len(sweep) + CELL_BYTES * GRID.cells**2
-    yield Case("level and ground", size, lambda: level_sweep(sweep, GRID), 2 * POINT_BYTES * len(sweep))
+    yield Case("level and ground", size, lambda: level(sweep, GRID), 2 * POINT_BYTES * len(sweep))
     for name, make in ESTIMATORS.items():
         estimator = make(GRID)
         target = SHADOW_MS[size] if name == "shadow_map" else 10.0 if name == "concave_hull" else None

@@ -21,7 +21,7 @@ import numpy as np
 
 from viewshed._jobs import engine_named
 from viewshed._page import facts, page, table
-from viewshed.datasets import Archive, Store
+from viewshed.datasets import Archive, Storage
 from viewshed.datasets.archive import shard as shards
 from viewshed.datasets.archive.archive import ArchiveFrames
 from viewshed.datasets.archive.columns import Frame
@@ -57,9 +57,9 @@ def main() -> None:
 
 def _made(preset: Preset, folder: Path) -> tuple[Archive, str]:
     """Return the archive, and how fast it was made: kernels are compiled before, by a small one."""
-    simulate(preset.scaled(50), Store.of(folder / "warm"), engine_named("local", WORKERS))
+    simulate(preset.scaled(50), Storage.of(folder / "warm"), engine_named("local", WORKERS))
     start_s = time.perf_counter()
-    archive = simulate(preset, Store.of(folder / "data"), engine_named("local", WORKERS))
+    archive = simulate(preset, Storage.of(folder / "data"), engine_named("local", WORKERS))
     elapsed_s = time.perf_counter() - start_s
     count, size = len(archive), sum(one.bytes for one in archive.shards)
     peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
@@ -139,7 +139,7 @@ def _compression(preset: Preset, folder: Path) -> str:
         setattr(shards, "ZSTD_LEVEL", level)  # noqa: B010 - a constant everywhere else
         write_ms = min(_written_ms(folder, frames) for _ in range(5))
         size = (folder / "a.parquet").stat().st_size
-        shard = shards.Shard(Store.of(folder), "a.parquet")
+        shard = shards.Shard(Storage.of(folder), "a.parquet")
         _, read_ms, _ = _milliseconds(lambda index, of=shard: of.frame(index), np.arange(len(frames)))  # type: ignore[misc]
         mark = " (used)" if level == used else ""
         rows.append([f"{level}{mark}", f"{size / len(frames) / 1e3:.1f}", f"{write_ms:.2f}", f"{read_ms:.2f}"])
@@ -149,7 +149,7 @@ def _compression(preset: Preset, folder: Path) -> str:
 
 def _written_ms(folder: Path, frames: list[Frame]) -> float:
     start_s = time.perf_counter()
-    shards.write_frames(Store.of(folder), "a.parquet", ("s", "train"), frames)
+    shards.write_frames(Storage.of(folder), "a.parquet", ("s", "train"), frames)
     return 1e3 * (time.perf_counter() - start_s) / len(frames)
 
 

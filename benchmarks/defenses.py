@@ -18,7 +18,7 @@ from viewshed._page import facts, page, table
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import lidar_model
 from viewshed.sim.lidar.measurement import measure
@@ -128,7 +128,7 @@ def cost(sets: Iterator[tuple[str, Clean]]) -> dict[str, dict[str, list[Any]]]:
     found: dict[str, dict[str, list[Any]]] = {}
     for set_name, clean in sets:
         rows = found.setdefault(set_name, {name: [] for name in DEFENSES})
-        good = level_sweep(clean.sweep, GRID).rows
+        good = level(clean.sweep, GRID).rows
         far = good[np.linalg.norm(clean.sweep.points[good], axis=1) > FAR_M]
         for name in DEFENSES:
             defense = _made(name, clean)

@@ -24,7 +24,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import UnetEstimator
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import INT8, NetworkCard, Runner
-from viewshed.networks.mc_dropout import moments
+from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.sweep import Sweep
 
@@ -48,7 +48,7 @@ TEXT = """\
 The paper's network (width 8, depth 4: {parameters:.2f} M parameters, {gflop:.2f} GFLOP a pass) on 256 × 256 cells.
 The rows **to mask** begin with a sweep in memory whose attitude is known and end with the mask: count, network,
 mean and deviation over {passes} passes where dropout is on, threshold. The rows **to estimate** are the whole
-estimator on a sweep without attitude: levelling, local ground and the states of the cells as well. Each engine runs in
+estimator on a sweep without attitude: leveling, local ground and the states of the cells as well. Each engine runs in
 processes of its own, {rounds} of them in an order drawn anew each round, because the idle threads of one engine slow
 the next; within a process the rows take turns. **Of one torch pass** is the ratio to one eager pass of the paper's
 network in torch, in its own processes of the same run. {ours}GFLOP/s count every pass in full. Threads of the engines
@@ -62,8 +62,8 @@ the first mask, and the half of the last decoder stage that reads stage 1, is co
 
 OUR_TEXT = """\
 The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
-levelled sweep and its beams; with doubt: probability and deviation by one pass and two heads; int8: the same network
-in bytes. "Channels alone" begin with a sweep whose attitude is known, levelling it included. "Of many sweeps": time per
+leveled sweep and its beams; with doubt: probability and deviation by one pass and two heads; int8: the same network
+in bytes. "Channels alone" begin with a sweep whose attitude is known, leveling it included. "Of many sweeps": time per
 sweep where {many} of them are estimated together, one a core with ONNX Runtime (`estimate_all`); the other rows are of
 one sweep at a time, by all cores. """
 
@@ -220,7 +220,7 @@ def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
 
     def job() -> object:
         found = runner.run(card.input_of(sweep)[None], masks)
-        prob, std = (found[0], None) if passes == 1 else moments(found)
+        prob, std = (found[0], None) if passes == 1 else mean_and_deviation(found)
         return prob >= np.float32(card.threshold), std
 
     return job

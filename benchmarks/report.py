@@ -69,7 +69,7 @@ the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is 
 output once through memory takes at the bandwidth measured in the same run; what fits into a cache can pass below it.
 
 The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but
-without attitude, height or beam azimuth, so that levelling and the ground, which have a row of their own, are part of
+without attitude, height or beam azimuth, so that leveling and the ground, which have a row of their own, are part of
 every estimator's time; rows marked *real* are a nuScenes and a KITTI sweep from the folder
 in `VIEWSHED_REAL_DATA`. The estimators start from points in memory
 and end with probability and state of every cell. Processes are timed on the wall clock, with everything compiled

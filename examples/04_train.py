@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from viewshed._jobs import engine_named
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
 from viewshed.networks.runtime import load_runner
@@ -17,7 +17,7 @@ with tempfile.TemporaryDirectory() as folder:
     data, out = Path(folder) / "streets", Path(folder) / "training"
     preset = preset_named("nuscenes-small").scaled(60)
     preset = replace(preset, grid_cells=CELLS, grid_half_extent_m=HALF_M, sensors=("vlp16",), scenes=(6, 1))
-    archive = simulate(preset, Store.of(data), engine_named("local", 1))
+    archive = simulate(preset, Storage.of(data), engine_named("local", 1))
     print(f"{len(archive)} sweeps in {len(archive.scenes)} scenes")
 
     config = replace(

@@ -15,7 +15,7 @@ grids = st.builds(
 
 
 @given(grids)
-def test_the_centre_of_a_cell_lies_in_that_cell(grid: BevGrid) -> None:
+def test_the_center_of_a_cell_lies_in_that_cell(grid: BevGrid) -> None:
     cells, inside = grid.index(grid.centers)
     i, j = np.mgrid[: grid.cells, : grid.cells]
     assert inside.all()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, CellState, FovEstimate, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.plot import COLORS, Panel, _fit, _raster, comparison, contact_sheet, picture
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -36,7 +36,7 @@ def test_forward_is_up_and_left_is_left() -> None:
 
 def test_points_are_painted_where_they_are() -> None:
     sweep = Sweep(np.array([[7.5, 7.5, 1.0], [7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5)
-    raster = _raster(Panel(_estimate(), "", level_sweep(sweep, GRID)), 16) / 255
+    raster = _raster(Panel(_estimate(), "", level(sweep, GRID)), 16) / 255
     assert not np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
     assert np.allclose(raster[0, 1], COLORS[CellState.UNKNOWN], atol=0.01)
 
@@ -73,7 +73,7 @@ def test_a_wall_at_the_left_only_hides_the_left_side_of_the_picture() -> None:
     sweep = cast(model, Scene(boxes=(Box(2.0, 6.0, 9.0, 0.5, 4.0),)), 1.8)
     grid = BevGrid(64, 16.0)
     found = ShadowMap(grid).estimate(sweep)
-    row, column = _places(_image(picture(Panel(found, "wall", level_sweep(sweep, grid))))[:-100], CellState.HIDDEN)
+    row, column = _places(_image(picture(Panel(found, "wall", level(sweep, grid))))[:-100], CellState.HIDDEN)
     assert column < 0.35
     assert 0.3 < row < 0.6
 
@@ -81,8 +81,8 @@ def test_a_wall_at_the_left_only_hides_the_left_side_of_the_picture() -> None:
 def test_points_take_the_color_of_their_height() -> None:
     heights = np.array([0.0, 3.0, 9.0])
     points = np.column_stack([[-4.5, 0.5, 4.5], [3.5, 3.5, 3.5], heights - 1.5]).astype(np.float32)
-    level = level_sweep(Sweep(points, sensor_height_m=1.5), GRID)
-    raster = _raster(Panel(_estimate(), "", level), 16)
+    leveled = level(Sweep(points, sensor_height_m=1.5), GRID)
+    raster = _raster(Panel(_estimate(), "", leveled), 16)
     low, high, higher = raster[12, 4], raster[7, 4], raster[3, 4]
     assert low[0] > 60 > low[1]  # the dark violet end of viridis
     assert (high == higher).all()

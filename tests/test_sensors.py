@@ -89,7 +89,7 @@ def test_own_table_is_read_again_when_it_changes(tmp_path: Path) -> None:
         ("name = ", "must be a TOML beam table"),
         ("\x00", "must be a TOML beam table"),
         ('name = "a"', r"missing keys \['azimuth_columns', 'elevations_deg'\]"),
-        (GOOD + "colour = 3", r"unknown keys \['colour'\]"),
+        (GOOD + "color = 3", r"unknown keys \['color'\]"),
         (GOOD.replace("-10, 0, 5.5", "0, -10, 5"), r"mine: elevations must ascend strictly within ±90°; ring 0"),
         (GOOD.replace("5.5", "91"), "must ascend strictly within ±90°"),
         (GOOD.replace("-10, 0, 5.5", ""), "elevations must be 1 to 4096 finite numbers"),

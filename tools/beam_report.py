@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.preprocess.ring_recovery import Beams, recover_beams
+from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -36,7 +36,7 @@ class Row:
     inferred: str
     score: float
     blind: str
-    beams: Beams
+    beams: RingAssignment
     off: str
     time_ms: float
 
@@ -66,9 +66,9 @@ def _row(entry: IndexEntry) -> Row:
     order = np.random.default_rng(0).permutation(len(sweep))
     blind, _ = infer_sensor(sweep.points[order])
     bare = sweep.replace(model=None)
-    beams = recover_beams(bare, model)
+    beams = recover_rings(bare, model)
     started = time.perf_counter()
-    recover_beams(bare, model)
+    recover_rings(bare, model)
     elapsed_ms = 1e3 * (time.perf_counter() - started)
     return Row(entry, _name(model), score, _name(blind), beams, _table_off(bare, beams, model), elapsed_ms)
 
@@ -77,7 +77,7 @@ def _name(model: LidarModel | None) -> str:
     return "–" if model is None else model.name
 
 
-def _table_off(sweep: Sweep, beams: Beams, model: LidarModel | None) -> str:
+def _table_off(sweep: Sweep, beams: RingAssignment, model: LidarModel | None) -> str:
     """Return how far the rings' median elevations lie from the table, in degrees, seen from the beams' origins."""
     if model is None or beams.rings != model.rings:
         return "–"

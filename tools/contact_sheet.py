@@ -14,13 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from viewshed import GRIDS, CellState
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
 from viewshed.cli._options import with_inferred_sensor
 from viewshed.estimators import ESTIMATORS
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.plot import Panel, contact_sheet
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 
 HEADER = ("no.", "file", "sensor", "grid", "points", "visible m²", "hidden", "unknown", "sensor height m", "tilt", "ms")
 _INDOORS = ("indoor", "office", "room")
@@ -44,11 +44,11 @@ def main() -> None:
         rows.append([number, *row])
         panels += [replace(panel, title=f"{number} · {panel.title}")] if panel is not None else []
         sys.stderr.write(f"{row[0]}\n")
-    write_bytes(arguments.out / "real_sweeps.png", contact_sheet(panels))
+    write_atomic(arguments.out / "real_sweeps.png", contact_sheet(panels))
     judgement = (arguments.out / "real_sweeps_judgement.md").read_text(encoding="utf-8")
     picture = "![Contact sheet of the estimates](real_sweeps.png)"
     text = page("Every real sweep", facts(method="shadow_map, car"), picture, judgement.strip(), table(HEADER, rows))
-    write_bytes(arguments.out / "real_sweeps.md", text.encode())
+    write_atomic(arguments.out / "real_sweeps.md", text.encode())
 
 
 def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Panel | None]:
@@ -60,9 +60,9 @@ def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Pane
     start = time.perf_counter()
     found = estimator.estimate(sweep)
     elapsed_ms = 1e3 * (time.perf_counter() - start)
-    level = level_sweep(sweep, GRIDS[grid])
-    tilt = _tilt_deg(level.level_from_sensor.rotation[2, 2])
-    height = f"{level.sensor_height_m:.2f}" + ("" if level.ground.support else " (ground not seen)")
+    leveled = level(sweep, GRIDS[grid])
+    tilt = _tilt_deg(leveled.level_from_sensor.rotation[2, 2])
+    height = f"{leveled.sensor_height_m:.2f}" + ("" if leveled.ground.support else " (ground not seen)")
     shares = [f"{found.share(state):.0%}" for state in (CellState.HIDDEN, CellState.UNKNOWN)]
     row = [
         name,

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, FovEstimate
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
 from viewshed.grid import polar_of_cells
 from viewshed.io import read_index, read_indexed
@@ -22,8 +22,8 @@ SECTORS = (16, 64)
 VARIANTS: dict[str, tuple[float, bool]] = {
     "whole cells (default)": (0.0, True),
     "whole cells, footprint 2.5 m": (2.5, True),
-    "centres of cells": (0.0, False),
-    "centres of cells, footprint 2.5 m": (2.5, False),
+    "centers of cells": (0.0, False),
+    "centers of cells, footprint 2.5 m": (2.5, False),
 }
 TARGETS = {16: 0.80, 64: 0.97}
 
@@ -45,13 +45,13 @@ def main() -> None:
         sys.stderr.write(f"{entry.file.name}\n")
     told = facts(sweeps=str(len(entries)), mask="shadow_map, car, road grid")
     text = page("Exports: area kept", told, _WORDS, table(("shape", *map(str, SECTORS)), _rows(kept)))
-    write_bytes(given.out, text.encode())
+    write_atomic(given.out, text.encode())
 
 
 _WORDS = """\
 Share of the visible cells that the exported shape still claims: median over the sweeps, lowest and highest in brackets.
-No shape claims a cell that is not visible: *whole cells* does not touch one, *centres of cells* does not hold its
-centre. A *footprint* is the ground under the vehicle itself, which counts as known although no beam reaches it.
+No shape claims a cell that is not visible: *whole cells* does not touch one, *centers of cells* does not hold its
+center. A *footprint* is the ground under the vehicle itself, which counts as known although no beam reaches it.
 The targets are .80 with 16 sectors and .97 with 64."""
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from viewshed._jobs import engine_named
 from viewshed._page import facts, page, table
-from viewshed.datasets import Sample, Store
+from viewshed.datasets import Sample, Storage
 from viewshed.datasets.archive.archive import ArchiveSource
 from viewshed.datasets.labeling import Rules, Track
 from viewshed.datasets.presets import Preset, preset_named
@@ -29,7 +29,7 @@ from viewshed.datasets.simulated import simulate
 from viewshed.estimators import ESTIMATORS
 from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.metrics import Tally
+from viewshed.metrics import ConfusionCounts
 
 SEEDS = (61, 62, 63)
 """None of them was looked at while the rules were chosen; those were 41 to 43, 51 to 53 and 1001 to 1005."""
@@ -37,7 +37,7 @@ SWEEPS = 200
 BESIDE = ("shadow_map", "vote")
 BANDS = (0.0, 0.25, 0.5, 0.75, 1.5)
 _TEXT = """\
-Simulated recordings, labelled from their sweeps, poses and times alone, against their exact truth: `probe`, a car.
+Simulated recordings, labeled from their sweeps, poses and times alone, against their exact truth: `probe`, a car.
 *Known*: share of the cells where the label says that it can be trusted. *Alone*: the same without neighbors in time.
 Cells are pooled over the samples, where the truth is known; ranges are horizontal. The label shares its counting loop
 with the exact truth, so the figures tell what depths and ground cost, and not that both count alike; that loop is
@@ -46,7 +46,7 @@ _OTHERS = """\
 The other definitions, by the label and by the exact truth. Both take every surface that could give light back; the
 label knows the returns that the sensor stored, and infers where beams without one met the ground."""
 Mask = NDArray[np.bool_]
-Tallies = dict[tuple[str, str], Tally]
+Tallies = dict[tuple[str, str], ConfusionCounts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +83,11 @@ def domains() -> Iterator[Domain]:
 
 def score_of(domain: Domain, samples: int) -> Score:
     """Return the score over all seeds."""
-    score = Score(defaultdict(lambda: Tally(samples=0)), defaultdict(list), [])
+    score = Score(defaultdict(lambda: ConfusionCounts(samples=0)), defaultdict(list), [])
     for seed in SEEDS:
         preset = replace(domain.preset.scaled(SWEEPS), seed=seed)
         with tempfile.TemporaryDirectory() as folder:
-            source = ArchiveSource(simulate(preset, Store.of(folder), engine_named("local")))
+            source = ArchiveSource(simulate(preset, Storage.of(folder), engine_named("local")))
             _add(score, source, samples)
     return score
 
@@ -138,11 +138,11 @@ def _compare(
 
 def _tally(score: Score, name: str, masks: tuple[Mask, Mask, Mask], grid: BevGrid) -> None:
     claimed, true, among = masks
-    score.tallies[name, ""] += Tally.of(claimed, true, among, grid.cell_area_m2)
+    score.tallies[name, ""] += ConfusionCounts.of(claimed, true, among, grid.cell_area_m2)
     range_m = polar_of_cells(grid)[0] / grid.half_extent_m
     for low, high in pairwise(BANDS):
         part = among & (range_m >= low) & (range_m < high)
-        score.tallies[name, _band(low, high, grid)] += Tally.of(claimed, true, part, grid.cell_area_m2)
+        score.tallies[name, _band(low, high, grid)] += ConfusionCounts.of(claimed, true, part, grid.cell_area_m2)
 
 
 def _band(low: float, high: float, grid: BevGrid) -> str:

@@ -57,7 +57,7 @@ class Probes:
     Attributes:
         target: what was placed.
         boxes: where, N of them.
-        range_m: (N,) horizontal range of the cells' centres.
+        range_m: (N,) horizontal range of the cells' centers.
         expected: (N,) returns by the truth.
         met: (N,) beams whose first stop is the probe.
     """
@@ -79,8 +79,8 @@ class Probes:
 def plates(scan: Scan, snapshot: Snapshot, grid: BevGrid, target: Target, cells: NDArray[np.intp]) -> Boxes:
     """Return the probes of the definition: as wide and high as the target, one cell deep, across the line of sight.
 
-    The back of each goes through the centre of its cell, its front stands one cell nearer: a beam that stops on it
-    reaches the centre's range less one cell.
+    The back of each goes through the center of its cell, its front stands one cell nearer: a beam that stops on it
+    reaches the center's range less one cell.
     """
     level, yaw = _world_of(scan, grid, cells)
     azimuth = np.arctan2(level[:, 1], level[:, 0]) + yaw
@@ -93,7 +93,7 @@ def plates(scan: Scan, snapshot: Snapshot, grid: BevGrid, target: Target, cells:
 def solids(
     scan: Scan, snapshot: Snapshot, grid: BevGrid, target: Target, cells: NDArray[np.intp], rng: np.random.Generator
 ) -> Boxes:
-    """Return whole targets, centred in their cells and turned at random."""
+    """Return whole targets, centered in their cells and turned at random."""
     level, yaw = _world_of(scan, grid, cells)
     c, s = np.cos(yaw), np.sin(yaw)
     center = _sensor(scan) + level @ np.array([[c, s], [-s, c]])
@@ -106,7 +106,7 @@ def _sensor(scan: Scan) -> Floats:
 
 
 def _world_of(scan: Scan, grid: BevGrid, cells: NDArray[np.intp]) -> tuple[Floats, float]:
-    """Return centres (N, 2) in the ``level`` frame, and that frame's heading in the world."""
+    """Return centers (N, 2) in the ``level`` frame, and that frame's heading in the world."""
     return grid.centers[cells[:, 0], cells[:, 1]], scan.world_from_sensor.yaw
 
 

@@ -39,16 +39,16 @@ REASONS = {
 }
 _INTRODUCTION = """\
 The exact truth counts beams on a plate. Here the plate is really put up: a box as wide and high as the target, one cell
-deep, across the line of sight, its back through the centre of the cell and its front one cell nearer, on the local
+deep, across the line of sight, its back through the center of the cell and its front one cell nearer, on the local
 ground. The world is cast again with the same draws of leaves and glass, and the beams whose first stop is the box are
 counted. *Agreement*: truth and probe are on the same side of the target's number of returns. Places that touch anything
 else are left out; each range is tried as often as any other. *Contested*: agreement among those probes for which the
 truth or the cast has at least one beam (behind a wall both say 0, which is easy). *Truth only*: the truth says visible,
 the probe does not; *probe only* the other way round."""
 _WHOLE = """\
-The same with a whole target, turned at random and centred in its cell. It is no test of the truth: a car of 4.2 m shows
-up to 4.5 m where the plate shows 1.8 m, and its nearest corner stands 2.3 m before the centre, so it is met by more
-beams and looks out from behind what hides its centre. It tells how cautious the definition is: nearly all
+The same with a whole target, turned at random and centered in its cell. It is no test of the truth: a car of 4.2 m
+shows up to 4.5 m where the plate shows 1.8 m, and its nearest corner stands 2.3 m before the center, so it is met by more
+beams and looks out from behind what hides its center. It tells how cautious the definition is: nearly all
 disagreements are cars that are met and not claimed."""
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import NULL_RANGE_M, level_sweep
-from viewshed.preprocess.ring_recovery import Beams, recover_beams
+from viewshed.preprocess.leveling import NULL_RANGE_M, level
+from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -94,31 +94,31 @@ class Agreement:
 
 def sweep_statistics(sweep: Sweep, grid: BevGrid, model: LidarModel | None = None) -> SweepStatistics:
     """Return the statistics of ``sweep``, with its cells on ``grid`` and its rings by ``model`` where it has none."""
-    beams = recover_beams(sweep, model)
-    level = level_sweep(sweep, grid)
-    ring = beams.ring[level.rows]
+    beams = recover_rings(sweep, model)
+    leveled = level(sweep, grid)
+    ring = beams.ring[leveled.rows]
     firings = _firings(beams)
-    count = max(len(level.rows), 1)
+    count = max(len(leveled.rows), 1)
     # Ranges and heights beyond the last edge are counted in the last bin, as the edges are infinite there.
-    ranges = np.histogram(level.range_m, RANGE_EDGES_M)[0] / count
-    heights = np.histogram(level.height_m, HEIGHT_EDGES_M)[0] / count
-    cells = grid.count(level.points) > 0
+    ranges = np.histogram(leveled.range_m, RANGE_EDGES_M)[0] / count
+    heights = np.histogram(leveled.height_m, HEIGHT_EDGES_M)[0] / count
+    cells = grid.count(leveled.points) > 0
     return SweepStatistics(
         rings=np.bincount(ring[ring >= 0], minlength=beams.rings) / firings,
         ranges=ranges,
         heights=heights,
         occupied=np.array([float(cells.sum())]),
-        returns=np.array([len(level.rows) / (firings * beams.rings)]),
+        returns=np.array([len(leveled.rows) / (firings * beams.rings)]),
     )
 
 
 def range_noise(sweep: Sweep, model: LidarModel | None = None) -> float:
-    """Return the standard deviation in metres of ranges between neighboring columns, NaN where no surface is smooth.
+    """Return the standard deviation in meters of ranges between neighboring columns, NaN where no surface is smooth.
 
     Taken from the second differences along a ring where three columns between 3 and 25 m lie within 15 cm: their median
     absolute value is 0.6745 √6 standard deviations of normal noise; what surfaces bend is counted, too.
     """
-    beams = recover_beams(sweep, model)
+    beams = recover_rings(sweep, model)
     range_m = np.linalg.norm(sweep.points, axis=1)
     keep = (beams.ring >= 0) & (range_m > _SMOOTH_M[0]) & (range_m < _SMOOTH_M[1])
     image = np.full((beams.rings, beams.columns), np.nan)
@@ -139,9 +139,9 @@ def road_seen(sweeps: Sequence[Sweep], model: LidarModel, sensor_height_m: float
     downward = model.elevation < _HORIZON
     at_m = sensor_height_m / np.tan(-model.elevation[downward])
     for sweep in sweeps:
-        beams, level = recover_beams(sweep, model), level_sweep(sweep, _ROAD)
-        ring = beams.ring[level.rows]
-        near = (np.abs(level.height_m) < _EVEN_M) & (ring >= 0)
+        beams, leveled = recover_rings(sweep, model), level(sweep, _ROAD)
+        ring = beams.ring[leveled.rows]
+        near = (np.abs(leveled.height_m) < _EVEN_M) & (ring >= 0)
         real = (beams.ring >= 0) & (np.linalg.norm(sweep.points, axis=1) > NULL_RANGE_M)
         returned = np.bincount(beams.ring[real], minlength=model.rings)[: model.rings]
         met = np.bincount(ring[near], minlength=model.rings)[: model.rings]
@@ -152,7 +152,7 @@ def road_seen(sweeps: Sequence[Sweep], model: LidarModel, sensor_height_m: float
         return np.asarray(ground / (ground + none))
 
 
-def _firings(beams: Beams) -> int:
+def _firings(beams: RingAssignment) -> int:
     return max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
 
 

@@ -27,11 +27,11 @@ from realism import (
     sweep_statistics,
 )
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
 from viewshed.grid import BevGrid
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.preprocess.ring_recovery import recover_beams
+from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.weather import CONDITIONS
@@ -121,7 +121,7 @@ def main() -> None:
     found = [one for group in GROUPS for one in _compared(group, index, given)]
     _draw(found, given.out.with_suffix(".png"))
     told = facts(simulated=f"{given.sweeps} sweeps a group, clear, worlds {', '.join(WORLDS)}", seed=str(given.seed))
-    write_bytes(given.out, page("Simulated against real sweeps", told, *_parts(found)).encode())
+    write_atomic(given.out, page("Simulated against real sweeps", told, *_parts(found)).encode())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +173,7 @@ def _as_measured(group: Group, real: list[Sweep]) -> LidarModel:
 
 def _firings(sweep: Sweep) -> int:
     """Return the columns of a revolution, as in :mod:`realism`."""
-    beams = recover_beams(sweep)
+    beams = recover_rings(sweep)
     return max(beams.columns, int(np.bincount(beams.ring[beams.ring >= 0], minlength=1).max()))
 
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from viewshed import ESTIMATORS
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed._jobs import ENGINES, Engine, LocalEngine
 from viewshed._page import facts, page, table
-from viewshed.datasets import Archive, Store
+from viewshed.datasets import Archive, Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import simulate
 
@@ -46,7 +46,7 @@ class Measured:
     """What this machine did.
 
     Attributes:
-        made_per_s: labelled samples written by one worker.
+        made_per_s: labeled samples written by one worker.
         made_per_s_all: the same with one worker for each core.
         cores: of this machine.
         peak_bytes: memory of the largest process.
@@ -85,7 +85,7 @@ def main() -> None:
         measured = measure(preset, Path(folder))
     told = facts(preset=f"{given.preset}, {preset.sweeps} sweeps", load=load)
     parts = [_MEASURED, measured_table(measured), _PLAN, *(plan(measured, *item) for item in SWEEPS.items())]
-    write_bytes(given.out, page("Scaling", told, *parts, _LAYOUT, layout_table(measured)).encode())
+    write_atomic(given.out, page("Scaling", told, *parts, _LAYOUT, layout_table(measured)).encode())
 
 
 _MEASURED = "## Measured on this machine"
@@ -127,7 +127,7 @@ def measure(preset: Preset, folder: Path) -> Measured:
 
 def _made(preset: Preset, folder: Path, workers: int) -> tuple[float, Archive]:
     start_s = time.perf_counter()
-    archive = simulate(preset, Store.of(folder), LocalEngine(workers))
+    archive = simulate(preset, Storage.of(folder), LocalEngine(workers))
     return time.perf_counter() - start_s, archive
 
 

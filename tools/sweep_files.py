@@ -19,7 +19,7 @@ POINTS = np.array(
     [[5.0, 1.0, -1.5], [8.0, -2.0, -1.0], [3.0, 4.0, 0.0], [-6.0, 2.5, 0.5], [-7.0, -3.0, 1.0], [0.5, 9.0, 2.0]],
     dtype=np.float32,
 )
-"""(6, 3) float32 metres: asymmetric, elevation ascends from row to row."""
+"""(6, 3) float32 meters: asymmetric, elevation ascends from row to row."""
 INTENSITY = np.array([10, 20, 30, 40, 50, 60], dtype=np.float32)
 
 
@@ -190,7 +190,7 @@ def ouster_metadata(columns: int = 64) -> bytes:
 
 
 def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
-    """Return lidar packets of some revolutions; frame f has every beam at 5000 + 1000 f millimetres."""
+    """Return lidar packets of some revolutions; frame f has every beam at 5000 + 1000 f millimeters."""
     from ouster.sdk import core
 
     info = core.SensorInfo(ouster_metadata(columns).decode())

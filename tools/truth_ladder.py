@@ -23,8 +23,8 @@ from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, Beams, expected_returns
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.metrics import Tally
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.metrics import ConfusionCounts
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import lidar_model
 from viewshed.sim.assets.shapes import REFLECTIVITY
 from viewshed.sim.lidar.measurement import measure
@@ -110,29 +110,29 @@ def shots(name: str, count: int) -> Iterator[Shot]:
 def steps(shot: Shot, grid: BevGrid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Yield each step's name and what it claims."""
     exact = shot.ground(grid.half_extent_m)
-    level: LevelSweep | None = None
+    leveled: LeveledSweep | None = None
     for name, sweep in (("as measured", shot.measured()), ("no noise, nothing lost", shot.noise_free())):
-        level = level_sweep(sweep, grid)
-        yield name, ShadowMap(grid).estimate_level(level).visible()
+        leveled = level(sweep, grid)
+        yield name, ShadowMap(grid).estimate_level(leveled).visible()
         if name == "as measured":
             for rule in ("fill", "max_range"):
-                yield f"{name}, no return {rule}", ShadowMap(grid, CAR, rule).estimate_level(level).visible()
-        yield f"{name}, exact ground", ShadowMap(grid).estimate_level(replace(level, ground=exact)).visible()
-    for name, ground in (("every beam exact", level.ground if level else exact), ("the kernel alone", exact)):
+                yield f"{name}, no return {rule}", ShadowMap(grid, CAR, rule).estimate_level(leveled).visible()
+        yield f"{name}, exact ground", ShadowMap(grid).estimate_level(replace(leveled, ground=exact)).visible()
+    for name, ground in (("every beam exact", leveled.ground if leveled else exact), ("the kernel alone", exact)):
         counts, _ = expected_returns(shot.beams(), shot.height_m, ground, grid, CAR)
         yield name, counts >= CAR.min_returns
 
 
 def ladder(name: str, count: int) -> str:
     """Return the table of a preset."""
-    tallies: dict[tuple[str, bool], Tally] = defaultdict(lambda: Tally(samples=0))
+    tallies: dict[tuple[str, bool], ConfusionCounts] = defaultdict(lambda: ConfusionCounts(samples=0))
     for shot in shots(name, count):
         grid, true = shot.truth.grid, shot.truth.visible(CAR)
         gap = np.abs(shot.truth.expected_returns["car"].astype(np.int16) - CAR.min_returns)
         for step, claimed in steps(shot, grid):
             for clear in (False, True):
                 among = shot.known & (gap > 2) if clear else shot.known
-                tallies[step, clear] += Tally.of(claimed, true, among, grid.cell_area_m2)
+                tallies[step, clear] += ConfusionCounts.of(claimed, true, among, grid.cell_area_m2)
     rows = []
     for step in dict.fromkeys(key[0] for key in tallies):
         one, clear_of = tallies[step, False], tallies[step, True]

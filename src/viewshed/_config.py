@@ -14,7 +14,7 @@ ALL = "all"
 _TYPES: dict[str, Any] = {"str": str, "int": int, "float": (int, float), "bool": bool}
 
 
-def values_of(
+def from_dict(
     cls: type[Any],
     table: Mapping[str, Any],
     what: str,
@@ -57,24 +57,24 @@ def _typed(key: str, value: Any, kind: str) -> Any:
     return float(value) if kind == "float" else value
 
 
-def plain(flat: Any) -> dict[str, Any]:
-    """Return a dataclass of plain values and tuples as what :func:`values_of` takes."""
+def to_dict(flat: Any) -> dict[str, Any]:
+    """Return a dataclass of plain values and tuples as what :func:`from_dict` takes."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(flat).items()}
 
 
-def shipped_names(folder: str) -> tuple[str, ...]:
+def preset_names(folder: str) -> tuple[str, ...]:
     """Return the names of the TOML files in a folder of the package, in alphabetical order."""
     entries = resources.files("viewshed").joinpath(folder).iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml")))
 
 
-def shipped(folder: str, name: str) -> dict[str, Any]:
+def load_preset(folder: str, name: str) -> dict[str, Any]:
     """Return one of the TOML files in a folder of the package, its name among its values.
 
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
     """
-    names = shipped_names(folder)
+    names = preset_names(folder)
     if name not in names:
         raise ValueError(f"preset must be one of {', '.join(names)}, got {name!r}")
     raw = resources.files("viewshed").joinpath(folder, f"{name}.toml").read_text(encoding="utf-8")

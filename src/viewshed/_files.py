@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 
-def write_bytes(path: str | Path, content: bytes) -> None:
+def write_atomic(path: str | Path, content: bytes) -> None:
     """Write ``content`` to a new file beside ``path`` and move it into place, so that nobody sees half of it.
 
     Raises:
@@ -32,7 +32,7 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         draft.unlink(missing_ok=True)
 
 
-def append(path: Path, line: dict[str, Any]) -> None:
+def append_jsonl(path: Path, line: dict[str, Any]) -> None:
     """Add a line to a journal, on the disk when this returns.
 
     Raises:

@@ -167,12 +167,12 @@ class _Pool:
         try:
             self.workers.extend(_start(self.work) for _ in range(self.size))
             while self.again or self.next_job < len(jobs) or any(worker.index is not None for worker in self.workers):
-                for worker in self._signalled():
+                for worker in self._signaled():
                     yield from self._heard(worker, jobs)
         finally:
             _stop(self.workers)
 
-    def _signalled(self) -> list[_Worker]:
+    def _signaled(self) -> list[_Worker]:
         ready = set(wait([worker.pipe for worker in self.workers]))
         return [worker for worker in self.workers if worker.pipe in ready]
 

@@ -53,7 +53,7 @@ _LARGEST = (32 << 20) - (64 << 10)
 
 
 @lru_cache(maxsize=1)
-def keep_freed() -> None:
+def keep_freed_memory() -> None:
     """Raise what the allocator keeps of freed memory to 64 MiB: one large array comes and goes, untouched.
 
     Without it each sweep of 100,000 points and more pays for about 1,500 fresh pages. Other allocators do not care.

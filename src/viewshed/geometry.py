@@ -1,6 +1,6 @@
 """Rigid transforms and polar coordinates.
 
-Frames (metres, radians): ``sensor`` is x forward, y left, z up with the sensor at the origin;
+Frames (meters, radians): ``sensor`` is x forward, y left, z up with the sensor at the origin;
 ``level`` is gravity-aligned with the sensor's yaw and its origin on the ground below the sensor;
 ``world`` is the level frame of the map. A transform is named after what it maps: ``world_from_sensor @ points``.
 """
@@ -70,7 +70,7 @@ def quaternion_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
-    """A rigid transform: ``rotation`` (3, 3) and ``translation`` (3,) in metres.
+    """A rigid transform: ``rotation`` (3, 3) and ``translation`` (3,) in meters.
 
     >>> a = Rigid.from_yaw(np.pi / 2, (1.0, 0.0, 0.0))
     >>> (a @ np.array([[1.0, 0.0, 0.0]])).round(6).tolist()
@@ -157,7 +157,7 @@ def attitude_of(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def polar(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return range (…) in metres and azimuth (…) in [-π, π), counter-clockwise from x, of points (…, 2+).
+    """Return range (…) in meters and azimuth (…) in [-π, π), counter-clockwise from x, of points (…, 2+).
 
     >>> range_m, azimuth = polar(np.array([[0.0, 2.0]]))
     >>> float(range_m[0]), round(float(azimuth[0]), 6)

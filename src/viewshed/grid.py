@@ -1,4 +1,4 @@
-"""② BevGrid: the only place where metres become cells."""
+"""② BevGrid: the only place where meters become cells."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class BevGrid:
 
     Attributes:
         cells: number of cells per side.
-        half_extent_m: half the side, in metres.
-        offset_m: (x, y) of the grid's centre from the sensor, in metres.
+        half_extent_m: half the side, in meters.
+        offset_m: (x, y) of the grid's center from the sensor, in meters.
 
     Raises:
         ValueError: no cells, too many, or an extent that is not positive and finite.
@@ -52,22 +52,22 @@ class BevGrid:
 
     @property
     def cell_m(self) -> float:
-        """Side of a cell in metres."""
+        """Side of a cell in meters."""
         return 2.0 * self.half_extent_m / self.cells
 
     @property
     def cell_area_m2(self) -> float:
-        """Area of a cell in square metres."""
+        """Area of a cell in square meters."""
         return self.cell_m**2
 
     @property
     def origin_m(self) -> tuple[float, float]:
-        """(x, y) of the corner of cell (0, 0): the smallest x and y of the grid, in metres."""
+        """(x, y) of the corner of cell (0, 0): the smallest x and y of the grid, in meters."""
         return self.offset_m[0] - self.half_extent_m, self.offset_m[1] - self.half_extent_m
 
     @cached_property
     def centers(self) -> NDArray[np.float64]:
-        """(cells, cells, 2) x and y of the centre of each cell, in metres; read-only."""
+        """(cells, cells, 2) x and y of the center of each cell, in meters; read-only."""
         steps = (np.arange(self.cells) + 0.5) * self.cell_m
         x, y = np.meshgrid(self.origin_m[0] + steps, self.origin_m[1] + steps, indexing="ij")
         centers: NDArray[np.float64] = np.stack([x, y], axis=-1)
@@ -165,7 +165,7 @@ GRIDS: dict[str, BevGrid] = {
 
 @lru_cache(maxsize=8)
 def polar_of_cells(grid: BevGrid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return range (cells, cells) in metres and azimuth (cells, cells) in [-π, π) of the cell centres; read-only."""
+    """Return range (cells, cells) in meters and azimuth (cells, cells) in [-π, π) of the cell centers; read-only."""
     x, y = grid.centers[..., 0], grid.centers[..., 1]
     range_m = np.hypot(x, y).astype(np.float32)
     azimuth = np.arctan2(y, x).astype(np.float32)

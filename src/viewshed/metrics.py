@@ -13,7 +13,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class ConfusionCounts:
     """How many cells of two masks agree, over any number of samples.
 
     Attributes:
@@ -37,15 +37,15 @@ class Tally:
     samples: int = 1
 
     @classmethod
-    def of(cls, claimed: Mask, true: Mask, among: Mask, cell_area_m2: float) -> Tally:
+    def of(cls, claimed: Mask, true: Mask, among: Mask, cell_area_m2: float) -> ConfusionCounts:
         """Return the tally of two masks over the cells ``among``."""
         cells, claims, trues = int(among.sum()), int((claimed & among).sum()), int((true & among).sum())
         both = int((claimed & true & among).sum())
         return cls(both, claims - both, trues - both, cells - claims - trues + both, cells * cell_area_m2)
 
-    def __add__(self, other: Tally) -> Tally:
+    def __add__(self, other: ConfusionCounts) -> ConfusionCounts:
         """Return both together."""
-        return Tally(
+        return ConfusionCounts(
             self.both + other.both, self.over + other.over, self.under + other.under, self.neither + other.neither,
             self.area_m2 + other.area_m2, self.samples + other.samples,
         )  # fmt: skip

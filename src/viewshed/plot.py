@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import LevelSweep
+from viewshed.preprocess.leveling import LeveledSweep
 
 Image = NDArray[np.uint8]
 
@@ -57,7 +57,7 @@ class Panel:
 
     estimate: FovEstimate
     title: str
-    level: LevelSweep | None = None
+    leveled: LeveledSweep | None = None
     threshold: float = THRESHOLD
 
 
@@ -97,7 +97,7 @@ def picture(panel: Panel) -> bytes:
     axes.set_title("\n".join(_fit(line) for line in panel.title.splitlines()), fontsize=10, loc="left", linespacing=1.4)
     shares = {state: f"{panel.estimate.share(state):.0%} " for state in CellState}
     _legend(page, 2, shares)
-    if panel.level is not None:
+    if panel.leveled is not None:
         _height_bar(page, (side + 46, 250, 18, 360))
     return page.png()
 
@@ -189,9 +189,9 @@ def _raster(panel: Panel, pixels: int) -> Image:
     image = palette[estimate.state[nearest][:, nearest]]
     if pixels >= 2 * estimate.grid.cells:
         image[_edge(estimate.visible(panel.threshold)[nearest][:, nearest])] = _bytes(np.array(_EDGE))
-    if panel.level is not None:
+    if panel.leveled is not None:
         fine = BevGrid(pixels, estimate.grid.half_extent_m, estimate.grid.offset_m)
-        _paint_points(image, panel.level, fine)
+        _paint_points(image, panel.leveled, fine)
     return image[::-1, ::-1]
 
 
@@ -202,12 +202,12 @@ def _edge(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask & ~inner
 
 
-def _paint_points(image: Image, level: LevelSweep, fine: BevGrid) -> None:
+def _paint_points(image: Image, leveled: LeveledSweep, fine: BevGrid) -> None:
     """Paint each point in the color of its height, higher ones on top; large pictures show obstacles as 2 × 2."""
     low, high = HEIGHTS_M
-    order = np.argsort(level.height_m, kind="stable")
-    cells, inside = fine.index(level.points[order])
-    height_m = level.height_m[order][inside]
+    order = np.argsort(leveled.height_m, kind="stable")
+    cells, inside = fine.index(leveled.points[order])
+    height_m = leveled.height_m[order][inside]
     i, j = cells[inside].T
     colors = _height_colors()[(np.clip((height_m - low) / (high - low), 0, 1) * 255).astype(np.intp)]
     image[i, j] = colors
@@ -232,7 +232,7 @@ def _scale_bar(axes: Axes, grid: BevGrid, pixels: int) -> None:
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
     length = _round_length(side / 4)
     size = 8.0 if pixels > 300 else 6.0
-    letters = size * 1.6 / pixels * side  # height of a line of text in metres
+    letters = size * 1.6 / pixels * side  # height of a line of text in meters
     x, y, pad = x0 + 0.03 * side, y0 + 0.03 * side, 0.012 * side
     box = Rectangle((y - pad, x - pad), length + 2 * pad, letters + 2 * pad, color="white", alpha=0.85, zorder=2)
     axes.add_patch(box)
@@ -243,7 +243,7 @@ def _scale_bar(axes: Axes, grid: BevGrid, pixels: int) -> None:
 
 
 def _round_length(limit_m: float) -> float:
-    """Return the longest of 1, 2, 5 times a power of ten metres that is not above ``limit_m``.
+    """Return the longest of 1, 2, 5 times a power of ten meters that is not above ``limit_m``.
 
     >>> _round_length(32.0), _round_length(8.0)
     (20.0, 5.0)

@@ -29,7 +29,7 @@ class LidarModel:
         elevation: (rings,) float64 radians above the horizon, strictly ascending.
         azimuth_offset: (rings,) float64 radians to add to the firing azimuth, counter-clockwise from above; zeros if
             left out.
-        origin_m: (rings,) float64 metres: height of the beam above the sensor's origin at horizontal range 0, so that
+        origin_m: (rings,) float64 meters: height of the beam above the sensor's origin at horizontal range 0, so that
             its height at range r is ``origin_m + r * tan(elevation)``; zeros if left out.
         azimuth_columns: firings in one revolution.
         min_range_m: returns nearer than this are the sensor itself or a null return.

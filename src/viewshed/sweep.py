@@ -12,14 +12,14 @@ from viewshed.geometry import Rigid, attitude_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel
 
 
-def unorganised(sweep: Sweep) -> Sweep:
+def unorganized(sweep: Sweep) -> Sweep:
     """Return the sweep without ring, firing azimuth and time; the sensor is known."""
     return sweep.replace(ring=None, azimuth=None, time_s=None)
 
 
-def unorganised_no_sensor(sweep: Sweep) -> Sweep:
+def unorganized_no_sensor(sweep: Sweep) -> Sweep:
     """Return the sweep without ring, firing azimuth, time and sensor."""
-    return unorganised(sweep).replace(model=None)
+    return unorganized(sweep).replace(model=None)
 
 
 def bare_points(sweep: Sweep) -> Sweep:
@@ -36,7 +36,7 @@ class Sweep:
     """One revolution of one LiDAR, in the sensor's own frame (x forward, y left, z up, sensor at the origin).
 
     Attributes:
-        points: (N, 3) float32, metres. Rows that are not finite are dropped, with their other columns.
+        points: (N, 3) float32, meters. Rows that are not finite are dropped, with their other columns.
         intensity: (N,) float32 in the sensor's own scale, or None.
         ring: (N,) int16 beam index, 0 the lowest beam, or None where the format has none.
         azimuth: (N,) float32 firing azimuth in radians as the sensor reported it, or None.

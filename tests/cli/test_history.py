@@ -10,12 +10,12 @@ from tests.cli.test_networks import run
 from viewshed import BevGrid
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.archive.archive import ArchiveSource
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.datasets.simulated import simulate
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.estimators.temporal import Memory, Remembering
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.io.export import read_npz
 
 GRID = BevGrid(64, 32.0)
@@ -29,7 +29,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("all",), scenes=(1,),
         frames=(12,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,), interval_s=1.0,
     )  # fmt: skip
-    simulate(preset, Store.of(out), LocalEngine(1))
+    simulate(preset, Storage.of(out), LocalEngine(1))
     return out
 
 
@@ -37,7 +37,7 @@ def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, t
     words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--out")
     assert run(*words, tmp_path / "past", "--past", 3)[0] == 0
     assert run(*words, tmp_path / "alone")[0] == 0
-    estimator, alone = Remembering(ShadowMap(GRID), Memory(3)), ShadowMap(GRID)
+    estimator, alone = TemporalEstimator(ShadowMap(GRID), SweepBuffer(3)), ShadowMap(GRID)
     fewer = 0
     for number, (_, sweep) in enumerate(each_sweep(ArchiveSource.open(drive))):
         found = read_npz(tmp_path / "past" / f"street_{number:03}.npz")

@@ -75,10 +75,10 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
     export_onnx(net, card(SHAPE, BevGrid(64, 16.0), threshold=0.45), drawn(SHAPE))
     words = ("estimate", sweep, "--method", "unet", "--weights", net, "--grid", "64x16", "--height", 1.8)
     found = []
-    for sure, claims_from in ((0.5, 0.45), (0.55, 0.55)):
+    for sure, decision_threshold in ((0.5, 0.45), (0.55, 0.55)):
         code, out, _ = run(*words, "--sure", sure, "--out", tmp_path / str(sure))
         found.append(read_npz(tmp_path / str(sure) / "sweep.npz"))
-        assert (code, f"visible {found[-1].area_m2(claims_from):.0f} m²" in out) == (0, True)
+        assert (code, f"visible {found[-1].area_m2(decision_threshold):.0f} m²" in out) == (0, True)
     every, sure_ones = found
     doubtful = (every.visible_prob < 0.55) & (every.visible_prob > np.float32(1 - 0.55))
     assert (every.state[doubtful] != CellState.UNKNOWN).any()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import viewshed
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named, preset_names
 from viewshed.datasets.simulated import ScenePlan, jobs_of
 
@@ -36,7 +36,7 @@ def test_shards_hold_every_frame_once(name: str, tmp_path: Path) -> None:
     preset = preset_named(name)
     frames: Counter[tuple[str, int]] = Counter()
     ends: dict[str, int] = {}
-    for job in jobs_of(preset, Store.of(tmp_path)):
+    for job in jobs_of(preset, Storage.of(tmp_path)):
         assert job.first == ends.get(job.scene.name, 0)
         assert 0 < job.last - job.first <= 50
         ends[job.scene.name] = job.last
@@ -46,7 +46,9 @@ def test_shards_hold_every_frame_once(name: str, tmp_path: Path) -> None:
         assert sum(counts) == wanted
         assert len(counts) == scenes
         assert max(counts) - min(counts) <= 1
-    assert len({job.name for job in jobs_of(preset, Store.of(tmp_path))}) == len(jobs_of(preset, Store.of(tmp_path)))
+    assert len({job.name for job in jobs_of(preset, Storage.of(tmp_path))}) == len(
+        jobs_of(preset, Storage.of(tmp_path))
+    )
 
 
 @pytest.mark.parametrize("name", preset_names())

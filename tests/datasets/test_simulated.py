@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from viewshed._jobs import Done, J, LocalEngine, R
-from viewshed.datasets import Archive, Store
+from viewshed.datasets import Archive, Storage
 from viewshed.datasets import simulated as simulation
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import ScenePlan, jobs_of, simulate_frame, simulate_shard, world_of
@@ -50,7 +50,7 @@ def _command(out: Path, *more: str) -> list[str]:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small data set, made in one go by this process."""
     folder = tmp_path_factory.mktemp("whole") / "a"
-    simulation.simulate(_small(), Store.of(folder), LocalEngine(1))
+    simulation.simulate(_small(), Storage.of(folder), LocalEngine(1))
     return folder
 
 
@@ -111,7 +111,7 @@ class _Backwards:
 
 
 def test_the_order_of_the_shards_does_not_matter(whole: Path, tmp_path: Path) -> None:
-    simulation.simulate(_small(), Store.of(tmp_path / "b"), _Backwards())
+    simulation.simulate(_small(), Storage.of(tmp_path / "b"), _Backwards())
     assert _files(tmp_path / "b") == _files(whole)
 
 
@@ -157,7 +157,7 @@ def test_what_is_damaged_is_made_anew_and_nothing_else(whole: Path, tmp_path: Pa
             made.extend(getattr(job, "name") for job in jobs)  # noqa: B009 - of any job
             return LocalEngine(1).run(work, jobs)
 
-    simulation.simulate(_small(), Store.of(out), Recorded())
+    simulation.simulate(_small(), Storage.of(out), Recorded())
     assert _files(out) == _files(whole)
     assert (made == ["train-0001-000.parquet"]) == (damage != "sidecar")
 
@@ -177,11 +177,11 @@ def test_a_full_disk_is_one_line_and_finished_shards_stay(
     with monkeypatch.context() as patch:
         patch.setattr("viewshed.datasets.archive.storage.write_bytes", write)
         with pytest.raises(OSError, match=r"train-0002-000\.parquet: the disk is full; .*finished") as caught:
-            simulation.simulate(_small(), Store.of(out), LocalEngine(1))
+            simulation.simulate(_small(), Storage.of(out), LocalEngine(1))
     assert "\n" not in str(caught.value)
     kept = {name: content for name, content in _files(out).items() if name.endswith(".parquet")}
     assert kept == {name: _files(whole)[name] for name in ("train-0000-000.parquet", "train-0001-000.parquet")}
-    simulation.simulate(_small(), Store.of(out), LocalEngine(1))
+    simulation.simulate(_small(), Storage.of(out), LocalEngine(1))
     assert _files(out) == _files(whole)
 
 
@@ -204,14 +204,14 @@ def test_a_file_that_cannot_grow_is_one_line_and_leaves_no_half(tmp_path: Path) 
 def test_a_place_that_holds_another_data_set_is_refused(whole: Path, change: dict[str, object], message: str) -> None:
     before = _files(whole)
     with pytest.raises(ValueError, match=f"{message}; choose another place"):
-        simulation.simulate(replace(_small(), **change), Store.of(whole), LocalEngine(1))  # type: ignore[arg-type]
+        simulation.simulate(replace(_small(), **change), Storage.of(whole), LocalEngine(1))  # type: ignore[arg-type]
     assert _files(whole) == before
 
 
 def test_a_place_that_holds_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("x")
     with pytest.raises(ValueError, match=r"must be empty or hold this data set, got thesis\.txt"):
-        simulation.simulate(_small(), Store.of(tmp_path), LocalEngine(1))
+        simulation.simulate(_small(), Storage.of(tmp_path), LocalEngine(1))
     assert sorted(_files(tmp_path)) == ["thesis.txt"]
 
 
@@ -219,7 +219,7 @@ def test_another_version_does_not_go_on(whole: Path, tmp_path: Path) -> None:
     text = (whole / "manifest.json").read_text("utf-8").replace('"version": "', '"version": "9', 1)
     (tmp_path / "manifest.json").write_text(text, "utf-8")
     with pytest.raises(ValueError, match=r"was begun with viewshed 9.*; finish it with that version"):
-        simulation.simulate(_small(), Store.of(tmp_path), LocalEngine(1))
+        simulation.simulate(_small(), Storage.of(tmp_path), LocalEngine(1))
 
 
 def test_a_failing_shard_stops_the_run_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,7 +230,7 @@ def test_a_failing_shard_stops_the_run_with_its_reason(tmp_path: Path, monkeypat
     for kind in _small().worlds:
         monkeypatch.setitem(simulation_worlds(), kind, broken)
     with pytest.raises(OSError, match="no such street; finished shards are kept"):
-        simulation.simulate(_small(), Store.of(tmp_path / "b"), LocalEngine(1))
+        simulation.simulate(_small(), Storage.of(tmp_path / "b"), LocalEngine(1))
 
 
 def simulation_worlds() -> dict:  # type: ignore[type-arg]
@@ -241,7 +241,7 @@ def simulation_worlds() -> dict:  # type: ignore[type-arg]
 
 def test_several_agents_measure_at_the_same_time(tmp_path: Path) -> None:
     preset = replace(preset_named("carla-small").scaled(30), grid_cells=16)
-    [job] = [job for job in jobs_of(preset, Store.of(tmp_path)) if job.scene.split_name == "train"]
+    [job] = [job for job in jobs_of(preset, Storage.of(tmp_path)) if job.scene.split_name == "train"]
     facts = simulate_shard(replace(job, last=20))
     assert (facts.frames, facts.split) == (20, "train")
     scene = job.scene

@@ -10,9 +10,9 @@ import pytest
 
 from viewshed import GRIDS, Archive, Sweep, write_sweep
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.build import Made
+from viewshed.datasets.archive.build import ShardResult
 from viewshed.datasets.archive.columns import Frame, Touched
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
 from viewshed.datasets.tampered import (
@@ -34,7 +34,7 @@ ONE = LocalEngine(1)
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Archive:
     """Scenes of ten agents each in three splits, with coarse truth."""
     preset = replace(preset_named("carla-small").scaled(40), grid_cells=16)
-    return simulate(preset, Store.of(tmp_path_factory.mktemp("clean")), ONE)
+    return simulate(preset, Storage.of(tmp_path_factory.mktemp("clean")), ONE)
 
 
 def _content(folder: Path) -> dict[str, bytes]:
@@ -42,7 +42,7 @@ def _content(folder: Path) -> dict[str, bytes]:
 
 
 def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path: Path) -> None:
-    made = spoil(of_archive(clean), AttackPlan("far_wall", 40), Store.of(tmp_path), ONE, seed=3)
+    made = spoil(of_archive(clean), AttackPlan("far_wall", 40), Storage.of(tmp_path), ONE, seed=3)
     assert [(shard.name, shard.scene, shard.split, shard.frames) for shard in made.shards] == [
         (shard.name, shard.scene, shard.split, shard.frames) for shard in clean.shards
     ]
@@ -63,7 +63,7 @@ def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path:
 
 
 def test_a_sweep_is_attacked_with_the_seed_of_its_scene_and_number(clean: Archive, tmp_path: Path) -> None:
-    made = spoil(of_archive(clean), AttackPlan("uniform", 25), Store.of(tmp_path), ONE, seed=9)
+    made = spoil(of_archive(clean), AttackPlan("uniform", 25), Storage.of(tmp_path), ONE, seed=9)
     scene = clean.scenes[1]
     inside = [index for index in range(len(clean)) if clean.frame(index)[1].scene == scene]
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([9, 1, 2])))
@@ -73,23 +73,23 @@ def test_a_sweep_is_attacked_with_the_seed_of_its_scene_and_number(clean: Archiv
 
 def test_workers_and_a_stop_do_not_change_bytes(clean: Archive, tmp_path: Path) -> None:
     plan = AttackPlan("ghost_car", 60)
-    told: list[Made] = []
-    spoil(of_archive(clean), plan, Store.of(tmp_path / "one"), ONE, 1, told.append)
-    spoil(of_archive(clean), plan, Store.of(tmp_path / "two"), LocalEngine(2), 1)
+    told: list[ShardResult] = []
+    spoil(of_archive(clean), plan, Storage.of(tmp_path / "one"), ONE, 1, told.append)
+    spoil(of_archive(clean), plan, Storage.of(tmp_path / "two"), LocalEngine(2), 1)
     whole = _content(tmp_path / "one")
     assert _content(tmp_path / "two") == whole
     assert len(told) == len(clean.shards)
     (tmp_path / "two" / clean.shards[0].name).unlink()
     with (tmp_path / "two" / clean.shards[-1].name).open("r+b") as file:
         file.write(b"broken")
-    spoil(of_archive(clean), plan, Store.of(tmp_path / "two"), ONE, 1)
+    spoil(of_archive(clean), plan, Storage.of(tmp_path / "two"), ONE, 1)
     assert _content(tmp_path / "two") == whole
 
 
 def test_a_split_holds_the_same_sweeps_as_the_whole(clean: Archive, tmp_path: Path) -> None:
     plan = AttackPlan("uniform_on_beams", 30)
-    whole = spoil(of_archive(clean), plan, Store.of(tmp_path / "all"), ONE)
-    test = spoil(of_archive(clean, "test"), plan, Store.of(tmp_path / "test"), ONE)
+    whole = spoil(of_archive(clean), plan, Storage.of(tmp_path / "all"), ONE)
+    test = spoil(of_archive(clean, "test"), plan, Storage.of(tmp_path / "test"), ONE)
     assert test.splits == ("test",)
     told = {shard.name: shard.sha256 for shard in whole.shards}
     assert [told[shard.name] for shard in test.shards] == [shard.sha256 for shard in test.shards]
@@ -98,7 +98,7 @@ def test_a_split_holds_the_same_sweeps_as_the_whole(clean: Archive, tmp_path: Pa
 
 
 def test_a_replay_plays_the_sweep_before_of_the_same_agent(clean: Archive, tmp_path: Path) -> None:
-    made = spoil(of_archive(clean), AttackPlan("replay", mode="free_form"), Store.of(tmp_path), ONE)
+    made = spoil(of_archive(clean), AttackPlan("replay", mode="free_form"), Storage.of(tmp_path), ONE)
     last: dict[tuple[str, str], Sweep] = {}
     for before, after in zip(clean, made, strict=True):
         key = before.scene, before.sweep.agent
@@ -115,9 +115,9 @@ def test_damage_costs_the_damaged_sweeps_alone(clean: Archive, tmp_path: Path) -
     shutil.copytree(clean.store.folder, folder)
     victim = clean.shards[0]
     (folder / victim.name).write_bytes(b"PAR1 nothing of use PAR1")
-    told: list[Made] = []
+    told: list[ShardResult] = []
     made = spoil(
-        of_archive(Archive.open(folder)), AttackPlan("jamming"), Store.of(tmp_path / "out"), ONE, 0, told.append
+        of_archive(Archive.open(folder)), AttackPlan("jamming"), Storage.of(tmp_path / "out"), ONE, 0, told.append
     )
     problems = [problem for one in told for problem in one.problems]
     assert len(problems) == 1
@@ -128,8 +128,8 @@ def test_damage_costs_the_damaged_sweeps_alone(clean: Archive, tmp_path: Path) -
 
 
 def test_an_archive_without_a_record_has_no_column_for_it(clean: Archive, tmp_path: Path) -> None:
-    attacked = spoil(of_archive(clean, "test"), AttackPlan("relay"), Store.of(tmp_path / "a"), ONE)
-    foggy = spoil(of_archive(clean, "test"), CorruptionPlan("fog", 5), Store.of(tmp_path / "b"), ONE)
+    attacked = spoil(of_archive(clean, "test"), AttackPlan("relay"), Storage.of(tmp_path / "a"), ONE)
+    foggy = spoil(of_archive(clean, "test"), CorruptionPlan("fog", 5), Storage.of(tmp_path / "b"), ONE)
     assert clean.store.folder is not None
     columns = [
         pq.read_schema(folder / attacked.shards[0].name).names
@@ -142,7 +142,7 @@ def test_an_archive_without_a_record_has_no_column_for_it(clean: Archive, tmp_pa
 
 
 def test_an_untouched_frame_stays_a_range_image(clean: Archive, tmp_path: Path) -> None:
-    made = spoil(of_archive(clean, "test"), AttackPlan("far_wall", 0), Store.of(tmp_path), ONE)
+    made = spoil(of_archive(clean, "test"), AttackPlan("far_wall", 0), Storage.of(tmp_path), ONE)
     frame, before = made.frame(0)[0], clean.split("test").frame(0)[0]
     assert frame.sweep.points.tobytes() == before.sweep.points.tobytes()
     assert frame.touched is not None
@@ -157,7 +157,7 @@ def test_a_record_that_does_not_fit_is_refused(clean: Archive) -> None:
 
 
 def test_a_place_that_holds_another_attack_is_refused(clean: Archive, tmp_path: Path) -> None:
-    sweeps, store = of_archive(clean, "test"), Store.of(tmp_path)
+    sweeps, store = of_archive(clean, "test"), Storage.of(tmp_path)
     spoil(sweeps, AttackPlan("far_wall", 10), store, ONE)
     with pytest.raises(ValueError, match="holds far_wall with other budget; choose another place"):
         spoil(sweeps, AttackPlan("far_wall", 11), store, ONE)
@@ -175,9 +175,9 @@ def test_recordings_and_files_have_no_truth(tmp_path: Path) -> None:
     for number in range(3):
         write_sweep(Sweep(rng.normal(0, 15, (50 + number, 3)).astype(np.float32)), folder / f"{number:06d}.bin")
     (folder / "000001.bin").write_bytes(b"12345")
-    told: list[Made] = []
+    told: list[ShardResult] = []
     sweeps = of_recording(str(tmp_path / "kitti"), GRIDS["indoor"])
-    made = spoil(sweeps, AttackPlan("uniform", 5), Store.of(tmp_path / "out"), ONE, 0, told.append)
+    made = spoil(sweeps, AttackPlan("uniform", 5), Storage.of(tmp_path / "out"), ONE, 0, told.append)
     assert [len(sample.sweep) for sample in made] == [55, 57]
     assert not made[0].known.any()
     problem = next(problem for one in told for problem in one.problems)

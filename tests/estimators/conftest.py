@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from viewshed.fov.height_map import Ground
 from viewshed.geometry import Rigid
-from viewshed.preprocess.leveling import LevelSweep
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
 Box = tuple[float, float, float, float, float]
 """x low, x high, y low, y high, height: a box on flat ground."""
 SENSOR_M = 1.8
 CastScene = Callable[..., Sweep]
-MakeLevel = Callable[..., LevelSweep]
+MakeLevel = Callable[..., LeveledSweep]
 
 
 def _cast(boxes: Sequence[Box] = (), sensor_m: float = SENSOR_M, columns: int = 720, reach_m: float = 60.0) -> Sweep:
@@ -40,12 +40,12 @@ def _cast(boxes: Sequence[Box] = (), sensor_m: float = SENSOR_M, columns: int = 
 
 def _level(
     points: NDArray[np.float32], azimuth: NDArray[np.float32] | None = None, sensor_m: float = SENSOR_M
-) -> LevelSweep:
+) -> LeveledSweep:
     """A level sweep on flat ground of points given in the level frame (z = 0 on the ground)."""
     points = np.asarray(points, np.float32).reshape(-1, 3)
     range_m = np.hypot(points[:, 0].astype(np.float64), points[:, 1])
     azimuth = np.arctan2(points[:, 1], points[:, 0]) if azimuth is None else azimuth
-    return LevelSweep(
+    return LeveledSweep(
         Sweep(points - np.array([0, 0, sensor_m], np.float32), sensor_height_m=sensor_m),
         points,
         range_m.astype(np.float32),

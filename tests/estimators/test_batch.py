@@ -15,7 +15,7 @@ from tests.networks.made import card, drawn
 from viewshed import ESTIMATORS, BevGrid, Sweep
 from viewshed.estimators.batch import estimate_all
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.estimators.temporal import Remembering
+from viewshed.estimators.temporal import TemporalEstimator
 from viewshed.estimators.unet import UnetEstimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.networks.architecture import UNetShape
@@ -192,7 +192,10 @@ def test_sweeps_that_cannot_be_read_further_are_estimated_so_far(batch: int) -> 
         ({"batch": 0}, r"batch must lie in \[1, 1024\], got 0"),
         ({"batch": 1025}, r"batch must lie in \[1, 1024\], got 1025"),
         ({"threads": 0}, "threads must be at least 1, got 0"),
-        ({"estimator": Remembering(ShadowMap(GRID))}, "an estimator that remembers takes sweeps one after the other"),
+        (
+            {"estimator": TemporalEstimator(ShadowMap(GRID))},
+            "an estimator that remembers takes sweeps one after the other",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_refused_before_a_sweep_is_taken(settings: dict[str, Any], message: str) -> None:

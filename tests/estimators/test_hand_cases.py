@@ -12,11 +12,11 @@ from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace,
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import BINS_LADDER, measured_azimuth_bins
-from viewshed.preprocess.leveling import LevelSweep
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
 CastScene = Callable[..., Sweep]
-MakeLevel = Callable[..., LevelSweep]
+MakeLevel = Callable[..., LeveledSweep]
 GRID = BevGrid(80, 20.0)
 WALL = (10.0, 10.5, -2.0, 6.0, 6.0)
 CAR = (3.0, 5.0, 6.5, 8.5, 1.5)
@@ -28,7 +28,7 @@ def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
 
 
 def _seen_past_wall(grid: BevGrid) -> NDArray[np.bool_]:
-    """Cells whose centre the wall at x = 10, y from -2 to 6, does not hide from the sensor (one cell of tolerance)."""
+    """Cells whose center the wall at x = 10, y from -2 to 6, does not hide from the sensor (one cell of tolerance)."""
     x, y = grid.centers[..., 0], grid.centers[..., 1]
     at_wall = np.where(x > 0, y * 10.0 / np.where(x > 0, x, 1.0), np.inf)
     behind = (np.hypot(x, y) - grid.cell_m > np.hypot(10.0, at_wall)) & (at_wall > -2.0) & (at_wall < 6.0)
@@ -41,7 +41,7 @@ def _at(estimate: FovEstimate, x: float, y: float) -> CellState:
     return CellState(int(estimate.state[i, j]))
 
 
-@pytest.mark.parametrize("grid", [GRID, BevGrid(64, 16.0, (4.0, 3.0))], ids=["centred", "offset"])
+@pytest.mark.parametrize("grid", [GRID, BevGrid(64, 16.0, (4.0, 3.0))], ids=["centered", "offset"])
 @pytest.mark.parametrize("name", RAYS)
 def test_a_wall_on_one_side_hides_what_is_behind_it(cast: CastScene, name: str, grid: BevGrid) -> None:
     estimate = ESTIMATORS[name](grid).estimate(cast([WALL]))
@@ -52,7 +52,7 @@ def test_a_wall_on_one_side_hides_what_is_behind_it(cast: CastScene, name: str, 
 
 
 def test_the_label_about_the_centroid_is_worse_than_rays_from_the_sensor(cast: CastScene) -> None:
-    # A front camera's crop of the sweep: its centroid lies metres ahead of the sensor, beside the wall's shadow.
+    # A front camera's crop of the sweep: its centroid lies meters ahead of the sensor, beside the wall's shadow.
     sweep = cast([WALL])
     sweep = sweep.select(sweep.points[:, 0] > np.abs(sweep.points[:, 1]))
     ahead = GRID.centers[..., 0] > np.abs(GRID.centers[..., 1])
@@ -127,16 +127,16 @@ def test_hull_and_polygon_fit_follow_the_returns(cast: CastScene) -> None:
 def test_polygon_fit_breaks_up_where_rings_lie_apart(make_level: MakeLevel) -> None:
     azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     rings = [np.stack([r * np.cos(azimuth), r * np.sin(azimuth), 0 * azimuth], axis=1) for r in (4, 6, 8, 15)]
-    level = make_level(np.concatenate(rings))
-    fit = ESTIMATORS["polygon_fit"](GRID).estimate_level(level)  # type: ignore[attr-defined]
+    leveled = make_level(np.concatenate(rings))
+    fit = ESTIMATORS["polygon_fit"](GRID).estimate_level(leveled)  # type: ignore[attr-defined]
     seen = {r: float(fit.at(np.array([0.3, r]))) for r in (5.0, 7.0, 11.0)}
     assert seen == {5.0: 1.0, 7.0: 1.0, 11.0: 0.0}
 
 
 def test_range_bins_round_up_to_the_end_of_the_bin(make_level: MakeLevel) -> None:
-    # 20 m in 10 bins: a return at 9.1 m is in the bin from 8 to 10 m; centres before 10 m are visible, 10.25 is not.
-    level = make_level(np.array([[0.2, 9.1, 0.0]]))
-    estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=20.0).estimate_level(level)
+    # 20 m in 10 bins: a return at 9.1 m is in the bin from 8 to 10 m; centers before 10 m are visible, 10.25 is not.
+    leveled = make_level(np.array([[0.2, 9.1, 0.0]]))
+    estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=20.0).estimate_level(leveled)
     assert [float(estimate.at(np.array([0.3, y]))) for y in (9.6, 9.8, 10.1)] == [1.0, 1.0, 0.0]
     far = make_level(np.array([[0.2, 90.0, 0.0]]))
     estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=12.0).estimate_level(far)
@@ -145,19 +145,19 @@ def test_range_bins_round_up_to_the_end_of_the_bin(make_level: MakeLevel) -> Non
 
 def test_trimmed_drops_exactly_the_farthest(make_level: MakeLevel) -> None:
     y = np.arange(2.0, 12.0)
-    level = make_level(np.stack([0 * y - 0.05, y, 0 * y], axis=1))
+    leveled = make_level(np.stack([0 * y - 0.05, y, 0 * y], axis=1))
     grid = BevGrid(65, 16.25)
     assert grid.cell_m == 0.5
     for trim, last in ((0, 11.5), (3, 8.5), (9, 2.5), (10, None)):
-        estimate = TrimmedRayTrace(grid, trim=trim, azimuth_bins=36).estimate_level(level)
+        estimate = TrimmedRayTrace(grid, trim=trim, azimuth_bins=36).estimate_level(leveled)
         seen = [float(r) for r in np.arange(0.5, 14.0, 0.5) if estimate.at(np.array([0.0, r])) == 1.0]
         assert (max(seen) if seen else None) == last
 
 
 def test_first_blocker_without_farthest_limit_sees_to_the_model_range(make_level: MakeLevel) -> None:
-    level = make_level(np.array([[0.1, 5.0, 0.0], [9.0, 0.1, 0.0], [-12.0, -0.1, 0.0]]))
+    leveled = make_level(np.array([[0.1, 5.0, 0.0], [9.0, 0.1, 0.0], [-12.0, -0.1, 0.0]]))
     limited, open_ = (
-        FirstBlocker(GRID, azimuth_bins=36, limit_farthest=limit).estimate_level(level) for limit in (True, False)
+        FirstBlocker(GRID, azimuth_bins=36, limit_farthest=limit).estimate_level(leveled) for limit in (True, False)
     )
     assert [float(e.at(np.array([0.3, 9.0]))) for e in (limited, open_)] == [0.0, 1.0]
     assert [float(e.at(np.array([0.3, 13.0]))) for e in (limited, open_)] == [0.0, 0.0]
@@ -191,18 +191,18 @@ def test_bins_follow_the_measured_step(columns: int, bins: int) -> None:
 
 
 def test_the_window_reaches_across_the_back(make_level: MakeLevel) -> None:
-    # The cell's centre is at (-9.75, 0.25), 0.02564 rad before half a turn; returns stand on the other side of it.
+    # The cell's center is at (-9.75, 0.25), 0.02564 rad before half a turn; returns stand on the other side of it.
     cell = np.array([-9.75, 0.25])
     for turn, seen in ((0.049, 1.0), (0.051, 0.0)):
         azimuth = np.arctan2(cell[1], cell[0]) + turn
-        level = make_level(np.array([[12 * np.cos(azimuth), 12 * np.sin(azimuth), 0.0]]))
-        assert level.azimuth[0] < -3
-        assert float(ContinuousRayTrace(GRID, window=0.05).estimate_level(level).at(cell)) == seen
+        leveled = make_level(np.array([[12 * np.cos(azimuth), 12 * np.sin(azimuth), 0.0]]))
+        assert leveled.azimuth[0] < -3
+        assert float(ContinuousRayTrace(GRID, window=0.05).estimate_level(leveled).at(cell)) == seen
 
 
 def test_the_median_leaves_out_azimuths_without_returns(make_level: MakeLevel) -> None:
-    level = make_level(np.array([[0.2, 5.0, 1.0], [0.2, 12.0, 0.0]]))
-    estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate_level(level)
+    leveled = make_level(np.array([[0.2, 5.0, 1.0], [0.2, 12.0, 0.0]]))
+    estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate_level(leveled)
     assert [_at(estimate, 0.2, y) for y in (4.0, 9.0)] == [CellState.FREE, CellState.HIDDEN]
 
 

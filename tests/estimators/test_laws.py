@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed.estimators.concave_hull import ConcaveHull, thinned
-from viewshed.estimators.delaunay import PolygonFit
+from viewshed.estimators.delaunay import Delaunay
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import LevelSweep
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(64, 16.0)
 BINS = 180
-"""Four times an odd number: no cell's centre and no axis lies on a bin's border."""
+"""Four times an odd number: no cell's center and no axis lies on a bin's border."""
 POLAR: Mapping[str, Any] = {
     "continuous": ContinuousRayTrace(GRID, window=0.02),
     "quantized": QuantizedRayTrace(GRID, azimuth_bins=BINS),
@@ -33,7 +33,7 @@ POLAR: Mapping[str, Any] = {
     "second_blocker": FirstBlocker(GRID, azimuth_bins=BINS, rank=2, limit_farthest=False),
     "median_blocker": FirstBlocker(GRID, azimuth_bins=BINS, median_bins=5),
 }
-MakeLevel = Callable[..., LevelSweep]
+MakeLevel = Callable[..., LeveledSweep]
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -60,7 +60,7 @@ def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> No
 
 
 @pytest.mark.parametrize(
-    "estimator", [ConcaveHull(GRID), PolygonFit(GRID), ShadowMap(GRID)], ids=lambda e: type(e).__name__
+    "estimator", [ConcaveHull(GRID), Delaunay(GRID), ShadowMap(GRID)], ids=lambda e: type(e).__name__
 )
 @settings(max_examples=5, deadline=None)
 @given(seed=seeds)
@@ -84,16 +84,16 @@ def test_more_returns_never_remove_visibility_of_farthest(
     assert fewer.any()
 
 
-def _with_occluder(level: LevelSweep, seed: int) -> LevelSweep:
+def _with_occluder(leveled: LeveledSweep, seed: int) -> LeveledSweep:
     """Halve the depth of the returns of one sector that lie beyond some range; beams keep their directions."""
     rng = np.random.default_rng(seed)
     middle, width, beyond = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.8), rng.uniform(3, 10)
-    away = np.abs(np.angle(np.exp(1j * (level.azimuth.astype(np.float64) - middle))))
-    blocked = (away < width) & (level.range_m > beyond)
+    away = np.abs(np.angle(np.exp(1j * (leveled.azimuth.astype(np.float64) - middle))))
+    blocked = (away < width) & (leveled.range_m > beyond)
     scale = np.where(blocked, np.float32(0.5), np.float32(1.0))
-    sensor = np.array([0, 0, level.sensor_height_m], np.float32)
-    points = ((level.points - sensor) * scale[:, None] + sensor).astype(np.float32)
-    return replace(level, points=points, range_m=level.range_m * scale, height_m=points[:, 2].copy())
+    sensor = np.array([0, 0, leveled.sensor_height_m], np.float32)
+    points = ((leveled.points - sensor) * scale[:, None] + sensor).astype(np.float32)
+    return replace(leveled, points=points, range_m=leveled.range_m * scale, height_m=points[:, 2].copy())
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_more_occluders_never_add_visibility(make_level: MakeLevel, street: Swee
     points = street.points + np.array([0, 0, 1.8], np.float32)
     before = make_level(points)
     after = _with_occluder(before, seed)
-    open_, blocked = (estimator.estimate_level(level).visible() for level in (before, after))
+    open_, blocked = (estimator.estimate_level(leveled).visible() for leveled in (before, after))
     assert not (blocked & ~open_).any()
     assert open_.any()
 
@@ -143,23 +143,23 @@ def test_continuous_agrees_with_its_definition_cell_by_cell(make_level: MakeLeve
 @settings(max_examples=10, deadline=None)
 @given(seed=seeds)
 def test_hull_and_polygon_masks_agree_with_shapely(make_level: MakeLevel, seed: int) -> None:
-    level = make_level(_points(seed, 400))
-    points, hull, fit = thinned(level, GRID), ConcaveHull(GRID), PolygonFit(GRID)
+    leveled = make_level(_points(seed, 400))
+    points, hull, fit = thinned(leveled, GRID), ConcaveHull(GRID), Delaunay(GRID)
     triangles = shapely.polygons(fit._edges(points).reshape(-1, 3, 4)[..., :2])
     outlines: list[tuple[Any, Any]] = [
         (hull, shapely.Polygon(hull._edges(points)[:, :2])), (fit, shapely.union_all(triangles))
     ]  # fmt: skip
     for estimator, outline in outlines:
         want = shapely.contains_xy(outline, GRID.centers[..., 0], GRID.centers[..., 1])
-        assert np.array_equal(estimator.estimate_level(level).visible(), want)
+        assert np.array_equal(estimator.estimate_level(leveled).visible(), want)
 
 
 @settings(max_examples=10, deadline=None)
 @given(seed=seeds, rank=st.integers(1, 4))
 def test_first_blocker_is_the_nearest_of_rank(make_level: MakeLevel, seed: int, rank: int) -> None:
     points = _points(seed)
-    level = make_level(points)
-    got = FirstBlocker(GRID, azimuth_bins=BINS, rank=rank).estimate_level(level)
+    leveled = make_level(points)
+    got = FirstBlocker(GRID, azimuth_bins=BINS, rank=rank).estimate_level(leveled)
     bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi) * BINS).astype(int)
     x, y = GRID.centers[..., 0], GRID.centers[..., 1]
     of_cell = np.floor((np.arctan2(y, x) + np.pi) / (2 * np.pi) * BINS).astype(int)

@@ -2,7 +2,7 @@ import numpy as np
 
 from viewshed import CAR, BevGrid, CellState, FovEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.majority_vote import VoteOfFive
+from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -17,14 +17,14 @@ def test_three_of_five_decide() -> None:
     voters: list[FovEstimator] = [ShadowMap(GRID, CAR, rule) for rule in rules]
     blockers: list[FovEstimator] = [FirstBlocker(GRID, CAR, limit_farthest=limit) for limit in (True, False)]
     votes = sum(v.estimate(SWEEP).visible().astype(int) for v in (*voters, *blockers))
-    estimate = VoteOfFive(GRID).estimate(SWEEP)
+    estimate = MajorityVote(GRID).estimate(SWEEP)
     assert (estimate.visible() == (votes >= 3)).all()
     assert np.allclose(estimate.visible_prob * 5, votes)
     assert 0 < estimate.visible().mean() < 1
 
 
 def test_states_agree_with_the_vote() -> None:
-    estimate = VoteOfFive(GRID).estimate(SWEEP)
+    estimate = MajorityVote(GRID).estimate(SWEEP)
     seen = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
     assert (seen == estimate.visible()).all()
     behind = tuple(GRID.index(np.array([20.0, 4.0]))[0])

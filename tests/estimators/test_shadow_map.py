@@ -10,7 +10,7 @@ from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Sweep, Target
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Cylinder, Scene, cast, depth_image
 
@@ -154,15 +154,15 @@ def test_an_obstacle_on_a_beam_never_adds_visibility() -> None:
     sweep = cast(MODEL, SCENE, HEIGHT_M)
     rng = np.random.default_rng(3)
     factor = np.where(rng.random(len(sweep)) < 0.2, rng.uniform(0.3, 1.0, len(sweep)), 1.0)
-    level = level_sweep(sweep, GRID)
+    leveled = level(sweep, GRID)
     nearer = sweep.replace(points=sweep.points * factor[:, None].astype(np.float32))
-    before, after = (ShadowMap(GRID).estimate_level(_with_ground(level_sweep(s, GRID), level)) for s in (sweep, nearer))
+    before, after = (ShadowMap(GRID).estimate_level(_with_ground(level(s, GRID), leveled)) for s in (sweep, nearer))
     assert (after.visible_prob <= before.visible_prob + 0.02).all()
     assert after.visible().sum() < before.visible().sum()
 
 
-def _with_ground(level: LevelSweep, reference: LevelSweep) -> LevelSweep:
-    return replace(level, ground=reference.ground, level_from_sensor=reference.level_from_sensor)
+def _with_ground(leveled: LeveledSweep, reference: LeveledSweep) -> LeveledSweep:
+    return replace(leveled, ground=reference.ground, level_from_sensor=reference.level_from_sensor)
 
 
 def test_unknown_rules_are_refused() -> None:

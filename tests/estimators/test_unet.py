@@ -142,7 +142,7 @@ def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
 @pytest.mark.parametrize(("threshold", "sure"), [(0.5, 0.7), (0.2, 0.7), (0.9, 0.7), (0.5, 0.6)])
 def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: float, sure: float) -> None:
     plain = UnetEstimator(TorchRunner(card(SHAPE, GRID, threshold=threshold), drawn(SHAPE)))
-    every, found = plain.estimate(street), plain.when_sure(sure).estimate(street)
+    every, found = plain.estimate(street), plain.with_abstention(sure).estimate(street)
     assert np.array_equal(every.visible_prob, found.visible_prob)
     claimed, denied = found.visible_prob >= max(threshold, sure), found.visible_prob <= np.float32(1 - sure)
     assert claimed.any() or threshold == 0.9
@@ -152,7 +152,7 @@ def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: flo
     assert (found.state[~claimed & ~denied] == CellState.UNKNOWN).all()
     kept = claimed | (denied & (every.visible_prob < threshold))
     assert np.array_equal(found.state[kept], every.state[kept])
-    assert np.array_equal(plain.when_sure(0.5).estimate(street).state, every.state)
+    assert np.array_equal(plain.with_abstention(0.5).estimate(street).state, every.state)
 
 
 @pytest.mark.parametrize("sure", [0.49, 1.01, float("nan")])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from viewshed import ESTIMATORS, GRIDS, BevGrid, FovEstimate, FovEstimator, Sweep
 from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.archive.shard import Shard, write_frames
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named, preset_names
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import paper_estimators
@@ -186,7 +186,7 @@ def shard_digests(preset: str, folder: Path) -> dict[str, dict[str, str]]:
     Its frames are the first of the first agent, of the last agent, and the second of the first.
     """
     made: Preset = preset_named(preset)
-    scene, store = ScenePlan(made, 0, 1), Store.of(folder)
+    scene, store = ScenePlan(made, 0, 1), Storage.of(folder)
     numbers = sorted({0, made.agents - 1, made.agents})
     frames = (simulate_frame(scene, number) for number in numbers)
     write_frames(store, f"{preset}.parquet", (scene.name, scene.split_name), frames)

@@ -72,7 +72,7 @@ BAD = {
     "order.ply": (PLY.replace(b"binary_little_endian", b"binary_middle"), "PLY format must be ascii, binary_"),
     "open.ply": (PLY.replace(b"end_header", b"no_end"), "PLY header has no end_header"),
     "shape.npy": (files.npy(P[:, :2]), r"points must have shape \(N, 3\) or more columns, got \(6, 2\)"),
-    "int8.npy": (files.npy(P.astype(np.int8)), r"must be floats \(metres\) or int32 \(millimetres\), got int8"),
+    "int8.npy": (files.npy(P.astype(np.int8)), r"must be floats \(meters\) or int32 \(millimeters\), got int8"),
     "huge.npy": (
         header_only(b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999999, 3), }\n"),
         r"NPY shape \(999999999, 3\) of float64 needs 23999999976 bytes, the array holds 0",

@@ -39,7 +39,7 @@ def test_points_and_intensity_come_out_as_they_were_put_in(name: str, put: Any) 
 
 
 @pytest.mark.parametrize("name", sorted(SAMPLES))
-def test_every_sample_is_recognised_and_equals_its_named_format(name: str, tmp_path: Path) -> None:
+def test_every_sample_is_recognized_and_equals_its_named_format(name: str, tmp_path: Path) -> None:
     sample = SAMPLES[name]
     for other, content in {sample.name: sample.content, **sample.beside}.items():
         (tmp_path / other).write_bytes(content)
@@ -104,7 +104,7 @@ def test_pcd_fields_of_any_type_order_and_count(put: Any) -> None:
     np.testing.assert_allclose(sweep.time_s, 0.01 * np.arange(6), atol=1e-6)
 
 
-def test_pcd_organised_cloud_loses_its_nan_points_only(put: Any) -> None:
+def test_pcd_organized_cloud_loses_its_nan_points_only(put: Any) -> None:
     table = np.column_stack((P, I)).astype(np.float32)
     table[[1, 4], :3] = np.nan
     sweep = read_sweep(put("n.pcd", files.pcd(files.rows(table), "binary").replace(b"HEIGHT 1", b"HEIGHT 2")))
@@ -132,7 +132,7 @@ def test_azimuth_that_does_not_fit_the_points_is_left_out(put: Any) -> None:
     assert read_sweep(put("a.pcd", content)).azimuth is None
 
 
-def test_npy_of_int32_is_millimetres_and_of_floats_metres(put: Any) -> None:
+def test_npy_of_int32_is_millimeters_and_of_floats_meters(put: Any) -> None:
     np.testing.assert_allclose(read_sweep(put("m.npy", files.npy((P * 1000).astype(np.int32)))).points, P, atol=1e-6)
     wide = np.asfortranarray(np.column_stack((P, I)).astype(np.float64))
     sweep = read_sweep(put("f.npy", files.npy(wide)))

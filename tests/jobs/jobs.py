@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 
 
 def square(job: int) -> int:
@@ -44,7 +44,7 @@ def write_file(folder: Path, job: int) -> tuple[int, int]:
         time.sleep(120)
     time.sleep(0.05)
     content = f"shard {job}\n".encode() * 1000
-    write_bytes(folder / f"{job}.shard", content)
+    write_atomic(folder / f"{job}.shard", content)
     return len(content), os.getppid()
 
 

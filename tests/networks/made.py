@@ -6,7 +6,7 @@ import torch
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
-from viewshed.networks.features import CHANNELS
+from viewshed.networks.features import FEATURES
 from viewshed.networks.unet_torch import Stage, UNet
 
 SMALL = UNetShape(4, 2, 0.3)
@@ -15,7 +15,7 @@ GRID = BevGrid(32, 16.0)
 
 def card(shape: UNetShape = SMALL, grid: BevGrid = GRID, threshold: float = 0.5) -> NetworkCard:
     """A card as training would write it."""
-    names = tuple(CHANNELS)[: shape.channels]
+    names = tuple(FEATURES)[: shape.channels]
     return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, inputs=names, trained={"seed": "3"})
 
 

@@ -4,48 +4,48 @@ import numpy as np
 import pytest
 
 from viewshed.grid import BevGrid
-from viewshed.networks.features import EVIDENCE_BINS, HEIGHTS_M, scan
+from viewshed.networks.features import EVIDENCE_BINS, HEIGHTS_M, cell_statistics
 from viewshed.preprocess.azimuth_bins import (
     azimuth_bins_of,
     farthest_in_bins,
     measured_azimuth_bins,
     nearest_obstacle_in_bins,
 )
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(32, 16.0, (2.0, -1.0))
 ABOVE_SENSOR_M = 1.8
 
 
-def _level(columns: int) -> LevelSweep:
+def _level(columns: int) -> LeveledSweep:
     rng = np.random.default_rng(columns)
     azimuth = np.tile((np.arange(columns) + 0.4) * 2 * np.pi / columns - np.pi, 4)
     range_m = rng.uniform(1.0, 40.0, len(azimuth))
     height_m = rng.uniform(-3.0, 5.0, len(azimuth)) - ABOVE_SENSOR_M
     points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), height_m], axis=1).astype(np.float32)
     sweep = Sweep(points, attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=ABOVE_SENSOR_M)
-    return level_sweep(sweep, GRID)
+    return level(sweep, GRID)
 
 
 @pytest.mark.parametrize("columns", [2000, 700, 400, 330, 190, 130, 7])
 def test_azimuths_and_obstacles_are_those_of_the_plain_functions(columns: int) -> None:
-    level = _level(columns)
-    found = scan(level, GRID)
-    assert found.bins == measured_azimuth_bins(level.azimuth)
-    assert np.array_equal(found.blocker_m, nearest_obstacle_in_bins(level, found.bins, 1, OBSTACLE_HEIGHTS_M))
-    assert np.array_equal(found.farthest_m, farthest_in_bins(level, found.bins))
-    bins = azimuth_bins_of(level.azimuth, EVIDENCE_BINS)
+    leveled = _level(columns)
+    found = cell_statistics(leveled, GRID)
+    assert found.bins == measured_azimuth_bins(leveled.azimuth)
+    assert np.array_equal(found.blocker_m, nearest_obstacle_in_bins(leveled, found.bins, 1, OBSTACLE_HEIGHTS_M))
+    assert np.array_equal(found.farthest_m, farthest_in_bins(leveled, found.bins))
+    bins = azimuth_bins_of(leveled.azimuth, EVIDENCE_BINS)
     assert np.array_equal(found.returns, np.bincount(bins, minlength=EVIDENCE_BINS))
-    assert np.array_equal(found.obstacle, level.obstacle_cells(GRID))
+    assert np.array_equal(found.obstacle, leveled.obstacle_cells(GRID))
     assert found.obstacle.any()
 
 
 def test_codes_ascend_with_the_height_of_the_lowest_and_the_highest_return() -> None:
-    level = _level(700)
-    found, (cells, inside) = scan(level, GRID), GRID.index(level.points)
+    leveled = _level(700)
+    found, (cells, inside) = cell_statistics(leveled, GRID), GRID.index(leveled.points)
     low, high = HEIGHTS_M
-    code = 1 + (254 * (level.height_m.astype(float).clip(low, high) - low) / (high - low)).astype(int)
+    code = 1 + (254 * (leveled.height_m.astype(float).clip(low, high) - low) / (high - low)).astype(int)
     for cell in np.unique(cells[inside], axis=0)[::9]:
         here = code[(cells == cell).all(axis=1)]
         assert abs(int(found.lowest[tuple(cell)]) - here.min()) <= 1
@@ -57,7 +57,7 @@ def test_codes_ascend_with_the_height_of_the_lowest_and_the_highest_return() -> 
 
 
 def test_no_return_tells_nothing() -> None:
-    found = scan(level_sweep(Sweep(np.zeros((0, 3), np.float32)), GRID), GRID)
+    found = cell_statistics(level(Sweep(np.zeros((0, 3), np.float32)), GRID), GRID)
     for each in (found.lowest, found.highest, found.obstacle, found.returns):
         assert not each.any()
     assert np.isposinf(found.blocker_m).all()

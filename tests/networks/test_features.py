@@ -13,10 +13,18 @@ from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
-from viewshed.networks.features import CHANNELS, FARTHEST_M, MOST_RETURNS, Shown, away_code, maps_of, returns_code
+from viewshed.networks.features import (
+    FARTHEST_M,
+    FEATURES,
+    MOST_RETURNS,
+    FeatureContext,
+    away_code,
+    feature_maps,
+    returns_code,
+)
 from viewshed.preprocess.azimuth_bins import bins_of_cells
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
-from viewshed.preprocess.no_return import told_beams
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.no_return import beams_by_evidence
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(64, 64.0)
@@ -28,12 +36,12 @@ def frame() -> Frame:
     return simulate_frame(ScenePlan(preset_named("nuscenes-small"), 0, 1), 0)
 
 
-def shown(level: LevelSweep) -> Shown:
-    return Shown(level, GRID, CAR, GRID.count(level.points).clip(0, 255).astype(np.uint8))
+def shown(leveled: LeveledSweep) -> FeatureContext:
+    return FeatureContext(leveled, GRID, CAR, GRID.count(leveled.points).clip(0, 255).astype(np.uint8))
 
 
 def maps(sweep: Sweep) -> Maps:
-    return dict(zip(CHANNELS, maps_of(tuple(CHANNELS), shown(level_sweep(sweep, GRID))), strict=True))
+    return dict(zip(FEATURES, feature_maps(tuple(FEATURES), shown(level(sweep, GRID))), strict=True))
 
 
 def test_expected_returns_are_the_shadow_maps(frame: Frame) -> None:
@@ -49,17 +57,17 @@ def test_expected_returns_are_the_shadow_maps(frame: Frame) -> None:
 
 def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
     """Confirmed, explained and unexplained together reach each cell at least as often as with no gap filled."""
-    returns = shown(level_sweep(frame.sweep, GRID)).returns
+    returns = shown(level(frame.sweep, GRID)).returns
     assert returns.shape == (3, *GRID.shape)
     assert (returns >= 0).all()
     assert (returns.max(axis=(1, 2)) > CAR.min_returns).all()
 
 
 def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Frame) -> None:
-    level = level_sweep(frame.sweep, GRID)
-    beams = told_beams(level, CAR.height_m).unexplained
+    leveled = level(frame.sweep, GRID)
+    beams = beams_by_evidence(leveled, CAR.height_m).unresolved
     assert np.isinf(beams.depth_m).all()
-    returns = returns_by_kind([beams], level.sensor_height_m, level.ground, GRID, CAR)[0]
+    returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, GRID, CAR)[0]
     found = maps(frame.sweep)["unexplained"]
     assert np.array_equal(found, returns_code(returns))
     assert found.any()
@@ -74,7 +82,7 @@ def test_codes_ascend_with_the_returns() -> None:
 
 def test_the_code_of_a_limit_is_that_of_its_distance() -> None:
     """Tables give what the logarithm does, cell by cell, also where one code ends and the next begins."""
-    rng, seen = np.random.default_rng(2), shown(level_sweep(Sweep(np.zeros((0, 3), np.float32)), GRID))
+    rng, seen = np.random.default_rng(2), shown(level(Sweep(np.zeros((0, 3), np.float32)), GRID))
     bins, range_m = bins_of_cells(GRID, seen.scan.bins), polar_of_cells(GRID)[0]
     edges = np.expm1(np.arange(1, 254, 2) * np.log1p(FARTHEST_M) / 254)
     for limit_m in (
@@ -94,8 +102,8 @@ def test_limits_are_where_their_code_crosses_the_middle() -> None:
         np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.full(3000, z)], axis=1)
         for r, z in ((20.0, -0.8), (40.0, -1.8), (8.0, -1.8))
     ]
-    level = np.array([1.0, 0.0, 0.0, 0.0])
-    found = maps(Sweep(np.concatenate(parts).astype(np.float32), sensor_height_m=1.8, attitude=level))
+    leveled = np.array([1.0, 0.0, 0.0, 0.0])
+    found = maps(Sweep(np.concatenate(parts).astype(np.float32), sensor_height_m=1.8, attitude=leveled))
     range_m = polar_of_cells(GRID)[0]
     for name, limit_m in (("blocker", 20.0), ("farthest", 40.0)):
         assert (found[name][range_m < limit_m - 0.5] > 128).all()
@@ -110,7 +118,7 @@ def test_maps_turn_with_the_sensor(frame: Frame) -> None:
     sweep = frame.sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
     turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
     straight, left = maps(sweep), maps(turned)
-    for name in set(CHANNELS) - {"range", "supported"}:
+    for name in set(FEATURES) - {"range", "supported"}:
         right, wrong = (
             (np.abs(each.astype(int) - left[name]) > 8).mean() for each in (np.rot90(straight[name]), straight[name])
         )
@@ -134,4 +142,4 @@ def test_a_card_shows_its_channels_in_their_order(frame: Frame) -> None:
     np.testing.assert_allclose(found[1], every["expected"] / np.float32(255.0), rtol=1e-6)
     alone = NetworkCard("made", UNetShape(4, 2), GRID, heights_m=(-10.0, 3.0), counts="log")
     assert np.array_equal(found[2], alone.input_of(frame.sweep)[0])
-    assert np.array_equal(found, card.input_of_level(level_sweep(frame.sweep, GRID)))
+    assert np.array_equal(found, card.input_of_level(level(frame.sweep, GRID)))

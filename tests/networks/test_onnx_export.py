@@ -16,7 +16,7 @@ from viewshed.networks.card import FORMAT_VERSION, NetworkCard
 from viewshed.networks.onnx_export import export_onnx, onnx_model
 from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.networks.unet_torch import TorchRunner
-from viewshed.networks.weights import sealed
+from viewshed.networks.weights import with_checksum
 
 SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
 CUDA = "CUDAExecutionProvider"
@@ -112,9 +112,9 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
         b"": "must be a network that viewshed exported, got a file that is cut short or another; copy it again",
         bytes(flipped): r"must have the checksum \w{10}…, got \w{10}…: it is damaged; copy it again",
         bare.SerializeToString(): "must be a network that viewshed exported, got a file that is cut short or another",
-        sealed(b"\x99 no model"): "must be a network in ONNX, got another file",
-        sealed(bare.SerializeToString()): "card must be JSON",
-        sealed(
+        with_checksum(b"\x99 no model"): "must be a network in ONNX, got another file",
+        with_checksum(bare.SerializeToString()): "card must be JSON",
+        with_checksum(
             other_version.SerializeToString()
         ): f"network must have format version {FORMAT_VERSION}, got 9; train it again",
     }
@@ -191,7 +191,7 @@ def test_the_processor_never_stands_in_for_the_graphics_card(
 
 
 def test_a_damaged_file_is_named_before_a_missing_graphics_card(path: Path) -> None:
-    path.write_bytes(sealed(b"\x99 no model"))
+    path.write_bytes(with_checksum(b"\x99 no model"))
     with pytest.raises(ValueError, match="must be a network in ONNX, got another file"):
         OnnxRunner(path, engine="cuda")
 

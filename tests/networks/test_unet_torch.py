@@ -9,7 +9,7 @@ from torch import Tensor
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION
-from viewshed.networks.mc_dropout import mean_and_std, moments
+from viewshed.networks.mc_dropout import mean_and_deviation, mean_and_std
 from viewshed.networks.unet_torch import TorchRunner, UNet, load_weights, save_weights
 
 
@@ -62,7 +62,7 @@ def test_passes_of_mcd_differ_and_those_of_mle_do_not() -> None:
     assert all(np.abs(passes[a] - passes[b]).max() > 1e-3 for a in range(8) for b in range(a))
     assert (std > 0).mean() > 0.99
     np.testing.assert_allclose(several, np.stack([once] * 4), atol=1e-6)
-    np.testing.assert_allclose(moments(several)[1], 0.0, atol=1e-6)
+    np.testing.assert_allclose(mean_and_deviation(several)[1], 0.0, atol=1e-6)
     assert np.abs(mean - once).max() > 1e-3
     again, _ = mean_and_std(runner, x, 8, np.random.default_rng(0))
     assert np.array_equal(mean, again)
@@ -106,10 +106,10 @@ def test_the_mask_keeps_the_mean_of_what_it_multiplies() -> None:
 
 def test_moments_are_numpys() -> None:
     values = np.random.default_rng(0).random((20, 70, 65)).astype(np.float32)
-    mean, std = moments(values)
+    mean, std = mean_and_deviation(values)
     np.testing.assert_allclose(mean, values.astype(np.float64).mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(std, values.astype(np.float64).std(axis=0), atol=1e-6)
-    assert not moments(np.full((5, 3, 3), 0.1, np.float32))[1].any()
+    assert not mean_and_deviation(np.full((5, 3, 3), 0.1, np.float32))[1].any()
 
 
 def test_weights_come_back_as_they_were(tmp_path: Path) -> None:

@@ -5,32 +5,32 @@ import pytest
 
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import Crop, azimuth_bins_of, farthest_in_bins
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(32, 16.0, (2.0, -1.0))
 
 
-def _level(count: int, seed: int = 4) -> LevelSweep:
+def _level(count: int, seed: int = 4) -> LeveledSweep:
     rng = np.random.default_rng(seed)
     points = rng.uniform((-30, -30, -2), (30, 30, 2), (count, 3)).astype(np.float32)
-    return level_sweep(Sweep(points, attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=1.8), GRID)
+    return level(Sweep(points, attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=1.8), GRID)
 
 
 @pytest.mark.parametrize("crop", [Crop(), Crop(12.0), Crop(100.0, (-0.5, 0.1)), Crop(6.0, (0.0, 0.2))])
 def test_a_crop_knows_whether_a_return_that_counts_lies_on_the_grid(crop: Crop) -> None:
     found = []
     for seed in range(60):
-        level = _level((0, 1, 4, 60)[seed % 4], seed)
-        found.append(crop.any_on(level, GRID))
-        assert found[-1] == GRID.index(crop.apply(level).points)[1].any()
+        leveled = _level((0, 1, 4, 60)[seed % 4], seed)
+        found.append(crop.any_on(leveled, GRID))
+        assert found[-1] == GRID.index(crop.apply(leveled).points)[1].any()
     assert {True, False} == set(found)
 
 
 def test_the_farthest_return_of_a_bin_is_the_first_of_the_ordered_ones() -> None:
-    level = _level(3000)
-    bins = azimuth_bins_of(level.azimuth, 90)
-    plain = [max(level.range_m[bins == b], default=-1.0) for b in range(90)]
-    assert np.array_equal(farthest_in_bins(level, 90), np.array(plain, np.float32))
-    second = [np.sort(np.append(level.range_m[bins == b], [-1.0, -1.0]))[-2] for b in range(90)]
-    assert np.array_equal(farthest_in_bins(level, 90, drop=1), np.array(second, np.float32))
+    leveled = _level(3000)
+    bins = azimuth_bins_of(leveled.azimuth, 90)
+    plain = [max(leveled.range_m[bins == b], default=-1.0) for b in range(90)]
+    assert np.array_equal(farthest_in_bins(leveled, 90), np.array(plain, np.float32))
+    second = [np.sort(np.append(leveled.range_m[bins == b], [-1.0, -1.0]))[-2] for b in range(90)]
+    assert np.array_equal(farthest_in_bins(leveled, 90, drop=1), np.array(second, np.float32))

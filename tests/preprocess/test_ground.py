@@ -4,7 +4,7 @@ from numpy.typing import NDArray
 
 from viewshed import GRIDS, Rigid, Sweep
 from viewshed.geometry import quaternion_from_rotation
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -16,8 +16,8 @@ def _cast(scene: Scene, height_m: float = 1.8) -> NDArray[np.float32]:
     return cast(DENSE, scene, height_m, rng=np.random.default_rng(1)).points
 
 
-def _level(points: NDArray[np.float32]) -> LevelSweep:
-    return level_sweep(Sweep(points), ROAD)
+def _level(points: NDArray[np.float32]) -> LeveledSweep:
+    return level(Sweep(points), ROAD)
 
 
 WALLS = (Box(12, 3, 0.5, 18, 6), Box(-5, -9, 40, 1, 4), Box(20, -6, 4.2, 1.8, 1.5), Box(8, 6, 4.2, 1.8, 1.5, yaw=0.4))
@@ -25,17 +25,17 @@ WALLS = (Box(12, 3, 0.5, 18, 6), Box(-5, -9, 40, 1, 4), Box(20, -6, 4.2, 1.8, 1.
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.05, -0.03), (-0.1, 0.08)])
 def test_ground_of_a_sloping_street_among_walls(slope: tuple[float, float]) -> None:
-    level = level_sweep(Sweep(_cast(Scene(WALLS, slope=slope)), attitude=np.array([1.0, 0, 0, 0])), ROAD)
+    leveled = level(Sweep(_cast(Scene(WALLS, slope=slope)), attitude=np.array([1.0, 0, 0, 0])), ROAD)
     near = np.array([[6.0, -3.0], [10.0, -6.0], [-8.0, 5.0], [-15.0, 10.0], [25.0, 15.0], [-30.0, 20.0]])
     truth = near @ np.array(slope)
-    found = level_heights(level, near)
+    found = level_heights(leveled, near)
     assert np.abs(found - truth).max() < 0.12
-    assert level.sensor_height_m == pytest.approx(1.8, abs=0.06)
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
 
 
-def level_heights(level: LevelSweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def level_heights(leveled: LeveledSweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ground z (M,) at level points, in a frame whose z = 0 is the true ground below the sensor."""
-    return level.ground.at(xy).astype(np.float64) + 1.8 - level.sensor_height_m
+    return leveled.ground.at(xy).astype(np.float64) + 1.8 - leveled.sensor_height_m
 
 
 def test_ground_follows_a_hill_and_does_not_climb_a_wall() -> None:
@@ -44,9 +44,9 @@ def test_ground_follows_a_hill_and_does_not_climb_a_wall() -> None:
     hill = 0.002 * np.maximum(xy[:, 0] - 10, 0) ** 2
     wall = np.column_stack([np.full(4000, 15.0), rng.uniform(5, 25, 4000), rng.uniform(-1.0, 5, 4000)])
     points = np.concatenate([np.column_stack([xy, hill - 1.8 + rng.normal(0, 0.02, len(xy))]), wall])
-    level = _level(points.astype(np.float32))
-    assert level_heights(level, np.array([[40.0, 0.0]]))[0] == pytest.approx(1.8, abs=0.2)
-    assert level_heights(level, np.array([[15.0, 15.0]]))[0] == pytest.approx(0.05, abs=0.2)
+    leveled = _level(points.astype(np.float32))
+    assert level_heights(leveled, np.array([[40.0, 0.0]]))[0] == pytest.approx(1.8, abs=0.2)
+    assert level_heights(leveled, np.array([[15.0, 15.0]]))[0] == pytest.approx(0.05, abs=0.2)
 
 
 def test_a_street_that_begins_to_climb_is_followed() -> None:
@@ -54,37 +54,37 @@ def test_a_street_that_begins_to_climb_is_followed() -> None:
     xy = rng.uniform(-50, 50, (60_000, 2))
     climb = 0.16 * np.maximum(xy[:, 0] - 12.0, 0.0)
     points = np.column_stack([xy, climb - 1.8 + rng.normal(0, 0.02, len(xy))]).astype(np.float32)
-    level = _level(points)
-    found = level_heights(level, np.array([[20.0, 4.0], [35.0, -10.0], [-20.0, 0.0]]))
+    leveled = _level(points)
+    found = level_heights(leveled, np.array([[20.0, 4.0], [35.0, -10.0], [-20.0, 0.0]]))
     assert np.allclose(found, [1.28, 3.68, 0.0], atol=0.15)
 
 
 def test_parked_vans_are_no_ground() -> None:
     vans = tuple(Box(x, 5.0, 5.5, 2.2, 2.3, bottom_m=0.25) for x in (6.0, 12.0, 18.0, 24.0))
-    level = _level(_cast(Scene(vans)))
+    leveled = _level(_cast(Scene(vans)))
     under = np.array([[6.0, 5.0], [12.0, 5.0], [18.0, 5.0]])
-    assert np.abs(level_heights(level, under)).max() < 0.2
+    assert np.abs(level_heights(leveled, under)).max() < 0.2
 
 
 def test_returns_below_the_ground_do_not_pull_it_down() -> None:
     points = _cast(Scene(WALLS))
     rng = np.random.default_rng(3)
     ghosts = np.column_stack([rng.uniform(-40, 40, (60, 2)), rng.uniform(-12, -4, 60)])
-    level = _level(np.concatenate([points, ghosts.astype(np.float32)]))
-    assert np.abs(level_heights(level, rng.uniform(-20, 20, (50, 2)))).max() < 0.15
+    leveled = _level(np.concatenate([points, ghosts.astype(np.float32)]))
+    assert np.abs(level_heights(leveled, rng.uniform(-20, 20, (50, 2)))).max() < 0.15
 
 
 @pytest.mark.parametrize("pitch_deg", [15.0, 28.0])
-def test_a_tilted_roadside_sensor_is_levelled_without_an_attitude(pitch_deg: float) -> None:
+def test_a_tilted_roadside_sensor_is_leveled_without_an_attitude(pitch_deg: float) -> None:
     level_from_sensor = Rigid(_pitch(np.deg2rad(pitch_deg)), np.zeros(3))
     model = LidarModel("down", np.deg2rad(np.linspace(-45, 10, 64)), azimuth_columns=900)
     scene = Scene((Box(18, 4, 4.2, 1.8, 1.5), Box(25, -8, 10, 1, 4)))
     sweep = cast(model, scene, 6.0, quaternion_from_rotation(level_from_sensor.rotation))
-    level = _level(sweep.points)
-    assert level.sensor_height_m == pytest.approx(6.0, abs=0.25)
-    up = level.level_from_sensor.rotation[2]
+    leveled = _level(sweep.points)
+    assert leveled.sensor_height_m == pytest.approx(6.0, abs=0.25)
+    up = leveled.level_from_sensor.rotation[2]
     assert np.rad2deg(np.arccos(up @ level_from_sensor.rotation[2])) < 1.5
-    known = level_sweep(sweep, ROAD)
+    known = level(sweep, ROAD)
     assert np.allclose(known.level_from_sensor.rotation, level_from_sensor.rotation, atol=1e-6)
 
 
@@ -98,35 +98,35 @@ def test_ego_and_null_returns_are_left_out() -> None:
     ground = _cast(Scene())
     ego = np.array([[0.1, 0.0, -0.1], [2.0, 0.5, -0.8], [-1.5, -0.9, -0.6]], np.float32)
     beside = np.array([[0.5, 1.6, -0.9]], np.float32)
-    level = level_sweep(Sweep(np.concatenate([ego, beside, ground])), ROAD)
-    assert level.rows[0] == 3
-    assert len(level.rows) == len(ground) + 1
+    leveled = level(Sweep(np.concatenate([ego, beside, ground])), ROAD)
+    assert leveled.rows[0] == 3
+    assert len(leveled.rows) == len(ground) + 1
 
 
 def test_level_columns_are_those_of_the_points() -> None:
-    level = _level(_cast(Scene(WALLS, slope=(0.03, 0.02))))
-    x, y, z = level.points.astype(np.float64).T
-    assert np.allclose(level.range_m, np.hypot(x, y), atol=1e-4)
-    assert np.allclose(level.azimuth, np.arctan2(y, x), atol=2e-5)
-    assert (level.azimuth >= -np.pi).all()
-    assert (level.azimuth < np.pi).all()
+    leveled = _level(_cast(Scene(WALLS, slope=(0.03, 0.02))))
+    x, y, z = leveled.points.astype(np.float64).T
+    assert np.allclose(leveled.range_m, np.hypot(x, y), atol=1e-4)
+    assert np.allclose(leveled.azimuth, np.arctan2(y, x), atol=2e-5)
+    assert (leveled.azimuth >= -np.pi).all()
+    assert (leveled.azimuth < np.pi).all()
     inside = np.maximum(np.abs(x), np.abs(y)) < 62
-    assert np.allclose(level.height_m[inside], (z - level.ground.at(level.points))[inside], atol=1e-3)
+    assert np.allclose(leveled.height_m[inside], (z - leveled.ground.at(leveled.points))[inside], atol=1e-3)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 5])
 def test_a_few_points_give_flat_ground(count: int) -> None:
     points = np.array([[5.0, 2.0, -1.0]] * count, np.float32).reshape(-1, 3)
-    level = level_sweep(Sweep(points, sensor_height_m=1.5), ROAD)
-    assert level.sensor_height_m == 1.5
-    assert not level.ground.seen.any()
-    assert np.allclose(level.ground.heights_m, 0.0)
+    leveled = level(Sweep(points, sensor_height_m=1.5), ROAD)
+    assert leveled.sensor_height_m == 1.5
+    assert not leveled.ground.seen.any()
+    assert np.allclose(leveled.ground.heights_m, 0.0)
 
 
 def test_a_desk_level_with_the_sensor_is_not_the_ground() -> None:
     rng = np.random.default_rng(4)
     desk = np.column_stack([rng.uniform(-6, 6, (6000, 2)), rng.normal(-0.06, 0.01, 6000)])
     wall = np.column_stack([np.full(3000, 6.0), rng.uniform(-6, 6, 3000), rng.uniform(-0.7, 1.5, 3000)])
-    level = level_sweep(Sweep(np.concatenate([desk, wall]).astype(np.float32)), GRIDS["indoor"])
-    assert level.sensor_height_m >= 0.25
-    assert not level.ground.seen.any()
+    leveled = level(Sweep(np.concatenate([desk, wall]).astype(np.float32)), GRIDS["indoor"])
+    assert leveled.sensor_height_m >= 0.25
+    assert not leveled.ground.seen.any()

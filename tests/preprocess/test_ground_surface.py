@@ -11,7 +11,7 @@ from viewshed import GRIDS, Sweep
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
 from viewshed.preprocess.ground_surface import _coarse_stiffness, _solve, smooth_ground
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 
 ROAD = GRIDS["road"]
 HEIGHT_M = 1.8
@@ -36,12 +36,12 @@ def rings(relief: Relief, first: int = 0) -> NDArray[np.float32]:
     return points.astype(np.float32)
 
 
-def levelled(points: NDArray[np.float32]) -> LevelSweep:
-    return level_sweep(Sweep(points, sensor_height_m=HEIGHT_M, attitude=np.array([1.0, 0, 0, 0])), ROAD)
+def level_points(points: NDArray[np.float32]) -> LeveledSweep:
+    return level(Sweep(points, sensor_height_m=HEIGHT_M, attitude=np.array([1.0, 0, 0, 0])), ROAD)
 
 
-def errors(level: LevelSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    return level.ground.at(xy).astype(np.float64) - relief(xy[:, 0], xy[:, 1])
+def errors(leveled: LeveledSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return leveled.ground.at(xy).astype(np.float64) - relief(xy[:, 0], xy[:, 1])
 
 
 def _bank(rise_m: float) -> Relief:
@@ -51,11 +51,11 @@ def _bank(rise_m: float) -> Relief:
 
 def test_land_below_a_bank_is_followed_and_the_road_is_not_drawn_down_to_it() -> None:
     relief = _bank(-2.0)
-    level = levelled(rings(relief))
+    leveled = level_points(rings(relief))
     beyond = np.array([[0.0, 24.0], [8.0, 24.0], [-12.0, 26.0], [5.0, 30.0]])
-    assert np.abs(errors(level, relief, beyond)).max() < 0.35
+    assert np.abs(errors(leveled, relief, beyond)).max() < 0.35
     road = np.array([[x, y] for x in (-15.0, 0.0, 15.0) for y in (-8.0, 0.0, 6.0)])
-    assert np.abs(errors(level, relief, road)).max() < 0.12
+    assert np.abs(errors(leveled, relief, road)).max() < 0.12
 
 
 @pytest.mark.parametrize("fall_m", [2.3, 3.2])
@@ -64,7 +64,7 @@ def test_land_far_below_a_bank_is_believed_where_its_returns_agree(fall_m: float
         return -fall_m * np.clip((y - 8.0) / 7.0, 0.0, 1.0) + 0.0 * x
 
     beyond = np.array([[0.0, 24.0], [8.0, 24.0], [-12.0, 26.0], [5.0, 30.0]])
-    assert np.abs(errors(levelled(rings(relief)), relief, beyond)).max() < 0.15
+    assert np.abs(errors(level_points(rings(relief)), relief, beyond)).max() < 0.15
 
 
 @pytest.mark.parametrize(("x", "y"), [(12.0, 3.0), (25.0, -10.0)])
@@ -79,14 +79,14 @@ def test_a_reflection_below_the_road_is_not_believed_though_its_returns_agree(
     def flat(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         return 0.0 * x
 
-    level = levelled(np.concatenate([rings(flat), mirrored]))
-    assert np.abs(errors(level, flat, np.array([[x + 1, y + 1], [x + 3, y + 3], [x + 5, y + 5]]))).max() < 0.1
+    leveled = level_points(np.concatenate([rings(flat), mirrored]))
+    assert np.abs(errors(leveled, flat, np.array([[x + 1, y + 1], [x + 3, y + 3], [x + 5, y + 5]]))).max() < 0.1
 
 
 def test_a_bank_that_rises_is_climbed() -> None:
     relief = _bank(1.5)
     xy = np.array([[x, y] for x in (-6.0, 0.0, 9.0) for y in (5.0, 10.0, 14.0, 16.0, 18.0)])
-    assert np.abs(errors(levelled(rings(relief)), relief, xy)).max() < 0.15
+    assert np.abs(errors(level_points(rings(relief)), relief, xy)).max() < 0.15
 
 
 def test_a_valley_between_rings_is_interpolated() -> None:
@@ -94,16 +94,16 @@ def test_a_valley_between_rings_is_interpolated() -> None:
         return 0.0006 * x**2 - 0.015 * y
 
     xy = np.array([[x, y] for x in (-39.0, -30.0, 12.0, 33.0, 36.0) for y in (-20.0, 0.0, 9.0)])
-    assert np.abs(errors(levelled(rings(relief)), relief, xy)).max() < 0.15
+    assert np.abs(errors(level_points(rings(relief)), relief, xy)).max() < 0.15
 
 
 def test_beyond_a_crest_the_ground_goes_on_without_a_jump() -> None:
     def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(x < 20, 0.03 * x, 0.6 - 0.05 * (x - 20)) + 0.0 * y
 
-    level = levelled(rings(relief))
-    assert np.abs(errors(level, relief, np.array([[10.0, 3.0], [18.0, -5.0], [-20.0, 4.0]]))).max() < 0.12
-    hidden = level.ground.at(np.array([[x, 2.0] for x in np.arange(22.0, 60.0, 2.0)]))
+    leveled = level_points(rings(relief))
+    assert np.abs(errors(leveled, relief, np.array([[10.0, 3.0], [18.0, -5.0], [-20.0, 4.0]]))).max() < 0.12
+    hidden = leveled.ground.at(np.array([[x, 2.0] for x in np.arange(22.0, 60.0, 2.0)]))
     assert (hidden < 0.03 * np.arange(22.0, 60.0, 2.0) + 0.3).all()
     assert np.abs(np.diff(hidden)).max() < 0.15
 
@@ -112,9 +112,9 @@ def test_a_step_of_a_curb_is_kept_within_its_height() -> None:
     def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(y > 5.0, 0.16, 0.0) + 0.0 * x
 
-    level = levelled(rings(relief))
+    leveled = level_points(rings(relief))
     xy = np.array([[0.0, 2.0], [6.0, 1.0], [-9.0, 2.0], [0.0, 8.0], [6.0, 9.0], [-9.0, 8.5]])
-    assert np.abs(errors(level, relief, xy)).max() < 0.06
+    assert np.abs(errors(leveled, relief, xy)).max() < 0.06
 
 
 def test_cars_that_one_ring_meets_far_away_do_not_raise_the_ground() -> None:
@@ -127,13 +127,13 @@ def test_cars_that_one_ring_meets_far_away_do_not_raise_the_ground() -> None:
     hoods = np.column_stack([ends, relief(ends[:, 0], ends[:, 1]) + rng.uniform(0.45, 0.6, len(ends)) - HEIGHT_M])
     points = np.concatenate([rings(relief), hoods.astype(np.float32)])
     xy = np.array([[x, y] for x in np.arange(20.0, 38.0, 3.0) for y in (-15.0, -5.0, 0.0, 9.0)])
-    assert np.abs(errors(levelled(points), relief, xy)).max() < 0.25
+    assert np.abs(errors(level_points(points), relief, xy)).max() < 0.25
 
 
 def test_the_order_of_points_does_not_matter() -> None:
     points = rings(_bank(-2.0))
     mixed = np.random.default_rng(4).permutation(points)
-    assert np.array_equal(levelled(points).ground.heights_m, levelled(mixed).ground.heights_m)
+    assert np.array_equal(level_points(points).ground.heights_m, level_points(mixed).ground.heights_m)
 
 
 def test_the_solver_finds_the_minimum() -> None:
@@ -184,7 +184,7 @@ def test_the_ground_of_simulated_frames_is_near_the_exact_one(sensor: str, far_m
     for scene in range(5):
         plan = ScenePlan(preset, 0, scene)
         frame = simulate_frame(plan, 12)
-        level = level_sweep(frame.sweep, ROAD)
+        leveled = level(frame.sweep, ROAD)
         pose = frame.sweep.world_from_sensor
         assert pose is not None
         shown = (frame.known & frame.truth.visible("car")).ravel()
@@ -192,7 +192,7 @@ def test_the_ground_of_simulated_frames_is_near_the_exact_one(sensor: str, far_m
         c, s = np.cos(pose.yaw), np.sin(pose.yaw)
         world = np.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], axis=1) + pose.translation[:2]
         exact = world_of(plan).terrain.at(world) - pose.translation[2]
-        error = np.abs(level.ground.at(xy) - level.sensor_height_m - exact)
+        error = np.abs(leveled.ground.at(xy) - leveled.sensor_height_m - exact)
         range_m = np.hypot(xy[:, 0], xy[:, 1])
         near.append(error[range_m < 30])
         far.append(error[(range_m > 30) & (range_m < 60)])

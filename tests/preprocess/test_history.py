@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.estimators.temporal import Memory, Remembering, where_supported
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator, where_confirmed
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.geometry import Rigid
-from viewshed.preprocess.history import GAP_ROWS, Past, _fill, past_of
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.history import GAP_ROWS, History, _fill, history_of
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -44,8 +44,8 @@ def seen(solids: Sequence[Box], pose: Rigid, t_s: float = 0.0) -> Sweep:
     return sweep.replace(world_from_sensor=pose, t_ns=int(1e9 * t_s), sensor_height_m=HEIGHT_M)
 
 
-def level_of(sweep: Sweep) -> LevelSweep:
-    return level_sweep(sweep, GRID)
+def level_of(sweep: Sweep) -> LeveledSweep:
+    return level(sweep, GRID)
 
 
 def behind_wall() -> Mask:
@@ -81,7 +81,7 @@ def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
 
 def test_depths_are_those_from_where_the_sensor_is_now() -> None:
     now = level_of(seen([FAR], at(0, 0)))
-    past = past_of(now, [seen([WALL, FAR], pose) for pose in POSES], GRID)
+    past = history_of(now, [seen([WALL, FAR], pose) for pose in POSES], GRID)
     assert past is not None
     beams = now.beams()
     ahead = (np.abs(beams.azimuth - np.arctan2(2, 11.5)) < 0.05) & (np.abs(beams.slope) < 0.05)
@@ -97,12 +97,12 @@ def test_support_counts_the_earlier_sweeps_that_see_a_cell_from_where_they_were(
     now = seen([FAR], at(0, 0))
     poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
     earlier = [seen([WALL, FAR], pose) for pose in poses]
-    past = past_of(level_of(now), earlier, GRID)
+    past = history_of(level_of(now), earlier, GRID)
     assert past is not None
     support = past.support(GRID, CAR)
     assert (support[behind_wall()] == 2).mean() > 0.9  # the two that stood beyond the wall
     assert np.array_equal(support, past.support(GRID, CAR))
-    alone = Past.of(level_of(now), [level_of(earlier[0])])
+    alone = History.of(level_of(now), [level_of(earlier[0])])
     assert alone is not None
     assert (alone.support(GRID, CAR) == claimed(earlier[0])).mean() > 0.99
     assert (alone.support(GRID, PEDESTRIAN) != alone.support(GRID, CAR)).any()
@@ -110,8 +110,8 @@ def test_support_counts_the_earlier_sweeps_that_see_a_cell_from_where_they_were(
 
 def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see_them_together() -> None:
     sweep = seen([WALL], at(0, 0))
-    assert past_of(level_of(sweep), [], GRID) is None
-    assert past_of(level_of(sweep), [NOTHING], GRID) is None
+    assert history_of(level_of(sweep), [], GRID) is None
+    assert history_of(level_of(sweep), [NOTHING], GRID) is None
     for now, before in ((sweep, sweep.replace(world_from_sensor=None)), (sweep.replace(world_from_sensor=None), sweep)):
         with pytest.raises(ValueError, match=r"must have poses.*world_from_sensor"):
             ShadowMap(GRID).estimate(now, [before])
@@ -119,28 +119,28 @@ def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see
 
 @given(st.lists(st.floats(0, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
 def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], sweeps: int, every_s: float) -> None:
-    memory, times = Memory(sweeps, every_s), np.cumsum(steps_s)
+    memory, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
     kept: list[int] = []
     empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
     for t_s in times:
-        level = LevelSweep(
+        leveled = LeveledSweep(
             empty.sweep.replace(t_ns=int(1e9 * t_s)), empty.points, empty.range_m, empty.azimuth, empty.height_m,
             empty.rows, empty.level_from_sensor, empty.ground,
         )  # fmt: skip
-        memory.add(level)
+        memory.add(leveled)
         if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
             kept.append(int(1e9 * t_s))
-    assert [level.sweep.t_ns for level in memory._kept["ego"]] == kept[-sweeps:]
+    assert [leveled.sweep.t_ns for leveled in memory._kept["ego"]] == kept[-sweeps:]
 
 
 def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
     stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
     lie = seen([FAR], at(0, 0), 10.0)
-    estimator = Remembering(ShadowMap(GRID), Memory(every_s=1.0))
+    estimator = TemporalEstimator(ShadowMap(GRID), SweepBuffer(every_s=1.0))
     found: list[FovEstimate] = [estimator.estimate(sweep) for sweep in stream]
     assert all(each.visible().any() for each in found)
     assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie, stream))
-    other = Remembering(ShadowMap(GRID))
+    other = TemporalEstimator(ShadowMap(GRID))
     for sweep in stream:
         other.estimate(sweep.replace(agent="b"))
     assert np.array_equal(other.estimate(lie).visible(), claimed(lie))
@@ -151,24 +151,24 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
 def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
     stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
     lie = seen([FAR], at(0, 0), 10.0)
-    estimator, trusting = Remembering(ShadowMap(GRID), wary=True), Remembering(ShadowMap(GRID))
+    estimator, trusting = TemporalEstimator(ShadowMap(GRID), wary=True), TemporalEstimator(ShadowMap(GRID))
     first = estimator.estimate(stream[0])
     assert not first.visible().any()
     assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
     for sweep in stream:
         found, other = estimator.estimate(sweep), trusting.estimate(sweep)
     found, other = estimator.estimate(lie), trusting.estimate(lie)
-    past = past_of(level_of(lie), stream, GRID)
+    past = history_of(level_of(lie), stream, GRID)
     assert past is not None
     assert np.array_equal(found.visible(), other.visible() & (past.support(GRID, CAR) > 0))
     refused = other.visible() & ~found.visible()
     assert (found.state[refused] == CellState.UNKNOWN).all()
     assert refused[behind_wall()].any()
-    assert np.array_equal(where_supported(other, past).visible(), found.visible())
+    assert np.array_equal(where_confirmed(other, past).visible(), found.visible())
 
 
 def test_a_sweep_is_not_its_own_past() -> None:
-    estimator = Remembering(ShadowMap(GRID))
+    estimator = TemporalEstimator(ShadowMap(GRID))
     estimator.estimate(seen([WALL, FAR], at(0, 0)))
     lie = seen([FAR], at(0, 0))
     assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie))
@@ -177,7 +177,7 @@ def test_a_sweep_is_not_its_own_past() -> None:
 def test_what_lies_long_before_is_forgotten() -> None:
     stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
     for late_s, known in ((12.0, True), (14.0, False)):
-        estimator = Remembering(ShadowMap(GRID))
+        estimator = TemporalEstimator(ShadowMap(GRID))
         for sweep in stream:
             estimator.estimate(sweep)
         lie = seen([FAR], at(0, 0), late_s)
@@ -187,11 +187,11 @@ def test_what_lies_long_before_is_forgotten() -> None:
 @pytest.mark.parametrize(("sweeps", "every_s"), [(0, 1.0), (5, -1.0), (5, float("nan"))])
 def test_a_memory_of_nothing_is_refused(sweeps: int, every_s: float) -> None:
     with pytest.raises(ValueError, match="sweeps must be at least 1, every_s at least 0 and forget_s"):
-        Memory(sweeps, every_s)
+        SweepBuffer(sweeps, every_s)
 
 
 def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
-    estimator = Remembering(ShadowMap(GRID))
+    estimator = TemporalEstimator(ShadowMap(GRID))
     sweep = seen([WALL], at(0, 0))
     for bare in (sweep.replace(world_from_sensor=None), sweep.replace(t_ns=None)):
         assert np.array_equal(estimator.estimate(bare).visible(), claimed(bare))
@@ -207,4 +207,4 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
-    assert Past(1.8, (), ()).support(GRID, CAR).sum() == 0
+    assert History(1.8, (), ()).support(GRID, CAR).sum() == 0

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.preprocess.isolated_returns import Placed, _least_alike, placed_by_rings
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.preprocess.range_image import silent_columns
-from viewshed.preprocess.sensor_identification import told_rings
+from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
 
@@ -30,17 +30,17 @@ def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int =
 
 
 def placed_of(sweep: Sweep) -> Placed | None:
-    return placed_by_rings(sweep.points, told_rings(sweep), LIMITS_M)
+    return placed_by_rings(sweep.points, identify_sensor(sweep), LIMITS_M)
 
 
 def lone_of(sweep: Sweep) -> Mask:
     found = placed_of(sweep)
     assert found is not None
-    return found.lone
+    return found.isolated
 
 
-def level_of(sweep: Sweep) -> LevelSweep:
-    return level_sweep(sweep, GRID)
+def level_of(sweep: Sweep) -> LeveledSweep:
+    return level(sweep, GRID)
 
 
 def claimed(sweep: Sweep) -> Mask:
@@ -50,9 +50,9 @@ def claimed(sweep: Sweep) -> Mask:
 def test_few_returns_of_a_street_are_lone_and_most_of_those_moved_are() -> None:
     assert lone_of(STREET).mean() < 0.005
     moved, lie = spoofed(STREET, 0.02, (1.5, 4.0))
-    lone = lone_of(moved)
-    assert lone[lie].mean() > 0.85
-    assert lone[~lie].mean() < 0.01
+    isolated = lone_of(moved)
+    assert isolated[lie].mean() > 0.85
+    assert isolated[~lie].mean() < 0.01
 
 
 def test_a_pole_and_sparse_ground_are_not_lone() -> None:
@@ -178,18 +178,18 @@ def test_most_random_returns_of_a_jammed_sweep_are_clutter_and_few_true_ones() -
     moved = np.linalg.norm(sweep.points - STREET.points, axis=1) > 0.3 * np.linalg.norm(STREET.points, axis=1)
     assert found.clutter[lie & moved].mean() > 0.9
     assert found.clutter[~lie].mean() < 0.1
-    assert found.lone[found.clutter].all()
+    assert found.isolated[found.clutter].all()
     assert (found.column[found.clutter] == -1).all()
     assert found.counts.sum() == (~found.clutter).sum()
 
 
 def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_view() -> None:
     sweep, _ = jammed(STREET)
-    level, clear = level_of(sweep), level_of(STREET)
-    assert level.placed is not None
-    assert level.placed.clutter is not None
-    assert set(level.rows) == set(np.flatnonzero(~level.placed.clutter))
-    assert np.abs(level.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8].max() < 0.3
+    leveled, clear = level_of(sweep), level_of(STREET)
+    assert leveled.placed is not None
+    assert leveled.placed.clutter is not None
+    assert set(leveled.rows) == set(np.flatnonzero(~leveled.placed.clutter))
+    assert np.abs(leveled.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8].max() < 0.3
     assert (claimed(sweep) == claimed(STREET)).mean() > 0.96
 
 
@@ -205,8 +205,8 @@ def test_a_bare_jammed_cloud_is_cleared_by_the_rings_that_its_sensor_tells() -> 
     clear = cast(lidar_model("hdl32e"), Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9))), 1.8)
     sweep, lie = jammed(clear)
     order = np.random.default_rng(1).permutation(len(sweep))
-    level = level_of(sweep.select(order).replace(ring=None, model=None))
-    assert level.placed is not None
-    assert level.placed.clutter is not None
-    assert level.placed.clutter[lie[order]].mean() > 0.85
-    assert level.placed.clutter[~lie[order]].mean() < 0.1
+    leveled = level_of(sweep.select(order).replace(ring=None, model=None))
+    assert leveled.placed is not None
+    assert leveled.placed.clutter is not None
+    assert leveled.placed.clutter[lie[order]].mean() > 0.85
+    assert leveled.placed.clutter[~lie[order]].mean() < 0.1

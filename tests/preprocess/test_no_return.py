@@ -4,8 +4,8 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
 from viewshed.fov.visibility import Beams
-from viewshed.preprocess.leveling import level_sweep
-from viewshed.preprocess.no_return import explained_beams, missing_beams
+from viewshed.preprocess.leveling import level
+from viewshed.preprocess.no_return import inferred_beams, no_return_beams
 from viewshed.preprocess.range_image import place
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -21,14 +21,14 @@ def _without(kept: Mask, sweep: Sweep = SWEEP) -> Sweep:
 
 
 def test_a_full_sweep_misses_nothing() -> None:
-    assert len(missing_beams(level_sweep(SWEEP, GRID), fill=False).azimuth) == 0
+    assert len(no_return_beams(level(SWEEP, GRID), fill=False).azimuth) == 0
 
 
 def test_the_beams_left_out_are_found_where_they_aimed() -> None:
     assert SWEEP.ring is not None
     azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
     gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.05)
-    missing = missing_beams(level_sweep(_without(~gone), GRID), fill=False)
+    missing = no_return_beams(level(_without(~gone), GRID), fill=False)
     assert len(missing.azimuth) == gone.sum()
     assert np.allclose(np.sort(missing.azimuth), np.sort(azimuth[gone]), atol=np.deg2rad(1.0))
     assert np.allclose(missing.slope, np.tan(MODEL.elevation[5]), atol=2e-3)
@@ -39,7 +39,7 @@ def test_fill_gives_the_depth_of_the_nearer_neighbor() -> None:
     assert SWEEP.ring is not None
     azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
     gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.03)
-    filled = missing_beams(level_sweep(_without(~gone), GRID), fill=True)
+    filled = no_return_beams(level(_without(~gone), GRID), fill=True)
     ground_m = 1.8 / -np.tan(MODEL.elevation[5])
     assert len(filled.depth_m) == gone.sum()
     assert np.allclose(filled.depth_m, ground_m, rtol=0.02)
@@ -48,8 +48,8 @@ def test_fill_gives_the_depth_of_the_nearer_neighbor() -> None:
 def test_a_gap_wider_than_the_neighbors_reach_stays_open() -> None:
     azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
     cropped = _without(np.abs(azimuth) < 1.0)
-    filled = missing_beams(level_sweep(cropped, GRID), fill=True)
-    unfilled = missing_beams(level_sweep(cropped, GRID), fill=False)
+    filled = no_return_beams(level(cropped, GRID), fill=True)
+    unfilled = no_return_beams(level(cropped, GRID), fill=False)
     assert 0 < len(filled.azimuth) < 0.25 * len(unfilled.azimuth)
     assert (np.abs(filled.azimuth) < 1.0 + np.deg2rad(18)).all()
 
@@ -67,8 +67,8 @@ def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> No
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_almost_nothing_is_no_failure(count: int) -> None:
-    level = level_sweep(SWEEP.select(np.arange(count)), GRID)
-    assert missing_beams(level, fill=True).azimuth.dtype == np.float32
+    leveled = level(SWEEP.select(np.arange(count)), GRID)
+    assert no_return_beams(leveled, fill=True).azimuth.dtype == np.float32
 
 
 STREET = Scene((Box(15, 4, 1, 8, 3), Box(-25, -3, 1, 70, 9), Box(9, -12, 3, 2, 1.5), Box(58, 9, 1, 90, 9)))
@@ -84,7 +84,7 @@ def _azimuth(sweep: Sweep) -> NDArray[np.float32]:
 
 
 def _explained(sweep: Sweep) -> Beams:
-    return explained_beams(level_sweep(sweep, GRID), 1.5)
+    return inferred_beams(level(sweep, GRID), 1.5)
 
 
 def _of(beams: Beams, ring: int) -> Mask:
@@ -191,8 +191,8 @@ def test_without_rings_the_beam_table_tells_and_without_both_nothing_does() -> N
 
 
 def test_targets_that_beams_pass_above_need_no_beams() -> None:
-    level = level_sweep(_without(_grazing(), FULL), GRID)
-    low, tall = (explained_beams(level, top_m) for top_m in (0.1, 1.5))
+    leveled = level(_without(_grazing(), FULL), GRID)
+    low, tall = (inferred_beams(leveled, top_m) for top_m in (0.1, 1.5))
     assert len(low.slope) <= len(tall.slope)
     assert tall.slope.max() < 0
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, Beams, recover_beams
+from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment, recover_rings
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
@@ -60,7 +60,7 @@ def model_of(elevations_deg: list[float], columns: int = 360) -> LidarModel:
 def test_beam_table_places_a_shuffled_cloud(name: str) -> None:
     model = lidar_model(name)
     cloud = shuffled(cast(model, jitter_deg=small_jitter_deg(model)))
-    beams = recover_beams(Sweep(cloud.points), model)
+    beams = recover_rings(Sweep(cloud.points), model)
     assert beams.source == "beam table"
     assert (beams.ring == cloud.ring).mean() >= 0.995
     assert beams.placed_share >= 0.999
@@ -77,7 +77,7 @@ def test_file_order_tells_rings_without_a_model(turn: int, upward: bool) -> None
     range_m = np.hypot(cloud.points[:, 0], cloud.points[:, 1])
     points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), cloud.points[:, 2]], axis=1)
     order = np.arange(len(points)) if upward else np.lexsort((cloud.azimuth, -cloud.ring))
-    beams = recover_beams(Sweep(points[order]))
+    beams = recover_rings(Sweep(points[order]))
     assert beams.source == "file order"
     assert (beams.ring == cloud.ring[order]).all()
     assert beams.columns == 500
@@ -86,7 +86,7 @@ def test_file_order_tells_rings_without_a_model(turn: int, upward: bool) -> None
 def test_file_order_joins_a_stray_first_point() -> None:
     cloud = cast(lidar_model("vlp16"))
     first = np.array([[30.0, -0.01, 30.0 * math.tan(cloud.ring[0])]], np.float32)
-    beams = recover_beams(Sweep(np.concatenate([first, cloud.points]).astype(np.float32)))
+    beams = recover_rings(Sweep(np.concatenate([first, cloud.points]).astype(np.float32)))
     assert (beams.source, beams.rings) == ("file order", 16)
     assert beams.ring.tolist()[1:] == cloud.ring.tolist()
 
@@ -95,14 +95,14 @@ def test_firing_order_is_not_taken_for_ring_order() -> None:
     model = lidar_model("vlp16")
     cloud = cast(model)
     cloud = cloud.taken(np.lexsort((cloud.ring, cloud.azimuth)))
-    beams = recover_beams(Sweep(cloud.points, model=model))
+    beams = recover_rings(Sweep(cloud.points, model=model))
     assert beams.source == "beam table"
     assert (beams.ring == cloud.ring).all()
 
 
 def test_shuffled_cloud_without_model_falls_to_bins() -> None:
     cloud = shuffled(cast(lidar_model("hdl32e")))
-    beams = recover_beams(Sweep(cloud.points))
+    beams = recover_rings(Sweep(cloud.points))
     assert beams.source == "elevation bins"
     assert beams.placed_share == 1.0
     slope = cloud.points[:, 2] / np.hypot(cloud.points[:, 0], cloud.points[:, 1])
@@ -112,14 +112,14 @@ def test_shuffled_cloud_without_model_falls_to_bins() -> None:
 
 def test_a_table_that_does_not_fit_is_not_used_as_beams() -> None:
     points = np.random.default_rng(3).normal(0, 20, (5000, 3)).astype(np.float32)
-    beams = recover_beams(Sweep(points), lidar_model("vlp16"))
+    beams = recover_rings(Sweep(points), lidar_model("vlp16"))
     assert (beams.source, beams.columns, beams.rings) == ("elevation bins", 1800, 16)
 
 
 def test_rings_of_the_file_are_kept() -> None:
     cloud = shuffled(cast(lidar_model("vlp16")))
     wrong = (cloud.ring[::-1] // 2).astype(np.int16)
-    beams = recover_beams(Sweep(cloud.points, ring=wrong))
+    beams = recover_rings(Sweep(cloud.points, ring=wrong))
     assert beams.source == "file"
     assert beams.ring.tolist() == wrong.tolist()
     assert beams.rings == 8
@@ -129,7 +129,7 @@ def test_columns_count_counter_clockwise_from_behind() -> None:
     azimuth = np.deg2rad([-179.5, -90.5, -0.5, 0.5, 44.5, 120.5, 179.5])
     points = 10 * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
     sweep = Sweep(points, ring=np.zeros(7, int), model=model_of([0.0]))
-    beams = recover_beams(sweep)
+    beams = recover_rings(sweep)
     assert beams.column.tolist() == [0, 89, 179, 180, 224, 300, 359]
     centers = (beams.column + 0.5) * beams.azimuth_step - np.pi
     assert centers == pytest.approx(azimuth, abs=1e-5)
@@ -139,14 +139,14 @@ def test_stray_returns_are_not_placed() -> None:
     model = lidar_model("vlp16")
     cloud = shuffled(cast(model))
     stray = np.array([[20.0, 3.0, 0.0], [5.0, -20.0, 18.0], [0.0, 0.0, 0.0]], np.float32)  # 1° off, 41° up, no range
-    beams = recover_beams(Sweep(np.concatenate([cloud.points, stray])), model)
+    beams = recover_rings(Sweep(np.concatenate([cloud.points, stray])), model)
     assert beams.ring[-3:].tolist() == [-1, -1, -1]
     assert beams.placed_share == pytest.approx(1 - 3 / len(beams.ring))
 
 
 def test_alone_share_counts_pixels_with_one_return() -> None:
     points = np.array([[10, 0.05, 0], [20, 0.1, 0], [30, 9, 0], [10, 0.05, 1]])
-    beams = recover_beams(Sweep(points, ring=np.array([0, 0, 0, 1]), model=model_of([0.0, 5.7])))
+    beams = recover_rings(Sweep(points, ring=np.array([0, 0, 0, 1]), model=model_of([0.0, 5.7])))
     assert beams.alone_share == 0.5
     assert beams.placed_share == 1.0
 
@@ -158,11 +158,11 @@ def test_elevation_is_the_median_and_gaps_are_filled() -> None:
     azimuth = rng.uniform(-3, 3, 1002)
     points = 20 * np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(np.deg2rad(degrees))], axis=1)
     low, high = np.median(degrees[:501]), np.median(degrees[501:])
-    beams = recover_beams(Sweep(points, ring=ring))
+    beams = recover_rings(Sweep(points, ring=ring))
     assert np.rad2deg(beams.elevation) == pytest.approx(
         [low, (2 * low + high) / 3, (low + 2 * high) / 3, high], abs=2e-3
     )
-    with_model = recover_beams(Sweep(points, ring=ring, model=model_of([-15, -7, 1, 2, 9])))
+    with_model = recover_rings(Sweep(points, ring=ring, model=model_of([-15, -7, 1, 2, 9])))
     assert np.rad2deg(with_model.elevation) == pytest.approx([low, -7, 1, high, 9], abs=2e-3)
 
 
@@ -170,7 +170,7 @@ def test_irregular_firing_gets_columns_without_gaps() -> None:
     start = np.deg2rad(np.arange(0, 360, 1.6))
     azimuth = np.sort(np.concatenate([start, start + 0.0006, start + 0.0012]))  # three firings together, then 1.53°
     points = 20 * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
-    beams = recover_beams(Sweep(points, ring=np.zeros(len(points), int)))
+    beams = recover_rings(Sweep(points, ring=np.zeros(len(points), int)))
     assert beams.columns == pytest.approx(360 / 1.53, abs=3)
     assert len(np.unique(beams.column)) > 0.9 * beams.columns
 
@@ -179,14 +179,14 @@ def test_a_model_that_knows_the_step_outweighs_gaps_in_every_ring() -> None:
     azimuth = np.deg2rad(np.arange(0, 360, 0.2)[np.arange(1800) % 10 < 6])  # 1.0° of every 2° is dark
     points = 20 * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
     sweep = Sweep(points, ring=np.zeros(len(points), int))
-    assert recover_beams(sweep, model_of([0.0], 1750)).columns == pytest.approx(1800, abs=2)
-    assert recover_beams(sweep).columns == pytest.approx(360, abs=2)
+    assert recover_rings(sweep, model_of([0.0], 1750)).columns == pytest.approx(1800, abs=2)
+    assert recover_rings(sweep).columns == pytest.approx(360, abs=2)
 
 
 def test_columns_come_from_the_model_where_they_cannot_be_measured() -> None:
     points = np.array([[10.0, 1.0, 0.0], [10.0, -4.0, 0.0]])
-    assert recover_beams(Sweep(points, ring=np.array([0, 0]), model=model_of([0.0], 500))).columns == 500
-    assert recover_beams(Sweep(points, ring=np.array([0, 0]))).columns == DEFAULT_COLUMNS
+    assert recover_rings(Sweep(points, ring=np.array([0, 0]), model=model_of([0.0], 500))).columns == 500
+    assert recover_rings(Sweep(points, ring=np.array([0, 0]))).columns == DEFAULT_COLUMNS
 
 
 DEGENERATE = {
@@ -209,14 +209,14 @@ def test_degenerate_clouds_are_answered(name: str, kind: str) -> None:
     points = DEGENERATE[name]
     model = lidar_model("hdl64e") if kind in ("model", "both") else None
     ring = np.full(len(points), 2) if kind in ("ring", "both") else None
-    beams = recover_beams(Sweep(points, ring=ring), model)
+    beams = recover_rings(Sweep(points, ring=ring), model)
     _is_sound(beams, len(points))
     inferred, score = infer_sensor(points, ring)
     assert 0.0 <= score <= 1.0
     assert inferred is None or len(points) > 10
 
 
-def _is_sound(beams: Beams, count: int) -> None:
+def _is_sound(beams: RingAssignment, count: int) -> None:
     assert beams.ring.shape == beams.column.shape == (count,)
     assert beams.rings >= 1
     assert np.isfinite(beams.elevation).all()
@@ -242,8 +242,8 @@ def test_any_cloud_gets_a_sound_answer_in_any_order(count: int, seed: int, scale
     ring = None if bare else rng.integers(0, 16, count).astype(np.int16)
     order = rng.permutation(count)
     model = lidar_model("vlp16")
-    first = recover_beams(Sweep(points, ring=ring), model)
-    second = recover_beams(Sweep(points[order], ring=None if ring is None else ring[order]), model)
+    first = recover_rings(Sweep(points, ring=ring), model)
+    second = recover_rings(Sweep(points[order], ring=None if ring is None else ring[order]), model)
     _is_sound(first, count)
     if first.source != "file order" and second.source != "file order":
         assert first.ring[order].tolist() == second.ring.tolist()
@@ -257,7 +257,7 @@ def test_rings_do_not_change_when_the_scene_turns(yaw: float, seed: int) -> None
     model = lidar_model("os1_32g")
     cloud = shuffled(cast(model, seed, columns=90), seed)
     turn = np.array([[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]])
-    beams = recover_beams(Sweep(cloud.points @ turn.T), model)
+    beams = recover_rings(Sweep(cloud.points @ turn.T), model)
     assert (beams.ring == cloud.ring).all()
     expected = np.floor(((cloud.azimuth + yaw + np.pi) % (2 * np.pi)) / beams.azimuth_step)
     away = (beams.column - expected + beams.columns / 2) % beams.columns - beams.columns / 2
@@ -267,7 +267,7 @@ def test_rings_do_not_change_when_the_scene_turns(yaw: float, seed: int) -> None
 def test_input_is_untouched_and_output_is_read_only() -> None:
     cloud = cast(lidar_model("vlp16"))
     before = cloud.points.copy()
-    beams = recover_beams(Sweep(cloud.points, ring=cloud.ring))
+    beams = recover_rings(Sweep(cloud.points, ring=cloud.ring))
     assert (cloud.points == before).all()
     assert cloud.points.flags.writeable
     assert not any(array.flags.writeable for array in (beams.ring, beams.column, beams.elevation))
@@ -312,7 +312,7 @@ def test_kitti_file_order_gives_64_rings(real_data: object) -> None:
     whole = [entry for entry in entries if entry.file.suffix == ".bin" and "cropped" not in str(entry.file)]
     assert len(whole) == 10
     for entry in whole:
-        beams = recover_beams(read_indexed(entry).replace(model=None, ring=None))
+        beams = recover_rings(read_indexed(entry).replace(model=None, ring=None))
         assert (beams.source, beams.rings, beams.placed_share) == ("file order", 64, 1.0)
         assert len(np.unique(beams.ring)) == 64
         assert (np.diff(beams.elevation) > 0).mean() > 0.9

@@ -5,7 +5,7 @@ import pytest
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.preprocess.sensor_identification import SAMPLE, infer_sensor, told_rings
+from viewshed.preprocess.sensor_identification import SAMPLE, identify_sensor, infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
 
@@ -20,7 +20,7 @@ def bare(sweep: Sweep, seed: int = 1) -> Sweep:
 
 
 def test_a_sweep_that_knows_its_beams_is_taken_at_its_word() -> None:
-    told = told_rings(KNOWN)
+    told = identify_sensor(KNOWN)
     assert told.ring is KNOWN.ring
     assert told.model is KNOWN.model
 
@@ -28,7 +28,7 @@ def test_a_sweep_that_knows_its_beams_is_taken_at_its_word() -> None:
 def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
     assert len(KNOWN) > SAMPLE
     order = np.random.default_rng(1).permutation(len(KNOWN))
-    told = told_rings(bare(KNOWN))
+    told = identify_sensor(bare(KNOWN))
     assert told.model is KNOWN.model
     assert told.ring is not None
     assert KNOWN.ring is not None
@@ -36,7 +36,7 @@ def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
 
 
 def test_rings_without_a_sensor_tell_it() -> None:
-    assert told_rings(KNOWN.replace(model=None)).model is KNOWN.model
+    assert identify_sensor(KNOWN.replace(model=None)).model is KNOWN.model
 
 
 def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> None:
@@ -44,11 +44,11 @@ def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> Non
     sweep = cast(model, SCENE, 1.8)
     assert sweep.ring is not None
     ordered = sweep.select(np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring)))
-    told = told_rings(ordered.replace(ring=None, model=None))
+    told = identify_sensor(ordered.replace(ring=None, model=None))
     assert told.model is None
     assert told.ring is not None
     assert (told.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
-    nothing = told_rings(bare(ordered))
+    nothing = identify_sensor(bare(ordered))
     assert nothing.ring is None
     assert nothing.model is None
 
@@ -84,5 +84,5 @@ def test_a_bare_cloud_is_seen_as_well_as_one_with_rings() -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.full((50, 3), 1e-9)])
 def test_almost_nothing_tells_nothing(points: np.ndarray) -> None:
-    told = told_rings(Sweep(points))
+    told = identify_sensor(Sweep(points))
     assert told.model is None

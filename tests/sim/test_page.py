@@ -15,7 +15,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "simulator.md"
 
 def materials_table() -> str:
     """The table as the page must have it."""
-    header = ("material", "reflectivity", "stops per metre", "a beam that crosses 1 m passes")
+    header = ("material", "reflectivity", "stops per meter", "a beam that crosses 1 m passes")
     rows = [
         (one.name, f"{one.reflectivity:g}", "–" if np.isinf(one.per_m) else f"{one.per_m:g}",
          "never" if np.isinf(one.per_m) else f"{np.exp(-one.per_m):.2g}")

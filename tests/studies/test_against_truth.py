@@ -16,7 +16,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
-from viewshed.metrics import Tally
+from viewshed.metrics import ConfusionCounts
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.raycast.caster import cast_world
@@ -24,7 +24,7 @@ from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Thing, World
 from viewshed.studies.against_truth import ALL, CLEAR, FORMS, Contest, compare_definitions, evaluate_truth
-from viewshed.sweep import bare_points, unorganised_no_sensor
+from viewshed.sweep import bare_points, unorganized_no_sensor
 
 GRID = BevGrid(4, 8.0)
 COUNTS = np.array([[0, 2, 3, 4], [5, 6, 7, 8], [255, 5, 0, 0], [9, 9, 9, 9]], np.uint8)
@@ -56,7 +56,7 @@ class _Fixed:
 def test_cells_are_counted_where_the_truth_is_known() -> None:
     """Column 1 is claimed; visible are (1, 0…3), (2, 0), (2, 1) of the three known rows."""
     scores = evaluate_truth([_sample()], Contest({"fixed": _Fixed}, CAR, {"as it is": FORMS["rings known"]}))
-    assert scores["fixed", "as it is", ALL] == Tally(2, 1, 4, 5, 12 * 16.0)
+    assert scores["fixed", "as it is", ALL] == ConfusionCounts(2, 1, 4, 5, 12 * 16.0)
     tally = scores["fixed", "as it is", ALL]
     assert (tally.precision, tally.recall, tally.iou) == pytest.approx((2 / 3, 2 / 6, 2 / 7))
     assert tally.f1 == pytest.approx(2 * (2 / 3) * (1 / 3) / (2 / 3 + 1 / 3))
@@ -65,13 +65,13 @@ def test_cells_are_counted_where_the_truth_is_known() -> None:
 
 def test_clear_leaves_out_three_to_seven_returns_of_a_car() -> None:
     scores = evaluate_truth([_sample()], Contest({"fixed": _Fixed}, CAR, {"x": FORMS["rings known"]}))
-    assert scores["fixed", "x", CLEAR] == Tally(0, 1, 2, 3, 6 * 16.0)
+    assert scores["fixed", "x", CLEAR] == ConfusionCounts(0, 1, 2, 3, 6 * 16.0)
 
 
 def test_range_bands_part_the_known_cells() -> None:
     scores = evaluate_truth([_sample()], Contest({"f": _Fixed}, CAR, {"x": FORMS["rings known"]}, bands=(0, 0.5, 2)))
     near, far = scores["f", "x", "0 to 4 m"], scores["f", "x", "4 to 16 m"]
-    assert near == Tally(2, 0, 1, 1, 4 * 16.0)
+    assert near == ConfusionCounts(2, 0, 1, 1, 4 * 16.0)
     assert replace(near + far, samples=1) == scores["f", "x", ALL]
 
 
@@ -85,13 +85,13 @@ def test_samples_are_pooled_and_areas_are_of_one_sample() -> None:
 
 def test_other_definitions_are_compared_with_ours() -> None:
     scores = compare_definitions([_sample()], Contest({}, CAR, {}))
-    assert scores["farthest", "", ALL] == Tally(6, 6, 0, 0, 12 * 16.0)
-    assert scores["first_blocker", "", ALL] == Tally(1, 2, 5, 4, 12 * 16.0)
+    assert scores["farthest", "", ALL] == ConfusionCounts(6, 6, 0, 0, 12 * 16.0)
+    assert scores["first_blocker", "", ALL] == ConfusionCounts(1, 2, 5, 4, 12 * 16.0)
     assert ("line_of_sight", "", ALL) not in scores
 
 
 def test_nothing_claimed_and_nothing_visible_is_no_rate() -> None:
-    nothing = Tally.of(*(np.zeros((2, 2), bool),) * 2, np.ones((2, 2), bool), 1.0)
+    nothing = ConfusionCounts.of(*(np.zeros((2, 2), bool),) * 2, np.ones((2, 2), bool), 1.0)
     assert np.isnan([nothing.precision, nothing.recall, nothing.f1, nothing.iou]).all()
     assert (nothing.neither, nothing.over_m2) == (4, 0.0)
 
@@ -99,7 +99,7 @@ def test_nothing_claimed_and_nothing_visible_is_no_rate() -> None:
 @given(st.integers(0, 2**16 - 1), st.integers(0, 2**16 - 1), st.integers(1, 2**16 - 1))
 def test_a_tally_counts_every_cell_once(claimed: int, true: int, among: int) -> None:
     a, b, c = (np.array([value >> k & 1 for k in range(16)], bool) for value in (claimed, true, among))
-    tally = Tally.of(a, b, c, 0.25)
+    tally = ConfusionCounts.of(a, b, c, 0.25)
     assert (tally.both, tally.over) == (int((a & b & c).sum()), int((a & ~b & c).sum()))
     assert (tally.under, tally.neither) == (int((~a & b & c).sum()), int((~a & ~b & c).sum()))
     assert tally.cells * 0.25 == tally.area_m2
@@ -112,9 +112,9 @@ def test_forms_hide_what_they_say() -> None:
         time_s=np.zeros(2, np.float32), model=model,
         sensor_height_m=1.5, world_from_sensor=Rigid.identity(),
     )  # fmt: skip
-    kept = FORMS["unorganised"](sweep)
+    kept = FORMS["unorganized"](sweep)
     assert (kept.ring, kept.azimuth, kept.time_s, kept.model, kept.sensor_height_m) == (None, None, None, model, 1.5)
-    assert unorganised_no_sensor(sweep).model is None
+    assert unorganized_no_sensor(sweep).model is None
     bare = bare_points(sweep)
     assert (bare.sensor_height_m, bare.world_from_sensor, bare.model, len(bare)) == (None, None, None, 2)
     assert FORMS["rings known"](sweep) is sweep

@@ -64,9 +64,9 @@ def _reddish(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def test_a_block_ahead_at_the_left_is_at_the_upper_left_of_the_plan() -> None:
     world = _world()
     rows, columns = np.nonzero(_is(plan_view(world, world.snapshot(0.0), Rigid.identity(), GRID), "brick"))
-    metres = 2 * GRID.half_extent_m / SIDE
-    assert (rows.min(), rows.max()) == pytest.approx(((16 - 10) / metres, (16 - 6) / metres - 1), abs=1)
-    assert (columns.min(), columns.max()) == pytest.approx(((16 - 7) / metres, (16 - 5) / metres - 1), abs=1)
+    meters = 2 * GRID.half_extent_m / SIDE
+    assert (rows.min(), rows.max()) == pytest.approx(((16 - 10) / meters, (16 - 6) / meters - 1), abs=1)
+    assert (columns.min(), columns.max()) == pytest.approx(((16 - 7) / meters, (16 - 5) / meters - 1), abs=1)
 
 
 def test_the_plan_turns_with_the_sensor() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
 from viewshed.training import TrainConfig, read_config
@@ -30,7 +30,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, scenes=(6, 1), frames=(24, 2),
         sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,), revolution_s=0.0,
     )  # fmt: skip
-    simulate(preset, Store.of(out), LocalEngine(1))
+    simulate(preset, Storage.of(out), LocalEngine(1))
     return out
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import viewshed.training.crossval as crossval_module
 
+import viewshed.training.cross_validation as crossval_module
 from viewshed.cli import main
 from viewshed.training import TrainConfig, train
 from viewshed.training.cross_validation import Search, Setting, crossval, toml_of

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from viewshed import Archive, BevGrid, Sample, Sweep
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
 from viewshed.estimators import PAPER_ESTIMATORS
 from viewshed.geometry import Rigid
-from viewshed.networks.features import NO_PAST, PAST_CHANNELS
+from viewshed.networks.features import HISTORY_FEATURES, NO_HISTORY
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
-from viewshed.sweep import unorganised_no_sensor
+from viewshed.sweep import unorganized_no_sensor
 from viewshed.threats.attacks.removal import PhysicalRemoval
 from viewshed.training import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.samples import BLANK, Share, Struck, TrainingFrames, TrainingOrder, ValidationOrder
-from viewshed.training.sources import Archived, Fresh
+from viewshed.training.sources import Archived, OnlineSimulation
 
 
 def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
@@ -196,10 +196,10 @@ def test_a_share_of_the_clouds_has_no_rings(
     stripped: list[Sweep] = []
 
     def strip(sweep: Sweep) -> Sweep:
-        stripped.append(unorganised_no_sensor(sweep))
+        stripped.append(unorganized_no_sensor(sweep))
         return stripped[-1]
 
-    monkeypatch.setattr("viewshed.training.samples.unorganised_no_sensor", strip)
+    monkeypatch.setattr("viewshed.training.samples.unorganized_no_sensor", strip)
     bare = replace(config, attacks=(), attack_share=0.0, ringless_share=0.5)
     some, none = prepare(bare, tmp_path).train, prepare(replace(bare, ringless_share=0.0), tmp_path).train
     same = [(some[1, index]["inputs"] == none[1, index]["inputs"]).all() for index in range(len(none))]
@@ -209,14 +209,14 @@ def test_a_share_of_the_clouds_has_no_rings(
 
 
 def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig, tmp_path: Path) -> None:
-    names = ("counts", "expected", *PAST_CHANNELS)
+    names = ("counts", "expected", *HISTORY_FEATURES)
     wanted = replace(config, attacks=(), attack_share=0.0, past_share=0.5, inputs=names)
     frames = prepare(wanted, tmp_path).train
     shown = [frames[1, index]["inputs"] for index in range(len(frames))]
-    nothing = np.float32(NO_PAST) / np.float32(255.0)
+    nothing = np.float32(NO_HISTORY) / np.float32(255.0)
     with_past = [bool((maps[2] != nothing).any()) for maps in shown]
     assert 0.15 < np.mean(with_past) < 0.6  # the first sweep of each scene has none before it
-    other = prepare(replace(wanted, inputs=PAST_CHANNELS), tmp_path).train
+    other = prepare(replace(wanted, inputs=HISTORY_FEATURES), tmp_path).train
     assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
 
 
@@ -225,9 +225,9 @@ def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainC
         preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("train",), scenes=(2,),
         frames=(16,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
     )  # fmt: skip
-    simulate(pair, Store.of(tmp_path / "pair"), LocalEngine(1))
+    simulate(pair, Storage.of(tmp_path / "pair"), LocalEngine(1))
     archived = Archived((Archive.open(tmp_path / "pair"),), config)
-    for source in (archived, Fresh(replace(config, data=("roads",)), 16)):
+    for source in (archived, OnlineSimulation(replace(config, data=("roads",)), 16)):
         longest, agents = 0, set()
         for index in range(len(source)):
             now, few = source.clean(1, index).sweep, source.earlier(1, index, 2)
@@ -290,7 +290,7 @@ def test_mirrored_frames_are_turned_alike_in_all_their_parts(config: TrainConfig
 
 
 def test_the_papers_label_turns_with_its_sweep(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
-    """Else turned frames would be wrongly labelled: its sectors and bins must lie alike in all quarters."""
+    """Else turned frames would be wrongly labeled: its sectors and bins must lie alike in all quarters."""
     estimator = PAPER_ESTIMATORS["paper_label"](BevGrid(64, 32.0))
     for sample in list(Archive.open(archive).split("train"))[::6]:
         sweep = sample.sweep

@@ -32,7 +32,7 @@ FormatName = Annotated[str, typer.Option("--format", help="File format; auto kno
 
 FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
 
-Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in metres, if known.")]
+Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
 
 Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
 
@@ -124,9 +124,9 @@ def _told(problems: list[str], line: str) -> None:
 
 def with_inferred_sensor(sweep: Sweep) -> Sweep:
     """Return the sweep with the beam table that explains it, or as it is where none does."""
-    from viewshed.preprocess.sensor_identification import told_rings
+    from viewshed.preprocess.sensor_identification import identify_sensor
 
-    model = told_rings(sweep).model
+    model = identify_sensor(sweep).model
     return sweep if model is sweep.model else sweep.replace(model=model)
 
 
@@ -320,7 +320,7 @@ class Network:
         if method in LEARNED:
             engine = _ENGINES[self.device]
             made = learned(method, grid, target, self.weights, self.passes, self.seed or 0, engine=engine)
-            return made if self.sure is None else made.when_sure(self.sure)
+            return made if self.sure is None else made.with_abstention(self.sure)
         if self.sure is not None:
             raise ValueError(f"--sure goes with --method unet, mcd or viewnet, got method {method!r}")
         if self != Network():
@@ -338,15 +338,15 @@ class Network:
         Raises:
             ValueError: earlier sweeps do not help it.
         """
-        from viewshed.estimators.temporal import Memory, Remembering
-        from viewshed.estimators.unet import heeds_past
+        from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+        from viewshed.estimators.unet import uses_history
 
         if sweeps == 0 and wary:
             raise ValueError("--wary goes with --past 1 or more: it claims what earlier sweeps support")
         if sweeps == 0:
             return estimator
-        if heeds_past(estimator):
-            return Remembering(estimator, Memory(sweeps), wary)
+        if uses_history(estimator):
+            return TemporalEstimator(estimator, SweepBuffer(sweeps), wary)
         raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
 
     def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:
@@ -355,5 +355,5 @@ class Network:
 
         if given is not None and self.sure is not None and given < self.sure:
             raise ValueError(f"--threshold must be at least --sure {self.sure:g}, got {given:g}; leave one of them out")
-        own = estimator.claims_from if given is None and isinstance(estimator, UnetEstimator) else given
+        own = estimator.decision_threshold if given is None and isinstance(estimator, UnetEstimator) else given
         return parse_threshold(own, profile)

@@ -18,7 +18,7 @@ from viewshed.cli._options import BAD_INPUTS, one_line, timed
 
 if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate, FovEstimator
-    from viewshed.preprocess.leveling import LevelSweep
+    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
 
@@ -192,18 +192,18 @@ class Run:
 
     def write(self, sweep: Sweep, name: str, found: FovEstimate, elapsed_ms: float | None = None) -> str:
         """Write the results of an estimate and return its summary line; without a time it tells none."""
-        from viewshed._files import write_bytes
-        from viewshed.preprocess.leveling import level_sweep
+        from viewshed._files import write_atomic
+        from viewshed.preprocess.leveling import level
 
-        level = level_sweep(sweep, self.estimator.grid)
+        leveled = level(sweep, self.estimator.grid)
         summary = summary_line(found, self.threshold, elapsed_ms)
         title = f"{name}\n{summary}"
-        content = {kind: self._content(kind, found, level, title) for kind in self.results}
+        content = {kind: self._content(kind, found, leveled, title) for kind in self.results}
         for kind, made in content.items():
-            write_bytes(self.out / f"{name}.{kind}", made)
-        return f"{name}: {summary}{_doubt(sweep, level)} → {self.out / name}.{self.results[0]}"
+            write_atomic(self.out / f"{name}.{kind}", made)
+        return f"{name}: {summary}{_doubt(sweep, leveled)} → {self.out / name}.{self.results[0]}"
 
-    def _content(self, kind: str, found: FovEstimate, level: LevelSweep, title: str) -> bytes:
+    def _content(self, kind: str, found: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
         from viewshed.io.export import to_geojson, to_npz
 
         if kind == "npz":
@@ -214,7 +214,7 @@ class Run:
         from viewshed.plot import Panel, maps_picture, picture
 
         drawn = maps_picture if found.method in LEARNED else picture
-        return drawn(Panel(found, title, level, self.threshold))
+        return drawn(Panel(found, title, leveled, self.threshold))
 
 
 def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float | None = None) -> str:
@@ -229,11 +229,11 @@ def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float | None 
     )
 
 
-def _doubt(sweep: Sweep, level: LevelSweep) -> str:
-    if len(level.points) == 0:
+def _doubt(sweep: Sweep, leveled: LeveledSweep) -> str:
+    if len(leveled.points) == 0:
         return f"; no usable return among {len(sweep)} points: nothing is known"
-    if level.ground.support == 0 and sweep.sensor_height_m is None:
-        assumed = f"; ground not seen, sensor taken to be {level.sensor_height_m:.2f} m above it"
+    if leveled.ground.support == 0 and sweep.sensor_height_m is None:
+        assumed = f"; ground not seen, sensor taken to be {leveled.sensor_height_m:.2f} m above it"
         return f"{assumed} (give --height, or --file-frame if the file's z points down)"
     return ""
 

@@ -14,7 +14,7 @@ from viewshed.cli._outputs import refuse_inputs
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
-    from viewshed.datasets.archive.build import Made
+    from viewshed.datasets.archive.build import ShardResult
     from viewshed.datasets.tampered import AttackPlan, Spoiling, Sweeps
     from viewshed.grid import BevGrid
 
@@ -172,7 +172,7 @@ def _to_archive(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Store
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.tampered import spoil
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
@@ -181,18 +181,18 @@ def _to_archive(
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(plan.name, total=sweeps.count)
 
-        def tell(made: Made) -> None:
+        def tell(made: ShardResult) -> None:
             bar.advance(task, 0 if made.facts is None else made.facts.frames)
             failed.extend(made.problems)
 
-        archive = spoil(sweeps, plan, Store.of(where.out), runner, where.seed, tell)
+        archive = spoil(sweeps, plan, Storage.of(where.out), runner, where.seed, tell)
     for problem in failed[len(sweeps.problems) :]:
         typer.echo(f"viewshed: {problem}", err=True)
     return archive
 
 
 def _to_file(sweeps: Sweeps, plan: Spoiling, where: _Where) -> None:
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed.datasets.tampered import spoiled_sweep
     from viewshed.io import write_sweep
 
@@ -203,7 +203,7 @@ def _to_file(sweeps: Sweeps, plan: Spoiling, where: _Where) -> None:
     sweep, told = spoiled_sweep(sweeps, plan, where.seed)
     where.file.parent.mkdir(parents=True, exist_ok=True)
     write_sweep(sweep, where.file)
-    write_bytes(record, told.encode())
+    write_atomic(record, told.encode())
     typer.echo(f"{where.file}: {len(sweep)} returns; what was touched is in {record.name}")
 
 

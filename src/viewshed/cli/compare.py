@@ -44,10 +44,10 @@ def compare(
 
     Example: viewshed compare sweep.bin --methods shadow_map,quantized,concave_hull
     """
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed._page import table
     from viewshed.plot import Panel, comparison
-    from viewshed.preprocess.leveling import level_sweep
+    from viewshed.preprocess.leveling import level
 
     cells = options.parse_grid(grid)
     names = list(options.estimators_of(profile, cells)) if methods == "all" else methods.split(",")
@@ -55,10 +55,12 @@ def compare(
     [(path, entry)] = options.chosen([file], index)
     refuse_inputs([out], [file])
     sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
-    level = level_sweep(sweep, cells)
+    leveled = level(sweep, cells)
     found = {name: _second(estimator, sweep) for name, estimator in estimators.items()}
     rows = [_row(name, estimate, elapsed_ms, found[names[0]][0]) for name, (estimate, elapsed_ms) in found.items()]
-    write_bytes(out, comparison([Panel(estimate, name, level) for name, (estimate, _) in found.items()], rows, _HEADER))
+    write_atomic(
+        out, comparison([Panel(estimate, name, leveled) for name, (estimate, _) in found.items()], rows, _HEADER)
+    )
     typer.echo(table(_HEADER, rows))
     typer.echo(f"→ {out}")
 

@@ -30,7 +30,7 @@ def demo(
 
     Example: viewshed demo --out demo
     """
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
 
     out.mkdir(parents=True, exist_ok=True)
     grid = options.parse_grid("road")
@@ -39,7 +39,7 @@ def demo(
     sweep = seen.image.sweep()
     typer.echo(Run(estimator, Network().threshold(None, estimator, "sound"), out).one(sweep, "demo"))
     picture, line = _beside_truth(estimator.estimate(sweep), seen)
-    write_bytes(out / "demo_truth.png", picture)
+    write_atomic(out / "demo_truth.png", picture)
     typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")
     typer.echo(f"Look at {(out / 'demo.png').resolve()}")
 
@@ -60,12 +60,12 @@ def _beside_truth(found: FovEstimate, seen: Observation) -> tuple[bytes, str]:
     import numpy as np
 
     from viewshed.fov.estimate import FovEstimate
-    from viewshed.metrics import Tally
+    from viewshed.metrics import ConfusionCounts
     from viewshed.plot import Panel, comparison
 
     name, true = found.target.name, seen.truth.visible(found.target)
     exact = FovEstimate(found.grid, true.astype(np.float32), seen.truth.state[name], method="exact truth")
-    tally = Tally.of(found.visible(), true, seen.known, found.grid.cell_area_m2)
+    tally = ConfusionCounts.of(found.visible(), true, seen.known, found.grid.cell_area_m2)
     scores = [f"{value:.3f}" for value in (tally.precision, tally.recall, tally.f1)]
     panels = [Panel(found, found.method), Panel(exact, "exact truth")]
     rows = [[found.method, f"{found.area_m2():.0f}", *scores], ["exact truth", f"{exact.area_m2():.0f}", "", "", ""]]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimator
     from viewshed.fov.visibility import Target
     from viewshed.grid import BevGrid
-    from viewshed.metrics import Tally
+    from viewshed.metrics import ConfusionCounts
     from viewshed.studies.against_truth import Contest, Scores
     from viewshed.studies.crossview.study import CrossViewRow
     from viewshed.sweep import Sweep
@@ -39,7 +39,7 @@ visible, visible and not claimed. *F1, clear*: without the cells next to the tar
 more or less decides."""
 
 _FORMS = """\
-*rings known*: the sweep as the sensor gives it. *unorganised*: without ring, firing azimuth and time. *no sensor*:
+*rings known*: the sweep as the sensor gives it. *unorganized*: without ring, firing azimuth and time. *no sensor*:
 without the beam table as well. *bare points*: no mounting height, attitude or pose either."""
 
 _DEFINITIONS = """\
@@ -154,7 +154,7 @@ def _summary(scores: Scores, names: list[str], form: str) -> str:
     )
 
 
-def _truth_cells(tally: Tally) -> list[str]:
+def _truth_cells(tally: ConfusionCounts) -> list[str]:
     rates = [_three(rate) for rate in (tally.precision, tally.recall, tally.f1, tally.iou)]
     return [*rates, f"{tally.over_m2:.0f}", f"{tally.under_m2:.0f}"]
 

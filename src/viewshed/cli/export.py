@@ -39,7 +39,7 @@ def export(
     """
     import json
 
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed.io.export import EXPORTERS, read_npz, to_cpm
 
     if to not in EXPORTERS:
@@ -54,7 +54,7 @@ def export(
     name = stem_of(file.name) + EXPORTERS[to].suffix
     place = Path(name) if out is None else out / name if out.is_dir() else out
     refuse_inputs([place], [file])
-    write_bytes(place, content)
+    write_atomic(place, content)
     typer.echo(f"{place}: {len(content)} bytes. {EXPORTERS[to].states}")
 
 

@@ -12,7 +12,7 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, Reading
 
 if TYPE_CHECKING:
-    from viewshed.preprocess.leveling import LevelSweep
+    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
 
@@ -30,16 +30,16 @@ def info(
 
     Example: viewshed info sweep.pcd.bin
     """
-    from viewshed.preprocess.leveling import level_sweep
+    from viewshed.preprocess.leveling import level
 
     [(path, entry)] = options.chosen([file], index)
     sweep = Reading("none", format, file_frame, height, attitude).sweep(path, entry)
-    level = level_sweep(sweep, options.parse_grid(grid))
-    for name, value in (*_points(sweep, level), *_beams(sweep, sensor), *_ground(sweep, level)):
+    leveled = level(sweep, options.parse_grid(grid))
+    for name, value in (*_points(sweep, leveled), *_beams(sweep, sensor), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")
 
 
-def _points(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
+def _points(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
     import numpy as np
 
     yield "points", f"{len(sweep)}, {sweep.dropped_points} more were not finite"
@@ -48,13 +48,13 @@ def _points(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
     range_m = np.linalg.norm(sweep.points, axis=1)
     quantiles = " / ".join(f"{value:.1f}" for value in np.quantile(range_m, [0.01, 0.5, 0.99, 1.0]))
     yield "range", f"{quantiles} m (1 %, half, 99 %, all of the points)"
-    yield "left out", f"{1 - len(level.points) / len(sweep):.1%}: null returns and returns of the vehicle itself"
-    degrees = np.unique(np.floor(np.rad2deg(level.azimuth))).size
+    yield "left out", f"{1 - len(leveled.points) / len(sweep):.1%}: null returns and returns of the vehicle itself"
+    degrees = np.unique(np.floor(np.rad2deg(leveled.azimuth))).size
     yield "azimuth", f"returns in {degrees} of 360 degrees"
 
 
 def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
-    from viewshed.preprocess.ring_recovery import recover_beams
+    from viewshed.preprocess.ring_recovery import recover_rings
     from viewshed.preprocess.sensor_identification import infer_sensor
     from viewshed.sensors import lidar_model
 
@@ -65,22 +65,22 @@ def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
         model = None if sensor == "none" else lidar_model(sensor)
         name = f"{model.name} (given)" if model else "not asked for"
     yield "sensor", name
-    beams = recover_beams(sweep, model)
+    beams = recover_rings(sweep, model)
     yield "rings", f"{beams.rings}, from {beams.source}; {beams.placed_share:.1%} of the points placed"
     yield "columns", f"{beams.columns}; {beams.alone_share:.1%} of the points alone in their pixel"
 
 
-def _ground(sweep: Sweep, level: LevelSweep) -> Iterator[tuple[str, str]]:
+def _ground(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
     import numpy as np
 
-    tilt = np.rad2deg(np.arccos(min(level.level_from_sensor.rotation[2, 2], 1.0)))
+    tilt = np.rad2deg(np.arccos(min(leveled.level_from_sensor.rotation[2, 2], 1.0)))
     told = "given" if sweep.known_attitude is not None else "estimated"
     yield "tilt", f"{tilt:.1f}° ({told})"
-    ground = level.ground
+    ground = leveled.ground
     source = (
         "given" if sweep.sensor_height_m is not None else "estimated" if ground.support else "assumed: no ground seen"
     )
-    yield "height", f"sensor {level.sensor_height_m:.2f} m above the ground ({source})"
+    yield "height", f"sensor {leveled.sensor_height_m:.2f} m above the ground ({source})"
     slope = np.rad2deg(np.arctan(np.hypot(ground.plane[0], ground.plane[1])))
     yield (
         "ground",

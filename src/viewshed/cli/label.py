@@ -12,7 +12,7 @@ from viewshed.cli._options import AUTO
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
-    from viewshed.datasets.archive.build import Made
+    from viewshed.datasets.archive.build import ShardResult
     from viewshed.datasets.labeling import Origin, Rules
 
 
@@ -49,7 +49,7 @@ def label(
 
     origin = Origin(*_place(source, index, kind), sensor, every)
     rules = _rules(origin, grid, definition, target, neighbors)
-    archive, problems = _labelled(origin, rules, out, engine, workers)
+    archive, problems = _labeled(origin, rules, out, engine, workers)
     size = sum(shard.bytes for shard in archive.shards)
     typer.echo(f"{archive.store.place}: {len(archive)} labels in {len(archive.scenes)} scene(s), {size / 1e6:.1f} MB")
     if problems:
@@ -80,17 +80,17 @@ def _rules(origin: Origin, grid: str | None, definition: str, target: str, neigh
     return Rules(cells, cast(Definition, definition), target, neighbors)
 
 
-def _labelled(origin: Origin, rules: Rules, out: str, engine: str, workers: int | None) -> tuple[Archive, list[str]]:
+def _labeled(origin: Origin, rules: Rules, out: str, engine: str, workers: int | None) -> tuple[Archive, list[str]]:
     from rich.console import Console
     from rich.progress import Progress
 
     from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Store
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.labeling import label as run
 
     problems: list[str] = []
 
-    def told(made: Made) -> None:
+    def told(made: ShardResult) -> None:
         problems.extend(made.problems)
         for problem in made.problems:
             typer.echo(f"viewshed: {problem}", err=True)
@@ -98,4 +98,4 @@ def _labelled(origin: Origin, rules: Rules, out: str, engine: str, workers: int 
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("sweeps", total=None)
-        return run(origin, rules, Store.of(out), engine_named(engine, workers), told), problems
+        return run(origin, rules, Storage.of(out), engine_named(engine, workers), told), problems

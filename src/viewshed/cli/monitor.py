@@ -188,16 +188,16 @@ class _Run:
 
     def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
         """Write picture and suspect cells of a sweep and return where the picture is."""
-        from viewshed._files import write_bytes
+        from viewshed._files import write_atomic
         from viewshed.integrity.monitor import suspects_geojson
         from viewshed.plot import Panel, maps_picture
-        from viewshed.preprocess.leveling import level_sweep
+        from viewshed.preprocess.leveling import level
 
-        panel = Panel(found, line, level_sweep(sweep, self.estimator.grid), self.estimator.card.threshold)
+        panel = Panel(found, line, level(sweep, self.estimator.grid), self.estimator.card.threshold)
         stem = free_name(stem_of(name).replace("/", "_"), self.taken)
         place = (self.out or Path()) / f"{stem}.png"
-        write_bytes(place, maps_picture(panel))
-        write_bytes(place.with_name(f"{stem}.geojson"), suspects_geojson(report))
+        write_atomic(place, maps_picture(panel))
+        write_atomic(place.with_name(f"{stem}.geojson"), suspects_geojson(report))
         return place
 
 

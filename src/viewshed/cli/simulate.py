@@ -102,11 +102,11 @@ def _configured(preset: Preset, sweeps: int | None, seed: int | None, grid: str 
 
 
 def _preview(preset: Preset, out: str | None) -> None:
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed.studies.preview import preview_png
 
     path = Path(out or f"{preset.name}.png")
-    write_bytes(path, preview_png(preset.name, preset.seed))
+    write_atomic(path, preview_png(preset.name, preset.seed))
     typer.echo(f"Look at {path.resolve()}")
 
 
@@ -122,10 +122,10 @@ def _simulated(preset: Preset, out: str, engine: str, workers: int | None) -> Ar
     )
 
     from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Store
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.simulated import simulate as run
 
-    store, runner = Store.of(out), engine_named(engine, workers)
+    store, runner = Storage.of(out), engine_named(engine, workers)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
                TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
     with Progress(*columns, console=Console(stderr=True)) as bar:

@@ -84,7 +84,7 @@ def _run(study: Study, store: ResultStore, engine: str, workers: int | None) -> 
 
 def _write_report(store: ResultStore, failed: list[str], out: Path, page: Path) -> None:
     """Write the report twice: one HTML file, and a Markdown page with its figures beside it."""
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed._page import facts, to_html, to_markdown
     from viewshed.studies.robustness.page import LONG_TITLE, TITLE, blocks_of, details_of, pictures_of, told
     from viewshed.studies.robustness.results import Results
@@ -93,11 +93,11 @@ def _write_report(store: ResultStore, failed: list[str], out: Path, page: Path) 
     if not results.scores:
         raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
     blocks, details, about = list(blocks_of(results, failed)), list(details_of(results)), facts(**told(results))
-    write_bytes(out / "index.html", to_html(TITLE, about, [*blocks, *details]).encode())
+    write_atomic(out / "index.html", to_html(TITLE, about, [*blocks, *details]).encode())
     for picture in pictures_of(blocks):
-        write_bytes(page.parent / picture.name, picture.png)
-    write_bytes(page, to_markdown(TITLE, about, blocks).encode())
-    write_bytes(page.with_name(f"{page.stem}_tables.md"), to_markdown(LONG_TITLE, about, details).encode())
+        write_atomic(page.parent / picture.name, picture.png)
+    write_atomic(page, to_markdown(TITLE, about, blocks).encode())
+    write_atomic(page.with_name(f"{page.stem}_tables.md"), to_markdown(LONG_TITLE, about, details).encode())
     typer.echo(f"Look at {(out / 'index.html').resolve()}; Markdown in {page}")
 
 
@@ -165,7 +165,7 @@ def _paper(asked: _Asked) -> int:
 
 def _successor(asked: _Asked) -> int:
     """Return how many jobs of the ablation are not done."""
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed.studies.ablation.jobs import STEPS, run_steps
     from viewshed.studies.ablation.page import page_of
     from viewshed.studies.ablation.plan import ablation_named
@@ -180,7 +180,7 @@ def _successor(asked: _Asked) -> int:
     if "page" in steps:
         folder = asked.page or asked.out
         folder.mkdir(parents=True, exist_ok=True)
-        write_bytes(folder / "successor.md", page_of(store).encode())
+        write_atomic(folder / "successor.md", page_of(store).encode())
         typer.echo(f"Look at {folder / 'successor.md'}")
     return problems
 
@@ -223,7 +223,7 @@ def _told(run: Callable[[Callable[[str, int, int], None]], Iterator[str]]) -> in
 
 def _write_pages(store: JobStore[StudyPlan], scope: Scope, folder: Path) -> None:
     """Write the pages of the protocols and their figures."""
-    from viewshed._files import write_bytes
+    from viewshed._files import write_atomic
     from viewshed.studies.paper.page import files_of
     from viewshed.studies.paper.results import Results
 
@@ -232,5 +232,5 @@ def _write_pages(store: JobStore[StudyPlan], scope: Scope, folder: Path) -> None
     for protocol in scope.protocols:
         files = files_of(results, protocol)
         for name, content in files.items():
-            write_bytes(folder / name, content)
+            write_atomic(folder / name, content)
         typer.echo(f"Look at {folder / next(reversed(files))}")

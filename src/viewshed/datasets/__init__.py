@@ -6,7 +6,7 @@ from viewshed.datasets.archive.archive import Archive
 from viewshed.datasets.archive.build import ArchiveWriter, write_archive
 from viewshed.datasets.archive.manifest import Manifest
 from viewshed.datasets.archive.shard import SCHEMA_VERSION, ShardFacts, write_shard
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.sample import Sample
 
 __all__ = [
@@ -16,7 +16,7 @@ __all__ = [
     "Manifest",
     "Sample",
     "ShardFacts",
-    "Store",
+    "Storage",
     "write_archive",
     "write_shard",
 ]

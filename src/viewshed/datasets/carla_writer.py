@@ -12,7 +12,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.datasets.recordings.carla import POSE_COLUMNS, rotation_of_carla
 from viewshed.io import write_sweep
 from viewshed.sweep import Sweep
@@ -63,7 +63,7 @@ class RecordingWriter:
             for agent, carrier in carriers.items()
         }
         about = {"axes": "sensor", "town": town, "carla": carla, "step_s": step_s, "agents": agents}
-        write_bytes(self.folder / "recording.json", json.dumps(about, indent=1).encode())
+        write_atomic(self.folder / "recording.json", json.dumps(about, indent=1).encode())
 
     def write(self, agent: str, frame: int, t_ns: int, sweep: Sweep, transform: Any) -> None:
         """Write one sweep, and the ``carla.Transform`` of its sensor as it is."""

@@ -113,11 +113,11 @@ class Preset:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        return cls(**flat.values_of(cls, table, "preset"))
+        return cls(**flat.from_dict(cls, table, "preset"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the preset as plain values."""
-        return flat.plain(self)
+        return flat.to_dict(self)
 
     @property
     def grid(self) -> BevGrid:
@@ -171,7 +171,7 @@ def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
 @lru_cache(maxsize=1)
 def preset_names() -> tuple[str, ...]:
     """Return the names that :func:`preset_named` knows, in alphabetical order."""
-    return flat.shipped_names(_TABLES)
+    return flat.preset_names(_TABLES)
 
 
 def preset_named(name: str) -> Preset:
@@ -180,4 +180,4 @@ def preset_named(name: str) -> Preset:
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
     """
-    return Preset.from_json(flat.shipped(_TABLES, name))
+    return Preset.from_json(flat.load_preset(_TABLES, name))

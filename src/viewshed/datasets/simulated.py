@@ -15,11 +15,11 @@ import numpy as np
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import Made, Task, make_archive, write_beside
+from viewshed.datasets.archive.build import BuildPlan, ShardResult, make_archive, write_beside
 from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.shard import ShardFacts, write_frames
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import TARGETS
@@ -127,14 +127,14 @@ class ShardJob:
         last: the frame after its last.
     """
 
-    store: Store
+    store: Storage
     scene: ScenePlan
     name: str
     first: int
     last: int
 
 
-def jobs_of(preset: Preset, store: Store) -> list[ShardJob]:
+def jobs_of(preset: Preset, store: Storage) -> list[ShardJob]:
     """Return the shards of a data set, in order."""
     return [
         ShardJob(store, scene, f"{scene.split_name}-{scene.number:04d}-{chunk:03d}.parquet", first, last)
@@ -184,7 +184,7 @@ def world_of(scene: ScenePlan) -> World:
 
 
 def simulate(
-    preset: Preset, store: Store, engine: Engine, progress: Callable[[ShardFacts], None] | None = None
+    preset: Preset, store: Storage, engine: Engine, progress: Callable[[ShardFacts], None] | None = None
 ) -> Archive:
     """Return the archive of a preset, simulated into ``store``; its bytes do not depend on the engine.
 
@@ -201,7 +201,7 @@ def simulate(
         OSError: a shard could not be made or written; those that are finished stay.
     """
     layout = Layout(preset.grid, tuple(sorted(TARGETS)), tuple(sorted(OTHER_DEFINITIONS)))
-    task = Task(recipe_of(preset), layout, jobs_of(preset, store), _made)
+    task = BuildPlan(recipe_of(preset), layout, jobs_of(preset, store), _made)
     return make_archive(task, store, engine, None if progress is None else lambda made: _tell(progress, made))
 
 
@@ -212,10 +212,10 @@ def recipe_of(preset: Preset) -> dict[str, object]:
     return about | {"config": preset.to_json(), "targets": targets}
 
 
-def _made(job: ShardJob) -> Made:
-    return Made(simulate_shard(job))
+def _made(job: ShardJob) -> ShardResult:
+    return ShardResult(simulate_shard(job))
 
 
-def _tell(progress: Callable[[ShardFacts], None], made: Made) -> None:
+def _tell(progress: Callable[[ShardFacts], None], made: ShardResult) -> None:
     if made.facts is not None:
         progress(made.facts)

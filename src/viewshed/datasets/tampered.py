@@ -20,11 +20,11 @@ import numpy as np
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import FRAMES_PER_SHARD, Made, Task, make_archive, write_beside
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, make_archive, write_beside
 from viewshed.datasets.archive.columns import Frame, Touched
 from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.shard import write_frames
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import SweepRef, SweepSource
 from viewshed.fov.estimate import FovEstimator
@@ -384,7 +384,7 @@ class SpoilJob:
         seed: of all that is random.
     """
 
-    store: Store
+    store: Storage
     part: Part
     spoiling: Spoiling
     seed: int
@@ -461,10 +461,10 @@ def of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
 def spoil(
     sweeps: Sweeps,
     spoiling: Spoiling,
-    store: Store,
+    store: Storage,
     engine: Engine,
     seed: int = 0,
-    progress: Callable[[Made], None] | None = None,
+    progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
     """Return the archive of attacked (or corrupted) sweeps, made into ``store``; its bytes do not depend on the engine.
 
@@ -488,7 +488,7 @@ def spoil(
     config = spoiling.config() | {"source": sweeps.lineage}
     recipe = {"command": spoiling.command, "name": spoiling.name, "seed": seed, "config": config}
     jobs = [SpoilJob(store, part, spoiling, seed) for part in sweeps.parts]
-    return make_archive(Task(recipe, sweeps.layout, jobs, spoil_shard), store, engine, progress)
+    return make_archive(BuildPlan(recipe, sweeps.layout, jobs, spoil_shard), store, engine, progress)
 
 
 def spoiled_sweep(sweeps: Sweeps, spoiling: Spoiling, seed: int = 0) -> tuple[Sweep, str]:
@@ -500,7 +500,7 @@ def spoiled_sweep(sweeps: Sweeps, spoiling: Spoiling, seed: int = 0) -> tuple[Sw
         ValueError: it cannot be done to this sweep.
         OSError: the sweep cannot be read.
     """
-    job = SpoilJob(Store.of("."), sweeps.parts[0], spoiling, seed)
+    job = SpoilJob(Storage.of("."), sweeps.parts[0], spoiling, seed)
     frame = _one(job, 0, _Earlier(job.part))
     about = {"command": spoiling.command, "name": spoiling.name, "seed": seed, "config": spoiling.config()}
     touched = frame.touched
@@ -510,7 +510,7 @@ def spoiled_sweep(sweeps: Sweeps, spoiling: Spoiling, seed: int = 0) -> tuple[Sw
     return frame.sweep, json.dumps(about) + "\n"
 
 
-def spoil_shard(job: SpoilJob) -> Made:
+def spoil_shard(job: SpoilJob) -> ShardResult:
     """Return what became of one shard: it is written with a file beside it; sweeps that cannot be used are left out.
 
     Raises:
@@ -520,10 +520,10 @@ def spoil_shard(job: SpoilJob) -> Made:
     frames = _spoiled(job, problems)
     first = next(frames, None)
     if first is None:
-        return Made(None, _folded(job.part, problems))
+        return ShardResult(None, _folded(job.part, problems))
     facts = write_frames(job.store, job.name, (job.part.scene, job.part.split), chain([first], frames))
     lines = _folded(job.part, problems)
-    return Made(write_beside(job.store, facts, lines), lines)
+    return ShardResult(write_beside(job.store, facts, lines), lines)
 
 
 def _spoiled(job: SpoilJob, problems: list[tuple[int, str]]) -> Iterator[Frame]:

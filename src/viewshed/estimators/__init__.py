@@ -6,9 +6,9 @@ from collections.abc import Callable
 from functools import partial
 
 from viewshed.estimators.concave_hull import ConcaveHull
-from viewshed.estimators.delaunay import PolygonFit
+from viewshed.estimators.delaunay import Delaunay
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.majority_vote import VoteOfFive
+from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import FovEstimator
@@ -21,12 +21,12 @@ ESTIMATORS: dict[str, EstimatorFactory] = {
     "continuous": ContinuousRayTrace,
     "quantized": QuantizedRayTrace,
     "concave_hull": ConcaveHull,
-    "polygon_fit": PolygonFit,
+    "polygon_fit": Delaunay,
     "first_blocker": FirstBlocker,
     "first_blocker_median": partial(FirstBlocker, median_bins=5, name="first_blocker_median"),
     "trimmed": TrimmedRayTrace,
     "shadow_map": ShadowMap,
-    "vote": VoteOfFive,
+    "vote": MajorityVote,
 }
 """Ours: rays start at the sensor, bins follow the measured azimuth step, no return means UNKNOWN."""
 
@@ -47,7 +47,7 @@ def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
         "paper_concave_hull": partial(
             ConcaveHull, concavity=1.0, length_threshold_m=4.0, crop=crop, name="paper_concave_hull"
         ),
-        "paper_polygon_fit": partial(PolygonFit, crop=crop, name="paper_polygon_fit"),
+        "paper_polygon_fit": partial(Delaunay, crop=crop, name="paper_polygon_fit"),
     }
 
 

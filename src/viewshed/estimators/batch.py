@@ -11,10 +11,10 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from viewshed._jobs import cores
-from viewshed.estimators.temporal import Remembering
+from viewshed.estimators.temporal import TemporalEstimator
 from viewshed.estimators.unet import UnetEstimator
 from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
 BATCH = 16
@@ -60,7 +60,7 @@ def estimate_all(
         raise ValueError(f"batch must lie in [1, {MOST}], got {batch}")
     if threads is not None and threads < 1:
         raise ValueError(f"threads must be at least 1, got {threads}")
-    if isinstance(estimator, Remembering):
+    if isinstance(estimator, TemporalEstimator):
         raise ValueError("an estimator that remembers takes sweeps one after the other; call its estimate")
     return _estimates(_stages_of(estimator), sweeps, batch, threads or cores(), on_error or _raised)
 
@@ -96,7 +96,7 @@ def _stages_of(estimator: FovEstimator) -> _Stages:
     if isinstance(estimator, UnetEstimator):
         network, grid, alone = estimator, estimator.grid, estimator.side_by_side()
         if alone is None:
-            return _Stages(lambda sweep: network.asked(level_sweep(sweep, grid)), network.told, network.answer)
+            return _Stages(lambda sweep: network.asked(level(sweep, grid)), network.told, network.answer)
         estimator = alone
     return _Stages(estimator.estimate, lambda found: found, lambda found, _: found)
 

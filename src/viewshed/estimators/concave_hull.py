@@ -13,7 +13,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 MAX_LATTICE = 1024
@@ -30,7 +30,7 @@ class ConcaveHull:
     """Visible inside the concave hull of the returns. Source: arXiv 2503.07375; Park and Oh 2012 (concaveman).
 
     The returns are thinned out to the farthest one in each cell of a lattice as fine as the grid (coarser if they
-    spread over more than 1024 cells). A cell is visible if its centre lies inside the hull, by the even-odd rule.
+    spread over more than 1024 cells). A cell is visible if its center lies inside the hull, by the even-odd rule.
     Fewer than three cells with returns, or all on one line, give an empty estimate. Outside is UNKNOWN.
 
     Limits: the hull does not know where the sensor is; ``length_threshold_m`` keeps it from entering gaps narrower
@@ -65,17 +65,17 @@ class ConcaveHull:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Estimate what the sensor sees: the inside of the hull of its returns."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Estimate from a sweep already levelled."""
-        level = self.crop.apply(level)
-        points = thinned(level, self.grid)
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Estimate from a sweep already leveled."""
+        leveled = self.crop.apply(leveled)
+        points = thinned(leveled, self.grid)
         visible = fill(self._edges(points), self.grid) if spans_area(points) else np.zeros(self.grid.shape, np.bool_)
-        return fov_of_state(level, self.grid, state_of_mask(level, self.grid, visible), self.name, self.target)
+        return fov_of_state(leveled, self.grid, state_of_mask(leveled, self.grid, visible), self.name, self.target)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the hull's edges (E, 4) as x0, y0, x1, y1 in metres."""
+        """Return the hull's edges (E, 4) as x0, y0, x1, y1 in meters."""
         from concave_hull import concave_hull_indexes
 
         points = points[np.argsort(np.arange(len(points), dtype=np.uint64) * _SCATTER % _TURN)]
@@ -84,20 +84,20 @@ class ConcaveHull:
         return np.hstack([ring, np.roll(ring, -1, axis=0)])
 
 
-def thinned(level: LevelSweep, grid: BevGrid) -> NDArray[np.float64]:
-    """Return the points (K, 2) in metres: the farthest return of each cell, whatever the order of the returns."""
-    if not len(level.points):
+def thinned(leveled: LeveledSweep, grid: BevGrid) -> NDArray[np.float64]:
+    """Return the points (K, 2) in meters: the farthest return of each cell, whatever the order of the returns."""
+    if not len(leveled.points):
         return np.zeros((0, 2))
-    x, y = level.points[:, 0], level.points[:, 1]
+    x, y = leveled.points[:, 0], leveled.points[:, 1]
     low, high = np.array([x.min(), y.min()], np.float64), np.array([x.max(), y.max()], np.float64)
     cell_m = max(grid.cell_m, float((high - low).max()) / (MAX_LATTICE - 2))
     origin = np.array(grid.origin_m)
     origin = origin + np.floor((low - origin) / cell_m) * cell_m
     sides = np.floor((high - origin) / cell_m).astype(np.int64) + 1
     farthest = np.full((int(sides[0]), int(sides[1])), -1, np.int32)
-    _thin(level.points, level.range_m, np.array([*origin, 1.0 / cell_m]), farthest)
+    _thin(leveled.points, leveled.range_m, np.array([*origin, 1.0 / cell_m]), farthest)
     rows = farthest.ravel()
-    return level.points[rows[rows >= 0], :2].astype(np.float64)
+    return leveled.points[rows[rows >= 0], :2].astype(np.float64)
 
 
 def spans_area(points: NDArray[np.float64]) -> bool:
@@ -109,7 +109,7 @@ def spans_area(points: NDArray[np.float64]) -> bool:
 
 
 def fill(edges: NDArray[np.float64], grid: BevGrid) -> NDArray[np.bool_]:
-    """Return the mask (cells, cells) of cell centres inside closed rings of edges (E, 4), by the even-odd rule.
+    """Return the mask (cells, cells) of cell centers inside closed rings of edges (E, 4), by the even-odd rule.
 
     An edge that occurs twice, in either direction, cancels out: adjacent triangles make their union.
 

@@ -12,16 +12,16 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 
 @dataclass(frozen=True, slots=True)
-class PolygonFit:
+class Delaunay:
     """Visible inside the triangles of the returns' Delaunay triangulation that have no edge above ``max_edge_m``.
 
     Source: Castagno and Atkins 2020 (PolyLidar), named in arXiv 2503.07375; there the edge filter is called ``lmax``.
-    Returns are thinned out as for the concave hull. A cell is visible if its centre lies inside a triangle that is
+    Returns are thinned out as for the concave hull. A cell is visible if its center lies inside a triangle that is
     kept. Degenerate returns give an empty estimate. Outside is UNKNOWN.
 
     Limits: unsuitable for LiDAR in bird's-eye view, as the paper says: rings on flat ground lie farther apart than
@@ -52,16 +52,16 @@ class PolygonFit:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Estimate what the sensor sees: the union of the small triangles between its returns."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Estimate from a sweep already levelled."""
-        level = self.crop.apply(level)
-        visible = fill(self._edges(thinned(level, self.grid)), self.grid)
-        return fov_of_state(level, self.grid, state_of_mask(level, self.grid, visible), self.name, self.target)
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Estimate from a sweep already leveled."""
+        leveled = self.crop.apply(leveled)
+        visible = fill(self._edges(thinned(leveled, self.grid)), self.grid)
+        return fov_of_state(leveled, self.grid, state_of_mask(leveled, self.grid, visible), self.name, self.target)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in metres."""
+        """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""
         from scipy.spatial import Delaunay, QhullError
 
         if not spans_area(points):

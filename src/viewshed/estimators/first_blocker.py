@@ -23,7 +23,7 @@ from viewshed.preprocess.azimuth_bins import (
     state_of_limits,
     with_margin,
 )
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 
@@ -32,12 +32,12 @@ class FirstBlocker:
     """Visible before the ``rank``-th nearest obstacle return of the azimuth bin.
 
     Source: the occlusion test of Hu et al. (CVPR 2020, "What You See is What You Get") and of AdvCollaborative-
-    Perception (USENIX Security 2024), per azimuth instead of per voxel. A cell's centre may lie one cell beyond the
+    Perception (USENIX Security 2024), per azimuth instead of per voxel. A cell's center may lie one cell beyond the
     limit. A bin without a return is UNKNOWN. Behind a blocker a cell is HIDDEN up to the sensor's reach (its
     model's maximum range, else the farthest return of the sweep); where the bin has returns but no blocker it is
     visible up to that reach, or with ``limit_farthest`` up to the bin's farthest return and UNKNOWN beyond.
 
-    Limits: under-claims; a bush, a kerb or a parked car lower than the target hides everything behind it, and so does
+    Limits: under-claims; a bush, a curb or a parked car lower than the target hides everything behind it, and so does
     a wall grazed by a wide bin or one spoofed near point (``rank`` and ``median_bins`` withstand a few of those).
     Returns above ``obstacle_height_m[1]`` (canopies, bridges) do not block. Without ``limit_farthest`` a removed
     return opens its bin.
@@ -78,21 +78,21 @@ class FirstBlocker:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Estimate what the sensor sees: everything before the first obstacle of each azimuth bin."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Estimate from a sweep already levelled."""
-        bins = self.azimuth_bins or measured_azimuth_bins(level.azimuth)
-        farthest_m = farthest_in_bins(level, bins)
-        blocker_m = nearest_obstacle_in_bins(level, bins, self.rank, self.obstacle_height_m)
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Estimate from a sweep already leveled."""
+        bins = self.azimuth_bins or measured_azimuth_bins(leveled.azimuth)
+        farthest_m = farthest_in_bins(leveled, bins)
+        blocker_m = nearest_obstacle_in_bins(leveled, bins, self.rank, self.obstacle_height_m)
         if self.median_bins:
             blocker_m = _median(blocker_m, farthest_m >= 0, self.median_bins // 2)
-        reach_m = np.float32(reach_of(level))
+        reach_m = np.float32(reach_of(leveled))
         limit_m = np.minimum(blocker_m, farthest_m if self.limit_farthest else reach_m)
         limit_m = np.where(farthest_m >= 0, limit_m, np.float32(-1.0))
         hidden_m = np.where((farthest_m >= 0) & np.isfinite(blocker_m), reach_m, np.float32(-1.0))
-        state = state_of_limits(level, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
-        return fov_of_state(level, self.grid, state, self.name, self.target)
+        state = state_of_limits(leveled, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
+        return fov_of_state(leveled, self.grid, state, self.name, self.target)
 
 
 @njit(cache=True, nogil=True)

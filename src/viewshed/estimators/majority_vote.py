@@ -13,7 +13,7 @@ from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 MAJORITY = 3
@@ -23,7 +23,7 @@ VOTE_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
 
 
 @dataclass(frozen=True, slots=True)
-class VoteOfFive:
+class MajorityVote:
     """Visible where at least three of five masks agree.
 
     The five: the shadow map with a missing return as unknown, as maximum range and filled from its neighbors; the
@@ -38,13 +38,14 @@ class VoteOfFive:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Return the estimate for one sweep; see the class for what it means."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Return the estimate for a sweep that is already levelled."""
-        shadow = [ShadowMap(self.grid, self.target, rule).estimate_level(level) for rule in VOTE_RULES]
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Return the estimate for a sweep that is already leveled."""
+        shadow = [ShadowMap(self.grid, self.target, rule).estimate_level(leveled) for rule in VOTE_RULES]
         blockers = [
-            FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate_level(level) for limit in (True, False)
+            FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate_level(leveled)
+            for limit in (True, False)
         ]
         votes: NDArray[Any] = np.sum([voter.visible() for voter in (*shadow, *blockers)], axis=0)
         visible = votes >= MAJORITY
@@ -52,6 +53,6 @@ class VoteOfFive:
         state = np.where(sound == CellState.HIDDEN, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
         state[~visible & shadow[0].visible()] = CellState.UNKNOWN
         state[visible] = CellState.FREE
-        state[visible & level.obstacle_cells(self.grid)] = CellState.SURFACE
+        state[visible & leveled.obstacle_cells(self.grid)] = CellState.SURFACE
         prob = (votes / np.float32(5.0)).astype(np.float32)
         return replace(shadow[0], visible_prob=prob, state=state, method="vote")

@@ -33,7 +33,7 @@ from viewshed.preprocess.azimuth_bins import (
     state_of_mask,
     with_margin,
 )
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 _SLICES = 8
@@ -44,7 +44,7 @@ _SLICES = 8
 class QuantizedRayTrace:
     """Visible up to the farthest return of the azimuth bin. Source: arXiv 2503.07375, section on classical estimators.
 
-    A cell belongs to the bin of its centre's azimuth from the sensor and is visible if its centre's range is at most
+    A cell belongs to the bin of its center's azimuth from the sensor and is visible if its center's range is at most
     the bin's farthest return plus one cell. With ``range_bins`` ranges are compared as bin numbers instead. A bin
     without a return is UNKNOWN. Beyond the farthest return a cell is HIDDEN if that return is an obstacle, and
     UNKNOWN if it is ground.
@@ -90,33 +90,33 @@ class QuantizedRayTrace:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Estimate what the sensor sees: the farthest return of each azimuth bin."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Estimate from a sweep already levelled."""
-        level = self.crop.apply(level)
-        state = self._state_about_centroid(level) if self.about_centroid else self._state(level)
-        return fov_of_state(level, self.grid, state, self.name, self.target)
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Estimate from a sweep already leveled."""
+        leveled = self.crop.apply(leveled)
+        state = self._state_about_centroid(leveled) if self.about_centroid else self._state(leveled)
+        return fov_of_state(leveled, self.grid, state, self.name, self.target)
 
-    def _state(self, level: LevelSweep) -> NDArray[np.uint8]:
-        bins = self.azimuth_bins or measured_azimuth_bins(level.azimuth)
-        farthest_m = farthest_in_bins(level, bins)
-        hidden_m = np.where(ends_on_obstacle(level, farthest_m), reach_of(level), -1.0).astype(np.float32)
-        return state_of_limits(level, self.grid, self._limit(farthest_m), hidden_m)
+    def _state(self, leveled: LeveledSweep) -> NDArray[np.uint8]:
+        bins = self.azimuth_bins or measured_azimuth_bins(leveled.azimuth)
+        farthest_m = farthest_in_bins(leveled, bins)
+        hidden_m = np.where(ends_on_obstacle(leveled, farthest_m), reach_of(leveled), -1.0).astype(np.float32)
+        return state_of_limits(leveled, self.grid, self._limit(farthest_m), hidden_m)
 
-    def _state_about_centroid(self, level: LevelSweep) -> NDArray[np.uint8]:
+    def _state_about_centroid(self, leveled: LeveledSweep) -> NDArray[np.uint8]:
         bins = self.azimuth_bins or 1
-        xy = level.points[:, :2].astype(np.float64)
+        xy = leveled.points[:, :2].astype(np.float64)
         centroid = xy.mean(axis=0).round(6) if len(xy) else np.zeros(2)
         range_m, azimuth = polar(xy - centroid)
         farthest_m = np.full(bins, -1.0, np.float32)
         np.maximum.at(farthest_m, azimuth_bins_of(azimuth, bins), range_m.astype(np.float32))
         cell_range_m, cell_azimuth = polar(self.grid.centers - centroid)
         limit_m = self._limit(farthest_m)[azimuth_bins_of(cell_azimuth, bins)]
-        return state_of_mask(level, self.grid, cell_range_m.astype(np.float32) <= limit_m)
+        return state_of_mask(leveled, self.grid, cell_range_m.astype(np.float32) <= limit_m)
 
     def _limit(self, farthest_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the range (bins,) up to which a cell's centre is visible."""
+        """Return the range (bins,) up to which a cell's center is visible."""
         farthest_m = np.minimum(farthest_m, np.float32(self.max_range_m))
         if self.range_bins is None:
             return with_margin(farthest_m, self.grid.cell_m)
@@ -130,7 +130,7 @@ class QuantizedRayTrace:
 class ContinuousRayTrace:
     """Visible up to the farthest return within ± ``window`` of the cell's azimuth. Source: arXiv 2503.07375.
 
-    A cell is visible if its centre's range is at most the farthest return whose azimuth differs from the centre's by
+    A cell is visible if its center's range is at most the farthest return whose azimuth differs from the center's by
     at most ``window`` (plus ``margin_m``). Without a return in the window it is UNKNOWN; beyond the farthest return
     HIDDEN if that return is an obstacle, else UNKNOWN (both to within an eighth of the window).
 
@@ -140,7 +140,7 @@ class ContinuousRayTrace:
         grid: where the cells are.
         target: passed on; this estimator does not depend on it.
         window: half width in radians (the paper's is 0.05).
-        margin_m: how far beyond the return a cell's centre may lie; None is one cell.
+        margin_m: how far beyond the return a cell's center may lie; None is one cell.
         crop: which returns count at all.
         name: goes into the estimate's ``method``.
 
@@ -164,24 +164,24 @@ class ContinuousRayTrace:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Estimate what the sensor sees: the farthest return near each cell's azimuth."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Estimate from a sweep already levelled."""
-        level = self.crop.apply(level)
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Estimate from a sweep already leveled."""
+        leveled = self.crop.apply(leveled)
         bins = int(np.ceil(2.0 * np.pi * _SLICES / self.window))
         margin_m = self.grid.cell_m if self.margin_m is None else self.margin_m
         range_m, azimuth = polar_of_cells(self.grid)
         state = np.empty(self.grid.shape, np.uint8)
         _trace(
-            (level.azimuth, level.range_m, level.height_m),
-            (bins_of_cells(self.grid, bins), range_m, azimuth, level.obstacle_cells(self.grid)),
-            np.array([self.window, margin_m, reach_of(level), *OBSTACLE_HEIGHTS_M]),
-            azimuth_bins_of(level.azimuth, bins),
+            (leveled.azimuth, leveled.range_m, leveled.height_m),
+            (bins_of_cells(self.grid, bins), range_m, azimuth, leveled.obstacle_cells(self.grid)),
+            np.array([self.window, margin_m, reach_of(leveled), *OBSTACLE_HEIGHTS_M]),
+            azimuth_bins_of(leveled.azimuth, bins),
             bins,
             state,
         )
-        return fov_of_state(level, self.grid, state, self.name, self.target)
+        return fov_of_state(leveled, self.grid, state, self.name, self.target)
 
 
 @njit(cache=True, nogil=True)
@@ -289,12 +289,12 @@ class TrimmedRayTrace:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Estimate what the sensor sees: the farthest return of each azimuth bin but the few farthest."""
-        return self.estimate_level(level_sweep(sweep, self.grid))
+        return self.estimate_level(level(sweep, self.grid))
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
-        """Estimate from a sweep already levelled."""
-        bins = self.azimuth_bins or min(measured_azimuth_bins(level.azimuth), FALLBACK_BINS)
-        limit_m = farthest_in_bins(level, bins, drop=self.trim)
-        hidden_m = np.where(ends_on_obstacle(level, limit_m), reach_of(level), -1.0).astype(np.float32)
-        state = state_of_limits(level, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
-        return fov_of_state(level, self.grid, state, self.name, self.target)
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
+        """Estimate from a sweep already leveled."""
+        bins = self.azimuth_bins or min(measured_azimuth_bins(leveled.azimuth), FALLBACK_BINS)
+        limit_m = farthest_in_bins(leveled, bins, drop=self.trim)
+        hidden_m = np.where(ends_on_obstacle(leveled, limit_m), reach_of(leveled), -1.0).astype(np.float32)
+        state = state_of_limits(leveled, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
+        return fov_of_state(leveled, self.grid, state, self.name, self.target)

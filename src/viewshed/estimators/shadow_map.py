@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
 from viewshed.grid import BevGrid
-from viewshed.preprocess.history import Past, past_of
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
-from viewshed.preprocess.no_return import confirmed_and_explained_beams, missing_beams
+from viewshed.preprocess.history import History, history_of
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.no_return import measured_and_inferred_beams, no_return_beams
 from viewshed.sweep import Sweep
 
 NoReturn = Literal["explained", "unknown", "max_range", "fill"]
@@ -61,40 +61,40 @@ class ShadowMap:
         Raises:
             ValueError: there are earlier sweeps, and a pose is missing.
         """
-        level = level_sweep(sweep, self.grid)
-        return self.estimate_level(level, past_of(level, earlier, self.grid))
+        leveled = level(sweep, self.grid)
+        return self.estimate_level(leveled, history_of(leveled, earlier, self.grid))
 
-    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
-        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
-        beams = _with_missing(level, self.no_return, self.target)
+    def estimate_level(self, leveled: LeveledSweep, past: History | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already leveled, and what earlier ones tell of it."""
+        beams = _with_missing(leveled, self.no_return, self.target)
         beams = beams if past is None else past.within(beams)
-        returns, aimed = expected_returns(beams, level.sensor_height_m, level.ground, self.grid, self.target)
+        returns, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
         prob = probability_of_visible(returns, self.target.min_returns)
-        state = _state(prob, probability_of_visible(aimed, self.target.min_returns), level.obstacle_cells(self.grid))
+        state = _state(prob, probability_of_visible(aimed, self.target.min_returns), leveled.obstacle_cells(self.grid))
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
             state=state,
             method="shadow_map",
             target=self.target,
-            world_from_level=level.world_from_level,
-            t_ns=level.sweep.t_ns,
-            agent=level.sweep.agent,
+            world_from_level=leveled.world_from_level,
+            t_ns=leveled.sweep.t_ns,
+            agent=leveled.sweep.agent,
         )
 
 
-def _with_missing(level: LevelSweep, rule: NoReturn, target: Target) -> Beams:
-    if rule == "explained" and len(level.sweep):
-        return confirmed_and_explained_beams(level, target.height_m)
-    beams = _without_behind(level)
-    if rule == "unknown" or len(level.sweep) == 0:
+def _with_missing(leveled: LeveledSweep, rule: NoReturn, target: Target) -> Beams:
+    if rule == "explained" and len(leveled.sweep):
+        return measured_and_inferred_beams(leveled, target.height_m)
+    beams = _without_behind(leveled)
+    if rule == "unknown" or len(leveled.sweep) == 0:
         return beams
-    return beams + missing_beams(level, fill=rule == "fill")
+    return beams + no_return_beams(leveled, fill=rule == "fill")
 
 
-def _without_behind(level: LevelSweep) -> Beams:
+def _without_behind(leveled: LeveledSweep) -> Beams:
     """Return the beams of all returns but lone ones behind another of their pixel: that beam had ended before."""
-    return level.beams(None if level.placed is None else level.placed.behind)
+    return leveled.beams(None if leveled.placed is None else leveled.placed.behind)
 
 
 def _state(

@@ -10,14 +10,14 @@ import numpy as np
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
-from viewshed.preprocess.history import PAST_SWEEPS, Past
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.history import HISTORY_SWEEPS, History
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 
 @dataclass(slots=True)
-class Memory:
-    """The last sweeps of each agent of a stream, as many and as far apart as a :class:`Past` is made of.
+class SweepBuffer:
+    """The last sweeps of each agent of a stream, as many and as far apart as a :class:`History` is made of.
 
     Attributes:
         sweeps: how many are kept of an agent.
@@ -25,10 +25,10 @@ class Memory:
         forget_s: those from longer before are not used any more.
     """
 
-    sweeps: int = PAST_SWEEPS
+    sweeps: int = HISTORY_SWEEPS
     every_s: float = 1.0
     forget_s: float = 10.0
-    _kept: dict[str, deque[LevelSweep]] = field(default_factory=dict, repr=False)
+    _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if self.sweeps < 1 or not (self.every_s >= 0.0 and self.forget_s > 0.0):
@@ -37,25 +37,27 @@ class Memory:
                 f"{self.sweeps}, {self.every_s} and {self.forget_s}"
             )
 
-    def past(self, level: LevelSweep) -> Past | None:
+    def past(self, leveled: LeveledSweep) -> History | None:
         """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
-        now_ns, kept = level.sweep.t_ns, self._kept.get(level.sweep.agent, ())
-        if now_ns is None or level.world_from_level is None:
+        now_ns, kept = leveled.sweep.t_ns, self._kept.get(leveled.sweep.agent, ())
+        if now_ns is None or leveled.world_from_level is None:
             return None
-        return Past.of(level, [each for each in kept if 0 < now_ns - (each.sweep.t_ns or 0) <= self.forget_s * 1e9])
+        return History.of(
+            leveled, [each for each in kept if 0 < now_ns - (each.sweep.t_ns or 0) <= self.forget_s * 1e9]
+        )
 
-    def add(self, level: LevelSweep) -> None:
+    def add(self, leveled: LeveledSweep) -> None:
         """Keep a sweep, if it has a pose and a time at least ``every_s`` after the last one that was kept.
 
         One from before it begins a new stream.
         """
-        t_ns, kept = level.sweep.t_ns, self._kept.setdefault(level.sweep.agent, deque(maxlen=self.sweeps))
-        if t_ns is None or level.world_from_level is None:
+        t_ns, kept = leveled.sweep.t_ns, self._kept.setdefault(leveled.sweep.agent, deque(maxlen=self.sweeps))
+        if t_ns is None or leveled.world_from_level is None:
             return
         if kept and t_ns < (kept[-1].sweep.t_ns or 0):
             kept.clear()
         if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
-            kept.append(level)
+            kept.append(leveled)
 
 
 class PastEstimator(Protocol):
@@ -66,13 +68,13 @@ class PastEstimator(Protocol):
         """The grid of every estimate that comes back."""
         ...
 
-    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
-        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
+    def estimate_level(self, leveled: LeveledSweep, past: History | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already leveled, and what earlier ones tell of it."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Remembering:
+class TemporalEstimator:
     """An estimator for a stream: each estimate uses what the agent's earlier sweeps saw.
 
     Sweeps without a pose or a time are estimated by themselves.
@@ -80,12 +82,12 @@ class Remembering:
     Attributes:
         inner: what estimates.
         memory: what it is told of the past.
-        wary: claim only what an earlier sweep would have seen as well, see :func:`where_supported`; without earlier
+        wary: claim only what an earlier sweep would have seen as well, see :func:`where_confirmed`; without earlier
             sweeps that is nothing.
     """
 
     inner: PastEstimator
-    memory: Memory = field(default_factory=Memory)
+    memory: SweepBuffer = field(default_factory=SweepBuffer)
     wary: bool = False
 
     @property
@@ -95,14 +97,14 @@ class Remembering:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Return the estimate for the next sweep of the stream, and remember the sweep."""
-        level = level_sweep(sweep, self.grid)
-        past = self.memory.past(level)
-        found = self.inner.estimate_level(level, past)
-        self.memory.add(level)
-        return where_supported(found, past) if self.wary else found
+        leveled = level(sweep, self.grid)
+        past = self.memory.past(leveled)
+        found = self.inner.estimate_level(leveled, past)
+        self.memory.add(leveled)
+        return where_confirmed(found, past) if self.wary else found
 
 
-def where_supported(estimate: FovEstimate, past: Past | None) -> FovEstimate:
+def where_confirmed(estimate: FovEstimate, past: History | None) -> FovEstimate:
     """Return an estimate whose claims each rest on two sweeps: this one, and an earlier one that saw the cell as well.
 
     Elsewhere its probability is 0, and what was claimed is UNKNOWN. Who opens a view by spoofed returns must have begun

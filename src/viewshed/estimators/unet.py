@@ -12,20 +12,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed._numba import keep_freed
+from viewshed._numba import keep_freed_memory
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import PastEstimator
 from viewshed.fov.estimate import CellState, FovEstimate, FovEstimator
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.networks.card import NetworkCard, Runner
-from viewshed.networks.features import EVIDENCE_BINS, Shown, maps_of
-from viewshed.networks.mc_dropout import moments
+from viewshed.networks.features import EVIDENCE_BINS, FeatureContext, feature_maps
+from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, OnnxRunner, load_runner
 from viewshed.networks.weights import default_name, in_float32
 from viewshed.preprocess.azimuth_bins import Crop, bins_of_cells, reach_of
-from viewshed.preprocess.history import Past, past_of
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.history import History, history_of
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 PASSES = 20
@@ -41,12 +41,12 @@ _UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
 )  # fmt: skip
 
 
-Told = tuple[NDArray[np.float32], NDArray[np.float32] | None]
+NetworkOutput = tuple[NDArray[np.float32], NDArray[np.float32] | None]
 """Probability and deviation (cells, cells) by the network; None for a deviation that nothing tells."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class NetworkInput:
     """What a network is asked about one sweep.
 
     Attributes:
@@ -54,7 +54,7 @@ class Asked:
         inputs: one input, of the shape that the card says; None where no return counts, and nothing is asked.
     """
 
-    seen: Shown
+    seen: FeatureContext
     inputs: NDArray[Any] | None
 
 
@@ -92,13 +92,13 @@ class UnetEstimator:
             raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
         if not EVEN <= sure <= 1.0:
             raise ValueError(f"sure must lie in [0.5, 1], got {sure}")
-        keep_freed()
+        keep_freed_memory()
         self.runner, self.passes, self.seed, self.sure = runner, passes, seed, sure
         self.name = name or ("unet" if passes == 1 else "mcd")
         rng = np.random.Generator(np.random.PCG64(seed))
         self._masks = shape.no_masks(1) if passes == 1 else shape.masks(passes, rng)
 
-    def when_sure(self, sure: float) -> UnetEstimator:
+    def with_abstention(self, sure: float) -> UnetEstimator:
         """Return the same estimator, which tells states from another probability on."""
         return UnetEstimator(self.runner, self.passes, self.seed, self.name, sure)
 
@@ -108,7 +108,7 @@ class UnetEstimator:
         return None if runner is None else UnetEstimator(runner, self.passes, self.seed, self.name, self.sure)
 
     @property
-    def claims_from(self) -> float:
+    def decision_threshold(self) -> float:
         """Probability from which a cell is FREE or SURFACE: the card's threshold, or ``sure`` if that is higher."""
         return self.card.threshold if self.sure == EVEN else max(self.card.threshold, self.sure)
 
@@ -137,25 +137,25 @@ class UnetEstimator:
         Raises:
             ValueError: the network does not use earlier sweeps, or a pose is missing.
         """
-        level = level_sweep(sweep, self.grid)
-        return self.estimate_level(level, past_of(level, earlier, self.grid))
+        leveled = level(sweep, self.grid)
+        return self.estimate_level(leveled, history_of(leveled, earlier, self.grid))
 
-    def estimate_level(self, level: LevelSweep, past: Past | None = None) -> FovEstimate:
-        """Return the estimate for a sweep that is already levelled, and what earlier ones tell of it."""
-        asked = self.asked(level, past)
+    def estimate_level(self, leveled: LeveledSweep, past: History | None = None) -> FovEstimate:
+        """Return the estimate for a sweep that is already leveled, and what earlier ones tell of it."""
+        asked = self.asked(leveled, past)
         [told] = self.told([asked])
         return self.answer(asked, told)
 
-    def asked(self, level: LevelSweep, past: Past | None = None) -> Asked:
-        """Return what the network is asked about a levelled sweep; needs no network, and many threads may do it."""
-        if past is not None and not self.card.uses_past:
+    def asked(self, leveled: LeveledSweep, past: History | None = None) -> NetworkInput:
+        """Return what the network is asked about a leveled sweep; needs no network, and many threads may do it."""
+        if past is not None and not self.card.uses_history:
             raise ValueError(f"earlier sweeps are of no use to the network {self.card.name}: it was trained without")
-        seen = self.card.seen(level, past)
-        if not Crop(self.card.max_range_m, self.card.heights_m).any_on(level, self.grid):
-            return Asked(seen, None)
-        return Asked(seen, self.card.shown(maps_of(self.card.inputs, seen)))
+        seen = self.card.seen(leveled, past)
+        if not Crop(self.card.max_range_m, self.card.heights_m).any_on(leveled, self.grid):
+            return NetworkInput(seen, None)
+        return NetworkInput(seen, self.card.shown(feature_maps(self.card.inputs, seen)))
 
-    def told(self, asked: Sequence[Asked]) -> list[Told | None]:
+    def told(self, asked: Sequence[NetworkInput]) -> list[NetworkOutput | None]:
         """Return what the network tells of each sweep, None where it is asked nothing.
 
         A network in one pass is run once for all of them, one of several passes once for each.
@@ -164,21 +164,21 @@ class UnetEstimator:
         told = iter(self._run(inputs) if inputs else ())
         return [None if each.inputs is None else next(told) for each in asked]
 
-    def _run(self, inputs: list[NDArray[Any]]) -> Sequence[Told]:
+    def _run(self, inputs: list[NDArray[Any]]) -> Sequence[NetworkOutput]:
         if self.passes > 1:
-            return [moments(self.runner.run(each[None], self._masks)) for each in inputs]
+            return [mean_and_deviation(self.runner.run(each[None], self._masks)) for each in inputs]
         together = np.stack(inputs) if len(inputs) > 1 else inputs[0][None]
         if self.card.shape.doubt:
             return list(zip(*self.runner.run_with_doubt(together), strict=True))
         prob = self.runner.run(together, np.repeat(self._masks, len(inputs), axis=0))
         return [(each, None) for each in prob]
 
-    def answer(self, asked: Asked, told: Told | None) -> FovEstimate:
+    def answer(self, asked: NetworkInput, told: NetworkOutput | None) -> FovEstimate:
         """Return the estimate of what the network told of a sweep; many threads may do it."""
         prob, state = np.zeros(self.grid.shape, np.float32), np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
         if told is not None:
             self._claim(asked.seen, told[0], prob, state)
-        level = asked.seen.level
+        leveled = asked.seen.leveled
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
@@ -186,18 +186,18 @@ class UnetEstimator:
             state=state,
             method=self.name,
             target=self.target,
-            world_from_level=level.world_from_level,
-            t_ns=level.sweep.t_ns,
-            agent=level.sweep.agent,
+            world_from_level=leveled.world_from_level,
+            t_ns=leveled.sweep.t_ns,
+            agent=leveled.sweep.agent,
         )
 
     def _claim(
-        self, seen: Shown, told: NDArray[np.float32], prob: NDArray[np.float32], state: NDArray[np.uint8]
+        self, seen: FeatureContext, told: NDArray[np.float32], prob: NDArray[np.float32], state: NDArray[np.uint8]
     ) -> None:
         """Fill in probability and state (cells, cells), both of nothing so far, from what the network ``told``."""
-        reach_m = min(reach_of(seen.level), self.card.max_range_m)
+        reach_m = min(reach_of(seen.leveled), self.card.max_range_m)
         doubted_above = 1.0 - self.sure if self.sure > EVEN else 1.0
-        limits = np.array([self.card.max_range_m, reach_m, self.claims_from, doubted_above], np.float32)
+        limits = np.array([self.card.max_range_m, reach_m, self.decision_threshold, doubted_above], np.float32)
         found = seen.scan
         cells = polar_of_cells(self.grid)[0], found.obstacle
         bearings = bins_of_cells(self.grid, found.bins), bins_of_cells(self.grid, EVIDENCE_BINS)
@@ -213,9 +213,9 @@ LEARNED: dict[str, Callable[[Runner], UnetEstimator]] = {
 """The learned estimators by name; each is made of a network, which brings its grid and its target."""
 
 
-def heeds_past(estimator: FovEstimator) -> TypeGuard[PastEstimator]:
+def uses_history(estimator: FovEstimator) -> TypeGuard[PastEstimator]:
     """Return whether earlier sweeps help an estimator: the shadow map, and networks that were shown them."""
-    return isinstance(estimator, ShadowMap) or (isinstance(estimator, UnetEstimator) and estimator.card.uses_past)
+    return isinstance(estimator, ShadowMap) or (isinstance(estimator, UnetEstimator) and estimator.card.uses_history)
 
 
 def learned(

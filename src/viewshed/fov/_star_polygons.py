@@ -32,10 +32,10 @@ def free_ranges(
     margin_m: float = 0.0,
     whole_cells: bool = True,
 ) -> FloatArray:
-    """Return (bins,) metres: how far each wedge reaches from ``apex_m`` without leaving the true cells of ``mask``.
+    """Return (bins,) meters: how far each wedge reaches from ``apex_m`` without leaving the true cells of ``mask``.
 
     With ``whole_cells`` no part of another cell is covered, and all stay ``margin_m`` away from it; without, no
-    other cell's centre is, nor anything off the grid. 0 where the apex itself is not inside. ``bins`` must be a
+    other cell's center is, nor anything off the grid. 0 where the apex itself is not inside. ``bins`` must be a
     multiple of 4.
     """
     if bins % 4 or bins <= 0:
@@ -50,7 +50,7 @@ def free_ranges(
 
 @njit(cache=True, nogil=True)
 def _free_ranges(mask: Any, lattice: Any, apex: Any, bins: int, solid: bool) -> Any:  # pragma: no cover - compiled
-    """Return (bins,) ranges up to boxes of half side ``lattice[3]`` about the centres of the false cells.
+    """Return (bins,) ranges up to boxes of half side ``lattice[3]`` about the centers of the false cells.
 
     Where the boxes are ``solid``, those with no true cell beside them lie behind others and are left out.
     """

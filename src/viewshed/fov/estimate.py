@@ -94,7 +94,7 @@ class FovEstimate:
         return mask
 
     def area_m2(self, threshold: float = THRESHOLD) -> float:
-        """Return the visible area in square metres."""
+        """Return the visible area in square meters."""
         return float(self.visible(threshold).sum()) * self.grid.cell_area_m2
 
     def share(self, state: CellState) -> float:
@@ -111,7 +111,7 @@ class FovEstimate:
         return np.where(inside, prob, np.float32(np.nan)).astype(np.float32)
 
     def polygon(self, threshold: float = THRESHOLD) -> MultiPolygon:
-        """Return the visible cells as a valid polygon with holes, exact to the cells' edges, metres in ``level``."""
+        """Return the visible cells as a valid polygon with holes, exact to the cells' edges, meters in ``level``."""
         from viewshed.fov.polygons import polygon_of_mask
 
         return polygon_of_mask(self.visible(threshold), self.grid)

@@ -35,12 +35,12 @@ def places_of(xy: FloatArray, half_extent_m: float, nodes: int) -> Places:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """Ground height z (metres, ``level`` frame) on a square lattice about the sensor, bilinear in between.
+    """Ground height z (meters, ``level`` frame) on a square lattice about the sensor, bilinear in between.
 
     Attributes:
         heights_m: (n, n) float32 z of the ground at the middle of each node's cell, indexed like a BevGrid.
         half_extent_m: the lattice spans ±half_extent_m in x and y; beyond it the edge holds.
-        seen: (n, n) bool, True where the height rests on returns and not on its neighbours.
+        seen: (n, n) bool, True where the height rests on returns and not on its neighbors.
         plane: (a, b, c) of the plane z = a x + b y + c through the near ground.
         support: share of the near nodes that lie on that plane, in [0, 1].
     """
@@ -58,7 +58,7 @@ class Ground:
         return cls(heights, half_extent_m, np.zeros((NODES, NODES), bool), (0.0, 0.0, z_m))
 
     def at(self, xy: FloatArray) -> NDArray[np.float32]:
-        """Return ground z (…,) in metres below points (…, 2+) of ``level``.
+        """Return ground z (…,) in meters below points (…, 2+) of ``level``.
 
         >>> Ground.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
         [-1.5]
@@ -66,14 +66,14 @@ class Ground:
         return self.on(places_of(xy, self.half_extent_m, len(self.heights_m)))
 
     def on(self, places: Places) -> NDArray[np.float32]:
-        """Return ground z (…,) in metres at places found before, on a lattice like this one."""
+        """Return ground z (…,) in meters at places found before, on a lattice like this one."""
         heights = np.empty(places.node.shape, np.float32)
         node, down, right = (each.reshape(-1) for each in places)
         _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
         return heights
 
     def raised(self, by_m: float) -> Ground:
-        """Return the same ground with ``by_m`` metres added to every height."""
+        """Return the same ground with ``by_m`` meters added to every height."""
         a, b, c = self.plane
         heights = self.heights_m + np.float32(by_m)
         return Ground(heights, self.half_extent_m, self.seen, (a, b, c + by_m), self.support)

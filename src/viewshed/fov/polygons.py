@@ -1,6 +1,6 @@
 """Masks to polygons and back: exact to the cells' edges, or simpler and never outside the mask.
 
-Polygons are in metres of the ``level`` frame; cell (i, j) spans x (forward) by i and y (left) by j.
+Polygons are in meters of the ``level`` frame; cell (i, j) spans x (forward) by i and y (left) by j.
 
 Rings from cells and cells from rings: the compiled part of :mod:`viewshed.fov.polygons`, in units of cells.
 """
@@ -125,7 +125,7 @@ def _signed_label(stack: Any, bottom: int, top: int, labels: Any) -> int:  # pra
 
 @njit(cache=True, nogil=True)
 def flip(ring: Any, flips: Any) -> None:  # pragma: no cover - compiled
-    """Flip, in each row of centres that an edge crosses, the first centre at or beyond the crossing (even-odd rule)."""
+    """Flip, in each row of centers that an edge crosses, the first center at or beyond the crossing (even-odd rule)."""
     cells = flips.shape[0]
     for k in range(len(ring) - 1):
         (x0, y0), (x1, y1) = ring[k], ring[k + 1]
@@ -176,7 +176,7 @@ def checked_mask(mask: BoolMask, grid: BevGrid) -> BoolMask:
 
 
 def polygon_of_mask(mask: BoolMask, grid: BevGrid) -> MultiPolygon:
-    """Return the true cells of ``mask`` (cells, cells) as a valid polygon with holes, in metres.
+    """Return the true cells of ``mask`` (cells, cells) as a valid polygon with holes, in meters.
 
     Exact to the cells' edges; vertices stand at corners only. Cells that meet at a corner alone are separate.
 
@@ -209,9 +209,9 @@ def _grouped(
 
 
 def mask_of_polygon(polygon: BaseGeometry, grid: BevGrid) -> BoolMask:
-    """Return the mask (cells, cells) of cells whose centre lies inside ``polygon`` (metres, holes respected).
+    """Return the mask (cells, cells) of cells whose center lies inside ``polygon`` (meters, holes respected).
 
-    A centre exactly on the outline counts where the outline is the shape's lower x or lower y side.
+    A center exactly on the outline counts where the outline is the shape's lower x or lower y side.
 
     >>> int(mask_of_polygon(shapely.box(-1, -1, 1, 0), BevGrid(4, 2.0)).sum())
     2
@@ -312,14 +312,14 @@ def _star_about(
 
 
 def deepest_point(mask: BoolMask, grid: BevGrid) -> NDArray[np.float64]:
-    """Return (2,) metres: the centre of the true cell of ``mask`` that lies farthest from any other."""
+    """Return (2,) meters: the center of the true cell of ``mask`` that lies farthest from any other."""
     depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     center: NDArray[np.float64] = grid.centers[np.unravel_index(int(np.argmax(depth)), mask.shape)]
     return center
 
 
 def bounding_box(hole: BoolMask, grid: BevGrid) -> Polygon:
-    """Return the smallest upright rectangle around the true cells of ``hole``, at least one, in metres."""
+    """Return the smallest upright rectangle around the true cells of ``hole``, at least one, in meters."""
     low, high = np.argwhere(hole).min(axis=0), np.argwhere(hole).max(axis=0) + 1
     corners = np.asarray(grid.origin_m) + np.stack([low, high]) * grid.cell_m
     box: Polygon = shapely.box(*corners[0], *corners[1])
@@ -349,11 +349,11 @@ class Sectors:
     """Sectors of rings about one point: K angles and ranges. They may lie upon one another; what counts is their union.
 
     Attributes:
-        apex_m: (x, y) of the point in ``level``, in metres.
+        apex_m: (x, y) of the point in ``level``, in meters.
         start: (K,) radians in [0, 2π), counter-clockwise from x, ascending.
         end: (K,) radians, larger than ``start``.
-        range_m: (K,) outer range in metres.
-        inner_m: inner range of all sectors in metres; 0 where they reach the point.
+        range_m: (K,) outer range in meters.
+        inner_m: inner range of all sectors in meters; 0 where they reach the point.
     """
 
     apex_m: tuple[float, float]
@@ -364,7 +364,7 @@ class Sectors:
 
     @property
     def area_m2(self) -> float:
-        """Area of the union of the sectors in square metres."""
+        """Area of the union of the sectors in square meters."""
         turn = 2 * np.pi
         borders = np.unique(np.concatenate([[0.0, turn], self.start % turn, self.end % turn]))
         middle = 0.5 * (borders[1:, None] + borders[:-1, None])
@@ -392,7 +392,7 @@ def sectors_of_mask(
 ) -> Sectors:
     """Return at most ``sectors`` sectors about ``apex_m``, whose union is the largest that stays in ``mask``.
 
-    With ``whole_cells`` they cover no part of another cell; without, no other cell's centre. Ranges are rounded down
+    With ``whole_cells`` they cover no part of another cell; without, no other cell's center. Ranges are rounded down
     to ``range_step_m``. About a sensor that stands in a blind spot they begin beyond it (``inner_m``).
 
     Raises:

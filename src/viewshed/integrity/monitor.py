@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.polygons import polygon_of_mask
 from viewshed.grid import MAX_CELLS, BevGrid, polar_of_cells
@@ -67,7 +67,7 @@ class IntegrityReport:
 
     @property
     def suspect_m2(self) -> float:
-        """Area of the suspect cells in square metres."""
+        """Area of the suspect cells in square meters."""
         return float(self.suspect.sum()) * self.grid.cell_area_m2
 
 
@@ -274,7 +274,7 @@ def save_monitor(monitor: DeviationMonitor, path: str | Path) -> None:
     file = io.BytesIO()
     text = np.frombuffer(json.dumps(about).encode(), np.uint8)
     np.savez_compressed(file, about=text, thresholds=monitor.thresholds)
-    write_bytes(path, file.getvalue())
+    write_atomic(path, file.getvalue())
 
 
 def load_monitor(path: str | Path) -> DeviationMonitor:
@@ -314,16 +314,16 @@ def _monitor(about: dict[str, Any], thresholds: Any) -> DeviationMonitor:
 
 
 def suspects_geojson(report: IntegrityReport) -> bytes:
-    """Return a GeoJSON Feature in UTF-8: suspect cells as a MultiPolygon in ``level``, metres; score and alarm beside.
+    """Return a GeoJSON Feature in UTF-8: suspect cells as a MultiPolygon in ``level``, meters; score and alarm beside.
 
-    Coordinates are metres in the ``level`` frame (x forward, y left), not degrees, as in the other exports.
+    Coordinates are meters in the ``level`` frame (x forward, y left), not degrees, as in the other exports.
     """
     from shapely.geometry import mapping
 
     told = {"monitor": report.monitor, "score": report.score, "threshold": report.threshold, "alarm": report.alarm}
     frame = {
         "name": "level",
-        "coordinates": "metres in level frame, not WGS84",
+        "coordinates": "meters in level frame, not WGS84",
         "axes": "x forward, y left of the sensor",
     }
     shape = mapping(polygon_of_mask(report.suspect, report.grid))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from numpy.typing import ArrayLike
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.geometry import Rigid
 from viewshed.io._columns import Given, sweep_of
 from viewshed.io._source import FILE_FRAMES, Source, file_frame_named, open_source
@@ -129,4 +129,4 @@ def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "au
     content = write(sweep)
     if where.lower().endswith(".gz"):
         content = gzip.compress(content, compresslevel=6, mtime=0)
-    write_bytes(where, content)
+    write_atomic(where, content)

@@ -28,7 +28,7 @@ class Columns:
     """Columns of one revolution (not frozen, which costs as much as opening a file).
 
     Attributes:
-        points: (N, 3) float32, metres, writable, in ``frame``.
+        points: (N, 3) float32, meters, writable, in ``frame``.
         intensity: (N,) float32, or None.
         ring: (N,) beam index, 0 the lowest, or None.
         laser: (N,) beam number in the file's own order, turned into ``ring`` by elevation, or None.

@@ -71,7 +71,7 @@ def whole_numbers(values: NDArray[np.float32], whole: NDArray[np.int16]) -> int:
 
 @njit(cache=True, nogil=True)
 def plausible_rows(raw: NDArray[np.float32], columns: int) -> bool:
-    """Return whether rows (N · columns,) read as metres within 10 km, an intensity ≥ 0 and, if five, a ring in 0…127.
+    """Return whether rows (N · columns,) read as meters within 10 km, an intensity ≥ 0 and, if five, a ring in 0…127.
 
     Rows that are not finite say nothing.
     """

@@ -59,7 +59,7 @@ def parse_npy(content: bytes) -> NDArray[Any]:
 
 
 def read_npy(source: Source, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of an NPY file of shape (N, 3+): metres, or millimetres where it is int32."""
+    """Yield the one sweep of an NPY file of shape (N, 3+): meters, or millimeters where it is int32."""
     try:
         yield _columns_of_points(parse_npy(source.content()), frame)
     except ValueError as error:
@@ -72,11 +72,11 @@ def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
     if len(array) > MAX_POINTS:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {len(array)}")
     if array.dtype.kind != "f" and array.dtype.str[1:] != "i4":
-        raise ValueError(f"points must be floats (metres) or int32 (millimetres), got {array.dtype}")
-    millimetres = array.dtype.kind == "i"
+        raise ValueError(f"points must be floats (meters) or int32 (millimeters), got {array.dtype}")
+    millimeters = array.dtype.kind == "i"
     with np.errstate(over="ignore"):
-        points = (array[:, :3] * 1e-3 if millimetres else array[:, :3]).astype(np.float32, order="C")
-        intensity = array[:, 3].astype(np.float32) if array.shape[1] > 3 and not millimetres else None
+        points = (array[:, :3] * 1e-3 if millimeters else array[:, :3]).astype(np.float32, order="C")
+        intensity = array[:, 3].astype(np.float32) if array.shape[1] > 3 and not millimeters else None
     return Columns(points, intensity, frame=IDENTITY if frame is None else frame)
 
 

@@ -54,7 +54,7 @@ class _Header:
 
 
 def read_pcd(source: Source, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of a PCD file; an organised cloud is read row by row, its NaN points are dropped later."""
+    """Yield the one sweep of a PCD file; an organized cloud is read row by row, its NaN points are dropped later."""
     content = source.content()
     try:
         header = _parse_header(content)

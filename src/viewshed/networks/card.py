@@ -14,9 +14,17 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.features import CHANNELS, PAST_CHANNELS, Bytes, Shown, folded, maps_of, recode
-from viewshed.preprocess.history import Past, past_of
-from viewshed.preprocess.leveling import NULL_RANGE_M, LevelSweep, level_sweep
+from viewshed.networks.features import (
+    FEATURES,
+    HISTORY_FEATURES,
+    Bytes,
+    FeatureContext,
+    feature_maps,
+    folded,
+    replace_codes,
+)
+from viewshed.preprocess.history import History, history_of
+from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 FORMAT_VERSION = 3
@@ -94,9 +102,9 @@ class NetworkCard:
                 f"cells must divide by {self.shape.divisor} for depth {self.shape.depth} and fold {self.shape.fold}, "
                 f"got {self.grid.cells}"
             )
-        if len(set(self.inputs) & set(CHANNELS)) != len(self.inputs) or len(self.inputs) != self.shape.channels:
+        if len(set(self.inputs) & set(FEATURES)) != len(self.inputs) or len(self.inputs) != self.shape.channels:
             raise ValueError(
-                f"inputs must be {self.shape.channels} different ones of {', '.join(CHANNELS)}, got {list(self.inputs)}"
+                f"inputs must be {self.shape.channels} different ones of {', '.join(FEATURES)}, got {list(self.inputs)}"
             )
 
     def input_of(self, sweep: Sweep) -> NDArray[Any]:
@@ -108,19 +116,19 @@ class NetworkCard:
         """
         return self.shown(self.maps_of(sweep))
 
-    def input_of_level(self, level: LevelSweep, past: Past | None = None) -> NDArray[Any]:
-        """Return the network's input of a sweep that is already levelled."""
-        return self.shown(maps_of(self.inputs, self.seen(level, past)))
+    def input_of_level(self, leveled: LeveledSweep, past: History | None = None) -> NDArray[Any]:
+        """Return the network's input of a sweep that is already leveled."""
+        return self.shown(feature_maps(self.inputs, self.seen(leveled, past)))
 
-    def seen(self, level: LevelSweep, past: Past | None = None) -> Shown:
-        """Return what the channels of a levelled sweep are made of, of which :func:`maps_of` makes those asked for."""
-        counts = self._clipped(level.sweep.points, level.level_from_sensor.rotation)
-        return Shown(level, self.grid, TARGETS[self.target], counts, past)
+    def seen(self, leveled: LeveledSweep, past: History | None = None) -> FeatureContext:
+        """Return the context of a leveled sweep from which :func:`feature_maps` computes the features."""
+        counts = self._clipped(leveled.sweep.points, leveled.level_from_sensor.rotation)
+        return FeatureContext(leveled, self.grid, TARGETS[self.target], counts, past)
 
     @property
-    def uses_past(self) -> bool:
+    def uses_history(self) -> bool:
         """Whether earlier sweeps change what the network is shown."""
-        return not set(PAST_CHANNELS).isdisjoint(self.inputs)
+        return not set(HISTORY_FEATURES).isdisjoint(self.inputs)
 
     def maps_of(self, sweep: Sweep, earlier: Sequence[Sweep] = ()) -> Bytes:
         """Return what the network is shown of ``sweep`` as bytes (channels, cells, cells); see :meth:`shown`.
@@ -132,9 +140,9 @@ class NetworkCard:
         """
         attitude = sweep.known_attitude
         if attitude is None or self.inputs != ("counts",):
-            level = level_sweep(sweep, self.grid)
-            past = past_of(level, earlier, self.grid) if self.uses_past else None
-            return maps_of(self.inputs, self.seen(level, past))
+            leveled = level(sweep, self.grid)
+            past = history_of(leveled, earlier, self.grid) if self.uses_history else None
+            return feature_maps(self.inputs, self.seen(leveled, past))
         return self._clipped(sweep.points, rotation_from_quaternion(attitude))[None]
 
     @property
@@ -172,7 +180,9 @@ class NetworkCard:
         blocks, size = folded(maps, self.shape.fold), self.shape.fold**2
         if "counts" in self.inputs and self.counts == "log":
             begin = self.inputs.index("counts") * size
-            recode(blocks[..., begin : begin + size], np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8))
+            replace_codes(
+                blocks[..., begin : begin + size], np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8)
+            )
         return blocks
 
     def _of_counts(self) -> NDArray[np.float32]:

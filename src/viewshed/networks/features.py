@@ -28,9 +28,9 @@ from viewshed.preprocess.azimuth_bins import (
     farthest_in_bins,
     nearest_obstacle_in_bins,
 )
-from viewshed.preprocess.history import Past
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep
-from viewshed.preprocess.no_return import ToldBeams, told_beams
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
+from viewshed.preprocess.no_return import BeamsByEvidence, beams_by_evidence
 
 HEIGHTS_M = (-2.0, 4.0)
 """Heights above local ground that ``lowest`` and ``highest`` tell apart."""
@@ -49,17 +49,17 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scan:
+class CellStatistics:
     """What the returns of a level sweep tell.
 
     Attributes:
         lowest: (cells, cells) code of the lowest return of each cell: 0 for none, 1 to 255 upwards.
         highest: (cells, cells) code of the highest one.
-        obstacle: (cells, cells) bool, as :meth:`viewshed.preprocess.leveling.LevelSweep.obstacle_cells`.
+        obstacle: (cells, cells) bool, as :meth:`viewshed.preprocess.leveling.LeveledSweep.obstacle_cells`.
         returns: (EVIDENCE_BINS,) returns of each azimuth bin.
         bins: azimuth bins that the returns fill, as :func:`viewshed.preprocess.azimuth_bins.measured_azimuth_bins`.
-        blocker_m: (bins,) range in metres of the nearest obstacle of each azimuth bin; inf where none.
-        farthest_m: (bins,) range in metres of the farthest return of each azimuth bin; -1 where none.
+        blocker_m: (bins,) range in meters of the nearest obstacle of each azimuth bin; inf where none.
+        farthest_m: (bins,) range in meters of the farthest return of each azimuth bin; -1 where none.
     """
 
     lowest: Bytes
@@ -71,26 +71,26 @@ class Scan:
     farthest_m: Floats
 
 
-def scan(level: LevelSweep, grid: BevGrid) -> Scan:
+def cell_statistics(leveled: LeveledSweep, grid: BevGrid) -> CellStatistics:
     """Return what the returns of ``level`` tell of the cells of ``grid`` and of their azimuths."""
     lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells], np.float32)
     heights = np.array([*HEIGHTS_M, *OBSTACLE_HEIGHTS_M], np.float32)
-    columns = level.points, level.range_m, level.azimuth, level.height_m
-    cells, obstacle, returns, ranges_m = _scan(columns, lattice, heights)
+    columns = leveled.points, leveled.range_m, leveled.azimuth, leveled.height_m
+    cells, obstacle, returns, ranges_m = _cell_statistics(columns, lattice, heights)
     bins = bins_filled(returns > 0)
     if bins in _FOLDED:
         shape = bins, _BINS // bins
         blocker_m, farthest_m = ranges_m[0].reshape(shape).min(axis=1), ranges_m[1].reshape(shape).max(axis=1)
     else:
-        blocker_m = nearest_obstacle_in_bins(level, bins, 1, OBSTACLE_HEIGHTS_M)
-        farthest_m = farthest_in_bins(level, bins)
+        blocker_m = nearest_obstacle_in_bins(leveled, bins, 1, OBSTACLE_HEIGHTS_M)
+        farthest_m = farthest_in_bins(leveled, bins)
     lowest, highest = cells[0, :-1].reshape(grid.shape), cells[1, :-1].reshape(grid.shape)
     counts = returns.reshape(EVIDENCE_BINS, -1).sum(axis=1, dtype=np.int32)
-    return Scan(lowest, highest, obstacle[:-1].reshape(grid.shape), counts, bins, blocker_m, farthest_m)
+    return CellStatistics(lowest, highest, obstacle[:-1].reshape(grid.shape), counts, bins, blocker_m, farthest_m)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _scan(columns: Any, lattice: Any, heights: Any) -> Any:  # pragma: no cover - compiled
+def _cell_statistics(columns: Any, lattice: Any, heights: Any) -> Any:  # pragma: no cover - compiled
     """Return codes of the lowest and highest return, obstacles, returns and ranges; the last cell is outside."""
     points, range_m, azimuth, height_m = columns
     last = np.uint32(lattice[3]) ** 2
@@ -153,48 +153,48 @@ MOST_RETURNS = 127
 FARTHEST_M = 100.0
 """Distances that ``blocker``, ``farthest`` and ``range`` tell apart."""
 
-NO_PAST = 128
+NO_HISTORY = 128
 """Code of ``supported`` without earlier sweeps: neither none of them nor all."""
 
 _STEPS = 16
 
-_STEPS_A_METRE = 32
+_STEPS_A_METER = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class FeatureContext:
     """What the channels of one sweep are made of; each part is computed when it is first asked for.
 
     Attributes:
-        level: the sweep.
+        leveled: the sweep.
         grid: of the maps.
         target: what would have to be seen.
         counts: (cells, cells) uint8, returns of each cell as the network's card counts them.
         past: what earlier sweeps saw, or None where there are none.
     """
 
-    level: LevelSweep
+    leveled: LeveledSweep
     grid: BevGrid
     target: Target
     counts: Bytes
-    past: Past | None = None
+    past: History | None = None
 
     @cached_property
-    def scan(self) -> Scan:
+    def scan(self) -> CellStatistics:
         """What one pass over the returns tells."""
-        return scan(self.level, self.grid)
+        return cell_statistics(self.leveled, self.grid)
 
     @cached_property
-    def told(self) -> ToldBeams:
+    def told(self) -> BeamsByEvidence:
         """The beams by what is known of them."""
-        return told_beams(self.level, self.target.height_m)
+        return beams_by_evidence(self.leveled, self.target.height_m)
 
     @cached_property
     def returns(self) -> Floats:
         """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
-        level, told = self.level, self.told
-        kinds = told.confirmed, told.explained, told.unexplained
-        return returns_by_kind(kinds, level.sensor_height_m, level.ground, self.grid, self.target)
+        leveled, told = self.leveled, self.told
+        kinds = told.measured, told.inferred, told.unresolved
+        return returns_by_kind(kinds, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
 
     @cached_property
     def codes(self) -> Bytes:
@@ -235,7 +235,7 @@ def _away_table() -> tuple[Bytes, Floats]:
         middle = (low + high) / np.float32(2.0)
         reached = away_code(middle) >= codes
         low, high = np.where(reached, low, middle), np.where(reached, middle, high)
-    steps = np.arange(int(2 * FARTHEST_M) * _STEPS_A_METRE + 1, dtype=np.float32) / np.float32(_STEPS_A_METRE) + ends[0]
+    steps = np.arange(int(2 * FARTHEST_M) * _STEPS_A_METER + 1, dtype=np.float32) / np.float32(_STEPS_A_METER) + ends[0]
     return away_code(np.maximum(steps - np.float32(1e-4), ends[0])), np.append(high, np.float32(np.inf))
 
 
@@ -263,16 +263,16 @@ def _range_code(grid: BevGrid) -> Bytes:
     return code
 
 
-def _supported(shown: Shown) -> Bytes:
+def _confirmed_by_history(shown: FeatureContext) -> Bytes:
     """Return the code of the share of the earlier sweeps that saw each cell: 0 to 255, 128 without any."""
     if shown.past is None:
-        return np.full(shown.grid.shape, NO_PAST, np.uint8)
+        return np.full(shown.grid.shape, NO_HISTORY, np.uint8)
     share = shown.past.support(shown.grid, shown.target) * (255.0 / len(shown.past.earlier))
     code: Bytes = np.round(share).astype(np.uint8)
     return code
 
 
-CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
+FEATURES: dict[str, Callable[[FeatureContext], Bytes]] = {
     "counts": lambda shown: shown.counts,
     "lowest": lambda shown: shown.scan.lowest,
     "highest": lambda shown: shown.scan.highest,
@@ -282,7 +282,7 @@ CHANNELS: dict[str, Callable[[Shown], Bytes]] = {
     "blocker": lambda shown: shown.beyond(shown.scan.blocker_m),
     "farthest": lambda shown: shown.beyond(shown.scan.farthest_m),
     "range": lambda shown: _range_code(shown.grid),
-    "supported": _supported,
+    "supported": _confirmed_by_history,
 }
 """The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
 another one confirms, ``unexplained`` the beams whose end nothing tells, as if nothing stopped them; ``blocker`` and
@@ -290,22 +290,22 @@ another one confirms, ``unexplained`` the beams whose end nothing tells, as if n
 
 One is of earlier sweeps: ``supported`` tells how many of them would have seen a target in the cell."""
 
-PAST_CHANNELS = ("supported",)
+HISTORY_FEATURES = ("supported",)
 """Channels that earlier sweeps change."""
 
 
-def maps_of(names: Sequence[str], shown: Shown) -> Bytes:
+def feature_maps(names: Sequence[str], shown: FeatureContext) -> Bytes:
     """Return the maps (channels, cells, cells) of channels by their names."""
     maps = np.empty((len(names), *shown.grid.shape), np.uint8)
     for name, found in zip(names, maps, strict=True):
-        found[:] = CHANNELS[name](shown)
+        found[:] = FEATURES[name](shown)
     return maps
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _beyond(limit_m: Any, bins: Any, range_m: Any, table: Any, begins: Any, codes: Any) -> None:  # pragma: no cover
     """By blocks: what is calculated vectorizes, what is looked up does not."""
-    most, per_m = np.float32(FARTHEST_M), np.float32(_STEPS_A_METRE)
+    most, per_m = np.float32(FARTHEST_M), np.float32(_STEPS_A_METER)
     away, step = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.int32)
     for start in range(0, codes.shape[0], BLOCK):
         block = slice(start, min(start + BLOCK, codes.shape[0]))
@@ -325,11 +325,11 @@ def _write_beam_codes(returns: Any, table: Any, codes: Any) -> None:  # pragma: 
     both = np.empty(BLOCK, np.float32)
     for start in range(0, returns.shape[1], BLOCK):
         block = slice(start, min(start + BLOCK, returns.shape[1]))
-        confirmed, explained = returns[0, block], returns[1, block]
-        for k in range(confirmed.shape[0]):
-            both[k] = confirmed[k] + explained[k]
-        _looked_up(confirmed, table, codes[0, block])
-        _looked_up(both[: confirmed.shape[0]], table, codes[1, block])
+        measured, inferred = returns[0, block], returns[1, block]
+        for k in range(measured.shape[0]):
+            both[k] = measured[k] + inferred[k]
+        _looked_up(measured, table, codes[0, block])
+        _looked_up(both[: measured.shape[0]], table, codes[1, block])
         _looked_up(returns[2, block], table, codes[2, block])
 
 
@@ -369,7 +369,7 @@ def _fold(words: Any, blocks: Any) -> None:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def recode(blocks: Any, table: Any) -> None:  # pragma: no cover - compiled
+def replace_codes(blocks: Any, table: Any) -> None:  # pragma: no cover - compiled
     """Replace each byte of blocks (side, side, size) by what a table (256,) has for it."""
     for i in range(blocks.shape[0]):
         for j in range(blocks.shape[1]):

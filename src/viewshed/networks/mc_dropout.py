@@ -18,10 +18,10 @@ def mean_and_std(runner: Runner, inputs: Floats, passes: int, rng: np.random.Gen
 
     The deviation is that of the passes themselves (divided by their number, as numpy's).
     """
-    return moments(runner.run(inputs[None], runner.card.shape.masks(passes, rng)))
+    return mean_and_deviation(runner.run(inputs[None], runner.card.shape.masks(passes, rng)))
 
 
-def moments(probability: Floats) -> tuple[Floats, Floats]:
+def mean_and_deviation(probability: Floats) -> tuple[Floats, Floats]:
     """Return mean and standard deviation (…) of probabilities (passes, …) over the first axis.
 
     >>> mean, std = moments(np.array([[0.25], [0.75]], np.float32))

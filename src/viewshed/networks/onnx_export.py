@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.networks.card import MOST_DEVIATION, NetworkCard
 from viewshed.networks.unet_torch import Stage, UNet
-from viewshed.networks.weights import CARD_KEY, sealed
+from viewshed.networks.weights import CARD_KEY, with_checksum
 
 _OPSET, _IR = 17, 9
 
@@ -32,7 +32,7 @@ def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
     """
     if module.shape != card.shape:
         raise ValueError(f"module must have the card's shape {card.shape}, got {module.shape}")
-    write_bytes(path, sealed(onnx_model(card, module).SerializeToString()))
+    write_atomic(path, with_checksum(onnx_model(card, module).SerializeToString()))
 
 
 def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:

@@ -16,7 +16,7 @@ from llvmlite import binding
 from numpy.typing import NDArray
 
 from viewshed.networks.card import INT8, NetworkCard, require_doubt
-from viewshed.networks.weights import CARD_KEY, check_seal, shipped_content, shipped_names
+from viewshed.networks.weights import CARD_KEY, shipped_content, shipped_names, verify_checksum
 
 _CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
 
@@ -155,7 +155,7 @@ class OnnxRunner:
 
     def _start(self, content: bytes, name: str, threads: int | None, engine: str, precision: str) -> None:
         self._content, self._name, self._alone = content, name, None
-        check_seal(content, name)
+        verify_checksum(content, name)
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.engine, self.precision = _resolved(engine, precision), precision

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import MOST_DEVIATION, NetworkCard, require_doubt
 
@@ -141,7 +141,7 @@ def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:
     buffer = io.BytesIO()
     state = {name: value.detach().cpu() for name, value in module.state_dict().items()}
     torch.save({"card": card.to_json(), "state": state}, buffer)
-    write_bytes(path, buffer.getvalue())
+    write_atomic(path, buffer.getvalue())
 
 
 def load_weights(path: str | Path) -> tuple[NetworkCard, UNet]:

@@ -10,7 +10,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.grid import BevGrid
 
 CARD_KEY = "viewshed.card"
@@ -26,12 +26,12 @@ _HEAD = (
 )  # fmt: skip
 
 
-def sealed(model: bytes) -> bytes:
+def with_checksum(model: bytes) -> bytes:
     """Return a serialized ONNX model with the checksum of its bytes as one more entry of its metadata."""
     return model + _HEAD + hashlib.sha256(model).hexdigest().encode()
 
 
-def check_seal(content: bytes, name: str) -> None:
+def verify_checksum(content: bytes, name: str) -> None:
     """Raise a ValueError unless ``content`` is what :func:`sealed` returned; ``name`` is the file in the message.
 
     >>> check_seal(sealed(b"model"), "a.onnx")
@@ -144,7 +144,7 @@ def in_float32(name: str) -> str:
 def ship(content: bytes, line: Shipped, folder: Path = WEIGHTS) -> None:
     """Write weights into ``folder`` and their line into its manifest; an older line of that name is replaced."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_bytes(folder / line.file, content)
+    write_atomic(folder / line.file, content)
     lines = {**manifest(folder), line.name: line}
     text = json.dumps([asdict(each) for each in lines.values()], indent=1) + "\n"
-    write_bytes(folder / _MANIFEST, text.encode())
+    write_atomic(folder / _MANIFEST, text.encode())

@@ -162,7 +162,7 @@ def _median(ground: Any, lost: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def explain(pixels: Any, told: Any, share: Any, limits: Any, counts: Any) -> Any:  # pragma: no cover - compiled
+def infer_depths(pixels: Any, told: Any, share: Any, limits: Any, counts: Any) -> Any:  # pragma: no cover - compiled
     """Return how far each beam went (M,), NaN where nothing explains it. ``pixels`` ascend by ring.
 
     ``told``: nearer end of a narrow gap (NaN for none), nearest obstacle around, range at which it would meet ground.
@@ -201,7 +201,7 @@ def _ring_below(counts: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def parted(beams: Any, highest: Any, near_m: Any) -> Any:  # pragma: no cover - compiled
+def split_by_height(beams: Any, highest: Any, near_m: Any) -> Any:  # pragma: no cover - compiled
     """Return azimuth, slope and depth (3, …) of the beams whose depth is known, and of the others, which are endless.
 
     Beams steeper than ``highest`` (sectors,) are in neither. Slopes are seen from the sensor's origin afterwards: a

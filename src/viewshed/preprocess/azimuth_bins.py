@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 
 BINS_LADDER = (1080, 540, 360, 216, 180, 120)
 """Azimuth bins that :func:`measured_azimuth_bins` chooses from; each divides the first."""
@@ -58,21 +58,21 @@ class Crop:
         if not self.height_m[0] < self.height_m[1]:
             raise ValueError(f"height_m must be (low, high) with low < high, got {self.height_m}")
 
-    def apply(self, level: LevelSweep) -> LevelSweep:
+    def apply(self, leveled: LeveledSweep) -> LeveledSweep:
         """Return ``level`` with the returns that count, in their order."""
         if self == ALL_RETURNS:
-            return level
-        z_m = level.points[:, 2] - np.float32(level.sensor_height_m)
-        used = (level.range_m <= self.max_range_m) & (z_m >= self.height_m[0]) & (z_m <= self.height_m[1])
+            return leveled
+        z_m = leveled.points[:, 2] - np.float32(leveled.sensor_height_m)
+        used = (leveled.range_m <= self.max_range_m) & (z_m >= self.height_m[0]) & (z_m <= self.height_m[1])
         keep = np.flatnonzero(used)
-        columns = {name: getattr(level, name)[keep] for name in ("points", "range_m", "azimuth", "height_m", "rows")}
-        return replace(level, **columns)
+        columns = {name: getattr(leveled, name)[keep] for name in ("points", "range_m", "azimuth", "height_m", "rows")}
+        return replace(leveled, **columns)
 
-    def any_on(self, level: LevelSweep, grid: BevGrid) -> bool:
+    def any_on(self, leveled: LeveledSweep, grid: BevGrid) -> bool:
         """Return whether a return that counts lies on ``grid``."""
-        limits = np.array([self.max_range_m, *self.height_m, level.sensor_height_m], np.float32)
+        limits = np.array([self.max_range_m, *self.height_m, leveled.sensor_height_m], np.float32)
         lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells])
-        return bool(_any_on(level.points, level.range_m, limits, lattice))
+        return bool(_any_on(leveled.points, leveled.range_m, limits, lattice))
 
 
 ALL_RETURNS = Crop()
@@ -116,43 +116,45 @@ def azimuth_bins_of(azimuth: NDArray[np.floating[Any]], bins: int) -> NDArray[np
 
 @lru_cache(maxsize=16)
 def bins_of_cells(grid: BevGrid, bins: int) -> NDArray[np.int16]:
-    """Return the azimuth bin (cells, cells) of each cell's centre, seen from the sensor; read-only."""
+    """Return the azimuth bin (cells, cells) of each cell's center, seen from the sensor; read-only."""
     table = azimuth_bins_of(polar_of_cells(grid)[1], bins)
     table.setflags(write=False)
     return table
 
 
-def farthest_in_bins(level: LevelSweep, bins: int, drop: int = 0) -> NDArray[np.float32]:
-    """Return the range (bins,) in metres of the farthest return but ``drop`` in each azimuth bin; -1 where none."""
+def farthest_in_bins(leveled: LeveledSweep, bins: int, drop: int = 0) -> NDArray[np.float32]:
+    """Return the range (bins,) in meters of the farthest return but ``drop`` in each azimuth bin; -1 where none."""
     best = np.full((bins, drop + 1), -1.0, np.float32)
     if drop == 0:
-        _farthest(level.azimuth, level.range_m, best[:, 0])
+        _farthest(leveled.azimuth, leveled.range_m, best[:, 0])
         return best[:, 0]
-    _largest(level.azimuth, level.range_m, best)
+    _largest(leveled.azimuth, leveled.range_m, best)
     return best[:, drop]
 
 
 def nearest_obstacle_in_bins(
-    level: LevelSweep, bins: int, rank: int, height_m: tuple[float, float]
+    leveled: LeveledSweep, bins: int, rank: int, height_m: tuple[float, float]
 ) -> NDArray[np.float32]:
-    """Return the range (bins,) in metres of the ``rank``-th nearest obstacle return of each bin; inf where none."""
+    """Return the range (bins,) in meters of the ``rank``-th nearest obstacle return of each bin; inf where none."""
     best = np.full((bins, rank), np.inf, np.float32)
-    _smallest(level.azimuth, level.range_m, level.height_m, np.array(height_m, np.float32), best)
+    _smallest(leveled.azimuth, leveled.range_m, leveled.height_m, np.array(height_m, np.float32), best)
     return best[:, rank - 1]
 
 
-def ends_on_obstacle(level: LevelSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+def ends_on_obstacle(leveled: LeveledSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return for each azimuth bin (bins,) whether an obstacle return lies exactly at ``limit_m`` (bins,)."""
     found = np.zeros(limit_m.shape, np.bool_)
-    _at_limit(level.azimuth, level.range_m, level.height_m, np.array(OBSTACLE_HEIGHTS_M, np.float32), limit_m, found)
+    _at_limit(
+        leveled.azimuth, leveled.range_m, leveled.height_m, np.array(OBSTACLE_HEIGHTS_M, np.float32), limit_m, found
+    )
     return found
 
 
-def reach_of(level: LevelSweep) -> float:
-    """Return how far the sensor reaches in metres: its model's maximum, else its farthest return (0 without any)."""
-    if level.sweep.model is not None:
-        return level.sweep.model.max_range_m
-    return float(level.range_m.max(initial=0.0))
+def reach_of(leveled: LeveledSweep) -> float:
+    """Return how far the sensor reaches in meters: its model's maximum, else its farthest return (0 without any)."""
+    if leveled.sweep.model is not None:
+        return leveled.sweep.model.max_range_m
+    return float(leveled.range_m.max(initial=0.0))
 
 
 def with_margin(limit_m: NDArray[np.float32], margin_m: float) -> NDArray[np.float32]:
@@ -161,25 +163,27 @@ def with_margin(limit_m: NDArray[np.float32], margin_m: float) -> NDArray[np.flo
 
 
 def state_of_limits(
-    level: LevelSweep, grid: BevGrid, visible_m: NDArray[np.float32], hidden_m: NDArray[np.float32]
+    leveled: LeveledSweep, grid: BevGrid, visible_m: NDArray[np.float32], hidden_m: NDArray[np.float32]
 ) -> NDArray[np.uint8]:
     """Return the state (cells, cells) from limits per azimuth bin: visible up to one, then hidden up to the other.
 
-    A cell is judged by its centre: the bin of its azimuth, its range from the sensor (both ends belong to it).
+    A cell is judged by its center: the bin of its azimuth, its range from the sensor (both ends belong to it).
     """
     state = np.empty(grid.shape, np.uint8)
     bins = bins_of_cells(grid, len(visible_m))
-    _states(bins, polar_of_cells(grid)[0], visible_m, hidden_m, level.obstacle_cells(grid), state)
+    _states(bins, polar_of_cells(grid)[0], visible_m, hidden_m, leveled.obstacle_cells(grid), state)
     return state
 
 
-def state_of_mask(level: LevelSweep, grid: BevGrid, visible: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def state_of_mask(leveled: LeveledSweep, grid: BevGrid, visible: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return the state (cells, cells) of a mask that says nothing of what it leaves out: FREE, SURFACE or UNKNOWN."""
-    seen = np.where(level.obstacle_cells(grid), _SURFACE, _FREE)
+    seen = np.where(leveled.obstacle_cells(grid), _SURFACE, _FREE)
     return np.where(visible, seen, _UNKNOWN).astype(np.uint8)
 
 
-def fov_of_state(level: LevelSweep, grid: BevGrid, state: NDArray[np.uint8], name: str, target: Target) -> FovEstimate:
+def fov_of_state(
+    leveled: LeveledSweep, grid: BevGrid, state: NDArray[np.uint8], name: str, target: Target
+) -> FovEstimate:
     """Return the estimate that claims the FREE and SURFACE cells of ``state`` (cells, cells), with probability 1."""
     visible = (state == _FREE) | (state == _SURFACE)
     return FovEstimate(
@@ -188,9 +192,9 @@ def fov_of_state(level: LevelSweep, grid: BevGrid, state: NDArray[np.uint8], nam
         state=state,
         method=name,
         target=target,
-        world_from_level=level.world_from_level,
-        t_ns=level.sweep.t_ns,
-        agent=level.sweep.agent,
+        world_from_level=leveled.world_from_level,
+        t_ns=leveled.sweep.t_ns,
+        agent=leveled.sweep.agent,
     )
 
 

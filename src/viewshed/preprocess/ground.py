@@ -52,7 +52,7 @@ def estimate_ground(
         lows_m: (n, n, 3) float32 the second-lowest point of each node (the lowest where it is alone, so that one
             return below the ground does not count); +inf where there is none.
         rise_m: (n, n) float32 from that point up to the highest return of the node.
-        half_extent_m: half the side of the lattice in metres.
+        half_extent_m: half the side of the lattice in meters.
         sensor_height_m: known mounting height, or None.
     """
     node_m = 2.0 * half_extent_m / lows_m.shape[0]

@@ -70,7 +70,7 @@ def smooth_ground(
         rise_m: (n, n) float32 from that point up to the highest return of the node.
         begin: heights (n, n) to begin with, and whether a low point counts in full whatever the surface does (n, n).
         plane: (a, b, c) float32 of the plane z = a x + b y + c, whose slope holds where nothing is seen.
-        half_extent_m: half the side of the lattice in metres.
+        half_extent_m: half the side of the lattice in meters.
     """
     heights, trusted = begin
     frame = (np.float32(half_extent_m), plane)

@@ -19,11 +19,11 @@ from viewshed._numba import atan2
 from viewshed.fov.visibility import Beams, Target, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
-from viewshed.preprocess.no_return import confirmed_and_explained_beams
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
+from viewshed.preprocess.no_return import measured_and_inferred_beams
 from viewshed.sweep import Sweep
 
-PAST_SWEEPS = 5
+HISTORY_SWEEPS = 5
 """Earlier sweeps that are looked at."""
 
 COLUMNS = 720
@@ -52,11 +52,11 @@ Floats = NDArray[np.float32]
 
 Mask = NDArray[np.bool_]
 
-_SEEN: WeakKeyDictionary[LevelSweep, dict[tuple[BevGrid, Target], Mask]] = WeakKeyDictionary()
+_SEEN: WeakKeyDictionary[LeveledSweep, dict[tuple[BevGrid, Target], Mask]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Past:
+class History:
     """What earlier sweeps saw, seen from the sensor now.
 
     Attributes:
@@ -66,21 +66,21 @@ class Past:
     """
 
     sensor_height_m: float
-    earlier: tuple[LevelSweep, ...]
+    earlier: tuple[LeveledSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
     _supports: dict[tuple[BevGrid, Target], NDArray[np.uint8]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, level: LevelSweep, earlier: Sequence[LevelSweep]) -> Past | None:
-        """Return what ``earlier`` sweeps tell of one, levelled on the same grid; None where there are none.
+    def of(cls, leveled: LeveledSweep, earlier: Sequence[LeveledSweep]) -> History | None:
+        """Return what ``earlier`` sweeps tell of one, leveled on the same grid; None where there are none.
 
         Raises:
             ValueError: one of them has no pose.
         """
         if not earlier:
             return None
-        now_from_world = _pose(level).inverse()
-        return cls(level.sensor_height_m, tuple(earlier), tuple(now_from_world @ _pose(each) for each in earlier))
+        now_from_world = _pose(leveled).inverse()
+        return cls(leveled.sensor_height_m, tuple(earlier), tuple(now_from_world @ _pose(each) for each in earlier))
 
     def obstacles(self) -> Floats:
         """Return the horizontal range of the nearest obstacle by slope and azimuth (ROWS, COLUMNS); +inf for none.
@@ -122,17 +122,17 @@ class Past:
         return total
 
 
-def past_of(level: LevelSweep, earlier: Sequence[Sweep], grid: BevGrid) -> Past | None:
-    """Return what ``earlier`` sweeps tell of one that was levelled on ``grid``; None where there are none.
+def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep], grid: BevGrid) -> History | None:
+    """Return what ``earlier`` sweeps tell of one that was leveled on ``grid``; None where there are none.
 
     Raises:
         ValueError: one of them has no pose.
     """
-    return Past.of(level, [level_sweep(sweep, grid) for sweep in earlier if len(sweep)])
+    return History.of(leveled, [level(sweep, grid) for sweep in earlier if len(sweep)])
 
 
-def _pose(level: LevelSweep) -> Rigid:
-    pose = level.world_from_level
+def _pose(leveled: LeveledSweep) -> Rigid:
+    pose = leveled.world_from_level
     if pose is None:
         raise ValueError("sweeps must have poses to be seen together, got one without; give world_from_sensor")
     return pose
@@ -156,7 +156,7 @@ def _fill(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compi
             last[column] = row
 
 
-def _on_obstacles(before: LevelSweep, now_from_before: Rigid) -> Floats:
+def _on_obstacles(before: LeveledSweep, now_from_before: Rigid) -> Floats:
     """Return the points (M, 3) of an earlier sweep on obstacles, in the ``level`` frame now."""
     transform = now_from_before.as_matrix()[:3].astype(np.float32)
     high = before.points[before.height_m > np.float32(OBSTACLE_HEIGHTS_M[0])]
@@ -164,12 +164,12 @@ def _on_obstacles(before: LevelSweep, now_from_before: Rigid) -> Floats:
     return points
 
 
-def _seen(level: LevelSweep, grid: BevGrid, target: Target) -> Mask:
+def _seen(leveled: LeveledSweep, grid: BevGrid, target: Target) -> Mask:
     """Return where a sweep would have seen a target, by itself, on the grid around it (cells, cells)."""
-    kept = _SEEN.setdefault(level, {})
+    kept = _SEEN.setdefault(leveled, {})
     if (grid, target) not in kept:
-        beams = confirmed_and_explained_beams(level, target.height_m)
-        returns = returns_by_kind([beams], level.sensor_height_m, level.ground, grid, target)[0]
+        beams = measured_and_inferred_beams(leveled, target.height_m)
+        returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, grid, target)[0]
         kept[grid, target] = returns >= target.min_returns
     return kept[grid, target]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from viewshed._numba import BLOCK, split
 from viewshed.preprocess.range_image import place, silent_columns
-from viewshed.preprocess.sensor_identification import Told
+from viewshed.preprocess.sensor_identification import SensorId
 
 Floats = NDArray[np.float32]
 
@@ -57,7 +57,7 @@ _FEWEST = 256
 
 _BINS = 128
 
-_FOUND_LONE = 0.6
+_FOUND_ISOLATED = 0.6
 """About so many of the returns at random ranges are lone."""
 
 
@@ -79,13 +79,13 @@ class Placed:
     column: NDArray[np.int32]
     phase: NDArray[np.float32]
     counts: NDArray[np.uint8]
-    lone: NDArray[np.bool_]
+    isolated: NDArray[np.bool_]
     behind: NDArray[np.bool_]
     fits: bool
     clutter: NDArray[np.bool_] | None = None
 
 
-def placed_by_rings(points: NDArray[np.float32], told: Told, limits_m: tuple[float, float]) -> Placed | None:
+def placed_by_rings(points: NDArray[np.float32], told: SensorId, limits_m: tuple[float, float]) -> Placed | None:
     """Return the places of points (N, 3) by their rings and their sensor's columns; None where nothing tells the rings.
 
     Columns somewhat too wide or too narrow still tell which returns are lone.
@@ -110,13 +110,13 @@ def placed(
     [False, False, True]
     """
     column, phase, counts, sizes = place(points, ring, shape[1], shape[0])
-    lone, behind = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    isolated, behind = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
     nearest2, limits = np.full(shape, np.inf, np.float32), np.array(limits_m, np.float32)
-    _mark(points, (ring, column), silent_columns(counts), limits, nearest2, (lone, behind))
+    _mark(points, (ring, column), silent_columns(counts), limits, nearest2, (isolated, behind))
     full = np.sort(sizes[sizes >= _FULL_RING * shape[1]])
     fits = bool(full.size and (full[(full.size - 1) // 2] + full[full.size // 2]) / 2 <= _MOST_RING * shape[1])
-    found = Placed(column, phase, counts, lone, behind, fits)
-    if len(lone) < _FEWEST or np.count_nonzero(lone) <= CLUTTERED * len(lone):
+    found = Placed(column, phase, counts, isolated, behind, fits)
+    if len(isolated) < _FEWEST or np.count_nonzero(isolated) <= CLUTTERED * len(isolated):
         return found
     return _without_clutter(found, (points, ring), limits, nearest2)
 
@@ -134,13 +134,13 @@ def _without_clutter(
     range_m, alike = _alike(points, (ring, found.column), limits, nearest2)
     step = np.log(np.maximum(range_m, limits[0]) / limits[0]) * np.float32(1.0 / np.log(CONFIRMING))
     bins = np.minimum(step.astype(np.intp), _BINS - 1)
-    tally = np.convolve(np.bincount(bins[found.lone], minlength=_BINS), [0.5, 1.0, 0.5], "same")
-    least = _least_alike(tally * (_AROUND / (_FOUND_LONE * found.counts.size)))
+    tally = np.convolve(np.bincount(bins[found.isolated], minlength=_BINS), [0.5, 1.0, 0.5], "same")
+    least = _least_alike(tally * (_AROUND / (_FOUND_ISOLATED * found.counts.size)))
     clutter = (alike < least[bins]) & (found.column >= 0)
     left = taken_out(found, ring, clutter)
-    lone, behind, again = clutter.copy(), np.zeros_like(clutter), np.full_like(nearest2, np.inf)
-    _mark(points, (ring, left.column), silent_columns(left.counts), limits, again, (lone, behind))
-    return replace(left, lone=lone, behind=behind, clutter=clutter)
+    isolated, behind, again = clutter.copy(), np.zeros_like(clutter), np.full_like(nearest2, np.inf)
+    _mark(points, (ring, left.column), silent_columns(left.counts), limits, again, (isolated, behind))
+    return replace(left, isolated=isolated, behind=behind, clutter=clutter)
 
 
 def _least_alike(mean: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -175,7 +175,7 @@ def _mark(
     points: Any, pixel: Any, silent: Any, limits: Any, nearest2: Any, marks: Any
 ) -> None:  # pragma: no cover - compiled
     ring, column = pixel
-    lone, behind = marks
+    isolated, behind = marks
     away2 = _nearest(points, pixel, limits, nearest2)
     sure = _sure(nearest2)
     for n in range(points.shape[0]):
@@ -183,7 +183,7 @@ def _mark(
             r, c = np.uint32(ring[n]), np.uint32(column[n])
             behind_own = away2[n] > nearest2[r, c]
             if (behind_own or not sure[r, c]) and _denied(nearest2, ring[n], column[n], away2[n], silent[c]):
-                lone[n], behind[n] = True, behind_own
+                isolated[n], behind[n] = True, behind_own
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -17,7 +17,7 @@ from viewshed.grid import BevGrid
 from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.ground_plane import free_plane
 from viewshed.preprocess.isolated_returns import Placed, placed_by_rings
-from viewshed.preprocess.sensor_identification import NOTHING_TOLD, Told, told_rings
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
 from viewshed.sweep import Sweep
 
 EGO_BOX_M = (2.7, 1.1)
@@ -32,7 +32,7 @@ def lowest_returns(
     returns: Any, rotation: Any, limits: Any, half: Any, side: int
 ) -> Any:  # pragma: no cover - compiled
     """Return each node's second-lowest point (or the only one), turned, and the height from it up to the highest."""
-    points, lone = returns
+    points, isolated = returns
     lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
     highest = np.full(side * side, -np.inf, np.float32)
     x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
@@ -42,7 +42,7 @@ def lowest_returns(
         _nodes((x[:count], y[:count], z[:count]), rotation, limits, (half, np.float32(side)), nodes, heights)
         for n in range(count):
             k = start + n
-            if nodes[n] < 0 or lone[k]:
+            if nodes[n] < 0 or isolated[k]:
                 continue
             node, low = np.uint32(nodes[n]), heights[n]
             highest[node] = max(highest[node], low)
@@ -112,7 +112,7 @@ def _nodes(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def level(
+def _level_columns(
     points: Any, clutter: Any, transform: Any, limits: Any, ground: Any, half: Any
 ) -> Any:  # pragma: no cover - compiled
     """Transform, drop ego and null returns and clutter, and measure: points, range, azimuth, height above ground, rows.
@@ -234,12 +234,12 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
-class LevelSweep:
+class LeveledSweep:
     """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows, in the sweep's order.
 
     Attributes:
         sweep: the sweep that it came from.
-        points: (M, 3) float32 metres in ``level`` (the sensor is at (0, 0, sensor_height_m)).
+        points: (M, 3) float32 meters in ``level`` (the sensor is at (0, 0, sensor_height_m)).
         range_m: (M,) float32 horizontal range from the sensor.
         azimuth: (M,) float32 radians in [-π, π), counter-clockwise from forward.
         height_m: (M,) float32 height above local ground.
@@ -258,12 +258,12 @@ class LevelSweep:
     rows: NDArray[np.intp]
     level_from_sensor: Rigid
     ground: Ground
-    told: Told = NOTHING_TOLD
+    told: SensorId = UNIDENTIFIED
     placed: Placed | None = None
 
     @property
     def sensor_height_m(self) -> float:
-        """Height of the sensor above the ground below it, in metres."""
+        """Height of the sensor above the ground below it, in meters."""
         return float(self.level_from_sensor.translation[2])
 
     @property
@@ -289,8 +289,8 @@ class LevelSweep:
         return mask
 
 
-def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
-    """Return ``sweep`` levelled, its ground estimated over the extent of ``grid``.
+def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
+    """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
 
     The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
@@ -299,16 +299,16 @@ def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
     (:mod:`viewshed.preprocess.isolated_returns`) where the rings are known or can be told. Lone returns
     say nothing of the ground.
     """
-    told = told_rings(sweep)
+    told = identify_sensor(sweep)
     placed = placed_by_rings(sweep.points, told, range_limits(sweep))
-    lone = np.zeros(len(sweep), np.bool_) if placed is None else placed.lone
-    rotation, ground = _attitude_and_ground(sweep, grid, lone)
+    isolated = np.zeros(len(sweep), np.bool_) if placed is None else placed.isolated
+    rotation, ground = _attitude_and_ground(sweep, grid, isolated)
     height = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), 0.05)
     ground = ground.raised(height)
     transform = Rigid(rotation, np.array([0.0, 0.0, height]))
     ego = EGO_BOX_M if EGO_HEIGHTS_M[0] <= height <= EGO_HEIGHTS_M[1] else (0.0, 0.0)
     clutter = None if placed is None else placed.clutter
-    columns = level(
+    columns = _level_columns(
         sweep.points,
         np.zeros(0, np.bool_) if clutter is None else clutter,
         transform.as_matrix()[:3].astype(np.float32),
@@ -319,33 +319,33 @@ def level_sweep(sweep: Sweep, grid: BevGrid) -> LevelSweep:
     for column in columns:
         column.setflags(write=False)
     points, range_m, azimuth, height_m, rows = columns
-    return LevelSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground, told, placed)
+    return LeveledSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground, told, placed)
 
 
 def range_limits(sweep: Sweep) -> tuple[float, float]:
-    """Return the nearest and the farthest range in metres at which returns of the sweep are used."""
+    """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
     if sweep.model is None:
         return NULL_RANGE_M, MAX_RANGE_M
     return max(NULL_RANGE_M, sweep.model.min_range_m), max(MAX_RANGE_M, sweep.model.max_range_m)
 
 
-def _attitude_and_ground(sweep: Sweep, grid: BevGrid, lone: Mask) -> tuple[NDArray[np.float64], Ground]:
+def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], Ground]:
     attitude = sweep.known_attitude
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
-    ground = _ground(sweep, grid, rotation, lone)
+    ground = _ground(sweep, grid, rotation, isolated)
     if attitude is not None:
         return rotation, ground
     normal = _tilted_normal(sweep, ground)
     if normal is None:
         return rotation, ground
     rotation = _upright(normal)
-    return rotation, _ground(sweep, grid, rotation, lone)
+    return rotation, _ground(sweep, grid, rotation, isolated)
 
 
-def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], lone: Mask) -> Ground:
+def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> Ground:
     half = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
     limits = np.array(range_limits(sweep), np.float32)
-    lows, rise = lowest_returns((sweep.points, lone), rotation.astype(np.float32), limits, np.float32(half), NODES)
+    lows, rise = lowest_returns((sweep.points, isolated), rotation.astype(np.float32), limits, np.float32(half), NODES)
     return estimate_ground(lows, rise, half, sweep.sensor_height_m)
 
 

@@ -17,8 +17,8 @@ from viewshed.fov.visibility import Beams
 from viewshed.preprocess import _no_return_kernels as hints
 from viewshed.preprocess import range_image as kernels
 from viewshed.preprocess.isolated_returns import Placed, placed, taken_out
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, range_limits
-from viewshed.preprocess.ring_recovery import recover_beams
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, range_limits
+from viewshed.preprocess.ring_recovery import recover_rings
 
 FILL_COLUMNS = 16
 """A gap is filled from returns in the same ring at most this many columns away."""
@@ -57,7 +57,7 @@ class _Image:
         depth_m: horizontal range of the nearest one that the level sweep kept, +inf for none.
         obstacle_m: the same among those on obstacles.
         ground_tally: returns from ground in each sector and bin of range.
-        metre_tally: returns in each metre of range.
+        meter_tally: returns in each meter of range.
         lone: (N,) the sweep's lone returns.
     """
 
@@ -69,8 +69,8 @@ class _Image:
     depth_m: Floats
     obstacle_m: Floats
     ground_tally: NDArray[np.int64]
-    metre_tally: NDArray[np.int64]
-    lone: NDArray[np.bool_]
+    meter_tally: NDArray[np.int64]
+    isolated: NDArray[np.bool_]
 
     @property
     def columns(self) -> int:
@@ -78,15 +78,15 @@ class _Image:
         return int(self.counts.shape[1])
 
 
-def missing_beams(level: LevelSweep, *, fill: bool) -> Beams:
+def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
     """Return the beams that did not return, in the ``level`` frame.
 
     Without ``fill`` the depth is +inf; with it, that of the nearer of the two neighbors in the ring within 16 columns,
     and beams without such neighbors are left out.
     """
-    image = _image(level, alone=True)
-    pixels, ends_m, steps = kernels.find_missing(image.counts, image.depth_m, False)
-    azimuth, slope = _aims(level, image, pixels)
+    image = _image(leveled, alone=True)
+    pixels, ends_m, steps = kernels.find_no_return(image.counts, image.depth_m, False)
+    azimuth, slope = _aims(leveled, image, pixels)
     if not fill:
         return Beams(azimuth, slope, np.full(len(pixels), np.inf, np.float32))
     depth_m = np.where(steps <= FILL_COLUMNS, ends_m, np.float32(np.inf)).min(axis=1, initial=np.float32(np.inf))
@@ -94,7 +94,7 @@ def missing_beams(level: LevelSweep, *, fill: bool) -> Beams:
     return Beams(azimuth[keep], slope[keep], depth_m[keep])
 
 
-def explained_beams(level: LevelSweep, top_m: float) -> Beams:
+def inferred_beams(leveled: LeveledSweep, top_m: float) -> Beams:
     """Return the beams without a return that their surroundings explain, and how far each went, in ``level``.
 
     1. A gap narrower than 1.5 m between two returns of like range, in a ring, or in a column between two returns from
@@ -109,67 +109,67 @@ def explained_beams(level: LevelSweep, top_m: float) -> Beams:
     Beams that pass above targets of height ``top_m`` wherever they stand are left out, too. A cloud without a ring
     column and without a model has none: nothing tells which beams it lacks.
     """
-    image = _told_image(level)
-    return _no_beams() if image is None else _told(level, image, top_m)[0]
+    image = _sensor_image(leveled)
+    return _no_beams() if image is None else _split_beams(leveled, image, top_m)[0]
 
 
-def confirmed_and_explained_beams(level: LevelSweep, top_m: float) -> Beams:
-    """Return the beams of returns that are not lone and, as for missing ones, those that :func:`explained_beams` has.
+def measured_and_inferred_beams(leveled: LeveledSweep, top_m: float) -> Beams:
+    """Return the beams of returns that are not lone and, as for missing ones, those that :func:`inferred_beams` has.
 
     A lone return is no evidence of a depth: its beam counts as one without a return.
     """
-    told = told_beams(level, top_m)
-    return told.confirmed + told.explained if len(told.explained.azimuth) else told.confirmed
+    told = beams_by_evidence(leveled, top_m)
+    return told.measured + told.inferred if len(told.inferred.azimuth) else told.measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ToldBeams:
+class BeamsByEvidence:
     """The beams of a sweep by what is known of them.
 
     Attributes:
         confirmed: of returns; those of lone ones point straight up and meet nothing.
-        explained: without a return, as far as :func:`explained_beams` tells.
+        explained: without a return, as far as :func:`inferred_beams` tells.
         unexplained: all others that aim no higher than a target's top; +inf deep, since nothing tells where they ended.
     """
 
-    confirmed: Beams
-    explained: Beams
-    unexplained: Beams
+    measured: Beams
+    inferred: Beams
+    unresolved: Beams
 
 
-def told_beams(level: LevelSweep, top_m: float) -> ToldBeams:
-    """Return the beams of a sweep by what is known of them; ``top_m`` as in :func:`explained_beams`."""
-    image = _told_image(level)
+def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
+    """Return the beams of a sweep by what is known of them; ``top_m`` as in :func:`inferred_beams`."""
+    image = _sensor_image(leveled)
     if image is None:
-        return ToldBeams(level.beams(), _no_beams(), _no_beams())
-    return ToldBeams(level.beams(image.lone), *_told(level, image, top_m))
+        return BeamsByEvidence(leveled.beams(), _no_beams(), _no_beams())
+    return BeamsByEvidence(leveled.beams(image.isolated), *_split_beams(leveled, image, top_m))
 
 
 def _no_beams() -> Beams:
     return Beams(*np.zeros((3, 0), np.float32))
 
 
-def _told_image(level: LevelSweep) -> _Image | None:
+def _sensor_image(leveled: LeveledSweep) -> _Image | None:
     """Return the range image without lone returns, or None where nothing tells which beams there are."""
-    image = None if level.told.ring is None else _image(level, alone=False)
+    image = None if leveled.told.ring is None else _image(leveled, alone=False)
     return None if image is None or image.guessed else image
 
 
-def _told(level: LevelSweep, image: _Image, top_m: float) -> tuple[Beams, Beams]:
+def _split_beams(leveled: LeveledSweep, image: _Image, top_m: float) -> tuple[Beams, Beams]:
     """Return the explained and the unexplained beams."""
-    profile = _profile(level)
+    profile = _profile(leveled)
     highest = _highest(profile, top_m)
-    rings = _rings_below(float(highest.max()), image, level.level_from_sensor.rotation)
-    pixels, ends_m, steps = kernels.find_missing(image.counts[:rings], image.depth_m, True)
-    azimuth, slope = _aims(level, image, pixels)
+    rings = _rings_below(float(highest.max()), image, leveled.level_from_sensor.rotation)
+    pixels, ends_m, steps = kernels.find_no_return(image.counts[:rings], image.depth_m, True)
+    azimuth, slope = _aims(leveled, image, pixels)
     rise_m = image.rise_m[pixels[:, 0]].astype(np.float32)
     between_m, bound_m = _obstructions(image, pixels, ends_m, steps)
     told = between_m, bound_m, hints.meet(azimuth, slope, rise_m, profile, _RANGES_M)
-    near_m = np.float32(STEEP * level.sensor_height_m)
+    near_m = np.float32(STEEP * leveled.sensor_height_m)
     share = hints.shares(image.ground_tally, pixels, told, near_m, image.columns)
-    limits = EXPECTED_SHARE, near_m, BEYOND_REACH * _reach_m(image.metre_tally)
-    depth_m = hints.explain(pixels, told, share, limits, image.counts)
-    known, rest = hints.parted((azimuth, slope, rise_m, depth_m), highest, near_m)
+    limits = EXPECTED_SHARE, near_m, BEYOND_REACH * _reach_m(image.meter_tally)
+    depth_m = hints.infer_depths(pixels, told, share, limits, image.counts)
+    known, rest = hints.split_by_height((azimuth, slope, rise_m, depth_m), highest, near_m)
     return Beams(*known), Beams(*rest)
 
 
@@ -184,26 +184,26 @@ def _obstructions(
     return between_m, bound_m
 
 
-def _image(level: LevelSweep, alone: bool) -> _Image:
+def _image(leveled: LeveledSweep, alone: bool) -> _Image:
     """Return the range image, lone returns in it or not: by the rings and the sensor if they fit, else recovered."""
-    sweep, (ring, model), found = level.sweep, (level.told.ring, level.told.model), level.placed
+    sweep, (ring, model), found = leveled.sweep, (leveled.told.ring, leveled.told.model), leveled.placed
     if found is not None and found.fits and ring is not None and model is not None:
-        return _filled(level, ring, _thinned(ring, found, alone), (False, model.elevation, model.origin_m))
-    beams = recover_beams(sweep, model)
+        return _filled(leveled, ring, _thinned(ring, found, alone), (False, model.elevation, model.origin_m))
+    beams = recover_rings(sweep, model)
     known = None if found is None else found.clutter
     found = placed(sweep.points, beams.ring, (beams.rings, beams.columns), range_limits(sweep))
     found = found if known is None else taken_out(found, beams.ring, known)
     lines = beams.source == "elevation bins", beams.elevation, np.zeros(beams.rings)
-    return _filled(level, beams.ring, _thinned(beams.ring, found, alone), lines)
+    return _filled(leveled, beams.ring, _thinned(beams.ring, found, alone), lines)
 
 
 def _thinned(ring: NDArray[np.int16], found: Placed, alone: bool) -> Placed:
     """Return the places without those of lone returns, unless these stay (``alone``)."""
-    return found if alone else taken_out(found, ring, found.lone)
+    return found if alone else taken_out(found, ring, found.isolated)
 
 
 def _filled(
-    level: LevelSweep,
+    leveled: LeveledSweep,
     ring: NDArray[np.int16],
     found: Placed,
     lines: tuple[bool, NDArray[np.float64], NDArray[np.float64]],
@@ -211,27 +211,27 @@ def _filled(
     """Return the range image of returns that have a ring and a column."""
     images = [np.full(found.counts.shape, np.inf, np.float32) for _ in range(2)]
     tallies = np.zeros((kernels.SHARE_SECTORS, kernels.SHARE_BINS), np.int64), np.zeros(512, np.int64)
-    limits = np.float32(OBSTACLE_HEIGHTS_M[0]), np.float32(STEEP * level.sensor_height_m)
-    pixel, returns = (ring, found.column), (level.rows, level.range_m, level.height_m)
+    limits = np.float32(OBSTACLE_HEIGHTS_M[0]), np.float32(STEEP * leveled.sensor_height_m)
+    pixel, returns = (ring, found.column), (leveled.rows, leveled.range_m, leveled.height_m)
     kernels.put(pixel, returns, limits, (images[0], images[1]), tallies)
     guessed, elevation, rise_m = lines
     return _Image(
-        guessed, np.tan(elevation), rise_m, found.phase, found.counts, images[0], images[1], *tallies, found.lone
+        guessed, np.tan(elevation), rise_m, found.phase, found.counts, images[0], images[1], *tallies, found.isolated
     )
 
 
-def _aims(level: LevelSweep, image: _Image, pixels: NDArray[np.int32]) -> tuple[Floats, Floats]:
+def _aims(leveled: LeveledSweep, image: _Image, pixels: NDArray[np.int32]) -> tuple[Floats, Floats]:
     """Return azimuth (M,) and slope (M,) of beams in ``level``, seen from the sensor."""
-    rotation = level.level_from_sensor.rotation
+    rotation = leveled.level_from_sensor.rotation
     azimuth, slope = kernels.aim(pixels, image.tangent, image.phase, rotation, image.columns)
     return azimuth, slope
 
 
-def _profile(level: LevelSweep) -> Floats:
+def _profile(leveled: LeveledSweep) -> Floats:
     """Return the slope from the sensor to the ground (sectors, ranges)."""
-    ground = level.ground
+    ground = leveled.ground
     places = _places(ground.half_extent_m, len(ground.heights_m))
-    slope = (ground.on(places) - np.float32(level.sensor_height_m)) / _RANGES_M.astype(np.float32)
+    slope = (ground.on(places) - np.float32(leveled.sensor_height_m)) / _RANGES_M.astype(np.float32)
     return slope.astype(np.float32, copy=False)
 
 
@@ -256,7 +256,7 @@ def _places(half_extent_m: float, nodes: int) -> Places:
     return places_of(xy, half_extent_m, nodes)
 
 
-def _reach_m(metre_tally: NDArray[np.int64]) -> float:
+def _reach_m(meter_tally: NDArray[np.int64]) -> float:
     """Return the range beyond which lies ``REACH_SHARE`` of the returns."""
-    beyond = np.cumsum(metre_tally[::-1])[::-1]
+    beyond = np.cumsum(meter_tally[::-1])[::-1]
     return float(np.count_nonzero(beyond > REACH_SHARE * beyond[0]))

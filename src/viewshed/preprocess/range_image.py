@@ -97,21 +97,21 @@ def put(pixel: Any, points: Any, limits: Any, images: Any, tallies: Any) -> None
     """Lower the images (rings, columns) of depth and of obstacles to the ranges of points, and tally those.
 
     ``points``: row in the sweep, range and height. ``limits``: height from which on they are obstacles, and range from
-    which on ground is tallied, by sectors and bins of range; those with a column are tallied by metres.
+    which on ground is tallied, by sectors and bins of range; those with a column are tallied by meters.
     """
     ring, column = pixel
     rows, range_m, height_m = points
     low_m, near_m = limits
     depth, obstacle = images
-    ground_tally, metre_tally = tallies
-    last = np.uint32(metre_tally.shape[0] - 1)
+    ground_tally, meter_tally = tallies
+    last = np.uint32(meter_tally.shape[0] - 1)
     per_bin, per_column = np.float32(1.0 / SHARE_BIN_M), np.float32(SHARE_SECTORS / depth.shape[1])
     for k in range(rows.shape[0]):
         n, d = np.uint64(rows[k]), range_m[k]
         high = height_m[k] > low_m
         if column[n] >= 0:
             r, c = np.uint32(ring[n]), np.uint32(column[n])
-            metre_tally[min(np.uint32(d), last)] += 1
+            meter_tally[min(np.uint32(d), last)] += 1
             if not high and d > near_m:
                 ground_tally[np.uint32(c * per_column), min(np.uint32(d * per_bin), np.uint32(SHARE_BINS - 1))] += 1
             depth[r, c] = min(depth[r, c], d)
@@ -120,7 +120,7 @@ def put(pixel: Any, points: Any, limits: Any, images: Any, tallies: Any) -> None
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_missing(counts: Any, depth: Any, awake: bool) -> Any:  # pragma: no cover - compiled
+def find_no_return(counts: Any, depth: Any, awake: bool) -> Any:  # pragma: no cover - compiled
     """Return the missing beams' ring and column (M, 2), lowest ring first, and the returns around them in the ring.
 
     Of the nearest pixel with a return on each side: depth (M, 2), +inf for none, and steps in columns (M, 2). With

@@ -24,7 +24,7 @@ _FINE = 512
 
 @njit(cache=True, nogil=True)
 def polar(points: Any) -> Any:  # pragma: no cover - compiled
-    """Return azimuth (N,) in [-π, π), slope z / range (N,) and horizontal range (N,) in metres; slope 0 at range 0."""
+    """Return azimuth (N,) in [-π, π), slope z / range (N,) and horizontal range (N,) in meters; slope 0 at range 0."""
     count = points.shape[0]
     azimuth = np.empty(count, np.float32)
     slope = np.empty(count, np.float32)
@@ -219,7 +219,7 @@ _SAMPLED_RINGS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beams:
+class RingAssignment:
     """The beam and the column of each return.
 
     Attributes:
@@ -252,7 +252,7 @@ class Beams:
         return 2.0 * np.pi / self.columns
 
 
-def recover_beams(sweep: Sweep, model: LidarModel | None = None) -> Beams:
+def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignment:
     """Return the beam and column of every return of ``sweep``.
 
     Rings come from the sweep's own ring column; else from the order of the points (ring after ring, as in KITTI
@@ -268,7 +268,7 @@ def recover_beams(sweep: Sweep, model: LidarModel | None = None) -> Beams:
     ring, rings, source = _rings(sweep, model, azimuth, slope, range_m)
     columns = _columns(azimuth, ring, range_m, model, source)
     column, placed, alone = count_alone(azimuth, ring, columns, rings)
-    return Beams(
+    return RingAssignment(
         ring=_frozen(ring),
         column=_frozen(column),
         columns=columns,
@@ -279,13 +279,13 @@ def recover_beams(sweep: Sweep, model: LidarModel | None = None) -> Beams:
     )
 
 
-def told_beams(sweep: Sweep) -> Beams:
+def rings_of_sweep(sweep: Sweep) -> RingAssignment:
     """Return the beams of ``sweep`` where its rings are told, not guessed from elevations alone.
 
     Raises:
         ValueError: the sweep has no rings, and neither the order of its points nor a sensor's table tells them.
     """
-    beams = recover_beams(sweep)
+    beams = recover_rings(sweep)
     if beams.source == "elevation bins":
         raise ValueError(
             "the sweep must have rings, got none that can be told; give its ring column or name its sensor"

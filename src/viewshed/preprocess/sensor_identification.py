@@ -36,7 +36,7 @@ _CROWDED = 1.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Told:
+class SensorId:
     """What is known of a sweep's beams.
 
     Attributes:
@@ -48,32 +48,32 @@ class Told:
     model: LidarModel | None
 
 
-NOTHING_TOLD = Told(None, None)
+UNIDENTIFIED = SensorId(None, None)
 
 
-def told_rings(sweep: Sweep) -> Told:
+def identify_sensor(sweep: Sweep) -> SensorId:
     """Return the sweep's own rings and sensor; where it has none, those that its points tell.
 
     Rings come from the order of the points, else from the nearest beam of the sensor, which :func:`infer_sensor` finds
     if it is not known. Neither is guessed: a cloud that no beam table explains has none.
     """
     if len(sweep) == 0 or (sweep.ring is not None and sweep.model is not None):
-        return Told(sweep.ring, sweep.model)
+        return SensorId(sweep.ring, sweep.model)
     if sweep.ring is not None:
         model = infer_sensor(sweep.points, sweep.ring)[0]
         fits = model is not None and int(sweep.ring.max()) < model.rings
-        return Told(sweep.ring, model if fits else None)
+        return SensorId(sweep.ring, model if fits else None)
     azimuth, slope, range_m = polar(sweep.points)
     ordered, model = rings_by_order(azimuth, slope), sweep.model
     if model is None:
         chosen = _sample(len(sweep))
         model = _best(slope[chosen], range_m[chosen], _drawn(ordered, chosen), len(sweep))[0]
     if ordered is not None and (model is None or int(ordered.max()) < model.rings):
-        return Told(ordered, model)
+        return SensorId(ordered, model)
     if model is None:
-        return NOTHING_TOLD
+        return UNIDENTIFIED
     match = match_beams(slope, range_m, model)
-    return Told(match.ring if match.excess >= EXPLAINED else None, model)
+    return SensorId(match.ring if match.excess >= EXPLAINED else None, model)
 
 
 def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:

@@ -1,4 +1,4 @@
-"""Scenes by hand: upright boxes and cylinders on a plane, in the ``level`` frame (metres, sensor above the origin)."""
+"""Scenes by hand: upright boxes and cylinders on a plane, in the ``level`` frame (meters, sensor above the origin)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Scene:
     Attributes:
         boxes: upright boxes.
         cylinders: upright cylinders.
-        slope: the ground rises by (a, b) metres for each metre of x and y; it is 0 below the sensor.
+        slope: the ground rises by (a, b) meters for each meter of x and y; it is 0 below the sensor.
     """
 
     boxes: tuple[Box, ...] = ()
@@ -41,7 +41,7 @@ class Scene:
             raise ValueError(f"slope must be two finite numbers, got {self.slope}")
 
     def ground_m(self, x_m: float, y_m: float) -> float:
-        """Return the ground's z in metres at (x, y).
+        """Return the ground's z in meters at (x, y).
 
         >>> Scene(slope=(0.1, 0.0)).ground_m(20.0, 3.0)
         2.0
@@ -49,7 +49,7 @@ class Scene:
         return self.slope[0] * x_m + self.slope[1] * y_m
 
     def world(self) -> World:
-        """Return the scene as a world, each solid a thing on the ground below its centre."""
+        """Return the scene as a world, each solid a thing on the ground below its center."""
         solids: tuple[Box | Cylinder, ...] = (*self.boxes, *self.cylinders)
         things = tuple(Thing("solid", (replace(s, x_m=0.0, y_m=0.0),), s.x_m, s.y_m) for s in solids)
         return World("scene", Terrain.plane(_HALF_EXTENT_M, self.slope), things)
@@ -70,7 +70,7 @@ def scan_of(
 def depth_image(
     model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
 ) -> NDArray[np.float64]:
-    """Return (rings, azimuth_columns) metres from each beam's start to its first hit; inf where it hits nothing.
+    """Return (rings, azimuth_columns) meters from each beam's start to its first hit; inf where it hits nothing.
 
     >>> model = LidarModel("one", np.deg2rad([-30.0]), azimuth_columns=4)
     >>> depth_image(model, Scene(), sensor_height_m=2.0).round(5).tolist()

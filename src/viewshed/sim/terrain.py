@@ -22,7 +22,7 @@ class Terrain:
     """Ground heights over a rectilinear lattice in the world frame; two triangles a quad, the edge holds beyond.
 
     The diagonal of quad (i, j) runs from node (i, j) to node (i + 1, j + 1). A curb is two lines a few
-    centimetres apart.
+    centimeters apart.
 
     Attributes:
         x_m: (nx,) ascending lines.
@@ -57,7 +57,7 @@ class Terrain:
 
     @classmethod
     def plane(cls, half_extent_m: float, slope: tuple[float, float] = (0.0, 0.0), material: str = "asphalt") -> Terrain:
-        """Return one quad that rises by ``slope`` (a, b) metres for each metre of x and y, 0 at the origin.
+        """Return one quad that rises by ``slope`` (a, b) meters for each meter of x and y, 0 at the origin.
 
         >>> float(Terrain.plane(50.0, (0.1, 0.0)).at([[20.0, 3.0]])[0])
         2.0
@@ -83,7 +83,7 @@ class Terrain:
         return cls(x, y, heights, material(*middles))
 
     def at(self, xy: FloatArray | ArrayLike) -> NDArray[np.float64]:
-        """Return ground z (…,) in metres at points (…, 2+) of the world, exact on the triangles."""
+        """Return ground z (…,) in meters at points (…, 2+) of the world, exact on the triangles."""
         points = np.asarray(xy, dtype=np.float64)
         out = np.empty(points.shape[:-1])
         flat = np.ascontiguousarray(points.reshape(-1, points.shape[-1]))
@@ -107,7 +107,7 @@ class Terrain:
         return heights, inside
 
     def normals_at(self, xy: FloatArray | ArrayLike, over_m: float = 1.0) -> NDArray[np.float64]:
-        """Return unit normals (…, 3) of the ground around points (…, 2+), by differences over ``over_m`` metres."""
+        """Return unit normals (…, 3) of the ground around points (…, 2+), by differences over ``over_m`` meters."""
         steps = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * over_m / 2
         z = self.at(np.asarray(xy, np.float64)[..., None, :2] + steps)
         normals = np.stack([z[..., 1] - z[..., 0], z[..., 3] - z[..., 2], np.full(z.shape[:-1], over_m)], axis=-1)
@@ -115,7 +115,7 @@ class Terrain:
 
     @cached_property
     def _lookups(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Return for each step of 1/8 metre the line at or before it, along x and y."""
+        """Return for each step of 1/8 meter the line at or before it, along x and y."""
         return _lookup(self.x_m), _lookup(self.y_m)
 
 

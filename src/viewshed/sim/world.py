@@ -59,7 +59,7 @@ class Track:
 
     Attributes:
         t_s: (k,) ascending seconds.
-        xy_m: (k, 2) metres in the world.
+        xy_m: (k, 2) meters in the world.
         yaw: (k,) radians, continuous (it may pass π).
     """
 
@@ -77,12 +77,12 @@ class Track:
             raise ValueError("a track must have ascending t_s (k,), xy_m (k, 2) and yaw (k,)")
 
     def at(self, t_s: float) -> tuple[float, float, float]:
-        """Return x and y in metres and yaw in radians at ``t_s``."""
+        """Return x and y in meters and yaw in radians at ``t_s``."""
         x, y, yaw = self.over(np.array([t_s]))[0]
         return float(x), float(y), float(yaw)
 
     def over(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, 3) x and y in metres and yaw in radians at times (n,)."""
+        """Return (n, 3) x and y in meters and yaw in radians at times (n,)."""
         out = np.empty((len(t_s), 3))
         follow(np.asarray(t_s, np.float64), self.t_s, self.knots, (0, len(self.t_s)), out)
         return out
@@ -118,7 +118,7 @@ class Thing:
     z_m: float | None = None
 
     def place(self, t_s: float) -> tuple[float, float, float]:
-        """Return x and y in metres and yaw in radians at ``t_s``."""
+        """Return x and y in meters and yaw in radians at ``t_s``."""
         return (self.x_m, self.y_m, self.yaw) if self.track is None else self.track.at(t_s)
 
 
@@ -263,7 +263,7 @@ class World:
     @cached_property
     def _parts(self) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64],
                               NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
-        """Kind, thing, material, half sizes, and in the frame of the thing centre and yaw of every solid."""
+        """Kind, thing, material, half sizes, and in the frame of the thing center and yaw of every solid."""
         parts = [(index, part) for index, thing in enumerate(self.things) for part in thing.parts]
         kind = np.array([KINDS[type(part)] for _, part in parts], np.uint8)
         thing = np.array([index for index, _ in parts], np.int32)
@@ -274,7 +274,7 @@ class World:
 
     @cached_property
     def _rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Centres and rotations of all solids at time 0."""
+        """Centers and rotations of all solids at time 0."""
         thing = self._parts[1]
         rotation, origin = self._poses(np.zeros(1), np.arange(len(self.things)))
         return self._placed(np.arange(len(thing)), rotation[0, thing], origin[0, thing])

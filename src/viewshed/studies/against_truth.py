@@ -14,8 +14,8 @@ from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.metrics import Mask, Tally
-from viewshed.sweep import Sweep, bare_points, unorganised, unorganised_no_sensor
+from viewshed.metrics import ConfusionCounts, Mask
+from viewshed.sweep import Sweep, bare_points, unorganized, unorganized_no_sensor
 
 ALL = "all"
 
@@ -47,7 +47,7 @@ class Contest:
     threshold: float = THRESHOLD
 
 
-Scores = dict[tuple[str, str, str], Tally]
+Scores = dict[tuple[str, str, str], ConfusionCounts]
 """By estimator, form of the sweep, and part of the grid."""
 
 
@@ -58,7 +58,7 @@ def evaluate_truth(samples: Iterable[Sample], contest: Contest) -> Scores:
         samples: with truth for the contest's target.
         contest: who is compared.
     """
-    scores: Scores = defaultdict(lambda: Tally(samples=0))
+    scores: Scores = defaultdict(lambda: ConfusionCounts(samples=0))
     made: dict[tuple[str, BevGrid], FovEstimator] = {}
     for sample in samples:
         grid, true = sample.truth.grid, sample.truth.visible(contest.target)
@@ -70,19 +70,21 @@ def evaluate_truth(samples: Iterable[Sample], contest: Contest) -> Scores:
                     made[name, grid] = make(grid)
                 claimed = made[name, grid].estimate(sweep).visible(contest.threshold)
                 for part, among in parts.items():
-                    scores[name, form, part] += Tally.of(claimed, true, among, grid.cell_area_m2)
+                    scores[name, form, part] += ConfusionCounts.of(claimed, true, among, grid.cell_area_m2)
     return dict(scores)
 
 
 def compare_definitions(samples: Iterable[Sample], contest: Contest) -> Scores:
     """Return the tallies of the other definitions of visible against ``probe``, ours; the form is empty."""
-    scores: Scores = defaultdict(lambda: Tally(samples=0))
+    scores: Scores = defaultdict(lambda: ConfusionCounts(samples=0))
     for sample in samples:
         true, parts = sample.truth.visible(contest.target), _parts(sample, contest)
         for name in OTHER_DEFINITIONS:
             if name in sample.truth.definitions:
                 for part, among in parts.items():
-                    tally = Tally.of(sample.truth.definitions[name], true, among, sample.truth.grid.cell_area_m2)
+                    tally = ConfusionCounts.of(
+                        sample.truth.definitions[name], true, among, sample.truth.grid.cell_area_m2
+                    )
                     scores[name, "", part] += tally
     return dict(scores)
 
@@ -107,8 +109,8 @@ def as_measured(sweep: Sweep) -> Sweep:
 
 FORMS: dict[str, Form] = {
     "rings known": as_measured,
-    "unorganised": unorganised,
-    "unorganised, no sensor": unorganised_no_sensor,
+    "unorganized": unorganized,
+    "unorganized, no sensor": unorganized_no_sensor,
     "bare points": bare_points,
 }
 """In which form a sweep may be given, by name."""

@@ -221,7 +221,7 @@ class Scene:
         grid: of the masks.
         truth: (cells, cells) bool.
         known: (cells, cells) bool, where there is truth.
-        points: (N, 2) x and y of the returns in metres.
+        points: (N, 2) x and y of the returns in meters.
         added: (N,) bool, the attacker's.
         wedge: azimuth and width in radians, or None.
         claims: by estimator, (cells, cells) bool.

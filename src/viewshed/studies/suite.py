@@ -25,7 +25,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.studies.statistics import Reference
 from viewshed.sweep import Sweep
 
@@ -54,9 +54,9 @@ Probs = dict[str, NDArray[np.float32]]
 
 @runtime_checkable
 class OfLevel(Protocol):
-    """An estimator that takes a sweep already levelled: several share one levelling."""
+    """An estimator that takes a sweep already leveled: several share one leveling."""
 
-    def estimate_level(self, level: LevelSweep) -> FovEstimate:
+    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
         """Return the estimate."""
         ...
 
@@ -88,8 +88,8 @@ class Contestants:
         """
         key = _fingerprint(sweep)
         if key not in self._recent:
-            level = level_sweep(sweep, self.grid)
-            found = {name: estimate_of(each, level, sweep) for name, each in self.estimators.items()}
+            leveled = level(sweep, self.grid)
+            found = {name: estimate_of(each, leveled, sweep) for name, each in self.estimators.items()}
             self._recent[key] = {name: self._placed(estimate) for name, estimate in found.items()}
             if len(self._recent) > _RECENT:
                 del self._recent[next(iter(self._recent))]
@@ -123,12 +123,12 @@ def paper(sample: Sample) -> Contestants:
 
 
 def _pose(sample: Sample, grid: BevGrid) -> Rigid | None:
-    return level_sweep(sample.sweep, grid).world_from_level
+    return level(sample.sweep, grid).world_from_level
 
 
-def estimate_of(estimator: FovEstimator, level: LevelSweep, sweep: Sweep) -> FovEstimate:
-    """Return the estimate for a sweep, whose levelling is used by those who take one."""
-    return estimator.estimate_level(level) if isinstance(estimator, OfLevel) else estimator.estimate(sweep)
+def estimate_of(estimator: FovEstimator, leveled: LeveledSweep, sweep: Sweep) -> FovEstimate:
+    """Return the estimate for a sweep, whose leveling is used by those who take one."""
+    return estimator.estimate_level(leveled) if isinstance(estimator, OfLevel) else estimator.estimate(sweep)
 
 
 def _fingerprint(sweep: Sweep) -> bytes:
@@ -142,8 +142,8 @@ def _fingerprint(sweep: Sweep) -> bytes:
 
 def _moved(one: Rigid, other: Rigid) -> bool:
     """Return whether two poses differ in heading or place; a tilt alone leaves the cells where they are."""
-    level = one.inverse() @ other
-    return bool(abs(level.yaw) > 1e-9 or np.hypot(*level.translation[:2]) > 1e-6)
+    leveled = one.inverse() @ other
+    return bool(abs(leveled.yaw) > 1e-9 or np.hypot(*leveled.translation[:2]) > 1e-6)
 
 
 BEFORE_S = (2.0, 0.5)

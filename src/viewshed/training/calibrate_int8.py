@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.metrics import Scores
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.training.config import TrainConfig
-from viewshed.training.samples import Drawn, TrainingFrames
-from viewshed.training.sources import FRESH_PER_SCENE, Fresh
+from viewshed.training.samples import TrainingFrames, TrainingSample
+from viewshed.training.sources import FRESH_PER_SCENE, OnlineSimulation
 
 MOST_LOSS = 0.002
 """F1 that a network in bytes may lose."""
@@ -66,7 +66,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     content = Path(network).read_bytes()
     whole = OnnxRunner.of_content(content, str(network), 1)
     _check(config, whole)
-    source = TrainingFrames(Fresh(config, 2 * frames * FRESH_PER_SCENE), config)
+    source = TrainingFrames(OnlineSimulation(config, 2 * frames * FRESH_PER_SCENE), config)
     drawn = (source.draw(_EPOCH, number * FRESH_PER_SCENE) for number in range(2 * frames))
     shown = [next(drawn).maps for _ in range(frames)]
     told = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
@@ -77,7 +77,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
             f"F1 in bytes must be within {MOST_LOSS} of float32, got {found.f1_bytes:.4f} and {found.f1:.4f}; calibrate"
             " with more frames, or keep float32"
         )
-    write_bytes(out, made)
+    write_atomic(out, made)
     return found
 
 
@@ -91,7 +91,7 @@ def _check(config: TrainConfig, runner: OnnxRunner) -> None:
             )
 
 
-def _compared(whole: OnnxRunner, small: OnnxRunner, frames: list[Drawn]) -> Quantized:
+def _compared(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample]) -> Quantized:
     scores, away, flipped = (Scores(), Scores()), [], []
     for frame in frames:
         probs = [_probability(runner, frame) for runner in (whole, small)]
@@ -104,6 +104,6 @@ def _compared(whole: OnnxRunner, small: OnnxRunner, frames: list[Drawn]) -> Quan
     return Quantized(f1, f1_bytes, float(np.mean(away)), float(np.mean(flipped)))
 
 
-def _probability(runner: OnnxRunner, frame: Drawn) -> Floats:
+def _probability(runner: OnnxRunner, frame: TrainingSample) -> Floats:
     found: Floats = runner.run(runner.card.shown(frame.maps)[None], runner.card.shape.no_masks(1))[0]
     return found

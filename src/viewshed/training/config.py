@@ -13,7 +13,7 @@ from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import COUNTS, TRUTHS, NetworkCard
-from viewshed.networks.features import PAST_CHANNELS
+from viewshed.networks.features import HISTORY_FEATURES
 from viewshed.threats.attacks import ATTACKS
 
 PAPER = "paper"
@@ -140,8 +140,8 @@ class TrainConfig:
         self._check_data()
         if self.doubt_frames and not self.shape.dropout:
             raise ValueError("doubt_frames must be 0 without dropout: there is no deviation to learn; use variant mcd")
-        if not self.past_share and not set(PAST_CHANNELS).isdisjoint(self.inputs):
-            raise ValueError(f"past_share must be above 0 with the inputs {', '.join(PAST_CHANNELS)}, got 0")
+        if not self.past_share and not set(HISTORY_FEATURES).isdisjoint(self.inputs):
+            raise ValueError(f"past_share must be above 0 with the inputs {', '.join(HISTORY_FEATURES)}, got 0")
         _ = self.card()
 
     def _check_attacks(self) -> None:
@@ -211,11 +211,11 @@ class TrainConfig:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        return cls(**flat.values_of(cls, table, "training config"))
+        return cls(**flat.from_dict(cls, table, "training config"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the config as plain values."""
-        return flat.plain(self)
+        return flat.to_dict(self)
 
 
 def config_names() -> tuple[str, ...]:

@@ -76,7 +76,7 @@ class FoldStore:
         store = cls(path, {})
         if not journal.is_begun(path):
             folder.mkdir(parents=True, exist_ok=True)
-            journal.append(path, about)
+            journal.append_jsonl(path, about)
             return store
         try:
             head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
@@ -101,7 +101,7 @@ class FoldStore:
         Raises:
             OSError: it cannot be written.
         """
-        journal.append(self.path, asdict(score))
+        journal.append_jsonl(self.path, asdict(score))
         self.scores[score.setting, score.fold] = score
 
 

@@ -14,13 +14,13 @@ import numpy as np
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.archive.archive import Archive
 from viewshed.datasets.archive.manifest import MANIFEST
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import recipe_of, simulate
 from viewshed.training.config import TrainConfig
 from viewshed.training.sample_cache import kept_of
 from viewshed.training.samples import VALIDATION_EPOCH, TrainingFrames
-from viewshed.training.sources import FRESH_PER_SCENE, Archived, Fresh, PaperLabels, check_archives, on_grid
+from viewshed.training.sources import FRESH_PER_SCENE, Archived, OnlineSimulation, PaperLabels, check_archives, on_grid
 
 Told = Callable[[str, int, int], None]
 """Is told what is being prepared, how many frames are done and how many there are."""
@@ -110,7 +110,7 @@ def prepare(config: TrainConfig, cache: Path, fold: Fold | None = None, told: To
     if config.fresh:
         new = (_simulated(_held_out(config, name), cache, told) for name in config.data)
         validation = _archived(config, tuple(new), cache, told, (VALIDATION_EPOCH, 0))
-        fresh = Fresh(config, config.frames_per_epoch)
+        fresh = OnlineSimulation(config, config.frames_per_epoch)
         return Frames(TrainingFrames(fresh, config, mirrored=config.mirrored), validation)
     archives = [_train_split(config, place, cache, told) for place in config.data]
     check_archives(config, archives)
@@ -180,7 +180,7 @@ def _held_out(config: TrainConfig, name: str) -> Preset:
 
 def _simulated(preset: Preset, cache: Path, told: Told | None) -> Archive:
     """Return the archive of a preset below ``cache``, made now unless it is there."""
-    store = Store.of(cache / f"{preset.name}-{preset.grid_cells}x{preset.grid_half_extent_m:g}")
+    store = Storage.of(cache / f"{preset.name}-{preset.grid_cells}x{preset.grid_half_extent_m:g}")
     with contextlib.suppress(ValueError, OSError):
         archive = Archive.open(store.uri)
         if archive.manifest.recipe == recipe_of(preset):
@@ -209,7 +209,7 @@ def processes_for(frames: int) -> int:
 
 
 def _archive(place: str) -> Archive:
-    store = Store.of(place)
+    store = Storage.of(place)
     if MANIFEST not in store.names():
         raise ValueError(f"data must name presets or archives, got {place!r}: no archive is there, and no such preset")
     return Archive.open(place)

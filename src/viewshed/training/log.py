@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed._jobs import J, LocalEngine
 from viewshed.training.config import TrainConfig
 
@@ -60,7 +60,7 @@ def save(path: Path, content: bytes) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, content)
+        write_atomic(path, content)
     except OSError as error:
         what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}; mend that"
         named = type(error)(f"{path}: {what} and start the same command again, it goes on from the last whole epoch")

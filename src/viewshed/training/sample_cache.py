@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import viewshed
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
 from viewshed.training.config import TrainConfig
 from viewshed.training.log import make_files
-from viewshed.training.samples import Drawn, TrainingFrames
+from viewshed.training.samples import TrainingFrames, TrainingSample
 
 _LAYOUT = 5
 
@@ -35,7 +35,7 @@ _DECIDE = (
 
 
 @dataclass(frozen=True, slots=True)
-class KeptOnDisk:
+class SampleCache:
     """Frames of a config in rows: a byte of each cell for each channel, two bits for visible and known. 256 a file.
 
     Each channel has files of its own, so that trainings on other channels of the same frames share them.
@@ -56,7 +56,7 @@ class KeptOnDisk:
     first: int
     versions: int
 
-    def frame(self, epoch: int, index: int) -> Drawn:
+    def frame(self, epoch: int, index: int) -> TrainingSample:
         """Return a frame in the version of an epoch.
 
         Raises:
@@ -69,7 +69,7 @@ class KeptOnDisk:
         place, size = ((epoch - self.first) % self.versions, block), self.cells**2
         maps = [_rows(self.path(*place, name))[row].reshape(self.cells, self.cells) for name in self.inputs]
         bits = np.unpackbits(_rows(self.path(*place, _TRUTH))[row], axis=1, count=size).astype(np.bool_)
-        return Drawn(np.stack(maps), *bits.reshape(2, self.cells, self.cells))
+        return TrainingSample(np.stack(maps), *bits.reshape(2, self.cells, self.cells))
 
     def path(self, version: int, block: int, name: str) -> Path:
         """Return where a channel, or the truth, of a block of a version is."""
@@ -102,15 +102,15 @@ class KeptOnDisk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    kept: KeptOnDisk
+    kept: SampleCache
     frames: TrainingFrames
     version: int
     block: int
     names: tuple[str, ...]
 
 
-def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int) -> KeptOnDisk:
-    """Return where the frames of archives are kept, which :meth:`KeptOnDisk.make` makes.
+def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int) -> SampleCache:
+    """Return where the frames of archives are kept, which :meth:`SampleCache.make` makes.
 
     Args:
         config: what decides the frames, beside the archives.
@@ -123,7 +123,7 @@ def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, fi
     shards = [shard.sha256 for archive in archives for shard in archive.shards]
     words = [_LAYOUT, viewshed.__version__, first, config.card().clip, {key: table[key] for key in _DECIDE}, shards]
     name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
-    return KeptOnDisk(folder / name, config.inputs, config.cells, sum(map(len, archives)), first, versions)
+    return SampleCache(folder / name, config.inputs, config.cells, sum(map(len, archives)), first, versions)
 
 
 def _make_block(job: _Job) -> int:
@@ -142,7 +142,7 @@ def _make_block(job: _Job) -> int:
 def _write(job: _Job, name: str, rows: NDArray[np.uint8]) -> None:
     buffer = io.BytesIO()
     np.save(buffer, rows)
-    write_bytes(job.kept.path(job.version, job.block, name), buffer.getvalue())
+    write_atomic(job.kept.path(job.version, job.block, name), buffer.getvalue())
 
 
 @lru_cache(maxsize=_OPEN)

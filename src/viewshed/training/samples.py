@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.preprocess.history import PAST_SWEEPS
-from viewshed.sweep import Sweep, unorganised_no_sensor
+from viewshed.preprocess.history import HISTORY_SWEEPS
+from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import (
     ATTACKS,
     BUDGETS,
@@ -150,13 +150,13 @@ class _Purpose(IntEnum):
 class KeptFrames(Protocol):
     """Frames that were made before."""
 
-    def frame(self, epoch: int, index: int) -> Drawn:
+    def frame(self, epoch: int, index: int) -> TrainingSample:
         """Return one of them."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class TrainingSample:
     """A frame before it is shown to the network.
 
     Attributes:
@@ -169,13 +169,13 @@ class Drawn:
     visible: NDArray[np.bool_]
     known: NDArray[np.bool_]
 
-    def turned(self, turn: int) -> Drawn:
+    def turned(self, turn: int) -> TrainingSample:
         """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
 
         >>> Drawn(np.array([[[1, 2], [3, 4]]]), np.eye(2, dtype=bool), np.eye(2, dtype=bool)).turned(5).maps.tolist()
         [[[3, 4], [1, 2]]]
         """
-        return Drawn(_turned(self.maps, turn), _turned(self.visible, turn), _turned(self.known, turn))
+        return TrainingSample(_turned(self.maps, turn), _turned(self.visible, turn), _turned(self.known, turn))
 
 
 def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
@@ -226,22 +226,22 @@ class TrainingFrames:
             "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
         }
 
-    def draw(self, epoch: int, index: int) -> Drawn:
+    def draw(self, epoch: int, index: int) -> TrainingSample:
         """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(epoch, index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
         struck = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
         shown = struck.sweep, *self._past(epoch, index, struck)
         if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
-            shown = tuple(map(unorganised_no_sensor, shown))
-        return Drawn(self.config.card().maps_of(shown[0], shown[1:]), clean.visible, clean.known)
+            shown = tuple(map(unorganized_no_sensor, shown))
+        return TrainingSample(self.config.card().maps_of(shown[0], shown[1:]), clean.visible, clean.known)
 
     def _past(self, epoch: int, index: int, struck: Struck) -> tuple[Sweep, ...]:
         """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks."""
         rng = self._rng(epoch, index, _Purpose.PAST)
-        if rng.random() >= self.config.past_share or not self.config.card().uses_past:
+        if rng.random() >= self.config.past_share or not self.config.card().uses_history:
             return ()
-        earlier = self.source.earlier(epoch, index, int(rng.integers(1, PAST_SWEEPS + 1)))
+        earlier = self.source.earlier(epoch, index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
         return struck.before(earlier, rng) if rng.random() < _LASTING else earlier
 
     def _blank(self) -> Arrays:

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
 from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.archive.shard import ShardFacts
@@ -109,7 +109,7 @@ def label_shard(job: LabelJob) -> int:
     masks = [paper_label(sweep, job.labels.grid, job.labels.indoor) for sweep in sweeps]
     buffer = io.BytesIO()
     np.save(buffer, np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
-    write_bytes(job.labels.path(job.shard), buffer.getvalue())
+    write_atomic(job.labels.path(job.shard), buffer.getvalue())
     return job.shard.frames
 
 
@@ -128,7 +128,7 @@ _FRESH = 0x7665777368
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Clean:
+class CleanSample:
     """A sweep that nobody attacked, and what there is to see.
 
     Attributes:
@@ -152,7 +152,7 @@ class CleanFrames(Protocol):
         """Frames in a row that are best read one after the other; 1 where it does not matter."""
         ...
 
-    def clean(self, epoch: int, index: int) -> Clean:
+    def clean(self, epoch: int, index: int) -> CleanSample:
         """Return one frame."""
         ...
 
@@ -183,7 +183,7 @@ class Archived:
     def __len__(self) -> int:
         return sum(map(len, self.archives))
 
-    def clean(self, epoch: int, index: int) -> Clean:
+    def clean(self, epoch: int, index: int) -> CleanSample:
         """Return one frame, of any epoch.
 
         Raises:
@@ -218,7 +218,7 @@ class Archived:
 
 
 @dataclass(frozen=True, slots=True)
-class Fresh:
+class OnlineSimulation:
     """Frames of scenes that no epoch has seen before; 8 of each scene, the presets in turn.
 
     Attributes:
@@ -237,7 +237,7 @@ class Fresh:
         """Frames of one scene."""
         return FRESH_PER_SCENE
 
-    def clean(self, epoch: int, index: int) -> Clean:
+    def clean(self, epoch: int, index: int) -> CleanSample:
         """Return one frame, simulated now."""
         frame = simulate_frame(*self._place(epoch, index))
         if self.config.truth == "probe":
@@ -285,12 +285,12 @@ def _row(archive: Archive, at: int) -> int:
     raise IndexError(f"index must be below {len(archive)}, the number of frames")
 
 
-def _with_truth(frame: Frame, config: TrainConfig) -> Clean:
-    return Clean(frame.sweep, frame.truth.visible(config.target), frame.known)
+def _with_truth(frame: Frame, config: TrainConfig) -> CleanSample:
+    return CleanSample(frame.sweep, frame.truth.visible(config.target), frame.known)
 
 
-def _with_label(sweep: Sweep, label: NDArray[np.bool_]) -> Clean:
-    return Clean(sweep, label, np.ones(label.shape, np.bool_))
+def _with_label(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
+    return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
 
 
 def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:

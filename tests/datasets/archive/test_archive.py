@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from viewshed.datasets import Archive, ArchiveWriter, Sample, Store, write_archive, write_shard
+from viewshed.datasets import Archive, ArchiveWriter, Sample, Storage, write_archive, write_shard
 from viewshed.datasets.archive.shard import Shard
 from viewshed.sensors import lidar_model
 
@@ -39,7 +39,7 @@ def _equal(one: Any, other: Any) -> bool:
 def test_every_sample_comes_back_as_it_was(
     seed: int, image: bool, cells: int, make_sample: MakeSample, tmp_path: Path
 ) -> None:
-    store = Store.of(tmp_path / "one")
+    store = Storage.of(tmp_path / "one")
     sample = make_sample(seed, image=image, cells=cells, scene="Straße 7", split="train")
     facts = write_shard(store, "a.parquet", [sample])
     back = Shard(store, "a.parquet").frame(0).sample(facts.scene, facts.split)
@@ -183,7 +183,7 @@ def test_a_bad_manifest_is_one_line(archive: Archive, tmp_path: Path, before: st
 
 
 def test_a_shard_of_another_schema_is_refused(make_sample: MakeSample, tmp_path: Path) -> None:
-    store = Store.of(tmp_path)
+    store = Storage.of(tmp_path)
     write_shard(store, "a.parquet", [make_sample(0)])
     table = pq.read_table(tmp_path / "a.parquet")
     for version, message in (
@@ -201,7 +201,7 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_writer_refuses_what_does_not_fit(make_sample: MakeSample, tmp_path: Path) -> None:
-    store = Store.of(tmp_path / "shards")
+    store = Storage.of(tmp_path / "shards")
     with pytest.raises(ValueError, match="one scene, got train/b after train/s0"):
         write_shard(store, "a.parquet", [make_sample(0), make_sample(1, scene="b")])
     with pytest.raises(ValueError, match="at least one frame"):

@@ -9,8 +9,8 @@ import pytest
 
 from viewshed import GRIDS, Sweep, write_sweep
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.build import Made
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.build import ShardResult
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.tampered import AttackPlan, of_recording, spoil
 
 ONE = LocalEngine(1)
@@ -39,15 +39,15 @@ def recording(tmp_path: Path) -> Path:
 
 def run(recording: Path, out: Path, stop_after: int = 9) -> list[str]:
     """Return the lines that a run tells; it is stopped once so many shards are there."""
-    told: list[Made] = []
+    told: list[ShardResult] = []
 
-    def progress(made: Made) -> None:
+    def progress(made: ShardResult) -> None:
         told.append(made)
         if len(told) == stop_after:
             raise _StoppedError
 
     with contextlib.suppress(_StoppedError):
-        spoil(of_recording(str(recording), GRIDS["indoor"]), PLAN, Store.of(out), ONE, 0, progress)
+        spoil(of_recording(str(recording), GRIDS["indoor"]), PLAN, Storage.of(out), ONE, 0, progress)
     return [line for made in told for line in made.problems]
 
 

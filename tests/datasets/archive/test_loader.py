@@ -39,7 +39,7 @@ def test_the_truth_is_the_sample_s(frames: ArchiveFrames) -> None:
     assert (pedestrian == (frames.archive[2].truth.expected_returns["pedestrian"] >= 3)).all()
 
 
-def test_a_tilted_sensor_is_levelled(tmp_path: Path) -> None:
+def test_a_tilted_sensor_is_leveled(tmp_path: Path) -> None:
     """A sensor that looks 30° down and left: a point 10 m along its own x falls where trigonometry says."""
     pitch, yaw = np.deg2rad(30.0), 1.1
     down = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])

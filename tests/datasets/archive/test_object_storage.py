@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from viewshed.datasets import Archive, Store
+from viewshed.datasets import Archive, Storage
 
 COMMAND = "from viewshed.cli import main; main()"
 SMALL = ["nuscenes-small", "--sweeps", "60", "--grid", "32x32", "--workers", "2"]
@@ -19,7 +19,7 @@ def test_simulate_into_a_bucket_and_read_back(s3: str, tmp_path: Path) -> None:
     for out in (str(tmp_path / "set"), f"{place}?{s3}"):
         ended = _run("simulate", *SMALL, "--out", out)
         assert ended.returncode == 0, ended.stderr
-    local, remote = Store.of(tmp_path / "set"), Store.of(f"{place}?{s3}")
+    local, remote = Storage.of(tmp_path / "set"), Storage.of(f"{place}?{s3}")
     assert remote.names() == local.names()
     assert {name: remote.read(name) for name in remote.names()} == {name: local.read(name) for name in local.names()}
     here, there = Archive.open(tmp_path / "set"), Archive.open(f"{place}?{s3}")
@@ -33,7 +33,7 @@ def test_simulate_into_a_bucket_and_read_back(s3: str, tmp_path: Path) -> None:
 def test_a_missing_shard_is_made_again(s3: str, tmp_path: Path) -> None:
     uri = f"s3://data/{tmp_path.name}/set?{s3}"
     assert _run("simulate", *SMALL, "--out", uri).returncode == 0
-    store = Store.of(uri)
+    store = Storage.of(uri)
     before = {name: store.read(name) for name in store.names()}
     shards = [name for name in before if name.endswith(".parquet")]
     store.delete(shards[1])

@@ -18,20 +18,20 @@ import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 import pytest
 
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 
 
 @pytest.fixture(params=["folder", "file", "s3", "gs"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
     if request.param == "folder":
-        return Store.of(tmp_path / "new folder é" / "deep")
+        return Storage.of(tmp_path / "new folder é" / "deep")
     if request.param == "file":
-        return Store.of(f"file://{tmp_path}/of/uri")
+        return Storage.of(f"file://{tmp_path}/of/uri")
     bucket = {"s3": "s3://data", "gs": "gs://anonymous@data"}[request.param]
-    return Store.of(f"{bucket}/{tmp_path.name}/deep?{request.getfixturevalue(request.param)}")
+    return Storage.of(f"{bucket}/{tmp_path.name}/deep?{request.getfixturevalue(request.param)}")
 
 
-def test_write_read_list_delete(store: Store) -> None:
+def test_write_read_list_delete(store: Storage) -> None:
     assert store.names() == []
     contents = {"b.parquet": bytes(range(256)) * 9, "a/1.json": b"{}", "a.json": b"", "a/é 2": b"x"}
     for name, content in contents.items():
@@ -46,7 +46,7 @@ def test_write_read_list_delete(store: Store) -> None:
     assert store.names() == ["a.json", "a/é 2", "b.parquet"]
 
 
-def test_many_are_deleted_together(store: Store) -> None:
+def test_many_are_deleted_together(store: Storage) -> None:
     for number in range(40):
         store.write(f"{number}.json", b"{}")
     store.delete(*(f"{number}.json" for number in range(40) if number != 7))
@@ -56,19 +56,19 @@ def test_many_are_deleted_together(store: Store) -> None:
         store.delete("8.json", "7.json")
 
 
-def test_a_store_elsewhere_is_another(store: Store) -> None:
+def test_a_store_elsewhere_is_another(store: Storage) -> None:
     store.write("x", b"1")
-    assert Store.of(f"{store.uri.partition('?')[0]}er?{store.uri.partition('?')[2]}".rstrip("?")).names() == []
+    assert Storage.of(f"{store.uri.partition('?')[0]}er?{store.uri.partition('?')[2]}".rstrip("?")).names() == []
 
 
-def test_it_travels(store: Store) -> None:
+def test_it_travels(store: Storage) -> None:
     store.write("x", b"1")
     copy = pickle.loads(pickle.dumps(store))  # noqa: S301 - our own
     assert copy == store
     assert copy.read("x") == b"1"
 
 
-def test_parquet_reads_a_part(store: Store) -> None:
+def test_parquet_reads_a_part(store: Storage) -> None:
     table = pa.table({"row": np.arange(100_000)})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, row_group_size=1000)
@@ -77,7 +77,7 @@ def test_parquet_reads_a_part(store: Store) -> None:
         assert pq.ParquetFile(file).read_row_group(42)["row"].to_numpy().tolist() == list(range(42_000, 43_000))
 
 
-def test_a_missing_file_is_named(store: Store) -> None:
+def test_a_missing_file_is_named(store: Storage) -> None:
     store.write("there", b"1")
     for act in (store.read, store.size, store.delete, store.open):
         with pytest.raises(FileNotFoundError) as raised:
@@ -86,14 +86,14 @@ def test_a_missing_file_is_named(store: Store) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "/etc/passwd", "../up", "a/../../up", "a\\b", "."])
-def test_names_stay_inside(store: Store, name: str) -> None:
+def test_names_stay_inside(store: Storage, name: str) -> None:
     with pytest.raises(ValueError, match="name must be relative and stay inside"):
         store.write(name, b"1")
 
 
 def test_another_library_sees_the_same_objects(s3: str, tmp_path: Path) -> None:
     boto3 = pytest.importorskip("boto3")
-    store = Store.of(f"s3://data/{tmp_path.name}?{s3}")
+    store = Storage.of(f"s3://data/{tmp_path.name}?{s3}")
     store.write("a/b", b"ours" * 3_000_000)
     endpoint = "http://" + s3.partition("endpoint_override=")[2].partition("&")[0]
     client = boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1")
@@ -120,7 +120,7 @@ store.write("shard", b"new" * 50_000_000)
 """
 
 
-def test_a_killed_writer_leaves_the_old_file(store: Store) -> None:
+def test_a_killed_writer_leaves_the_old_file(store: Storage) -> None:
     store.write("shard", b"old")
     ended = subprocess.run([sys.executable, "-c", KILLED, store.uri], check=False)
     assert ended.returncode == -signal.SIGKILL
@@ -133,7 +133,7 @@ def test_a_killed_writer_leaves_the_old_file(store: Store) -> None:
 
 def test_hidden_files_of_others_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / ".notes.part").write_text("mine")
-    store = Store.of(tmp_path)
+    store = Storage.of(tmp_path)
     store.clear_drafts()
     assert store.names() == [".notes.part"]
 
@@ -149,7 +149,7 @@ def test_a_disk_that_refuses(number: int, words: str, tmp_path: Path, monkeypatc
 
     monkeypatch.setattr("os.fsync", refuse)
     with pytest.raises(OSError, match=words) as raised:
-        Store.of(tmp_path).write("x.parquet", b"1")
+        Storage.of(tmp_path).write("x.parquet", b"1")
     assert str(raised.value).startswith(f"{tmp_path}/x.parquet: ")
     assert raised.value.errno == number
     assert list(tmp_path.iterdir()) == []
@@ -157,7 +157,7 @@ def test_a_disk_that_refuses(number: int, words: str, tmp_path: Path, monkeypatc
 
 def test_a_file_where_the_folder_must_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    store = Store.of(tmp_path / "file")
+    store = Storage.of(tmp_path / "file")
     with pytest.raises(OSError, match=r"file/x: a file is where a folder must be; choose another place"):
         store.write("x", b"1")
     with pytest.raises(OSError, match=r"file: a file is where a folder must be; choose another place"):
@@ -166,7 +166,7 @@ def test_a_file_where_the_folder_must_be(tmp_path: Path) -> None:
 
 def test_a_bucket_that_does_not_exist(s3: str, gs: str) -> None:
     for bucket, options in (("s3://nobody", s3), ("gs://nobody", gs)):
-        store = Store.of(f"{bucket.replace('gs://', 'gs://anonymous@')}/has/this?{options}")
+        store = Storage.of(f"{bucket.replace('gs://', 'gs://anonymous@')}/has/this?{options}")
         with pytest.raises(OSError, match=rf"^{bucket}/has/this/x: .*; create the bucket first$"):
             store.write("x", b"1")
 
@@ -196,7 +196,7 @@ def refusing() -> Iterator[str]:
 
 
 def test_no_credentials_and_no_secret_in_the_message(refusing: str) -> None:
-    store = Store.of(f"s3://AKIAKEY:hush@data/x?{refusing}")
+    store = Storage.of(f"s3://AKIAKEY:hush@data/x?{refusing}")
     for act in (lambda: store.write("y", b"1"), lambda: store.read("y"), store.names):
         with pytest.raises(OSError, match=r"^s3://data/x.*ACCESS_DENIED.*; give credentials that may") as raised:
             act()
@@ -205,7 +205,7 @@ def test_no_credentials_and_no_secret_in_the_message(refusing: str) -> None:
 
 
 def test_a_server_that_is_not_there() -> None:
-    store = Store.of("s3://k:s@data/x?endpoint_override=127.0.0.1:1&scheme=http&region=us-east-1")
+    store = Storage.of("s3://k:s@data/x?endpoint_override=127.0.0.1:1&scheme=http&region=us-east-1")
     start_s = time.monotonic()
     with pytest.raises(OSError, match=r"^s3://data/x/y: .*; check the network, region and endpoint_override$"):
         store.read("y")
@@ -215,11 +215,11 @@ def test_a_server_that_is_not_there() -> None:
 @pytest.mark.parametrize(
     ("place", "words"),
     [("", "place must be a folder or a URI"), ("hdfs://a/b", "begin with file, s3, gs, gcs, abfs, abfss, got hdfs://"),
-     ("s3:///b", "Missing bucket"), ("s3://b/c?colour=red", "s3://b/c: .*colour"), ("file://far/x", "hostname")],
+     ("s3:///b", "Missing bucket"), ("s3://b/c?color=red", "s3://b/c: .*color"), ("file://far/x", "hostname")],
 )  # fmt: skip
 def test_places_that_are_refused(place: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        Store.of(place)
+        Storage.of(place)
 
 
 @pytest.mark.parametrize(
@@ -231,14 +231,14 @@ def test_places_that_are_refused(place: str, words: str) -> None:
 )  # fmt: skip
 def test_other_places_are_understood(place: str, kind: type, shown: str) -> None:
     """Azure has no server here that a URI could lead to: nothing is read or written."""
-    store = Store.of(place)
+    store = Storage.of(place)
     assert isinstance(store._files, kind)
     assert store.place == shown
 
 
 def test_a_folder_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    store = Store.of("here")
+    store = Storage.of("here")
     monkeypatch.chdir("/")
     store.write("x", b"1")
     assert (tmp_path / "here" / "x").read_bytes() == b"1"

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, SWALLOWED, Stops, stops_of
+from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, SWALLOWED, BeamEnds, beam_ends_of
 from viewshed.datasets.labeling.beam_image import AT_REST, beam_image
 from viewshed.datasets.labeling.ground_map import lows_of, patch_of
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -18,7 +18,7 @@ MODEL = LidarModel("hand", np.deg2rad(np.linspace(-20, 4, 25)), 360, max_range_m
 AZIMUTH = ((np.arange(360) + 0.5) / 360 - 0.5) * 2 * np.pi
 SLOPE = np.tan(MODEL.elevation)
 WALL = slice(200, 260)
-"""Columns at 20° to 80° to the left, where a wall stands ten metres away, across every line of sight."""
+"""Columns at 20° to 80° to the left, where a wall stands ten meters away, across every line of sight."""
 
 
 def _ranges() -> np.ndarray:
@@ -30,7 +30,7 @@ def _ranges() -> np.ndarray:
     return range_m
 
 
-def _stops(range_m: np.ndarray) -> Stops:
+def _stops(range_m: np.ndarray) -> BeamEnds:
     column, ring = np.nonzero(range_m)
     r, a = range_m[column, ring], AZIMUTH[column]
     points = np.stack([r * np.cos(a), r * np.sin(a), r * SLOPE[ring]], axis=-1)
@@ -38,9 +38,9 @@ def _stops(range_m: np.ndarray) -> Stops:
     sweep = Sweep(
         points.astype(np.float32), ring=ring.astype(np.int16), model=MODEL, sensor_height_m=HEIGHT_M, attitude=upright
     )
-    level = level_sweep(sweep, GRID)
-    patch = patch_of(level, [lows_of(level.points, Rigid.identity(), 0.5, 48.0)], 32.0, 0.5)
-    return stops_of(beam_image(sweep, np.eye(3), AT_REST), patch)
+    leveled = level(sweep, GRID)
+    patch = patch_of(leveled, [lows_of(leveled.points, Rigid.identity(), 0.5, 48.0)], 32.0, 0.5)
+    return beam_ends_of(beam_image(sweep, np.eye(3), AT_REST), patch)
 
 
 def _length(range_m: float, ring: int) -> float:
@@ -118,9 +118,9 @@ def test_snow_in_the_air_stops_no_beam() -> None:
     flakes = rng.random(range_m.shape) < 0.1
     range_m[flakes] = rng.uniform(2.0, 5.0, int(flakes.sum()))
     snowy = _stops(range_m)
-    level = (slice(None), slice(18, 25))  # beams that end far away
-    assert (np.abs(snowy.best_m - clear.best_m) < 1.0)[level].mean() > 0.97
-    assert (snowy.best_m < 6.0)[level].mean() < 0.02
+    leveled = (slice(None), slice(18, 25))  # beams that end far away
+    assert (np.abs(snowy.best_m - clear.best_m) < 1.0)[leveled].mean() > 0.97
+    assert (snowy.best_m < 6.0)[leveled].mean() < 0.02
 
 
 def test_no_returns_at_all() -> None:

@@ -7,7 +7,7 @@ from tests.datasets.labeling.scene import GRID, TERRAIN, Shot
 from viewshed.datasets.labeling.ground_map import Patch, lows_of, patch_of
 from viewshed.datasets.labeling.labeler import Rules, lows_of_sweep
 from viewshed.geometry import Rigid
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 
 RULES = Rules(GRID)
 
@@ -38,15 +38,15 @@ def _errors(patch: Patch, one: Shot) -> np.ndarray:
 
 def test_neighbors_in_time_show_the_far_ground(drive: list[Shot]) -> None:
     lows = [lows_of_sweep(one.sweep, RULES) for one in drive]
-    level = level_sweep(drive[4].sweep, GRID)
-    alone = _errors(patch_of(level, [lows[4]], GRID.half_extent_m, RULES.node_m), drive[4])
-    together = _errors(patch_of(level, lows, GRID.half_extent_m, RULES.node_m), drive[4])
+    leveled = level(drive[4].sweep, GRID)
+    alone = _errors(patch_of(leveled, [lows[4]], GRID.half_extent_m, RULES.node_m), drive[4])
+    together = _errors(patch_of(leveled, lows, GRID.half_extent_m, RULES.node_m), drive[4])
     assert together.mean() < 0.7 * alone.mean()
     assert np.quantile(together, 0.9) < 0.25
 
 
 def test_the_order_of_the_sweeps_does_not_matter(drive: list[Shot]) -> None:
     lows = [lows_of_sweep(one.sweep, RULES) for one in drive[2:7]]
-    level = level_sweep(drive[4].sweep, GRID)
-    one, other = (patch_of(level, some, GRID.half_extent_m, RULES.node_m) for some in (lows, lows[::-1]))
+    leveled = level(drive[4].sweep, GRID)
+    one, other = (patch_of(leveled, some, GRID.half_extent_m, RULES.node_m) for some in (lows, lows[::-1]))
     assert (one.ground.heights_m == other.ground.heights_m).all()

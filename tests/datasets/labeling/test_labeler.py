@@ -10,7 +10,7 @@ from viewshed.datasets.labeling.labeler import lows_of_sweep
 from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.grid import polar_of_cells
-from viewshed.metrics import Tally
+from viewshed.metrics import ConfusionCounts
 from viewshed.sweep import Sweep
 
 RULES = Rules(GRID)
@@ -22,7 +22,7 @@ def _label(drive: list[Shot], rules: Rules = RULES) -> tuple[Truth, np.ndarray]:
 
 
 def _f1(truth: Truth, shot: Shot, among: np.ndarray, target: str = "car") -> float:
-    return Tally.of(truth.visible(target), shot.truth.visible(target), among & shot.known, 1.0).f1
+    return ConfusionCounts.of(truth.visible(target), shot.truth.visible(target), among & shot.known, 1.0).f1
 
 
 def test_the_label_is_the_truth_where_it_is_known(drive: list[Shot]) -> None:
@@ -32,7 +32,7 @@ def test_the_label_is_the_truth_where_it_is_known(drive: list[Shot]) -> None:
     assert _f1(truth, drive[4], np.ones_like(known)) > 0.95
     assert _f1(truth, drive[4], known, "pedestrian") > 0.95
     for turned in (np.rot90(truth.visible("car")), truth.visible("car")[:, ::-1], truth.visible("car").T):
-        assert Tally.of(turned, drive[4].truth.visible("car"), drive[4].known, 1.0).f1 < 0.9  # not symmetric
+        assert ConfusionCounts.of(turned, drive[4].truth.visible("car"), drive[4].known, 1.0).f1 < 0.9  # not symmetric
 
 
 def test_neighbors_in_time_help(drive: list[Shot]) -> None:
@@ -63,10 +63,10 @@ def test_farthest_holds_every_return_and_the_ground_that_was_too_far_to_answer(d
     by_returns = range_m <= farthest[_bins(azimuth)]
     found, true = truth.definitions["farthest"], shot.truth.definitions["farthest"]
     assert (by_returns & ~found).mean() < 0.01
-    assert Tally.of(by_returns, true, shot.known, 1.0).recall < 0.6  # of what could give light back
-    assert Tally.of(found, true, shot.known, 1.0).f1 > 0.9
+    assert ConfusionCounts.of(by_returns, true, shot.known, 1.0).recall < 0.6  # of what could give light back
+    assert ConfusionCounts.of(found, true, shot.known, 1.0).f1 > 0.9
     assert not (truth.definitions["first_blocker"] & ~found).any()
-    first = Tally.of(
+    first = ConfusionCounts.of(
         truth.definitions["first_blocker"], shot.truth.definitions["first_blocker"], shot.known & known, 1.0
     )
     assert first.f1 > 0.9
@@ -84,7 +84,7 @@ def test_weak_far_returns_that_were_lost_do_not_bring_the_farthest_nearer(drive:
     truth, known = label_sweep(dim, AT_REST, around, Rules(GRID, "farthest"))
     for name in ("farthest", "first_blocker"):
         wanted = shot.truth.definitions[name]
-        assert Tally.of(truth.definitions[name], wanted, shot.known, 1.0).f1 > 0.85, name
+        assert ConfusionCounts.of(truth.definitions[name], wanted, shot.known, 1.0).f1 > 0.85, name
     _, azimuth = polar_of_cells(GRID)
     assert not known[~np.isin(_bins(azimuth), _bins(np.arctan2(dim.points[:, 1], dim.points[:, 0])))].any()
 

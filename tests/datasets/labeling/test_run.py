@@ -1,4 +1,4 @@
-"""A recording labelled from start to end: the same bytes however it is made, and nothing of the truth in it."""
+"""A recording labeled from start to end: the same bytes however it is made, and nothing of the truth in it."""
 
 import json
 import shutil
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from viewshed._jobs import Done, J, LocalEngine, R
-from viewshed.datasets import Archive, Sample, Store, write_archive
+from viewshed.datasets import Archive, Sample, Storage, write_archive
 from viewshed.datasets.archive.archive import ArchiveSource
-from viewshed.datasets.archive.build import Made
+from viewshed.datasets.archive.build import ShardResult
 from viewshed.datasets.labeling import Origin, Rules, label
 from viewshed.datasets.labeling.run import opened
 from viewshed.datasets.presets import preset_named
@@ -39,7 +39,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes, twelve sweeps, on a coarse grid."""
     folder = tmp_path_factory.mktemp("recording") / "drive"
     preset = replace(preset_named("nuscenes-small").scaled(12), grid_cells=48, grid_half_extent_m=48.0)
-    simulate(replace(preset, conditions=("clear",), condition_weights=(1.0,)), Store.of(folder), LocalEngine(1))
+    simulate(replace(preset, conditions=("clear",), condition_weights=(1.0,)), Storage.of(folder), LocalEngine(1))
     return folder
 
 
@@ -49,9 +49,9 @@ def rules(recording: Path) -> Rules:
 
 
 @pytest.fixture(scope="module")
-def labelled(recording: Path, rules: Rules, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("labelled") / "a"
-    label(Origin(str(recording)), rules, Store.of(out), _Here())
+def labeled(recording: Path, rules: Rules, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("labeled") / "a"
+    label(Origin(str(recording)), rules, Storage.of(out), _Here())
     return out
 
 
@@ -59,8 +59,8 @@ def _shards(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.glob("*.parquet"))}
 
 
-def test_labels_are_near_the_truth_and_keep_the_sweeps(recording: Path, labelled: Path) -> None:
-    true, found = Archive.open(recording), Archive.open(labelled)
+def test_labels_are_near_the_truth_and_keep_the_sweeps(recording: Path, labeled: Path) -> None:
+    true, found = Archive.open(recording), Archive.open(labeled)
     assert len(found) == len(true) == 12
     assert (found.scenes, found.splits) == (true.scenes, true.splits)
     agree = []
@@ -75,41 +75,39 @@ def test_labels_are_near_the_truth_and_keep_the_sweeps(recording: Path, labelled
     assert np.mean([sample.known.mean() for sample in found]) > 0.8
 
 
-def test_the_manifest_tells_how(labelled: Path) -> None:
-    recipe = json.loads((labelled / "manifest.json").read_text("utf-8"))["recipe"]
+def test_the_manifest_tells_how(labeled: Path) -> None:
+    recipe = json.loads((labeled / "manifest.json").read_text("utf-8"))["recipe"]
     assert recipe["command"] == "label"
     assert recipe["source"] == "drive"
     assert recipe["definition"] == "probe"
     assert recipe["config"] == {"kind": "auto", "sensor": "auto", "every": False, "target": "car", "neighbors": 20}
-    assert str(labelled.parent) not in (labelled / "manifest.json").read_text("utf-8")
+    assert str(labeled.parent) not in (labeled / "manifest.json").read_text("utf-8")
 
 
 def test_the_same_bytes_in_any_order_and_in_other_processes(
-    recording: Path, rules: Rules, labelled: Path, tmp_path: Path
+    recording: Path, rules: Rules, labeled: Path, tmp_path: Path
 ) -> None:
-    label(Origin(str(recording)), rules, Store.of(tmp_path / "b"), _Here(backwards=True))
-    label(Origin(str(recording)), rules, Store.of(tmp_path / "c"), LocalEngine(2))
-    assert _shards(tmp_path / "b") == _shards(tmp_path / "c") == _shards(labelled)
+    label(Origin(str(recording)), rules, Storage.of(tmp_path / "b"), _Here(backwards=True))
+    label(Origin(str(recording)), rules, Storage.of(tmp_path / "c"), LocalEngine(2))
+    assert _shards(tmp_path / "b") == _shards(tmp_path / "c") == _shards(labeled)
 
 
-def test_a_stopped_run_goes_on(recording: Path, rules: Rules, labelled: Path, tmp_path: Path) -> None:
+def test_a_stopped_run_goes_on(recording: Path, rules: Rules, labeled: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        label(Origin(str(recording)), rules, Store.of(tmp_path), _Here(jobs=1))
+        label(Origin(str(recording)), rules, Storage.of(tmp_path), _Here(jobs=1))
     with pytest.raises(ValueError, match="is not finished"):
         Archive.open(tmp_path)
-    told: list[Made] = []
-    label(Origin(str(recording)), rules, Store.of(tmp_path), _Here(), told.append)
+    told: list[ShardResult] = []
+    label(Origin(str(recording)), rules, Storage.of(tmp_path), _Here(), told.append)
     assert len(told) == 2
-    assert _shards(tmp_path) == _shards(labelled)
+    assert _shards(tmp_path) == _shards(labeled)
     assert not list(tmp_path.glob("*.json.parquet")) + list(tmp_path.glob("*.parquet.json"))
 
 
-def test_the_truth_of_an_archive_is_not_looked_at(
-    recording: Path, rules: Rules, labelled: Path, tmp_path: Path
-) -> None:
+def test_the_truth_of_an_archive_is_not_looked_at(recording: Path, rules: Rules, labeled: Path, tmp_path: Path) -> None:
     write_archive(tmp_path / "wrong" / "drive", map(_scrambled, Archive.open(recording)), {"command": "test"})
-    out = label(Origin(str(tmp_path / "wrong" / "drive")), rules, Store.of(tmp_path / "b"), _Here())
-    for one, other in zip(Archive.open(labelled), out, strict=True):
+    out = label(Origin(str(tmp_path / "wrong" / "drive")), rules, Storage.of(tmp_path / "b"), _Here())
+    for one, other in zip(Archive.open(labeled), out, strict=True):
         assert (one.truth.expected_returns["car"] == other.truth.expected_returns["car"]).all()
         assert (one.known == other.known).all()
 
@@ -125,8 +123,8 @@ def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(recording: Path, ru
     folder = Path(shutil.copytree(recording, tmp_path / "cut"))
     victim = sorted(folder.glob("*.parquet"))[0]
     victim.write_bytes(victim.read_bytes()[:-1000])
-    told: list[Made] = []
-    out = label(Origin(str(folder)), rules, Store.of(tmp_path / "b"), _Here(), told.append)
+    told: list[ShardResult] = []
+    out = label(Origin(str(folder)), rules, Storage.of(tmp_path / "b"), _Here(), told.append)
     problems = [problem for made in told for problem in made.problems]
     assert len(problems) == 1
     assert victim.name in problems[0]
@@ -135,13 +133,13 @@ def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(recording: Path, ru
     assert len(out.scenes) == 1
 
 
-def test_another_data_set_is_not_overwritten(recording: Path, rules: Rules, labelled: Path) -> None:
+def test_another_data_set_is_not_overwritten(recording: Path, rules: Rules, labeled: Path) -> None:
     with pytest.raises(ValueError, match="holds definition probe, not farthest; choose another place"):
-        label(Origin(str(recording)), replace(rules, definition="farthest"), Store.of(labelled), _Here())
+        label(Origin(str(recording)), replace(rules, definition="farthest"), Storage.of(labeled), _Here())
     with pytest.raises(ValueError, match="holds drive with other neighbors; choose another place"):
-        label(Origin(str(recording)), replace(rules, neighbors=3), Store.of(labelled), _Here())
+        label(Origin(str(recording)), replace(rules, neighbors=3), Storage.of(labeled), _Here())
     with pytest.raises(ValueError, match="must be empty or hold this data set, got another archive"):
-        label(Origin(str(recording)), rules, Store.of(recording), _Here())
+        label(Origin(str(recording)), rules, Storage.of(recording), _Here())
 
 
 def test_an_archive_as_a_source_gives_its_sweeps_in_time_order(recording: Path) -> None:
@@ -162,7 +160,7 @@ def test_an_archive_as_a_source_gives_its_sweeps_in_time_order(recording: Path) 
         source.read(replace(refs[0], key="other.parquet:0"))
 
 
-def test_real_drives_are_labelled(real_data: Path, tmp_path: Path) -> None:
+def test_real_drives_are_labeled(real_data: Path, tmp_path: Path) -> None:
     origin = Origin(str(real_data / "index.json"), "index")
     source = opened(origin)
     drive = next(scene for scene in source.scenes() if scene.startswith("kitti-odometry-00"))

@@ -16,7 +16,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
 from viewshed.io import IndexEntry, read_index, read_sweep
-from viewshed.preprocess.ring_recovery import recover_beams
+from viewshed.preprocess.ring_recovery import recover_rings
 
 DRIVE = "2011_09_26_drive_0001_sync"
 EARTH_M = 6378137.0
@@ -33,7 +33,7 @@ def made(seed: int, count: int = 200) -> bytes:
 
 
 def oxts_line(world_from_imu: Rigid) -> str:
-    """The record of a pose (east, north, up; metres from LATITUDE, LONGITUDE), by Mercator's formulas turned over."""
+    """The record of a pose (east, north, up; meters from LATITUDE, LONGITUDE), by Mercator's formulas turned over."""
     east, north, up = world_from_imu.translation
     scale = np.cos(np.radians(LATITUDE)) * EARTH_M
     north0 = scale * np.arcsinh(np.tan(np.radians(LATITUDE)))
@@ -496,7 +496,7 @@ def test_a_broken_file_of_tracklets_costs_the_boxes_alone(content: bytes, line: 
 
 
 def _gap_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Median distance of the points of one sweep to the nearest of another, metres."""
+    """Median distance of the points of one sweep to the nearest of another, meters."""
     return float(np.median(cKDTree(other).query(one)[0]))
 
 
@@ -592,7 +592,7 @@ def test_a_real_sweep_lies_on_the_beams_of_its_table(real_data: Path, tmp_path: 
     write_raw(tmp_path, [(0, content, Rigid.identity())])
     source = open_source(tmp_path)
     sweep = source.read(source.refs(DRIVE)[0])
-    beams = recover_beams(sweep)
+    beams = recover_rings(sweep)
     assert (beams.source, beams.rings) == ("file order", 64)
     assert sweep.model is not None
     assert np.abs(np.rad2deg(beams.elevation - sweep.model.elevation)).max() < 1.5

@@ -370,7 +370,7 @@ def test_what_is_no_list_is_refused_whatever_the_blocks(
 
 
 def _gap_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Median distance of the points of one sweep to the nearest of another, metres."""
+    """Median distance of the points of one sweep to the nearest of another, meters."""
     return float(np.median(cKDTree(other).query(one)[0]))
 
 

@@ -175,8 +175,8 @@ def test_geojson_round_trip(pose: Rigid | None) -> None:
 
 def test_geojson_states_its_frame_and_is_placed_by_the_pose() -> None:
     made = to_geojson(random_estimate(5, pose=POSE))
-    assert made["viewshed:frame"]["coordinates"] == "metres in world frame, not WGS84"
-    assert to_geojson(random_estimate(5))["viewshed:frame"]["coordinates"] == "metres in level frame, not WGS84"
+    assert made["viewshed:frame"]["coordinates"] == "meters in world frame, not WGS84"
+    assert to_geojson(random_estimate(5))["viewshed:frame"]["coordinates"] == "meters in level frame, not WGS84"
     estimate = random_estimate(5)
     visible = next(each for each in made["features"] if each["properties"]["layer"] == "visible")
     assert visible["properties"]["area_m2"] == pytest.approx(estimate.area_m2())

@@ -53,7 +53,7 @@ def test_the_top_of_a_box_is_met_from_above() -> None:
     assert depth_image(FOUR, scene, HEIGHT_M)[0, BACK] == pytest.approx(2.0)
 
 
-def test_a_cylinder_is_met_at_its_near_side_and_off_centre() -> None:
+def test_a_cylinder_is_met_at_its_near_side_and_off_center() -> None:
     scene = Scene(cylinders=(Cylinder(0.3, -8.0, 0.5, 3.0),))
     depth = depth_image(FOUR, scene, HEIGHT_M)[1]
     assert depth[RIGHT] == pytest.approx(8.0 - 0.4)

@@ -14,7 +14,7 @@ from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.world import NOTHING, AgentPlan, Snapshot, World
 from viewshed.sim.worlds import WORLDS
 from viewshed.sim.worlds.indoor.floor import Rise, floor
-from viewshed.sim.worlds.indoor.floor_plan import Site
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan
 from viewshed.sim.worlds.indoor.routes import follow, open_floor
 from viewshed.sim.worlds.indoor.walls import Opening, Wall, build, wall_parts
 
@@ -160,7 +160,7 @@ def test_a_doorway_is_a_gap_below_a_lintel_with_posts_at_both_ends() -> None:
 
 
 def test_furniture_never_stands_in_a_doorway() -> None:
-    site = Site(np.random.default_rng(0))
+    site = FloorPlan(np.random.default_rng(0))
     build(site, [Wall(False, 0.0, 0.0, 9.0, 0.2, "plaster", (Opening(2.5, 1.0, "passage"),))], 2.5)
     count = sum(site.against((0.1, 0.0, 4.0, 9.0), cabinet, (0,)) for _ in range(60))
     assert count >= 3

@@ -159,7 +159,7 @@ def test_a_right_turn_ends_to_the_right() -> None:
     assert xy[2] == pytest.approx([-3.0, -8.0 - (29.0 - 3.0 * np.pi)])
 
 
-def test_curbs_rise_within_centimetres_beside_the_street() -> None:
+def test_curbs_rise_within_centimeters_beside_the_street() -> None:
     terrain: Terrain = made("street", 3, (1, 0, 2.0)).terrain
     y = np.arange(0.0, 15.0, 0.01)
     for way in (-1, 1):

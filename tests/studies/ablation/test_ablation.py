@@ -150,7 +150,7 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     ("change", "message"),
     [
         ({"variants": {}}, "variants must have one named whole that changes nothing"),
-        ({"variants": {"whole": {}, "a": {"colour": 1}}}, "missing or unknown: colour"),
+        ({"variants": {"whole": {}, "a": {"color": 1}}}, "missing or unknown: color"),
         ({"variants": 3}, "variants must be a table, got 3"),
         ({"test_seed": 7301}, "seed and test_seed must differ"),
         ({"chunk": 0}, "sweeps, test_sweeps, other_sweeps and chunk must be at least 1"),

@@ -8,7 +8,7 @@ from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.studies.ablation.contest import (
     ALONE,
     ATTACKED,
@@ -45,8 +45,8 @@ def test_up_to_five_sweeps_of_the_same_agent_come_before(subject: Subject) -> No
 def test_the_past_is_honest_or_attacked_as_well(subject: Subject) -> None:
     memory = Remembered.of(subject)
     for shot in shots_of(subject, 5, 1):
-        level = level_sweep(shot.sweep, GRID)
-        pasts = memory.pasts(level, shot.struck, (5, 1, shot.case))
+        leveled = level(shot.sweep, GRID)
+        pasts = memory.pasts(leveled, shot.struck, (5, 1, shot.case))
         assert list(pasts) == [ALONE, HONEST, *([] if shot.case in (BENIGN, BARE) else [ATTACKED])]
         assert [kind for kind, past in pasts.items() if past is None] == [ALONE]
         if shot.case == "jamming":

@@ -12,7 +12,7 @@ from viewshed import GRIDS, BevGrid, FovEstimate, Sweep
 from viewshed.estimators import ESTIMATORS
 from viewshed.threats.attacks import Spoofer, Wedge
 from viewshed.threats.attacks._gradient import Expectation, WhiteBox
-from viewshed.threats.attacks._search import BeamPlans, Genome, evolution, random_search
+from viewshed.threats.attacks._search import BeamSearchSpace, Genome, evolution, random_search
 from viewshed.threats.attacks.adaptive import BlackBox, Evade, OverClaim, Searched, Trip, UnderClaim
 from viewshed.threats.attacks.ghosts import FarWall
 
@@ -170,7 +170,7 @@ def test_samples_are_questions_too(flat_scene: Any) -> None:
 def test_a_cloud_without_beams_can_only_have_its_returns_moved() -> None:
     rng = np.random.default_rng(4)
     sweep = Sweep(rng.normal(0, 12, (500, 3)).astype(np.float32), sensor_height_m=1.8)
-    plans = BeamPlans.of(sweep, Wedge(0.3, 1.0), 30, EXACT)
+    plans = BeamSearchSpace.of(sweep, Wedge(0.3, 1.0), 30, EXACT)
     assert (plans.rays.row >= 0).all()
     tampered = plans.tampered(plans.draw(0, rng), rng)
     assert tampered.added.sum() <= 30

@@ -7,7 +7,7 @@ import pytest
 
 from viewshed import Sweep
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.ring_recovery import recover_beams
+from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.threats.attacks import ATTACKS, FREE_FORM, Knowledge
 
 MOVE_RETURNS = {"frustum", "frustum_before", "far_wall", "removal", "relay"}
@@ -25,7 +25,7 @@ def sweep(request: pytest.FixtureRequest, real_data: Path) -> Sweep:
 @pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))
 def test_untouched_returns_stay_and_beams_stay_single(name: str, sweep: Sweep) -> None:
     attack, rng = ATTACKS[name](None, Knowledge((sweep,))), np.random.default_rng(2)
-    if recover_beams(sweep).source == "elevation bins" and name not in FREE_FORM | MOVE_RETURNS:
+    if recover_rings(sweep).source == "elevation bins" and name not in FREE_FORM | MOVE_RETURNS:
         with pytest.raises(ValueError, match="beams of this sweep must be known"):
             attack.apply(sweep, rng)
         return
@@ -36,6 +36,6 @@ def test_untouched_returns_stay_and_beams_stay_single(name: str, sweep: Sweep) -
         return
     for points in (tampered.sweep.points[tampered.added], sweep.points[tampered.removed]):
         assert tampered.wedge.holds(np.arctan2(points[:, 1], points[:, 0])).all()
-    before, after = recover_beams(sweep), recover_beams(tampered.sweep)
+    before, after = recover_rings(sweep), recover_rings(tampered.sweep)
     if before.source == "file" and name not in {"jamming", "removal"}:  # few returns, or none, tell the columns less
         assert after.alone_share > before.alone_share - 0.02

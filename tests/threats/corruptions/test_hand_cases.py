@@ -162,7 +162,7 @@ def _wall() -> Sweep:
 
 
 def _sphere_of(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre and radius of the sphere through the points (least squares)."""
+    """Center and radius of the sphere through the points (least squares)."""
     table = np.column_stack([2 * points, np.ones(len(points))])
     found = np.linalg.lstsq(table, (points**2).sum(axis=1), rcond=None)[0]
     return found[:3], float(np.sqrt(found[3] + found[:3] @ found[:3]))
@@ -172,23 +172,23 @@ def test_a_dense_bush_is_a_ball_before_the_wall() -> None:
     wall = _wall()
     found = Vegetation(1, 0.8, per_m=1e6).apply(wall, rng())
     moved = np.linalg.norm(found.points - wall.points, axis=1) > 1e-3
-    centre, radius = _sphere_of(found.points[moved].astype(np.float64))
+    center, radius = _sphere_of(found.points[moved].astype(np.float64))
     assert radius == pytest.approx(0.8, abs=0.01)
-    assert 0.3 * 20 - 0.1 < centre[1] < 0.9 * 20 + 0.1
-    assert 3 < np.hypot(*centre[:2]) < 40
+    assert 0.3 * 20 - 0.1 < center[1] < 0.9 * 20 + 0.1
+    assert 3 < np.hypot(*center[:2]) < 40
 
 
 def test_leaves_stop_what_beers_law_says() -> None:
     wall = _wall()
     dense, thin = (Vegetation(1, 0.8, per_m=per_m).apply(wall, rng()) for per_m in (1e6, 0.9))
     met = np.linalg.norm(dense.points - wall.points, axis=1) > 1e-3
-    centre, _ = _sphere_of(dense.points[met].astype(np.float64))
+    center, _ = _sphere_of(dense.points[met].astype(np.float64))
     way = wall.points / np.linalg.norm(wall.points, axis=1)[:, None]
-    half = np.sqrt(np.maximum(0.8**2 - (centre @ centre - (way @ centre) ** 2), 0))
+    half = np.sqrt(np.maximum(0.8**2 - (center @ center - (way @ center) ** 2), 0))
     expected = 1 - np.exp(-0.9 * 2 * half)
     stopped = np.linalg.norm(thin.points - wall.points, axis=1) > 1e-3
     assert stopped.sum() == pytest.approx(expected.sum(), abs=4 * np.sqrt(expected.sum()))
-    assert (np.linalg.norm(thin.points[stopped] - centre, axis=1) < 0.81).all()
+    assert (np.linalg.norm(thin.points[stopped] - center, axis=1) < 0.81).all()
 
 
 def test_clear_weather_changes_nothing(street: Sweep) -> None:

@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.archive.manifest import MANIFEST, Manifest
 from viewshed.datasets.archive.shard import REPAIR, Shard, ShardFacts, damage
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef
 from viewshed.datasets.sample import Sample
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sim.lidar.range_image import RangeImage
 from viewshed.sweep import Sweep
 
@@ -52,7 +52,7 @@ class Archive:
         shards: those that belong to it; None is all.
     """
 
-    def __init__(self, store: Store, manifest: Manifest, shards: Iterable[ShardFacts] | None = None) -> None:
+    def __init__(self, store: Storage, manifest: Manifest, shards: Iterable[ShardFacts] | None = None) -> None:
         self.store = store
         self.manifest = manifest
         self.shards = tuple(manifest.shards if shards is None else shards)
@@ -67,7 +67,7 @@ class Archive:
             ValueError: it is no archive, not finished, damaged, or of another schema version.
             OSError: it cannot be read.
         """
-        store = Store.of(place)
+        store = Storage.of(place)
         manifest = Manifest.read(store)
         if not manifest.complete:
             raise ValueError(f"{store.place} is not finished; run the command that makes it again")
@@ -175,7 +175,7 @@ class Archive:
         return Archive(self.store, self.manifest, shards)
 
 
-def damage_of(store: Store, facts: ShardFacts) -> str | None:
+def damage_of(store: Storage, facts: ShardFacts) -> str | None:
     """Return one line that says why a shard is not the one that was written, or None if it is."""
     try:
         content = store.read(facts.name)
@@ -201,14 +201,14 @@ class _Open:
 class _Files:
     """Opens shards when they are first read, again in each process."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Storage) -> None:
         self._store = store
         self._open = _Open(os.getpid(), OrderedDict(), {})
 
-    def __getstate__(self) -> Store:
+    def __getstate__(self) -> Storage:
         return self._store
 
-    def __setstate__(self, store: Store) -> None:
+    def __setstate__(self, store: Storage) -> None:
         self.__init__(store)  # type: ignore[misc]
 
     def shard(self, name: str) -> Shard:
@@ -372,5 +372,5 @@ def level_from_sensor(sweep: Sweep, grid: BevGrid) -> Rigid:
     """Return the transform to the ``level`` frame: from attitude and height where both are known, else estimated."""
     attitude, height_m = sweep.known_attitude, sweep.sensor_height_m
     if attitude is None or height_m is None:
-        return level_sweep(sweep, grid).level_from_sensor
+        return level(sweep, grid).level_from_sensor
     return Rigid(rotation_from_quaternion(attitude), np.array([0.0, 0.0, height_m]))

@@ -17,7 +17,7 @@ from viewshed.datasets.archive.archive import Archive, damage_of
 from viewshed.datasets.archive.manifest import MANIFEST, Manifest, code_version
 from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.shard import ShardFacts, write_shard
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.sample import Sample
 
 SIDECAR = ".json"
@@ -33,7 +33,7 @@ class Job(Protocol):
     """What a worker must know to make one shard."""
 
     @property
-    def store(self) -> Store:
+    def store(self) -> Storage:
         """Where the shard goes."""
         ...
 
@@ -47,7 +47,7 @@ J = TypeVar("J", bound=Job)
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class ShardResult:
     """What became of one shard.
 
     Attributes:
@@ -60,7 +60,7 @@ class Made:
 
 
 @dataclass(frozen=True, slots=True)
-class Task(Generic[J]):
+class BuildPlan(Generic[J]):
     """An archive that is to be made.
 
     Attributes:
@@ -73,11 +73,11 @@ class Task(Generic[J]):
     recipe: Mapping[str, Any]
     layout: Layout
     jobs: Sequence[J]
-    work: Callable[[J], Made]
+    work: Callable[[J], ShardResult]
 
 
 def make_archive(
-    task: Task[J], store: Store, engine: Engine, progress: Callable[[Made], None] | None = None
+    task: BuildPlan[J], store: Storage, engine: Engine, progress: Callable[[ShardResult], None] | None = None
 ) -> Archive:
     """Return the archive of a task, made into ``store``; its bytes do not depend on the engine.
 
@@ -95,7 +95,7 @@ def make_archive(
     """
     manifest = _claimed(task, store)
     store.clear_drafts()
-    there: dict[str, Made] = {}
+    there: dict[str, ShardResult] = {}
     for name, made in _standing(manifest, store, task.jobs):
         there[name] = made
         _tell(progress, made)
@@ -110,7 +110,7 @@ def make_archive(
     return Archive(store, finished)
 
 
-def write_beside(store: Store, facts: ShardFacts, problems: Sequence[str] = ()) -> ShardFacts:
+def write_beside(store: Storage, facts: ShardFacts, problems: Sequence[str] = ()) -> ShardFacts:
     """Return the facts of a shard, which are written into a file beside it, with the problems that it had.
 
     Raises:
@@ -120,7 +120,7 @@ def write_beside(store: Store, facts: ShardFacts, problems: Sequence[str] = ()) 
     return facts
 
 
-def _write_problems(store: Store, problems: Mapping[str, Sequence[str]]) -> None:
+def _write_problems(store: Storage, problems: Mapping[str, Sequence[str]]) -> None:
     """Write the lines of an archive that has any; remove those of an earlier run where it has none."""
     lines = {name: list(told) for name, told in problems.items() if told}
     if lines:
@@ -129,7 +129,7 @@ def _write_problems(store: Store, problems: Mapping[str, Sequence[str]]) -> None
         store.delete(PROBLEMS)
 
 
-def _read_problems(store: Store) -> dict[str, tuple[str, ...]]:
+def _read_problems(store: Storage) -> dict[str, tuple[str, ...]]:
     """Return the lines of :func:`_write_problems`; none where they are missing or damaged."""
     with contextlib.suppress(FileNotFoundError, ValueError, AttributeError, TypeError):
         table = json.loads(store.read(PROBLEMS))
@@ -137,7 +137,7 @@ def _read_problems(store: Store) -> dict[str, tuple[str, ...]]:
     return {}
 
 
-def _claimed(task: Task[J], store: Store) -> Manifest:
+def _claimed(task: BuildPlan[J], store: Storage) -> Manifest:
     """Return the manifest so far, written now if there was none; refuse a place that holds anything else."""
     wanted = Manifest(task.recipe, task.layout, complete=False)
     names = store.names()
@@ -175,10 +175,10 @@ def _check_same(found: Manifest, wanted: Manifest, place: str) -> None:
         )
 
 
-def _standing(manifest: Manifest, store: Store, jobs: Sequence[J]) -> Iterator[tuple[str, Made]]:
+def _standing(manifest: Manifest, store: Storage, jobs: Sequence[J]) -> Iterator[tuple[str, ShardResult]]:
     """Yield the shards that are there and whole by name, by the manifest or by the file beside them."""
     problems = _read_problems(store) if manifest.shards else {}
-    told = {shard.name: Made(shard, problems.get(shard.name, ())) for shard in manifest.shards}
+    told = {shard.name: ShardResult(shard, problems.get(shard.name, ())) for shard in manifest.shards}
     names = set(store.names()) if jobs else set()
     for job in jobs:
         made = told.get(job.name) or _beside(job, names)
@@ -187,17 +187,17 @@ def _standing(manifest: Manifest, store: Store, jobs: Sequence[J]) -> Iterator[t
             yield job.name, made
 
 
-def _beside(job: J, names: set[str]) -> Made | None:
+def _beside(job: J, names: set[str]) -> ShardResult | None:
     if not {job.name, job.name + SIDECAR} <= names:
         return None
     with contextlib.suppress(ValueError, KeyError, AttributeError, TypeError):
         table = json.loads(job.store.read(job.name + SIDECAR))
         problems = tuple(map(str, table.pop("problems")))
-        return Made(ShardFacts.from_json(table), problems)
+        return ShardResult(ShardFacts.from_json(table), problems)
     return None
 
 
-def _made(task: Task[J], jobs: Sequence[J], engine: Engine) -> Iterator[Made]:
+def _made(task: BuildPlan[J], jobs: Sequence[J], engine: Engine) -> Iterator[ShardResult]:
     """Yield what became of the shards as they are finished.
 
     Raises:
@@ -210,11 +210,11 @@ def _made(task: Task[J], jobs: Sequence[J], engine: Engine) -> Iterator[Made]:
             yield done.result
 
 
-def _tidy(store: Store) -> None:
+def _tidy(store: Storage) -> None:
     store.delete(*(name for name in store.names() if name.endswith(f".parquet{SIDECAR}")))
 
 
-def _tell(progress: Callable[[Made], None] | None, made: Made) -> None:
+def _tell(progress: Callable[[ShardResult], None] | None, made: ShardResult) -> None:
     if progress is not None:
         progress(made)
 
@@ -241,7 +241,7 @@ class ArchiveWriter:
     ) -> None:
         if frames_per_shard < 1:
             raise ValueError(f"frames_per_shard must be at least 1, got {frames_per_shard}")
-        self._store = Store.of(place)
+        self._store = Storage.of(place)
         if self._store.names():
             raise ValueError(f"{self._store.place} must be empty; choose another place")
         self._recipe = dict(recipe)

@@ -11,7 +11,7 @@ from typing import Any
 import viewshed
 from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.shard import SCHEMA_VERSION, ShardFacts, check_version, damage
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 
 MANIFEST = "manifest.json"
 
@@ -78,7 +78,7 @@ class Manifest:
         lines = ",\n".join(f"  {json.dumps(shard.to_json(), ensure_ascii=False)}" for shard in self.shards)
         return f'{head},\n "shards": [\n{lines}\n ]\n}}\n'
 
-    def write(self, store: Store) -> None:
+    def write(self, store: Storage) -> None:
         """Write the manifest into the archive's place.
 
         Raises:
@@ -87,7 +87,7 @@ class Manifest:
         store.write(MANIFEST, self.text().encode())
 
     @classmethod
-    def read(cls, store: Store) -> Manifest:
+    def read(cls, store: Storage) -> Manifest:
         """Return the manifest in a place.
 
         Raises:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from viewshed.datasets.archive.columns import BLOBS, TOUCHED, Frame
 from viewshed.datasets.archive.schema import Layout, Sensors
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.sample import Sample
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def damage(where: str) -> Iterator[None]:
         raise ValueError(f"{where} is damaged: {said}; {REPAIR}") from error
 
 
-def write_shard(store: Store, name: str, samples: Iterable[Sample]) -> ShardFacts:
+def write_shard(store: Storage, name: str, samples: Iterable[Sample]) -> ShardFacts:
     """Return the facts of the shard that holds ``samples``, written whole or not at all.
 
     Raises:
@@ -147,7 +147,7 @@ def write_shard(store: Store, name: str, samples: Iterable[Sample]) -> ShardFact
     return write_frames(store, name, (first.scene, first.split), frames)
 
 
-def write_frames(store: Store, name: str, place: tuple[str, str], frames: Iterable[Frame]) -> ShardFacts:
+def write_frames(store: Storage, name: str, place: tuple[str, str], frames: Iterable[Frame]) -> ShardFacts:
     """Return the facts of the shard that holds ``frames`` of one (scene, split), written whole or not at all.
 
     Raises:
@@ -221,7 +221,7 @@ class Shard:
         OSError: it cannot be read.
     """
 
-    def __init__(self, store: Store, name: str, metadata: pq.FileMetaData | None = None) -> None:
+    def __init__(self, store: Storage, name: str, metadata: pq.FileMetaData | None = None) -> None:
         import pyarrow.parquet as pq
 
         self.name = f"{store.place}/{name}"

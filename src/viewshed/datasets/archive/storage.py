@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -48,7 +48,7 @@ _LOCAL_REPAIRS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Store:
+class Storage:
     """Files by name below one place; small enough to travel to other processes and machines.
 
     Attributes:
@@ -58,7 +58,7 @@ class Store:
     uri: str = field(repr=False)
 
     @classmethod
-    def of(cls, place: str | os.PathLike[str]) -> Store:
+    def of(cls, place: str | os.PathLike[str]) -> Storage:
         """Return the store at a folder (made when it is first written to) or at a URI with one of :data:`SCHEMES`.
 
         >>> Store.of("s3://bucket/sweeps?region=eu-central-1").place
@@ -121,7 +121,7 @@ class Store:
         with _named(self, name):
             if self.folder is not None:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
-                write_bytes(path, content)
+                write_atomic(path, content)
                 return
             try:
                 stream = self._files.open_output_stream(path)
@@ -208,7 +208,7 @@ def _is_draft(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def _named(store: Store, name: str) -> Iterator[None]:
+def _named(store: Storage, name: str) -> Iterator[None]:
     """Give an OSError one line that names the place and, where we know it, the repair; its type and errno stay."""
     import pyarrow as pa
 

@@ -31,7 +31,7 @@ _UNEVEN_M, _SHORT_M, _SHORT_SHARE = np.float32(0.08), np.float32(0.5), np.float3
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cast_to_ground(beams: Any, ground: Any, frame: Any, out: Any, thing: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (C, R) with metres to the ground and ``thing`` (C, R) with whether a return stands above it.
+    """Fill ``out`` (C, R) with meters to the ground and ``thing`` (C, R) with whether a return stands above it.
 
     A missing beam is followed to the ground, up to the maximum range; a return keeps its depth. ``beams`` are starts,
     directions and depths. ``ground`` (n, n) is z from the sensor; ``frame`` is half the side of its lattice, x and y of
@@ -163,10 +163,10 @@ def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
 def explain(beams: Any, shares: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out``: best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8.
 
-    ``beams`` are depths, metres to the ground and whether a return is a thing's, (C, R) each, and whether a column was
+    ``beams`` are depths, meters to the ground and whether a return is a thing's, (C, R) each, and whether a column was
     lost (C,); ``shares`` are how often ground at a range returns (bands,) and how often a ring does (R,); ``frame`` is
     the maximum and the minimum range, the width of a band, the share from which a return is sure, and the widest gap
-    in a surface in metres, likely and sure.
+    in a surface in meters, likely and sure.
     """
     depth = beams[0]
     depths, kinds = out
@@ -231,11 +231,11 @@ _QUANTILE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stops:
+class BeamEnds:
     """Where each beam ended, and why.
 
     Attributes:
-        best_m: (C, R) float32 metres from its start to the likeliest end.
+        best_m: (C, R) float32 meters from its start to the likeliest end.
         least_m: (C, R) it went at least so far.
         most_m: (C, R) it went at most so far.
         thing: (C, R) bool, whether it returned from something that stands 0.3 m or more above the ground.
@@ -249,7 +249,7 @@ class Stops:
     kind: NDArray[np.uint8]
 
 
-def stops_of(image: BeamImage, patch: Patch) -> Stops:
+def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     """Return where the beams of ``image`` ended over the ground ``patch``.
 
     A beam that returned ended there. One that did not
@@ -280,7 +280,7 @@ def stops_of(image: BeamImage, patch: Patch) -> Stops:
     nearest = 0.0 if image.model is None else image.model.min_range_m
     limits = tuple(np.array([reach, nearest, band, SURE, GAP_M, SURE_GAP_M], np.float32))
     explain((depth, to_ground, thing, lost), shares, limits, (depths, kinds))
-    return Stops(depths[0], depths[1], depths[2], thing, kinds)
+    return BeamEnds(depths[0], depths[1], depths[2], thing, kinds)
 
 
 def _seen_share(beams: tuple[Floats, Floats, NDArray[np.bool_]], reach: np.float32, band: np.float32) -> Floats:

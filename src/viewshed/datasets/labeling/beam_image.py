@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from viewshed._numba import atan2
 from viewshed.geometry import Rigid
-from viewshed.preprocess.ring_recovery import recover_beams
+from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -179,7 +179,7 @@ class Moment:
         return 0.0 if self.t_ns is None or other.t_ns is None else (other.t_ns - self.t_ns) * 1e-9
 
     def meters_to(self, other: Moment) -> float:
-        """Return the metres to another; infinite where a pose is not known."""
+        """Return the meters to another; infinite where a pose is not known."""
         if self.world_from_sensor is None or other.world_from_sensor is None:
             return float("inf")
         return float(np.linalg.norm(other.world_from_sensor.translation - self.world_from_sensor.translation))
@@ -215,7 +215,7 @@ def _passable(one: Moment, other: Moment) -> bool:
 
 
 def posts_of(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
-    """Return the places of moments that stand for all: each ``spacing_m`` metres or two seconds from the one before.
+    """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
 
     Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
 
@@ -254,7 +254,7 @@ class BeamImage:
     Attributes:
         origin_m: (C, R, 3) float32 start of each beam from the sensor's reference position.
         direction: (C, R, 3) float32 unit vectors.
-        depth_m: (C, R) float32 metres from start to return, 0 where there was none.
+        depth_m: (C, R) float32 meters from start to return, 0 where there was none.
         pixels: (C, R) int32 row of the return in the sweep, -1 where there was none.
         max_range_m: how far the sensor sees.
         model: the sensor's beams, or None where they had to be told from the returns.
@@ -285,7 +285,7 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
         drift: how the sensor moved; needs the times of the returns, else it is left out.
     """
     seconds, model = _seconds(sweep), sweep.model
-    found = recover_beams(sweep if sweep.ring is not None else _still(sweep, level_from_sensor, drift, seconds))
+    found = recover_rings(sweep if sweep.ring is not None else _still(sweep, level_from_sensor, drift, seconds))
     elevation, rise, offset = _tables(found.elevation, model)
     pose = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
     start, way, length, azimuth = fired(sweep.points, found.ring, seconds, pose, (rise, offset))

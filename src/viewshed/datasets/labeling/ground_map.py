@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from viewshed.fov.height_map import Ground
 from viewshed.geometry import Rigid
 from viewshed.preprocess.ground import estimate_ground
-from viewshed.preprocess.leveling import LevelSweep
+from viewshed.preprocess.leveling import LeveledSweep
 
 NODES_PER_HALF = 64
 """Nodes of the lattice in half the side of the grid: 1 m on roads, twice as fine as for a single sweep."""
@@ -47,7 +47,7 @@ class Patch:
 
     Attributes:
         ground: z from the sensor, over x and y from ``center_m``.
-        center_m: (2,) middle of the patch from the sensor, metres in world axes.
+        center_m: (2,) middle of the patch from the sensor, meters in world axes.
         yaw: heading of the sensor in the world.
     """
 
@@ -93,17 +93,17 @@ def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float
     return Lows(node.astype(np.int32), found[:, :2], found[:, 2, 2])
 
 
-def patch_of(level: LevelSweep, around: Iterable[Lows], half_extent_m: float, node_m: float) -> Patch:
+def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float, node_m: float) -> Patch:
     """Return the ground about ``level``, in whose world the lows of all sweeps ``around`` it lie.
 
     Args:
-        level: the sweep; without a pose its own ``level`` frame stands for the world.
+        leveled: the sweep; without a pose its own ``level`` frame stands for the world.
         around: its own lows among them.
         half_extent_m: half the side of the grid.
         node_m: side of a node, that of the lows.
     """
-    pose = level.sweep.world_from_sensor
-    sensor = np.array([0.0, 0.0, level.sensor_height_m]) if pose is None else pose.translation
+    pose = leveled.sweep.world_from_sensor
+    sensor = np.array([0.0, 0.0, leveled.sensor_height_m]) if pose is None else pose.translation
     count = 4 * int(np.ceil(REACH * half_extent_m / node_m / 2))
     corner = np.round(sensor[:2] / node_m).astype(np.int64) - count // 2
     lows, rise = np.full((count, count, 2, 3), np.inf, np.float32), np.full((count, count), np.inf, np.float32)
@@ -117,7 +117,7 @@ def patch_of(level: LevelSweep, around: Iterable[Lows], half_extent_m: float, no
     lowest = np.where(second, lows[:, :, 1], lows[:, :, 0])
     center = (corner + count // 2) * node_m - sensor[:2]
     lowest[np.isfinite(lowest[..., 2]), :2] -= center.astype(np.float32)
-    ground = estimate_ground(lowest, rise, count * node_m / 2, level.sensor_height_m)
+    ground = estimate_ground(lowest, rise, count * node_m / 2, leveled.sensor_height_m)
     return Patch(ground, center, 0.0 if pose is None else pose.yaw)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, Stops, stops_of
+from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
 from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, posts_of
 from viewshed.datasets.labeling.ground_map import Lows, Patch, lows_of, patch_of
 from viewshed.fov.estimate import CellState
@@ -23,7 +23,7 @@ from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
-from viewshed.preprocess.leveling import EGO_BOX_M, EGO_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.preprocess.leveling import EGO_BOX_M, EGO_HEIGHTS_M, LeveledSweep, level
 from viewshed.sim.truth._azimuth_bins import BLOCKS, RETURNS, stop_limits
 from viewshed.sim.truth._beams import beam_lines, mark_stops, slope_bounds, sorted_tiles
 from viewshed.sim.truth._counts import MANY, count_cells
@@ -31,7 +31,7 @@ from viewshed.sim.truth.exact import patches_of
 from viewshed.sweep import Sweep
 
 BELOW_GROUND_M = 0.02
-"""As in the exact truth: a beam may cross the target this far below the ground of its cell's centre."""
+"""As in the exact truth: a beam may cross the target this far below the ground of its cell's center."""
 
 Floats = NDArray[np.float32]
 
@@ -77,7 +77,7 @@ def count_targets(
     Args:
         lines: the beams.
         grid: where the cells are.
-        ground_m: z from the sensor (cells²,) of the ground at the cells' centres.
+        ground_m: z from the sensor (cells²,) of the ground at the cells' centers.
         targets: what would have to be seen.
         some: cells (cells²,) that are asked for; others may stay 0.
     """
@@ -111,7 +111,7 @@ MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""
 
 GROUND_M, GROUND_PER_M, GROUND_MOST_M = 0.03, 0.03, 0.4
-"""The ground may be wrong by so much where it was seen, more for each metre from there, and at most by so much."""
+"""The ground may be wrong by so much where it was seen, more for each meter from there, and at most by so much."""
 
 LOWS_REACH = 1.5
 """Returns help to find the ground up to so far from the sensor, in half sides of the grid."""
@@ -119,7 +119,7 @@ LOWS_REACH = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """How sweeps are labelled.
+    """How sweeps are labeled.
 
     Attributes:
         grid: where the cells are.
@@ -153,7 +153,7 @@ class Rules:
 
 def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
     """Return the lowest returns of ``sweep`` in the world, or in its own ``level`` frame if it has no pose."""
-    return _lows(level_sweep(sweep, rules.grid), rules)
+    return _lows(level(sweep, rules.grid), rules)
 
 
 def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules) -> tuple[Truth, Mask]:
@@ -169,27 +169,27 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules
         around: lows of the sweeps around it, in the same world; its own are added.
         rules: how.
     """
-    level = level_sweep(sweep, rules.grid)
-    image = beam_image(sweep, level.level_from_sensor.rotation, drift)
-    patch = patch_of(level, (*around, _lows(level, rules)), rules.grid.half_extent_m, rules.node_m)
-    return _Labelling(rules, image, patch, stops_of(image, patch), _has_vehicle(level)).result()
+    leveled = level(sweep, rules.grid)
+    image = beam_image(sweep, leveled.level_from_sensor.rotation, drift)
+    patch = patch_of(leveled, (*around, _lows(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
+    return _Labeling(rules, image, patch, beam_ends_of(image, patch), _has_vehicle(leveled)).result()
 
 
-def _lows(level: LevelSweep, rules: Rules) -> Lows:
-    pose = level.world_from_level or Rigid.identity()
-    return lows_of(level.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
+def _lows(leveled: LeveledSweep, rules: Rules) -> Lows:
+    pose = leveled.world_from_level or Rigid.identity()
+    return lows_of(leveled.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
 
-def _has_vehicle(level: LevelSweep) -> bool:
-    return EGO_HEIGHTS_M[0] <= level.sensor_height_m <= EGO_HEIGHTS_M[1]
+def _has_vehicle(leveled: LeveledSweep) -> bool:
+    return EGO_HEIGHTS_M[0] <= leveled.sensor_height_m <= EGO_HEIGHTS_M[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Labelling:
+class _Labeling:
     """One sweep on its way to its label.
 
     Attributes:
-        rules: how it is labelled.
+        rules: how it is labeled.
         image: its beams.
         patch: the ground about it.
         stops: where its beams ended.
@@ -199,7 +199,7 @@ class _Labelling:
     rules: Rules
     image: BeamImage
     patch: Patch
-    stops: Stops
+    stops: BeamEnds
     has_vehicle: bool
 
     def result(self) -> tuple[Truth, Mask]:
@@ -305,7 +305,7 @@ class Track(Generic[R]):
     Attributes:
         sweep_of: reads one.
         refs: in time order.
-        rules: how they are labelled.
+        rules: how they are labeled.
         moments: where and when each was measured; None where it was not looked at or could not be read.
         lows: of those that help, by their place.
     """
@@ -329,7 +329,7 @@ class Track(Generic[R]):
         for place in range(max(first - ahead, 0), min(last + ahead, len(refs))):
             try:
                 sweep = sweep_of(refs[place])
-            except (ValueError, OSError):  # told when it is labelled
+            except (ValueError, OSError):  # told when it is labeled
                 continue
             moment = Moment(sweep.world_from_sensor, sweep.t_ns)
             moments[place] = moment

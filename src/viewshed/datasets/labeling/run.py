@@ -1,4 +1,4 @@
-"""A recording labelled from start to end: an archive whose truth is the label."""
+"""A recording labeled from start to end: an archive whose truth is the label."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive, ArchiveSource, is_archive
-from viewshed.datasets.archive.build import FRAMES_PER_SHARD, Made, Task, make_archive, write_beside
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, make_archive, write_beside
 from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.shard import write_frames
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import IndexSource, SweepRef, SweepSource
@@ -30,13 +30,13 @@ SPLIT = "all"
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """A recording that is labelled; small enough to travel to other processes.
+    """A recording that is labeled; small enough to travel to other processes.
 
     Attributes:
         place: folder, file or URI.
         kind: a name in ``SOURCES``, "archive", "index", or "auto" to know it by its layout.
         sensor: a beam table's name for sweeps that do not name theirs, "auto" to know it by the returns, or "none".
-        every: whether sweeps that the recording does not mark as keyframes are labelled as well.
+        every: whether sweeps that the recording does not mark as keyframes are labeled as well.
     """
 
     place: str
@@ -70,10 +70,10 @@ class LabelJob:
         sensor: agent and sensor that measured them.
         first: the first of its labels among those of the sensor in the scene.
         last: the one after its last.
-        rules: how they are labelled.
+        rules: how they are labeled.
     """
 
-    store: Store
+    store: Storage
     name: str
     origin: Origin
     scene: str
@@ -84,7 +84,7 @@ class LabelJob:
 
 
 def label(
-    origin: Origin, rules: Rules, store: Store, engine: Engine, progress: Callable[[Made], None] | None = None
+    origin: Origin, rules: Rules, store: Storage, engine: Engine, progress: Callable[[ShardResult], None] | None = None
 ) -> Archive:
     """Return the archive of a recording's sweeps with their labels, made into ``store``.
 
@@ -93,7 +93,7 @@ def label(
 
     Args:
         origin: the recording; of an archive only the sweeps are read.
-        rules: how it is labelled.
+        rules: how it is labeled.
         store: where the archive goes.
         engine: makes the shards.
         progress: is told of each shard that is there, and of what could not be read.
@@ -104,22 +104,22 @@ def label(
     """
     jobs, problems = jobs_of(origin, rules, store)
     if progress is not None and problems:
-        progress(Made(None, problems))
+        progress(ShardResult(None, problems))
     if not jobs:
-        raise ValueError(f"{origin.place} must hold sweeps, got none that can be labelled")
+        raise ValueError(f"{origin.place} must hold sweeps, got none that can be labeled")
     layout = Layout(rules.grid, tuple(sorted(target.name for target in TARGETS)), ("farthest", "first_blocker"))
-    return make_archive(Task(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, progress)
+    return make_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, progress)
 
 
 def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
-    """Return how a recording was labelled, as plain values."""
+    """Return how a recording was labeled, as plain values."""
     about = {"command": "label", "source": Path(origin.place).name, "definition": rules.definition}
     config = {"kind": origin.kind, "sensor": origin.sensor, "every": origin.every}
     config |= {"target": rules.target, "neighbors": rules.neighbors}
     return about | {"config": config, "targets": {target.name: asdict(target) for target in TARGETS}}
 
 
-def jobs_of(origin: Origin, rules: Rules, store: Store) -> tuple[list[LabelJob], tuple[str, ...]]:
+def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob], tuple[str, ...]]:
     """Return the shards of a recording's labels, in order, and one line for each thing that is damaged."""
     source = opened(origin)
     jobs: list[LabelJob] = []
@@ -140,7 +140,7 @@ def jobs_of(origin: Origin, rules: Rules, store: Store) -> tuple[list[LabelJob],
     return jobs, tuple(problems)
 
 
-def label_shard(job: LabelJob) -> Made:
+def label_shard(job: LabelJob) -> ShardResult:
     """Return what became of the shard of ``job``, which is written with a file beside it that tells its checksum.
 
     Raises:
@@ -150,14 +150,14 @@ def label_shard(job: LabelJob) -> Made:
     frames = list_of_frames(job, problems)
     first = next(frames, None)
     if first is None:
-        return Made(None, tuple(problems))
+        return ShardResult(None, tuple(problems))
     place = (job.scene, _split(opened(job.origin), job.scene))
     facts = write_frames(job.store, job.name, place, _chained(first, frames))
-    return Made(write_beside(job.store, facts, problems), tuple(problems))
+    return ShardResult(write_beside(job.store, facts, problems), tuple(problems))
 
 
 def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
-    """Yield the labelled frames of a job; what cannot be read is told in one line of ``problems``."""
+    """Yield the labeled frames of a job; what cannot be read is told in one line of ``problems``."""
     source = opened(job.origin)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
     wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]

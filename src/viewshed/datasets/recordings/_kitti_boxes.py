@@ -88,7 +88,7 @@ class _Track:
         category: what it is.
         size_m: length, width, height.
         first: frame of its first pose.
-        poses: (F, 4) float64: middle of its bottom in the LiDAR's frame, metres, and heading; NaN where damaged.
+        poses: (F, 4) float64: middle of its bottom in the LiDAR's frame, meters, and heading; NaN where damaged.
     """
 
     name: str

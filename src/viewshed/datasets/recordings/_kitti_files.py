@@ -142,7 +142,7 @@ _COLUMNS = 6
 
 
 def read_oxts(place: Path) -> NDArray[np.float64]:
-    """Return latitude and longitude in degrees, altitude in metres, roll, pitch and yaw in radians, (6,) float64.
+    """Return latitude and longitude in degrees, altitude in meters, roll, pitch and yaw in radians, (6,) float64.
 
     Raises:
         OSError: the file cannot be read.
@@ -155,7 +155,7 @@ def read_oxts(place: Path) -> NDArray[np.float64]:
 
 
 def world_from_imu(record: NDArray[np.float64], first: NDArray[np.float64]) -> Rigid:
-    """Return the pose of a record (6,) in the map: x east, y north, z up, metres from where ``first`` (6,) was taken.
+    """Return the pose of a record (6,) in the map: x east, y north, z up, meters from where ``first`` (6,) was taken.
 
     Mercator projection with the scale at the first latitude, and rotation Rz(yaw) Ry(pitch) Rx(roll), as in
     ``convertOxtsToPose.m`` of KITTI's development kit; unlike there the first pose keeps its rotation, so z is up.

@@ -27,7 +27,7 @@ class Annotations:
     Attributes:
         place: the table's file.
         rows: token of the sample → rows of ``values`` and ``instances``.
-        values: (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in metres; not finite where
+        values: (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; not finite where
             the row is damaged.
         instances: token of the object, by row.
         categories: token of the object → name of its category.

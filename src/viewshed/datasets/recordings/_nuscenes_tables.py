@@ -97,7 +97,7 @@ class Poses:
     Attributes:
         place: its file.
         rows: token → row of ``values``.
-        values: (N, 7) float64: quaternion (w, x, y, z), translation in metres; not finite where the row is damaged.
+        values: (N, 7) float64: quaternion (w, x, y, z), translation in meters; not finite where the row is damaged.
     """
 
     place: Path

@@ -50,7 +50,7 @@ def rotation_of_carla(roll_deg: float, pitch_deg: float, yaw_deg: float) -> NDAr
 
 
 def rigid_of_carla(location_m: Sequence[float], roll_deg: float, pitch_deg: float, yaw_deg: float) -> Rigid:
-    """Return the right-handed pose of a CARLA transform: (x, y, z) in metres, angles in degrees.
+    """Return the right-handed pose of a CARLA transform: (x, y, z) in meters, angles in degrees.
 
     >>> rigid_of_carla((10.0, 2.0, 1.0), 0.0, 0.0, 90.0).translation.tolist()
     [10.0, -2.0, 1.0]
@@ -66,7 +66,7 @@ def mirrored(sweep: Sweep) -> Sweep:
 
 
 def box_of_carla(world_from_box: Rigid, extent_m: Sequence[float], category: str, track: str | None) -> ObjectBox:
-    """Return the box with CARLA's extent: half of its length, width and height, metres."""
+    """Return the box with CARLA's extent: half of its length, width and height, meters."""
     length, width, height = (2.0 * float(half) for half in extent_m)
     return ObjectBox(world_from_box, (length, width, height), category, track)
 
@@ -100,7 +100,7 @@ def lidar_of_carla(
 MAX_TABLE_BYTES = 1_000_000_000
 
 POSE_COLUMNS = ("frame", "t_ns", "x", "y", "z", "roll", "pitch", "yaw")
-"""``frame`` is the number in the file's name; metres and degrees, left-handed, as ``carla.Transform`` gives them."""
+"""``frame`` is the number in the file's name; meters and degrees, left-handed, as ``carla.Transform`` gives them."""
 
 _ACTOR_NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -111,7 +111,7 @@ class AgentPose:
 
     Attributes:
         t_ns: time in nanoseconds.
-        numbers: x, y, z in metres, roll, pitch, yaw in degrees, in CARLA's left-handed world.
+        numbers: x, y, z in meters, roll, pitch, yaw in degrees, in CARLA's left-handed world.
     """
 
     t_ns: int

@@ -58,7 +58,7 @@ class ObjectBox:
     Attributes:
         world_from_box: pose of the box's frame: origin at its center, x along its heading, y left, z up. Where the
             sweep has no pose, its sensor's frame stands for the world.
-        size_m: its length (x), width (y) and height (z), metres.
+        size_m: its length (x), width (y) and height (z), meters.
         category: what it is, in the recording's own words.
         track: the same for one object over time, or None.
 
@@ -78,7 +78,7 @@ class ObjectBox:
 
     @property
     def center(self) -> NDArray[np.float64]:
-        """Center of the box in the world, (3,), metres."""
+        """Center of the box in the world, (3,), meters."""
         return self.world_from_box.translation
 
     @property

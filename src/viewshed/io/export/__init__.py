@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.fov.estimate import FovEstimate
 from viewshed.io.export import cpm, geojson, osi, ros
 from viewshed.io.export import npz as archive
@@ -74,4 +74,4 @@ def write_export(estimate: FovEstimate, name: str, path: str | Path) -> None:
     """
     if name not in EXPORTERS:
         raise ValueError(f"format must be one of {', '.join(EXPORTERS)}, got {name!r}")
-    write_bytes(path, EXPORTERS[name].encode(estimate))
+    write_atomic(path, EXPORTERS[name].encode(estimate))

@@ -62,15 +62,15 @@ def to_cpm(
     Coordinates are those of ``level``; the sender's reference point is its origin. A radial shape begins at its
     reference point, so where the sensor's own surroundings are not visible the shapes stand about points beside them.
     Radial shapes may lie upon one another; the region is their union. ``viewshed:share_kept`` is the share of the
-    visible cells whose centre is claimed. Nothing visible gives an empty list: then leave the container out.
+    visible cells whose center is claimed. Nothing visible gives an empty list: then leave the container out.
 
     Args:
         estimate: what to export.
         sectors: how many radial shapes or polygon nodes in all regions together.
         shape: ``sectors`` (radialShapes) or ``polygon`` (polygonal).
         threshold: probability from which a cell counts as visible.
-        footprint_m: cells with their centre nearer to the sensor than this count as visible (its own vehicle).
-        whole_cells: cover no part of a cell that is not visible; otherwise not its centre, which keeps more area.
+        footprint_m: cells with their center nearer to the sensor than this count as visible (its own vehicle).
+        whole_cells: cover no part of a cell that is not visible; otherwise not its center, which keeps more area.
 
     Raises:
         ValueError: ``sectors`` outside 4…4096, another shape, or a grid beyond ±327 m.
@@ -180,7 +180,7 @@ def _details(fan: Sectors) -> list[dict[str, int]]:
 
 
 def _polygons(mask: BoolMask, grid: BevGrid, vertices: int, whole_cells: bool) -> list[Polygon]:
-    """Return polygons without holes of at most 16 vertices each and ``vertices`` in all, in whole centimetres."""
+    """Return polygons without holes of at most 16 vertices each and ``vertices`` in all, in whole centimeters."""
     hole = blind_spot(mask, grid)
     apex = (0.0, 0.0) if hole is not None else _whole_cm(deepest_point(mask, grid))
     filled = mask if hole is None else mask | hole
@@ -258,7 +258,7 @@ def _fan(chain: FloatArray, apex: tuple[float, float], blind: Polygon | None) ->
 
 
 def _rounded(polygon: Polygon) -> Polygon:
-    """Return the polygon in whole centimetres; the margin kept from other cells is larger than what this moves."""
+    """Return the polygon in whole centimeters; the margin kept from other cells is larger than what this moves."""
     rings = [np.round(shapely.get_coordinates(ring), 2) + 0.0 for ring in (polygon.exterior, *polygon.interiors)]
     return Polygon(rings[0], rings[1:])
 
@@ -269,7 +269,7 @@ def _polygonal(polygon: Polygon) -> dict[str, Any]:
 
 
 def claimed_by_cpm(message: dict[str, Any], xy: FloatArray) -> NDArray[np.bool_]:
-    """Return whether each of the points (…, 2), metres in ``level``, lies in a perception region (…,)."""
+    """Return whether each of the points (…, 2), meters in ``level``, lies in a perception region (…,)."""
     points = np.asarray(xy, np.float64)
     claimed = np.zeros(points.shape[:-1], np.bool_)
     for region in message["perceptionRegionContainer"]:

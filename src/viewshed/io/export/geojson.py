@@ -21,7 +21,7 @@ STATES = (
 def to_geojson(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str, Any]:
     """Return a GeoJSON FeatureCollection (dict) of five MultiPolygons: ``visible`` and the four cell states.
 
-    Coordinates are metres, **not** the WGS84 degrees of RFC 7946: of the ``world`` frame where the estimate has a pose
+    Coordinates are meters, **not** the WGS84 degrees of RFC 7946: of the ``world`` frame where the estimate has a pose
     (its x, y and yaw; ``level`` is upright, so nothing else is left), else of ``level``. The member ``viewshed:frame``
     says which. The four states tile the grid; ``visible`` overlaps them.
     """
@@ -32,7 +32,7 @@ def to_geojson(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str,
         "type": "FeatureCollection",
         "viewshed:frame": {
             "name": "level" if pose is None else "world",
-            "coordinates": f"metres in {'level' if pose is None else 'world'} frame, not WGS84",
+            "coordinates": f"meters in {'level' if pose is None else 'world'} frame, not WGS84",
             "axes": "x forward, y left of the sensor" if pose is None else "x and y of the map",
             "world_from_level": None if pose is None else pose.as_matrix().tolist(),
         },

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from viewshed._files import write_bytes
+from viewshed._files import write_atomic
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import Target
 from viewshed.geometry import Rigid
@@ -37,7 +37,7 @@ def write_npz(estimate: FovEstimate, path: str | Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    write_bytes(path, to_npz(estimate))
+    write_atomic(path, to_npz(estimate))
 
 
 def to_npz(estimate: FovEstimate) -> bytes:

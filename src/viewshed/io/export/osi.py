@@ -21,7 +21,7 @@ STATES = "`visible`: FREE and SURFACE, by the threshold; `hidden`: HIDDEN; `unkn
 def to_osi(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str, Any]:
     """Return OSI-style polygons (dict): one entry a polygon, with its layer, outer ring and inner rings.
 
-    Rings are lists of {x, y, z} in metres of ``level``, z = 0 (the ground below the sensor), not closed; outer ones
+    Rings are lists of {x, y, z} in meters of ``level``, z = 0 (the ground below the sensor), not closed; outer ones
     counter-clockwise, inner ones clockwise. ``timestamp`` is {seconds, nanos}, absent where the time is not known.
     """
     visible = estimate.visible(threshold)
@@ -46,7 +46,7 @@ def _vectors(ring: Any) -> list[dict[str, float]]:
 
 
 def polygons_of_osi(message: dict[str, Any]) -> dict[str, MultiPolygon]:
-    """Return the polygons of a message of :func:`to_osi` by layer, metres in ``level``."""
+    """Return the polygons of a message of :func:`to_osi` by layer, meters in ``level``."""
     parts: dict[str, list[Polygon]] = {"visible": [], "hidden": [], "unknown": []}
     for entry in message["polygons"]:
         parts[entry["layer"]].append(Polygon(_xy(entry["outer"]), [_xy(ring) for ring in entry["inner"]]))

@@ -49,7 +49,7 @@ class PointCloud2(Protocol):
 
 
 def sweep_of_cloud(cloud: PointCloud2) -> Sweep:
-    """Return the sweep (N points, metres) of a message, row by row; points that are not finite are dropped.
+    """Return the sweep (N points, meters) of a message, row by row; points that are not finite are dropped.
 
     Intensity, ring, azimuth and time are taken from fields of their usual names. Rings are counted from the lowest
     beam; whole numbers of time are nanoseconds and fractions seconds, both since the earliest point.

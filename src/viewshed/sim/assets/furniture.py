@@ -26,7 +26,7 @@ Maker = Callable[[np.random.Generator], Group]
 
 
 def placed(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0) -> Group:
-    """Return the group turned by ``yaw`` about its origin, then moved to (x, y) in metres.
+    """Return the group turned by ``yaw`` about its origin, then moved to (x, y) in meters.
 
     >>> [(round(one.x_m, 6), round(one.y_m, 6)) for one in placed((Thing("a", (), x_m=1.0),), 5.0, 2.0, np.pi / 2)]
     [(5.0, 3.0)]
@@ -39,13 +39,13 @@ def placed(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0) -> 
 
 
 def bounds(group: Iterable[Thing]) -> NDArray[np.float64]:
-    """Return (k, 6) metres: x, y from, x, y to in the world, bottom and top above its ground, of each solid."""
+    """Return (k, 6) meters: x, y from, x, y to in the world, bottom and top above its ground, of each solid."""
     rows = [(*_bounds(one, part), part.bottom_m, part.top_m) for one in group for part in one.parts]
     return np.array(rows, np.float64).reshape(-1, 6)
 
 
 def footprint(group: Iterable[Thing]) -> tuple[float, float, float, float]:
-    """Return x and y from, x and y to in metres of a whole group, from above.
+    """Return x and y from, x and y to in meters of a whole group, from above.
 
     >>> footprint((Thing("table", (Box(0.0, 0.0, 1.0, 2.0, 0.7),), x_m=3.0),))
     (2.5, -1.0, 3.5, 1.0)
@@ -71,13 +71,13 @@ def _bounds(one: Thing, part: Shape) -> tuple[float, float, float, float]:
 def legs(
     length_m: float, width_m: float, top_m: float, side_m: float = 0.05, material: str = "wood"
 ) -> tuple[Box, ...]:
-    """Return four legs flush with the corners of a rectangle about the origin, sizes in metres."""
+    """Return four legs flush with the corners of a rectangle about the origin, sizes in meters."""
     x, y = (length_m - side_m) / 2, (width_m - side_m) / 2
     return tuple(Box(a * x, b * y, side_m, side_m, top_m, 0.0, 0.0, material) for a in (-1, 1) for b in (-1, 1))
 
 
 def slab(length_m: float, width_m: float, bottom_m: float, top_m: float, material: str = "wood") -> Box:
-    """Return an upright box about the origin of its thing, sizes in metres."""
+    """Return an upright box about the origin of its thing, sizes in meters."""
     return Box(0.0, 0.0, length_m, width_m, top_m, bottom_m, 0.0, material)
 
 

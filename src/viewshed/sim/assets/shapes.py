@@ -1,4 +1,4 @@
-"""The convex solids that things are made of, in the frame of their thing (z from the local ground, metres).
+"""The convex solids that things are made of, in the frame of their thing (z from the local ground, meters).
 
 What surfaces are made of: how much they return, and whether a beam passes through.
 """
@@ -19,7 +19,7 @@ class Material:
         name: what it is.
         reflectivity: share of the light that comes back at normal incidence, 0 for none (absorbers, mirrors); above 1
             for retroreflectors.
-        per_m: stops per metre of path: infinite for opaque things; finite for volumes that a beam may pass (leaves,
+        per_m: stops per meter of path: infinite for opaque things; finite for volumes that a beam may pass (leaves,
             wire mesh, panes), where the free path is exponential (Beer's law).
     """
 
@@ -82,8 +82,8 @@ class Box:
     """An upright box.
 
     Attributes:
-        x_m: centre, forward.
-        y_m: centre, left.
+        x_m: center, forward.
+        y_m: center, left.
         length_m: side along ``yaw``.
         width_m: side across ``yaw``.
         top_m: top above the ground.

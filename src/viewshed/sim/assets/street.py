@@ -32,7 +32,7 @@ def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
 
 
 def put(thing: Thing, x_m: float, y_m: float, yaw: float = 0.0) -> Thing:
-    """Return the thing at rest at (x, y) metres of the world, heading along ``yaw``."""
+    """Return the thing at rest at (x, y) meters of the world, heading along ``yaw``."""
     return replace(thing, x_m=float(x_m), y_m=float(y_m), yaw=float(yaw))
 
 
@@ -43,7 +43,7 @@ def drive(thing: Thing, track: Track) -> Thing:
 
 
 def extent(thing: Thing, below_m: float = _OVERHEAD_M) -> tuple[float, float, float, float]:
-    """Return rear, front, right and left ends in metres, in the thing's frame, of its parts that begin below a height.
+    """Return rear, front, right and left ends in meters, in the thing's frame, of its parts that begin below a height.
 
     >>> extent(Thing("wall", (Box(1.0, 0.0, 4.0, 0.2, 2.0),)))
     (-1.0, 3.0, -0.1, 0.1)
@@ -56,7 +56,7 @@ def extent(thing: Thing, below_m: float = _OVERHEAD_M) -> tuple[float, float, fl
 
 
 def footprint(thing: Thing, t_s: float = 0.0, below_m: float = _OVERHEAD_M) -> NDArray[np.float64]:
-    """Return the corners (4, 2) in metres of the world, counter-clockwise, of the rectangle around :func:`extent`."""
+    """Return the corners (4, 2) in meters of the world, counter-clockwise, of the rectangle around :func:`extent`."""
     rear, front, right, left = extent(thing, below_m)
     x_m, y_m, yaw = thing.place(t_s)
     corners = np.array([[rear, right], [front, right], [front, left], [rear, left]])

@@ -1,4 +1,4 @@
-"""Makers of vehicles: each returns a `Thing` centred on its origin, heading along x, that lies along the slope."""
+"""Makers of vehicles: each returns a `Thing` centered on its origin, heading along x, that lies along the slope."""
 
 from __future__ import annotations
 

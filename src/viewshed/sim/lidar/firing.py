@@ -20,7 +20,7 @@ def firing(model: LidarModel, motion: Motion, world_from_sensor: Rigid) -> tuple
     """Return starts (C, R, 3), unit directions (C, R, 3) in the sensor's reference frame, and times (C,) in seconds.
 
     Column c fires at azimuth -π + (c + 1/2) · ``model.azimuth_step``, at time (c + 1/2) / C - 1/2 of the period from
-    the reference. Positions are metres; the arrays are read-only and shared.
+    the reference. Positions are meters; the arrays are read-only and shared.
     """
     start_m, direction, _ = still_firing(model)
     turn, shift_m, time_s = column_poses(model, motion, world_from_sensor)
@@ -42,7 +42,7 @@ def still_firing(model: LidarModel) -> tuple[Floats, Floats, Floats]:
 def column_poses(model: LidarModel, motion: Motion, world_from_sensor: Rigid) -> tuple[Floats, Floats, Floats]:
     """Return where the sensor is when each column fires, in its reference frame, read-only.
 
-    Rotations (C, 3, 3), positions (C, 3) in metres and times (C,) in seconds.
+    Rotations (C, 3, 3), positions (C, 3) in meters and times (C,) in seconds.
     """
     phase = _still(model)[2]
     if motion.period_s == 0.0:

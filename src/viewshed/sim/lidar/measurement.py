@@ -268,7 +268,7 @@ def _thresholds() -> Floats:
 def air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[Floats, Floats]:
     """Return the share of light that comes back through the air by range, and the range of a particle by luck.
 
-    Particles that are detected are met at a rate of n exp(-(r / reach)² exp(2 α r)) a metre: sizes are exponential and
+    Particles that are detected are met at a rate of n exp(-(r / reach)² exp(2 α r)) a meter: sizes are exponential and
     the signal of each falls as that of a point that fills part of the beam.
     """
     range_m = np.linspace(0.0, max_range_m, _AIR)
@@ -284,7 +284,7 @@ def air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[Flo
 
 
 def particle_reach_m(optics: Optics, conditions: Conditions, max_range_m: float) -> float:
-    """Return the range in metres at which a particle of mean size is only just detected."""
+    """Return the range in meters at which a particle of mean size is only just detected."""
     return conditions.particle_reach * min(optics.reach_m, max_range_m)
 
 

@@ -16,7 +16,7 @@ class Optics:
     """How well a sensor measures ranges and how weak a return it still detects.
 
     Attributes:
-        sigma_m: standard deviation of the range of a strong return, in metres; an offset that a beam keeps is none.
+        sigma_m: standard deviation of the range of a strong return, in meters; an offset that a beam keeps is none.
         reach_m: range at which a target of 10 % reflectivity that faces the sensor is detected every second time;
             infinite for a sensor that detects everything.
         missing_share: beams that return nothing for no visible reason, of all.
@@ -70,7 +70,7 @@ def optics_of(model: LidarModel) -> Optics:
 
 
 def step_of(model: LidarModel) -> float:
-    """Return the metres of one step of range: 2 mm, doubled until 16 bits reach the maximum range.
+    """Return the meters of one step of range: 2 mm, doubled until 16 bits reach the maximum range.
 
     >>> from viewshed.sensors import lidar_model
     >>> step_of(lidar_model("hdl32e")), step_of(lidar_model("vlp32c"))

@@ -24,7 +24,7 @@ class RangeImage:
         model: the sensor.
         steps: (C, R) uint16 range from the start of the beam in ``step_m``; 0 is no return.
         intensity: (C, R) uint8, 0 where there is no return.
-        step_m: metres a step, 2 mm unless the sensor sees farther than 131 m.
+        step_m: meters a step, 2 mm unless the sensor sees farther than 131 m.
         world_from_sensor: reference pose, of the middle of the revolution.
         motion: how the sensor moved about it.
         sensor_height_m: above the ground below.

@@ -12,8 +12,8 @@ class Conditions:
     """What air, surfaces and faults do to a measurement; the default is a clear day and a healthy sensor.
 
     Attributes:
-        extinction_per_m: share of the light lost a metre of air, one way (Beer's law); 3 / visibility in fog.
-        particles_per_m: drops or flakes a metre of beam that are strong enough to be detected close to the sensor.
+        extinction_per_m: share of the light lost a meter of air, one way (Beer's law); 3 / visibility in fog.
+        particles_per_m: drops or flakes a meter of beam that are strong enough to be detected close to the sensor.
         particle_reach: range at which a particle of mean size is only just detected, as a share of the range at which
             the sensor detects a 10 % target.
         wet: reflectivity of the ground as a share of that when dry; water mirrors the light away.

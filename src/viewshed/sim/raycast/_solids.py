@@ -28,8 +28,8 @@ def cast_solids(beams: Any, solids: Any, frame: Any, draws: Any, best: Any) -> N
     Args:
         beams: x, y and z of the directions in world axes, start of the beam on the sensor's axis, and time, each
             (blocks · C · BLOCK).
-        solids: centre from the sensor, three rows of the rotation, half sizes and velocity (S, 6, 3); kinds, stops per
-            metre, salts (S,).
+        solids: center from the sensor, three rows of the rotation, half sizes and velocity (S, 6, 3); kinds, stops per
+            meter, salts (S,).
         frame: the sensor's rotation, azimuth step and offsets, ascending slopes of the rings, limits (columns,
             maximum range, half the period, highest beam start, slack of slopes in a turn), velocity.
         draws: exponential free paths of mean 1.
@@ -198,7 +198,7 @@ def _round_volumes(beams: Any, local: Any, best: Any, shape: Any, paths: Any) ->
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _draw_paths(base: Any, many: Any, chance: Any, draws: Any, paths: Any) -> None:  # pragma: no cover - compiled
-    """Store how many metres beams from ``base`` on get into a volume, drawn by beam and volume."""
+    """Store how many meters beams from ``base`` on get into a volume, drawn by beam and volume."""
     mean_m, salt = chance
     tickets = paths.view(np.uint32)
     for n in range(many):

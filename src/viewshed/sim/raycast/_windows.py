@@ -65,7 +65,7 @@ def _gaps(boxes: Any, s: Any, drift: Any) -> Any:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _corners(boxes: Any, s: Any, pose: Any, drift: Any, seen: Any) -> Any:  # pragma: no cover - compiled
-    """Store x and y of the corners (2, 8) in the sensor's frame; return the centre, half the height, and far².
+    """Store x and y of the corners (2, 8) in the sensor's frame; return the center, half the height, and far².
 
     The latter is the square of the largest horizontal range of a corner.
     """

@@ -41,7 +41,7 @@ class Scan:
         time_s: (C,) float32 seconds from the reference; all 0 without rolling shutter.
         origin_m: (C, R, 3) float32 start of each beam from the reference position of the sensor.
         direction: (C, R, 3) float32 unit vectors.
-        depth_m: (C, R) float32 metres from start to first stop; +inf where there is none within the maximum range.
+        depth_m: (C, R) float32 meters from start to first stop; +inf where there is none within the maximum range.
         thing: (C, R) int32 index of the thing met; ``GROUND``, or ``NOTHING``.
         material: (C, R) uint8 rows of ``MATERIALS`` (0 where nothing).
         cos_incidence: (C, R) float32 in [0, 1] between beam and normal; 1 for volumes.

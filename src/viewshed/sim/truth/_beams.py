@@ -114,7 +114,7 @@ def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cov
 def mark_stops(beams: Any, counts: Any, ground: Any, shape: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Set ``out`` (targets, cells) where a stop that ``counts`` lies between a height and the target's top.
 
-    ``shape`` is the lattice (x and y of its corner, cells a metre, cells a side), the height and the tops (targets,).
+    ``shape`` is the lattice (x and y of its corner, cells a meter, cells a side), the height and the tops (targets,).
     """
     (x0, y0, per_m, cells), low, tops = shape
     for n in range(beams.shape[1]):

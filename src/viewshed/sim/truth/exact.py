@@ -42,7 +42,7 @@ Places = NDArray[np.int32]
 
 @lru_cache(maxsize=2)
 def ranges_of(grid: BevGrid) -> Floats:
-    """Return the horizontal range of the centres (cells,) in metres."""
+    """Return the horizontal range of the centers (cells,) in meters."""
     return polar_of_cells(grid)[0].reshape(-1)
 
 
@@ -80,7 +80,7 @@ def batches_of(grid: BevGrid, bins: int) -> tuple[Places, Floats, Places]:
 
 
 BELOW_GROUND_M = 0.02
-"""A beam that meets the plate this far below the ground of its cell's centre counts: the ground rises by so much over
+"""A beam that meets the plate this far below the ground of its cell's center counts: the ground rises by so much over
 half the width of a car at a crown of 2 %."""
 
 SURFACE_FROM_M = 0.2
@@ -104,7 +104,7 @@ class _View:
         beams: (6, C·R) lines, see ``truth_kernels``.
         azimuth: (C·R,) of the beams.
         flags: (C·R,) what stopped them, see ``truth_bins``.
-        ground: (cells,) at the centres of the cells.
+        ground: (cells,) at the centers of the cells.
         offset_m: largest horizontal distance of a beam's start from the reference position.
     """
 
@@ -126,8 +126,8 @@ def exact_truth(
 ) -> tuple[Truth, Mask]:
     """Return the truth of a scan on ``grid``, and where it is known (cells, cells).
 
-    For a cell whose centre lies at horizontal range r from the sensor, the target is an upright plate of its width and
-    height through the centre, across the line of sight, on the ground there. A beam *aims* at it if it crosses it, and
+    For a cell whose center lies at horizontal range r from the sensor, the target is an upright plate of its width and
+    height through the center, across the line of sight, on the ground there. A beam *aims* at it if it crosses it, and
     *reaches* it if it stops no more than a cell's side before it, measured along the line of sight. ``docs/truth.md``
     tells the states and the other definitions.
 
@@ -158,7 +158,7 @@ def exact_truth(
 
 
 def _ground(scan: Scan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
-    """Return the ground (cells, cells) at the centres, from the sensor's height, and where there is terrain."""
+    """Return the ground (cells, cells) at the centers, from the sensor's height, and where there is terrain."""
     centers = grid.centers
     return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 

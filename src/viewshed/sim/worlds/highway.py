@@ -68,12 +68,12 @@ class Route:
         return self.median_m + self.lanes * _LANE_M + _SHOULDER_M
 
     def axis(self, x: Array) -> Array:
-        """Return y of the axis in metres."""
+        """Return y of the axis in meters."""
         turn = 2 * np.pi / self.wave_m
         return np.asarray(self.swing_m * (np.sin(turn * x + self.phase) - np.sin(self.phase)))
 
     def at(self, x_m: float, across_m: float) -> tuple[float, float, float]:
-        """Return x, y and heading at ``across_m`` metres left of the axis."""
+        """Return x, y and heading at ``across_m`` meters left of the axis."""
         turn = 2 * np.pi / self.wave_m
         yaw = float(np.arctan(self.swing_m * turn * np.cos(turn * x_m + self.phase)))
         y = float(self.axis(np.array(x_m)))
@@ -85,7 +85,7 @@ class Route:
         return put(thing, x, y, yaw + turn)
 
     def lane(self, number: int, back: bool) -> Lane:
-        """Return lane ``number`` from the median; its metre 0 is at x = 0."""
+        """Return lane ``number`` from the median; its meter 0 is at x = 0."""
         x = np.arange(-1500.0, 1501.0, 10.0)
         across = (1 if back else -1) * (self.median_m + (number + 0.5) * _LANE_M)
         turn = 2 * np.pi / self.wave_m

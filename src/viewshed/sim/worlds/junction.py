@@ -41,7 +41,7 @@ class Street:
     free: bool
 
     def lane(self, way: int, number: int) -> Lane:
-        """Return lane ``number`` from the axis, one way (0) or the other (1); metre 0 is on the other street's axis."""
+        """Return lane ``number`` from the axis, one way (0) or the other (1); meter 0 is on the other street's axis."""
         yaw, across = self.yaw + way * np.pi, (number + 0.5) * self.wide_m
         return straight_lane(float(across * np.sin(yaw)), float(-across * np.cos(yaw)), yaw)
 

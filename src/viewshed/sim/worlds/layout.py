@@ -23,7 +23,7 @@ MOST_MOVING = 40
 def spots(
     rng: np.random.Generator, span_m: Span, size_m: float, gap_m: Span, closed: Sequence[Span] = ()
 ) -> list[float]:
-    """Return the middles in metres of pieces of one size along a strip, with random gaps, none over a closed part.
+    """Return the middles in meters of pieces of one size along a strip, with random gaps, none over a closed part.
 
     >>> spots(np.random.default_rng(0), (0.0, 10.0), 2.0, (0.0, 0.0), [(3.0, 5.0)])
     [1.0, 6.0, 8.0]
@@ -40,7 +40,7 @@ def spots(
 
 
 def plots(rng: np.random.Generator, span_m: Span, length_m: Span, gap_m: float, gap_share: float) -> list[Span]:
-    """Return middle and length in metres of plots along a strip; after some of them, a gap of about ``gap_m``."""
+    """Return middle and length in meters of plots along a strip; after some of them, a gap of about ``gap_m``."""
     at, found = span_m[0], []
     while at < span_m[1] - length_m[0]:
         length = min(rng.uniform(*length_m), span_m[1] - at)

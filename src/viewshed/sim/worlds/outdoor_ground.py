@@ -27,7 +27,7 @@ class Relief:
     """A slope with long waves on it.
 
     Attributes:
-        slope: metres of rise for each metre of x and of y.
+        slope: meters of rise for each meter of x and of y.
         wave_m: height of the waves along x and y.
         length_m: length of the waves along x and y.
         phase: of the waves, radians.
@@ -39,7 +39,7 @@ class Relief:
     phase: tuple[float, float]
 
     def at(self, x: Array, y: Array) -> Array:
-        """Return heights in metres at x and y of any one shape."""
+        """Return heights in meters at x and y of any one shape."""
         height = self.slope[0] * x + self.slope[1] * y
         for along, wave, length, phase in zip((x, y), self.wave_m, self.length_m, self.phase, strict=True):
             height = height + wave * np.sin(2 * np.pi * along / length + phase)
@@ -103,7 +103,7 @@ class Ground:
     bump_m: float = 0.09
 
     def terrain(self, half_x_m: float, half_y_m: float, step_m: float = 9.0) -> Terrain:
-        """Return the terrain over ±half_x and ±half_y metres, its plain lines about ``step_m`` apart."""
+        """Return the terrain over ±half_x and ±half_y meters, its plain lines about ``step_m`` apart."""
         bumps = [at + shift for at in self.bumps_m for shift in (-_BUMP_HALF_M, -0.5, 0.5, _BUMP_HALF_M)]
         x_m = _lines(half_x_m, step_m, (self.across.lines() if self.across else []) + bumps)
         y_m = _lines(half_y_m, step_m, self.along.lines() if self.along else [])

@@ -33,7 +33,7 @@ class Lane:
     """A line that vehicles follow.
 
     Attributes:
-        xy_m: (k, 2) corners in metres of the world.
+        xy_m: (k, 2) corners in meters of the world.
         arc_m: (k,) where they lie along the line.
         yaw: (k,) heading at the corners, continuous, radians.
     """
@@ -43,13 +43,13 @@ class Lane:
     yaw: Array
 
     def at(self, s_m: Array) -> tuple[Array, Array]:
-        """Return places (n, 2) and headings (n,) at ``s_m`` metres along the line."""
+        """Return places (n, 2) and headings (n,) at ``s_m`` meters along the line."""
         x, y = np.interp(s_m, self.arc_m, self.xy_m[:, 0]), np.interp(s_m, self.arc_m, self.xy_m[:, 1])
         return np.column_stack([x, y]), np.interp(s_m, self.arc_m, self.yaw)
 
 
 def straight_lane(x_m: float, y_m: float, yaw: float) -> Lane:
-    """Return the straight lane through (x, y), where its metre 0 is.
+    """Return the straight lane through (x, y), where its meter 0 is.
 
     >>> straight_lane(0.0, -2.0, 0.0).at(np.array([5.0]))[0].tolist()
     [[5.0, -2.0]]
@@ -60,7 +60,7 @@ def straight_lane(x_m: float, y_m: float, yaw: float) -> Lane:
 
 
 def line_lane(xy_m: Array) -> Lane:
-    """Return the lane through points (k, 2), its metre 0 where it starts."""
+    """Return the lane through points (k, 2), its meter 0 where it starts."""
     steps = np.diff(xy_m, axis=0)
     arc = np.concatenate([[0.0], np.hypot(steps[:, 0], steps[:, 1]).cumsum()])
     headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
@@ -71,7 +71,7 @@ def line_lane(xy_m: Array) -> Lane:
 def right_turn(lane: Lane, corner_m: float, radius_m: float) -> Lane:
     """Return the lane that follows a straight one and turns right by a quarter circle.
 
-    ``corner_m``: where along ``lane`` the line of the new lane crosses. Metre 0 stays where it is.
+    ``corner_m``: where along ``lane`` the line of the new lane crosses. Meter 0 stays where it is.
     """
     (start,), (yaw,) = lane.at(np.array([corner_m - radius_m]))
     forward, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([np.sin(yaw), -np.cos(yaw)])

@@ -19,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.datasets.simulated import simulate_frame
-from viewshed.estimators.temporal import where_supported
-from viewshed.estimators.unet import heeds_past
+from viewshed.estimators.temporal import where_confirmed
+from viewshed.estimators.unet import uses_history
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import Scores
-from viewshed.preprocess.history import PAST_SWEEPS, Past
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.history import HISTORY_SWEEPS, History
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.studies.paper.protocols import generator
 from viewshed.studies.statistics import counts
 from viewshed.studies.suite import Subject, estimate_of
-from viewshed.sweep import Sweep, unorganised_no_sensor
+from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import ATTACKS, ROAD_EXTENT_M, BlackBox, Knowledge, OverClaim
 from viewshed.training.samples import Struck
 
@@ -75,12 +75,12 @@ class Remembered:
 
     Attributes:
         sweeps: the last ones, the oldest first, as measured.
-        levels: the same, levelled.
+        levels: the same, leveled.
         grid: on which.
     """
 
     sweeps: tuple[Sweep, ...]
-    levels: tuple[LevelSweep, ...]
+    levels: tuple[LeveledSweep, ...]
     grid: BevGrid
 
     @classmethod
@@ -88,51 +88,56 @@ class Remembered:
         """Return the five sweeps before a subject's, or as many as its scene has; a recorded one's own."""
         grid = subject.sample.truth.grid
         sweeps = subject.earlier if subject.frame is None else _simulated(subject)
-        return cls(sweeps, tuple(level_sweep(sweep, grid) for sweep in sweeps), grid)
+        return cls(sweeps, tuple(level(sweep, grid) for sweep in sweeps), grid)
 
     @property
     def whole(self) -> bool:
         """Whether there are as many as an estimator may look at."""
-        return len(self.sweeps) == PAST_SWEEPS
+        return len(self.sweeps) == HISTORY_SWEEPS
 
-    def pasts(self, level: LevelSweep, struck: Struck | None, rng_of: tuple[int, int, str]) -> dict[str, Past | None]:
+    def pasts(
+        self, leveled: LeveledSweep, struck: Struck | None, rng_of: tuple[int, int, str]
+    ) -> dict[str, History | None]:
         """Return the pasts of a sweep: none, honest, and where it was attacked also as if the attack had lasted.
 
         Args:
-            level: the sweep.
+            leveled: the sweep.
             struck: the attack on it, None where its rings were taken; then the past has none either.
             rng_of: seed, number of the subject and case, for the attacks on the past.
         """
         if struck is None:
-            bare = [level_sweep(unorganised_no_sensor(sweep), self.grid) for sweep in self.sweeps]
-            return {ALONE: None, HONEST: Past.of(level, bare)}
-        honest = {ALONE: None, HONEST: Past.of(level, self.levels)}
+            bare = [level(unorganized_no_sensor(sweep), self.grid) for sweep in self.sweeps]
+            return {ALONE: None, HONEST: History.of(leveled, bare)}
+        honest = {ALONE: None, HONEST: History.of(leveled, self.levels)}
         if struck.attack is None:
             return honest
         seed, number, case = rng_of
         before = struck.before(self.sweeps, generator(seed, "past", number, case))
-        return honest | {ATTACKED: Past.of(level, [level_sweep(sweep, self.grid) for sweep in before])}
+        return honest | {ATTACKED: History.of(leveled, [level(sweep, self.grid) for sweep in before])}
 
 
 def _simulated(subject: Subject) -> tuple[Sweep, ...]:
     assert subject.frame is not None
     scene, frame = subject.frame
     step = scene.preset.agents
-    return tuple(simulate_frame(scene, at).sweep for at in range(frame % step, frame, step)[-PAST_SWEEPS:])
+    return tuple(simulate_frame(scene, at).sweep for at in range(frame % step, frame, step)[-HISTORY_SWEEPS:])
 
 
 def estimates(
-    estimators: Mapping[str, FovEstimator], names: tuple[str, ...], level: LevelSweep, pasts: Mapping[str, Past | None]
+    estimators: Mapping[str, FovEstimator],
+    names: tuple[str, ...],
+    leveled: LeveledSweep,
+    pasts: Mapping[str, History | None],
 ) -> Iterator[tuple[str, FovEstimate]]:
     """Yield what those of the estimators that the past helps say with each past, wary or not, each with its name."""
     for name in names:
         estimator = estimators.get(name)
-        if estimator is not None and heeds_past(estimator):
+        if estimator is not None and uses_history(estimator):
             for kind, past in pasts.items():
-                found = estimator.estimate_level(level, past)
+                found = estimator.estimate_level(leveled, past)
                 yield f"{name}, {kind}", found
                 if past is not None:
-                    yield f"{name}, {WARY}{kind}", where_supported(found, past)
+                    yield f"{name}, {WARY}{kind}", where_confirmed(found, past)
 
 
 BENIGN, BARE = "benign", "no rings"
@@ -167,7 +172,7 @@ def shots_of(subject: Subject, seed: int, number: int) -> Iterator[Shot]:
     """Yield a subject in every case; attacks that its sweep does not allow are left out."""
     sweep, grid = subject.sample.sweep, subject.sample.truth.grid
     yield Shot(BENIGN, sweep, struck=Struck(sweep))
-    yield Shot(BARE, unorganised_no_sensor(sweep))
+    yield Shot(BARE, unorganized_no_sensor(sweep))
     knowledge = Knowledge(subject.earlier[:1], half_extent_m=grid.half_extent_m)
     for name in TOUCHING:
         attack = ATTACKS[name](None, knowledge)
@@ -259,10 +264,10 @@ def score(
         parts, memory = dict(parts_of(subject, target)), Remembered.of(subject) if remembering else None
         memory = memory if memory is not None and memory.whole else None
         for shot in shots_of(subject, seed, number):
-            level = level_sweep(shot.sweep, subject.sample.truth.grid)
-            pasts = {} if memory is None else memory.pasts(level, shot.struck, (seed, number, shot.case))
-            alone = ((name, estimate_of(each, level, shot.sweep)) for name, each in estimators.items())
-            for name, estimate in chain(alone, estimates(estimators, remembering, level, pasts)):
+            leveled = level(shot.sweep, subject.sample.truth.grid)
+            pasts = {} if memory is None else memory.pasts(leveled, shot.struck, (seed, number, shot.case))
+            alone = ((name, estimate_of(each, leveled, shot.sweep)) for name, each in estimators.items())
+            for name, estimate in chain(alone, estimates(estimators, remembering, leveled, pasts)):
                 found[name][shot.case].add(estimate, shot, visible, known)
                 if shot.case == BENIGN:
                     found[name][shot.case].add_parts(estimate, visible, known, parts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from viewshed._page import Heading, PageBlock, Text, facts, to_markdown
-from viewshed.preprocess.history import PAST_SWEEPS
+from viewshed.preprocess.history import HISTORY_SWEEPS
 from viewshed.studies.ablation.contest import CLEAR, MARGIN, POINTS, SECTOR_DEG
 from viewshed.studies.ablation.plan import AblationPlan
 from viewshed.studies.ablation.results import OURS, SHADOW_MAP, Results, Target, targets_elsewhere, targets_of
@@ -61,9 +61,10 @@ attacks that open a view, here:"""
 
 
 _PAST = f"""\
-Those of the sweeps that have {PAST_SWEEPS} earlier ones of the sensor, a second apart. *Alone*: without them. *Past*:
-no one touched them; the attack has just begun. *Attacked past*: it has lasted, at the same place in the map. *Wary*:
-claimed is only what one of the earlier sweeps would have seen as well (`--wary`). F1 of the view:"""
+Those of the sweeps that have {HISTORY_SWEEPS} earlier ones of the sensor, a second apart. *Alone*: without them.
+*Past*:
+no one touched them; the attack has just begun. *Attacked past*: it has lasted, at the same place in the map.
+*Wary*: claimed is only what one of the earlier sweeps would have seen as well (`--wary`). F1 of the view:"""
 
 _TARGETS = """\
 What was aimed at, beside the figure of the shipped `viewnet` on the reported scenes, one sweep at a time. An attack

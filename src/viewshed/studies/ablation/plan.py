@@ -139,12 +139,12 @@ class AblationPlan:
         for key, value in nested.items():
             if not isinstance(value, dict):
                 raise ValueError(f"{key} must be a table, got {value!r}")
-        return cls(**flat.values_of(cls, rest, "plan", without=nested), **nested)  # type: ignore[arg-type]
+        return cls(**flat.from_dict(cls, rest, "plan", without=nested), **nested)  # type: ignore[arg-type]
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain values."""
         variants = {name: dict(changes) for name, changes in self.variants.items()}
-        return flat.plain(self) | {"base": dict(self.base), "others": dict(self.others), "variants": variants}
+        return flat.to_dict(self) | {"base": dict(self.base), "others": dict(self.others), "variants": variants}
 
 
 def ablation_named(name: str) -> AblationPlan:
@@ -153,4 +153,4 @@ def ablation_named(name: str) -> AblationPlan:
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
     """
-    return AblationPlan.from_json(flat.shipped(_FOLDER, name))
+    return AblationPlan.from_json(flat.load_preset(_FOLDER, name))

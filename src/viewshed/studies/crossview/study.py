@@ -25,7 +25,7 @@ from viewshed.fov.height_map import Ground
 from viewshed.fov.visibility import CAR, Beams, expected_returns, probability_of_visible
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import LevelSweep, level_sweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.assets.shapes import Box, Cylinder
 from viewshed.sim.scene import Scene, cast, depth_image, junction
@@ -34,7 +34,7 @@ from viewshed.sweep import Sweep
 
 @dataclass(frozen=True, slots=True)
 class CrossViewRules:
-    """How columns are chosen; every length in metres above each sweep's own local ground.
+    """How columns are chosen; every length in meters above each sweep's own local ground.
 
     Attributes:
         body_m: a column needs ``body_returns`` returns of B between these heights.
@@ -83,7 +83,7 @@ class Columns:
     """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each.
 
     Attributes:
-        xy: (M, 2) metres.
+        xy: (M, 2) meters.
         seen: (M,) bool: A sees the column; the others it does not.
         through: (M,) bool: not seen, but A's beams pass it: moved or see-through; left out of ``over``.
     """
@@ -118,7 +118,7 @@ class CrossViewRow:
     dropped_share: float
 
 
-def columns_of(a: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules) -> Columns:
+def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules) -> Columns:
     """Return the columns that ``others`` know about the view of ``a``; all need poses and times."""
     found = [columns for b in others for columns in [_columns_of_pair(a, b, others, rules)] if len(columns)]
     if not found:
@@ -144,7 +144,7 @@ def _merged(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _columns_of_pair(
-    a: LevelSweep, b: LevelSweep, others: Sequence[LevelSweep], rules: CrossViewRules
+    a: LeveledSweep, b: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules
 ) -> NDArray[np.float64]:
     """Return (M, 3): x and y in A's level frame, and 1 where the column stands on the ground, else 0."""
     xy_b, standing = _tall_columns(b, rules)
@@ -171,7 +171,7 @@ def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArra
     return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
 
 
-def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _tall_columns(b: LeveledSweep, rules: CrossViewRules) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the columns (M, 2) of ``b`` that are as tall as the target, and whether each stands on the ground."""
     grid = BevGrid(round(4 * rules.range_b_m[1]), rules.range_b_m[1])
     range_b = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
@@ -183,18 +183,18 @@ def _tall_columns(b: LevelSweep, rules: CrossViewRules) -> tuple[NDArray[np.floa
     return grid.centers[enough], (_between_heights(b, grid, rules.foot_m) >= 1)[enough]
 
 
-def _between_heights(b: LevelSweep, grid: BevGrid, height_m: tuple[float, float]) -> NDArray[np.int32]:
+def _between_heights(b: LeveledSweep, grid: BevGrid, height_m: tuple[float, float]) -> NDArray[np.int32]:
     return grid.count(b.points[(b.height_m > height_m[0]) & (b.height_m < height_m[1])])
 
 
-def _between(to: LevelSweep, of: LevelSweep) -> Any:
+def _between(to: LeveledSweep, of: LeveledSweep) -> Any:
     to_pose, of_pose = to.world_from_level, of.world_from_level
     if to_pose is None or of_pose is None:
         raise ValueError("cross-view truth needs the pose of every sweep (world_from_sensor)")
     return to_pose.inverse() @ of_pose
 
 
-def _seconds_apart(b: LevelSweep, c: LevelSweep) -> float:
+def _seconds_apart(b: LeveledSweep, c: LeveledSweep) -> float:
     if b.sweep.t_ns is None or c.sweep.t_ns is None:
         raise ValueError("cross-view truth needs the time of every sweep (t_ns)")
     return abs(b.sweep.t_ns - c.sweep.t_ns) * 1e-9
@@ -208,7 +208,7 @@ def _counts(tree: Any, xy: NDArray[np.float64], radius_m: float) -> NDArray[np.i
 
 
 def _aimed_and_through(
-    a: LevelSweep, xy: NDArray[np.float64], rules: CrossViewRules
+    a: LeveledSweep, xy: NDArray[np.float64], rules: CrossViewRules
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return how many returned beams of ``a`` aim at each column, and how many of them end well behind it."""
     beams = a.beams()
@@ -252,7 +252,7 @@ def crossview_truth(
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, Columns]] = []
     for sweeps in sequences:
-        levels = [level_sweep(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
+        levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
         for k, a in enumerate(levels):
             progress(f"truth of sweep {len(truth) + 1}")
             truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules or CrossViewRules())))
@@ -318,7 +318,7 @@ def view(
     Args:
         scene: what stands there; its ground must be level.
         model: the sensor.
-        pose: x and y in metres and yaw in radians, in the scene.
+        pose: x and y in meters and yaw in radians, in the scene.
         height_m: sensor height above the ground.
         rng: noise of the measured ranges.
 
@@ -363,7 +363,7 @@ POSES = (
     (-30.0, 3.4, 3.14), (-20.0, 3.4, 3.14), (-6.0, 0.3, 0.0), (2.0, 0.2, 0.0), (14.0, 0.3, 0.1),
     (24.0, -8.0, -1.5), (24.5, 6.0, 1.57), (30.0, 20.0, -1.57), (34.0, 0.2, 0.0), (50.0, 0.2, 0.0),
 )  # fmt: skip
-"""Where the sensor stands in the simulated junction: x, y in metres and yaw."""
+"""Where the sensor stands in the simulated junction: x, y in meters and yaw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

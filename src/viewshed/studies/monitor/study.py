@@ -18,7 +18,7 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity.monitor import RULE, DeviationMonitor, Rule
 from viewshed.integrity.roc import auroc, auroc_interval, tpr_at_fpr
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, Knowledge, Tampered
 from viewshed.threats.corruptions import CORRUPTIONS
@@ -303,7 +303,7 @@ class _Bench:
 
 def _regions(tampered: Tampered, clean: Sweep, grid: BevGrid) -> Iterator[tuple[str, Mask]]:
     """Yield the cells with a return that was added or removed, and those whose azimuth the attacker's wedge holds."""
-    level_from_sensor = level_sweep(clean, grid).level_from_sensor
+    level_from_sensor = level(clean, grid).level_from_sensor
     rows = np.concatenate([tampered.sweep.points[tampered.added], clean.points[tampered.removed]])
     cells, inside = grid.index((level_from_sensor @ rows)[:, :2])
     touched = np.zeros(grid.shape, np.bool_)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._jobs import Engine
-from viewshed.datasets import Archive, Store
+from viewshed.datasets import Archive, Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import simulate
 from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
@@ -61,7 +61,7 @@ def make_archive(
         engine: makes the shards.
         progress: is told how many more sweeps are there.
     """
-    store = Store.of(place_of(folder, *part))
+    store = Storage.of(place_of(folder, *part))
     return simulate(preset_of(plan, *part), store, engine, lambda shard: progress(shard.frames))
 
 

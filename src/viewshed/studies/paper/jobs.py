@@ -24,7 +24,7 @@ from viewshed.estimators.unet import UnetEstimator
 from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import polar_of_cells
 from viewshed.networks.card import Runner
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import BENIGN, Case, Trial, apply, generator
 from viewshed.studies.monitor.study import MonitorPlan, fitted, watched
 from viewshed.studies.paper.data import (
@@ -129,7 +129,7 @@ def field_of(setting: Setting, subject: Subject, estimators: Mapping[str, FovEst
     """Return the contestants on the truth's grid, against exact truth of ``probe``, car."""
     sample = subject.sample
     reference = Reference.of(sample.truth.visible(), sample.known, polar_of_cells(setting.grid)[1])
-    pose = level_sweep(sample.sweep, setting.grid).world_from_level
+    pose = level(sample.sweep, setting.grid).world_from_level
     return Contestants(setting.grid, setting.threshold, estimators, reference, pose)
 
 

@@ -164,11 +164,11 @@ class StudyPlan:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        return cls(**flat.values_of(cls, table, "plan", {"monitor_corruptions": CORRUPTIONS}))
+        return cls(**flat.from_dict(cls, table, "plan", {"monitor_corruptions": CORRUPTIONS}))
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain values, every name spelt out."""
-        return flat.plain(self)
+        return flat.to_dict(self)
 
 
 def _check_names(key: str, names: Iterable[str], table: Iterable[str]) -> None:
@@ -182,7 +182,7 @@ def _check_names(key: str, names: Iterable[str], table: Iterable[str]) -> None:
 
 def plan_names() -> tuple[str, ...]:
     """Return the names that :func:`plan_named` knows, in alphabetical order."""
-    return flat.shipped_names(_FOLDER)
+    return flat.preset_names(_FOLDER)
 
 
 def plan_named(name: str) -> StudyPlan:
@@ -194,4 +194,4 @@ def plan_named(name: str) -> StudyPlan:
     >>> plan_named("small").domains
     ('carla', 'nuscenes', 'ugv')
     """
-    return StudyPlan.from_json(flat.shipped(_FOLDER, name))
+    return StudyPlan.from_json(flat.load_preset(_FOLDER, name))

@@ -56,7 +56,7 @@ class JobStore(Generic[P]):
         store.folder.mkdir(parents=True, exist_ok=True)
         head = {"format": FORMAT, "version": metadata.version("viewshed"), "plan": plan.to_json()}
         if not journal.is_begun(store.path):
-            journal.append(store.path, head)
+            journal.append_jsonl(store.path, head)
         found = next(store._lines())
         if found != head:
             what = "another plan" if found.get("plan") != head["plan"] else "another version"
@@ -75,7 +75,7 @@ class JobStore(Generic[P]):
         Raises:
             OSError: it cannot be written.
         """
-        journal.append(self.path, {"job": list(key), **found})
+        journal.append_jsonl(self.path, {"job": list(key), **found})
 
     def keys(self) -> set[Key]:
         """Return the names of the jobs that are there."""

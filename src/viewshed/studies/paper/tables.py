@@ -274,7 +274,7 @@ def view_table(results: Results, domain: str) -> Table:
     rows = [best(["*benign*", *(_with_spread(results, StrictKey(domain, BENIGN, name)) for name in names)])]
     for case in attacked_cases(results, domain):
         cells = (_with_spread(results, StrictKey(domain, case, name)) for name in names)
-        rows.append(best([_labelled(results, case), *cells]))
+        rows.append(best([_labeled(results, case), *cells]))
     return Table(["attack (family)", *names], rows)
 
 
@@ -284,7 +284,7 @@ def wedge_table(results: Results, domain: str) -> Table:
     for case in attacked_cases(results, domain):
         if results.has_wedge(domain, case):
             keys = [StrictKey(domain, case, name) for name in names]
-            rows.append([_labelled(results, case), *_three_each(results, keys, WEDGE)])
+            rows.append([_labeled(results, case), *_three_each(results, keys, WEDGE)])
             rows.append(["*untouched*", *_three_each(results, keys, UNTOUCHED)])
     return Table(["attack (family)", *names], rows)
 
@@ -305,7 +305,7 @@ def _with_spread(results: Results, key: StrictKey) -> str:
     return three(results.under(key, f1)) + ("" if isnan(low) else f" ±{three((high - low) / 2)}")
 
 
-def _labelled(results: Results, case: Case) -> str:
+def _labeled(results: Results, case: Case) -> str:
     """Return an attack's name and family, with a star if the adversarial models were trained on it."""
     star = " \\*" if case.name in results.store.plan.trained_attacks else ""
     return f"{case.name} ({FAMILY[case.name]}){star}"
@@ -332,7 +332,7 @@ def winner_table(results: Results, domain: str) -> Table:
 
 
 def _case_label(results: Results, case: Case) -> str:
-    return "*benign*" if case == BENIGN else _labelled(results, case)
+    return "*benign*" if case == BENIGN else _labeled(results, case)
 
 
 def _leader(results: Results, where: tuple[str, Case], names: list[str], columns: slice) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from math import isnan
 import numpy as np
 
 from viewshed._page import Heading, PageBlock, Picture, Table, Text
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.studies import figures as plot_study
 from viewshed.studies import suite as contestants
 from viewshed.studies.cases import BENIGN, Case, apply, budgets_of, generator, strongest_case
@@ -148,12 +148,12 @@ def _scene(results: Results, subject: Subject, case: Case, number: int) -> plot_
     trial = apply(case, subject, generator(study.seed, study.domains[0], number, case))
     field = contestants.strict(sample, DRAWN)
     claims = {name: prob >= np.float32(field.threshold) for name, prob in field.probs(trial.sweep).items()}
-    level = level_sweep(trial.sweep, field.grid)
+    leveled = level(trial.sweep, field.grid)
     added = np.zeros(len(trial.sweep), np.bool_) if trial.added is None else trial.added
     wedge = None if trial.wedge is None else (trial.wedge.azimuth, trial.wedge.width)
     return plot_study.Scene(
         f"{FAMILY[case.name]}  {case.name}\n{case.level}", field.grid, sample.truth.visible(), sample.known,
-        level.points[:, :2], added[level.rows], wedge, claims,
+        leveled.points[:, :2], added[leveled.rows], wedge, claims,
     )  # fmt: skip
 
 

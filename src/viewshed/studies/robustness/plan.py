@@ -115,11 +115,11 @@ class Study:
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        return cls(**flat.values_of(cls, table, "study", _NAMES))
+        return cls(**flat.from_dict(cls, table, "study", _NAMES))
 
     def to_json(self) -> dict[str, Any]:
         """Return the study as plain values, every name spelt out."""
-        return flat.plain(self)
+        return flat.to_dict(self)
 
     def jobs(self) -> list[Job]:
         """Return what there is to do, sample after sample and domain after domain in turn."""
@@ -174,7 +174,7 @@ def _check_names(key: str, names: Iterable[object], table: Iterable[object]) -> 
 
 def study_names() -> tuple[str, ...]:
     """Return the names that :func:`study_named` knows, in alphabetical order."""
-    return flat.shipped_names(_FOLDER)
+    return flat.preset_names(_FOLDER)
 
 
 def study_named(name: str) -> Study:
@@ -186,4 +186,4 @@ def study_named(name: str) -> Study:
     >>> study_named("small").domains
     ('nuscenes', 'carla', 'ugv')
     """
-    return Study.from_json(flat.shipped(_FOLDER, name))
+    return Study.from_json(flat.load_preset(_FOLDER, name))

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.metrics import Tally
+from viewshed.metrics import ConfusionCounts
 from viewshed.studies.cases import BENIGN, Case
 from viewshed.studies.robustness.plan import Study
 from viewshed.studies.robustness.store import ResultStore, key_of
@@ -125,12 +125,12 @@ class Results:
         """Return how many samples of a domain there are results of."""
         return max((_there(v) for k, v in self.scores.items() if k.domain == domain and k.block == block), default=0)
 
-    def tally(self, key: Key, where: Where = "view") -> Tally:
+    def tally(self, key: Key, where: Where = "view") -> ConfusionCounts:
         """Return the cells of all samples together; an empty tally where there are none."""
         values = self.scores.get(key, np.full((1, _WIDTH), np.nan))
         both, over, under, neither = (int(n) for n in np.nansum(values[:, _COLUMNS[where]], axis=0))
         area_m2 = (both + over + under + neither) * self.cell_m2.get((key.domain, key.block), 1.0)
-        return Tally(both, over, under, neither, area_m2, max(_there(values), 1))
+        return ConfusionCounts(both, over, under, neither, area_m2, max(_there(values), 1))
 
     def each(self, key: Key, measure: Measure, where: Where = "view") -> Floats:
         """Return a measure of each sample that is there, NaN where it has none."""

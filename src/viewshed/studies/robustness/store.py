@@ -60,7 +60,7 @@ class ResultStore:
         Raises:
             OSError: it cannot be written.
         """
-        journal.append(self.path, line)
+        journal.append_jsonl(self.path, line)
 
     def keys(self) -> set[tuple[str, int, str]]:
         """Return domain, number and part of the jobs that are there."""

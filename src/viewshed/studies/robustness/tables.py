@@ -14,7 +14,7 @@ from math import isnan
 import numpy as np
 
 from viewshed._page import Table
-from viewshed.metrics import Tally
+from viewshed.metrics import ConfusionCounts
 from viewshed.studies.cases import BENIGN, Case, strongest_case
 from viewshed.studies.robustness.results import (
     MODEST,
@@ -68,7 +68,7 @@ def benign_table(results: Results, domain: str) -> Table:
     return Table(header, rows)
 
 
-def _rates(tally: Tally) -> list[str]:
+def _rates(tally: ConfusionCounts) -> list[str]:
     rates = [three(rate) for rate in (tally.precision, tally.recall, tally.f1, tally.iou)]
     return [*rates, f"{tally.over_m2:.0f}", f"{tally.under_m2:.0f}"]
 
@@ -110,7 +110,7 @@ def wedge_table(results: Results, domain: str) -> Table:
     return Table(["", *names], rows)
 
 
-def _pair(tally: Tally) -> str:
+def _pair(tally: ConfusionCounts) -> str:
     return f"{three(tally.precision)} / {three(tally.recall)}"
 
 
@@ -125,7 +125,7 @@ def area_table(results: Results, domain: str) -> Table:
     return Table(["", *names], rows)
 
 
-def _more(now: Tally, was: Tally) -> str:
+def _more(now: ConfusionCounts, was: ConfusionCounts) -> str:
     return f"{now.over_m2 - was.over_m2:+.0f} / {now.under_m2 - was.under_m2:+.0f}"
 
 

@@ -128,7 +128,7 @@ _FREE_M = (1.0, 90.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeamPlans:
+class BeamSearchSpace:
     """Plans on the beams of a wedge: a priority and a wanted depth for each, from a few weights and a residual each.
 
     A genome is: weights of the features for the priority, for the depth and for removal; which elevation to prefer and
@@ -155,7 +155,7 @@ class BeamPlans:
     obstacle: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, sweep: Sweep, wedge: Wedge, budget: int | None, spoofer: Spoofer) -> BeamPlans:
+    def of(cls, sweep: Sweep, wedge: Wedge, budget: int | None, spoofer: Spoofer) -> BeamSearchSpace:
         """Return the plans for a wedge of a sweep; where its beams are not known, only returns can be moved."""
         rays = rays_in(sweep, wedge, empty=lattice_of(sweep) is not None)
         obstacle = is_obstacle(sweep, rays) if len(rays) else np.zeros(0, np.bool_)
@@ -197,7 +197,7 @@ class BeamPlans:
         return self.spoofer.spoof(self.sweep, self.rays, self.wanted_m(genome), self.wedge, rng)
 
     def wanted_m(self, genome: Genome) -> Floats:
-        """Return the depth (K,) in metres that a plan wants of each beam, ``LEAVE`` or ``NO_RETURN``."""
+        """Return the depth (K,) in meters that a plan wants of each beam, ``LEAVE`` or ``NO_RETURN``."""
         f, k = _F, len(self.rays)
         priority, depth, gone = (self.features @ genome[: 3 * f].reshape(3, f).T).T
         height, sharp, street, wall = genome[3 * f : 3 * f + 4]
@@ -243,7 +243,7 @@ far walls and removal that take the columns with the fewest obstacles first; nea
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FreePlans:
+class PointSearchSpace:
     """Plans of free points in a wedge: azimuth, range and height of each, from a few numbers and residuals.
 
     Attributes:
@@ -281,7 +281,7 @@ class FreePlans:
         return replace(tampered, wedge=self.wedge)
 
     def points(self, genome: Genome) -> Floats:
-        """Return the points (budget, 3) of a plan, metres, sensor frame."""
+        """Return the points (budget, 3) of a plan, meters, sensor frame."""
         middle, spread, far, slope, high = genome[:5]
         aside, near, up = genome[5:].reshape(3, self.budget)
         even = (np.arange(self.budget) + 0.5) * (2.0 / max(self.budget, 1)) - 1.0

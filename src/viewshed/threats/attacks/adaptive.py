@@ -17,7 +17,7 @@ from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import NOTHING, AttackFactory, Knowledge
-from viewshed.threats.attacks._search import BeamPlans, FreePlans, Genome, evolution, random_search
+from viewshed.threats.attacks._search import BeamSearchSpace, Genome, PointSearchSpace, evolution, random_search
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import (
     Attack,
@@ -227,12 +227,12 @@ class BlackBox:
             return Searched(untouched(sweep, wedge), nothing, history, asked)
         return Searched(plans.tampered(best.genome, rng), best.value, history, asked)
 
-    def _plans(self, sweep: Sweep, wedge: Wedge) -> BeamPlans | FreePlans:
+    def _plans(self, sweep: Sweep, wedge: Wedge) -> BeamSearchSpace | PointSearchSpace:
         if self.mode == "free_form":
-            return FreePlans(sweep, wedge, self.budget or 0)
-        return BeamPlans.of(sweep, wedge, self.budget, self.spoofer)
+            return PointSearchSpace(sweep, wedge, self.budget or 0)
+        return BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
 
-    def _worth(self, plans: BeamPlans | FreePlans, genome: Genome, value_of: Value, seed: int) -> float:
+    def _worth(self, plans: BeamSearchSpace | PointSearchSpace, genome: Genome, value_of: Value, seed: int) -> float:
         """Return what a plan is worth over draws of the noise that are the same for every plan."""
         values = []
         for sample in range(self.samples):

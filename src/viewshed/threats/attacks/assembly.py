@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Tampered, Wedge
-from viewshed.threats.attacks.beam_lattice import Lattice, lattice_of
+from viewshed.threats.attacks.beam_lattice import BeamLattice, lattice_of
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ class Made:
     """A returns that an attacker makes.
 
     Attributes:
-        points: (A, 3) float32 metres, sensor frame.
+        points: (A, 3) float32 meters, sensor frame.
         ring: (A,) beam, -1 where it is not known.
         column: (A,) azimuth column, -1 where it is not known.
         row: (A,) row of the return that each replaces, -1 where it replaces none.
@@ -109,7 +109,7 @@ def _taken(column: NDArray[Any], source: NDArray[np.intp], default: Any) -> NDAr
 
 
 def _times(
-    time_s: NDArray[np.float32], made: Made, source: NDArray[np.intp], lattice: Lattice | None
+    time_s: NDArray[np.float32], made: Made, source: NDArray[np.intp], lattice: BeamLattice | None
 ) -> NDArray[np.float32]:
     """Return times (A,): those of the columns where they are known, else of the neighbors."""
     times = _taken(time_s, source, np.float32(0))

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.preprocess.ring_recovery import Beams, recover_beams
+from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sim.lidar.optics import step_of
 from viewshed.sweep import Sweep
@@ -171,7 +171,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lattice:
+class BeamLattice:
     """The beams of one sweep, R rings by C columns.
 
     Attributes:
@@ -201,14 +201,14 @@ class Lattice:
     seam: int
 
     def of_returns(self, points: NDArray[np.float32], row: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
-        """Return starts (K, 3) in metres, directions (K, 3) and depths (K,) in metres of the beams of some returns."""
+        """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns."""
         pixels = self.ring[row], self.firing.column[row]
         up = np.ascontiguousarray(self.firing.turn[:, :, 2])
         found: tuple[Floats, Floats, Floats] = returned(points, row, pixels, self.origin_m, (up, self.firing.shift_m))
         return found
 
     def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[Floats, Floats]:
-        """Return starts (K, 3) in metres and directions (K, 3) of the beams of pixels (K,)."""
+        """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
         shape = self.elevation, self.azimuth_offset, self.origin_m
         poses = self.firing.turn, self.firing.shift_m
         found: tuple[Floats, Floats] = fired((ring, column), shape, self.firing.azimuth, poses)
@@ -239,7 +239,7 @@ class Lattice:
 
 
 @lru_cache(maxsize=2)
-def lattice_of(sweep: Sweep) -> Lattice | None:
+def lattice_of(sweep: Sweep) -> BeamLattice | None:
     """Return the beams of ``sweep``, or None where they cannot be told: no rings, not even by the order of the points.
 
     Exact where the returns lie on the beams of the sweep's model within 2 mm; else columns are those of the returns
@@ -251,13 +251,15 @@ def lattice_of(sweep: Sweep) -> Lattice | None:
         if firing is not None:
             shape = (model.elevation, model.azimuth_offset, model.origin_m)
             return _lattice(sweep.ring, shape, firing, step_of(model))
-    beams = recover_beams(sweep)
+    beams = recover_rings(sweep)
     if beams.source == "elevation bins" or len(sweep) == 0:
         return None
     return _lattice(beams.ring, _recovered_shape(beams, model), _recovered_firing(sweep, beams), 0.0)
 
 
-def _lattice(ring: NDArray[np.int16], shape: tuple[Floats, Floats, Floats], firing: Firing, step_m: float) -> Lattice:
+def _lattice(
+    ring: NDArray[np.int16], shape: tuple[Floats, Floats, Floats], firing: Firing, step_m: float
+) -> BeamLattice:
     exact = step_m > 0.0
     columns = len(firing.azimuth)
     rows, several = pixel_rows(ring, firing.column, len(shape[0]), columns)
@@ -266,7 +268,7 @@ def _lattice(ring: NDArray[np.int16], shape: tuple[Floats, Floats, Floats], firi
         several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
     empty = empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
     seam = 0 if by_column or len(ends) == 0 else _seam(firing.column[ends], columns)
-    return Lattice(ring, *shape, firing, rows, empty, step_m, by_column, sense, seam)
+    return BeamLattice(ring, *shape, firing, rows, empty, step_m, by_column, sense, seam)
 
 
 def _seam(column: NDArray[np.int32], columns: int) -> int:
@@ -275,14 +277,14 @@ def _seam(column: NDArray[np.int32], columns: int) -> int:
     return int(np.ceil(turn * columns)) % columns
 
 
-def _recovered_shape(beams: Beams, model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
+def _recovered_shape(beams: RingAssignment, model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
     none = np.zeros(beams.rings)
     if model is not None and model.rings == beams.rings:
         return model.elevation, none, model.origin_m
     return beams.elevation, none, none
 
 
-def _recovered_firing(sweep: Sweep, beams: Beams) -> Firing:
+def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
     """Columns of the returns themselves, their common phase at the middle of a column."""
     position = (np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) + np.float32(np.pi)) / np.float32(beams.azimuth_step)
     sampled = position[:: max(len(position) // _SAMPLED, 1)].astype(np.float64)
@@ -315,9 +317,9 @@ class Rays:
         row: (K,) row of the return in the sweep, -1 where there is none.
         ring: (K,) beam, -1 where it is not known.
         column: (K,) azimuth column, -1 where it is not known.
-        start_m: (K, 3) float64 metres.
+        start_m: (K, 3) float64 meters.
         direction: (K, 3) float64 unit vectors.
-        depth_m: (K,) float64 metres from the start to the return, +inf where there is none.
+        depth_m: (K,) float64 meters from the start to the return, +inf where there is none.
     """
 
     row: NDArray[np.intp]
@@ -335,7 +337,7 @@ class Rays:
         return Rays(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     def at(self, depth_m: Floats) -> NDArray[np.float32]:
-        """Return the points (K, 3) float32 at depths (K,) in metres."""
+        """Return the points (K, 3) float32 at depths (K,) in meters."""
         return (self.start_m + depth_m[:, None] * self.direction).astype(np.float32)
 
 
@@ -369,7 +371,7 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
     return Rays(*(np.concatenate([getattr(returned, f.name), getattr(missing, f.name)]) for f in fields(Rays)))
 
 
-def _returned(sweep: Sweep, lattice: Lattice | None, row: NDArray[np.intp]) -> Rays:
+def _returned(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) -> Rays:
     if lattice is not None:
         ring, column = lattice.ring[row].astype(np.intp), lattice.firing.column[row].astype(np.intp)
         return Rays(row, ring, column, *lattice.of_returns(sweep.points, row))
@@ -378,7 +380,7 @@ def _returned(sweep: Sweep, lattice: Lattice | None, row: NDArray[np.intp]) -> R
     return Rays(row, unknown, unknown, np.zeros((len(row), 3)), reach / np.maximum(depth_m, 1e-9)[:, None], depth_m)
 
 
-def _missing(lattice: Lattice, wedge: Wedge) -> Rays:
+def _missing(lattice: BeamLattice, wedge: Wedge) -> Rays:
     ring, column = np.nonzero(lattice.empty)
     start_m, direction = lattice.of_pixels(ring, column)
     none = np.full(len(ring), -1)

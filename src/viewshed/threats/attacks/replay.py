@@ -15,7 +15,7 @@ from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_qua
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget, require_one_of
-from viewshed.threats.attacks.beam_lattice import Lattice, Rays, lattice_of, rays_in
+from viewshed.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed.threats.attacks.ghosts import CAR_M, GhostCar
 from viewshed.threats.attacks.points import ANYWHERE, MODES, Mode
 from viewshed.threats.attacks.spoofer import AS_MEASURED, LEAVE, NO_RETURN, NOISELESS, Spoofer, nearest_first
@@ -127,7 +127,7 @@ def _instead(sweep: Sweep, earlier: Sweep) -> Tampered:
     return Tampered(sweep.replace(**columns), np.ones(len(earlier), np.bool_), np.ones(len(sweep), np.bool_))
 
 
-def _earlier_m(earlier: Sweep, lattice: Lattice | None, rays: Rays) -> NDArray[np.float64]:
+def _earlier_m(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
     """Return the depth (K,) that each ray had in the earlier sweep, by ring and firing azimuth."""
     known = lattice_of(earlier)
     if lattice is None or known is None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.grid import GRIDS
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LevelSweep, level_sweep
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.assembly import Made, assembled, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge, require
@@ -31,7 +31,7 @@ class Box:
     """A box on the ground, in the level frame.
 
     Attributes:
-        center: (x, y) of its middle, metres.
+        center: (x, y) of its middle, meters.
         heading: yaw of its length, radians.
         size_m: length, width, height.
         ground_m: z of its lower side.
@@ -44,18 +44,18 @@ class Box:
 
 
 @lru_cache(maxsize=2)
-def scene_of(sweep: Sweep) -> LevelSweep:
-    """Return ``sweep`` levelled over the extent that it fills: indoors where hardly anything lies beyond 25 m."""
+def scene_of(sweep: Sweep) -> LeveledSweep:
+    """Return ``sweep`` leveled over the extent that it fills: indoors where hardly anything lies beyond 25 m."""
     x, y, _ = sweep.points.T
     far = np.count_nonzero(x * x + y * y > _NEAR_M**2)
-    return level_sweep(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
+    return level(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
 
 
 def heights_m(sweep: Sweep) -> NDArray[np.float32]:
-    """Return the height (N,) in metres of each return above local ground; NaN for ego and null returns."""
-    level = scene_of(sweep)
+    """Return the height (N,) in meters of each return above local ground; NaN for ego and null returns."""
+    leveled = scene_of(sweep)
     heights = np.full(len(sweep), np.nan, np.float32)
-    heights[level.rows] = level.height_m
+    heights[leveled.rows] = leveled.height_m
     return heights
 
 
@@ -68,10 +68,10 @@ def is_obstacle(sweep: Sweep, rays: Rays) -> NDArray[np.bool_]:
 
 def azimuth_of_obstacle(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
     """Return the azimuth, in the sensor's frame, of a return of an obstacle drawn at random; None without any."""
-    level = scene_of(sweep)
+    leveled = scene_of(sweep)
     low, high = OBSTACLE_HEIGHTS_M
-    fits = (level.height_m > low) & (level.height_m < high) & (level.range_m > near_m) & (level.range_m < far_m)
-    rows = level.rows[fits]
+    fits = (leveled.height_m > low) & (leveled.height_m < high) & (leveled.range_m > near_m) & (leveled.range_m < far_m)
+    rows = leveled.rows[fits]
     if len(rows) == 0:
         return None
     x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
@@ -85,8 +85,8 @@ def drawn_azimuth(azimuth: float | None, rng: np.random.Generator) -> float:
 
 def open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
     """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
-    level = scene_of(sweep)
-    rows = level.rows[level.range_m > range_m]
+    leveled = scene_of(sweep)
+    rows = leveled.rows[leveled.range_m > range_m]
     if len(rows) == 0:
         return drawn_azimuth(None, rng)
     x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
@@ -94,7 +94,7 @@ def open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> floa
 
 
 def level_rays(sweep: Sweep, rays: Rays) -> tuple[Floats, Floats]:
-    """Return starts (K, 3) in metres and directions (K, 3) in the level frame, the ground below the sensor at z = 0."""
+    """Return starts (K, 3) in meters and directions (K, 3) in the level frame, the ground below the sensor at z = 0."""
     to_level = scene_of(sweep).level_from_sensor
     return to_level @ rays.start_m, rays.direction @ to_level.rotation.T
 
@@ -108,7 +108,7 @@ def ahead(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, f
 
 
 def ground_at(sweep: Sweep, x_m: float, y_m: float) -> float:
-    """Return z of the ground at a place in the level frame, in metres."""
+    """Return z of the ground at a place in the level frame, in meters."""
     return float(scene_of(sweep).ground.at(np.array([[x_m, y_m]]))[0])
 
 
@@ -135,7 +135,7 @@ def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> Floats:
 
 
 def chord_m(start: Floats, way: Floats, box: Box) -> tuple[Floats, Floats]:
-    """Return the depths (K,) in metres at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
+    """Return the depths (K,) in meters at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
 
     By slabs (Kay and Kajiya 1986).
     """
@@ -195,7 +195,7 @@ class Spoofer:
         return rng.random(count) < share
 
     def spoof(self, sweep: Sweep, rays: Rays, wanted_m: Floats, wedge: Wedge, rng: np.random.Generator) -> Tampered:
-        """Return ``sweep`` after an attempt to give the rays depths (K,) in metres, ``LEAVE`` or ``NO_RETURN``.
+        """Return ``sweep`` after an attempt to give the rays depths (K,) in meters, ``LEAVE`` or ``NO_RETURN``.
 
         A return nearer or farther than the sensor reports is none. A beam whose return would leave the wedge is left
         as it is.
@@ -232,7 +232,7 @@ NOISELESS = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
 
 
 def limits_m(sweep: Sweep) -> tuple[float, float]:
-    """Return the nearest and farthest depth in metres that the sensor reports, as far as it is known."""
+    """Return the nearest and farthest depth in meters that the sensor reports, as far as it is known."""
     if sweep.model is not None:
         return max(sweep.model.min_range_m, 0.05), sweep.model.max_range_m
     if len(sweep) == 0:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import level_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
 NEAREST_M = 0.05
@@ -38,7 +38,7 @@ def within(name: str, value: float, low: float, high: float) -> None:
 
 
 def ranges_of(sweep: Sweep) -> Floats:
-    """Return the range of each return (N,) float32 from the sensor's origin, in metres.
+    """Return the range of each return (N,) float32 from the sensor's origin, in meters.
 
     >>> ranges_of(Sweep(np.array([[3.0, 4.0, 12.0]]))).tolist()
     [13.0]
@@ -47,7 +47,7 @@ def ranges_of(sweep: Sweep) -> Floats:
 
 
 def at_ranges(sweep: Sweep, range_m: NDArray[np.floating[Any]]) -> Sweep:
-    """Return ``sweep`` with each return moved along its ray to ``range_m`` (N,) metres; one at the origin stays there.
+    """Return ``sweep`` with each return moved along its ray to ``range_m`` (N,) meters; one at the origin stays there.
 
     >>> at_ranges(Sweep(np.array([[0.0, 2.0, 0.0]])), np.array([3.0])).points.tolist()
     [[0.0, 3.0, 0.0]]
@@ -58,9 +58,9 @@ def at_ranges(sweep: Sweep, range_m: NDArray[np.floating[Any]]) -> Sweep:
 
 
 def heights_of(sweep: Sweep) -> Floats:
-    """Return the height of each return (N,) float32 above local ground in metres; NaN for null and ego returns."""
+    """Return the height of each return (N,) float32 above local ground in meters; NaN for null and ego returns."""
     heights = np.full(len(sweep), np.nan, np.float32)
     if len(sweep):
-        level = level_sweep(sweep, _EXTENT)
-        heights[level.rows] = level.height_m
+        leveled = level(sweep, _EXTENT)
+        heights[leveled.rows] = leveled.height_m
     return heights

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from viewshed.geometry import polar
-from viewshed.preprocess.ring_recovery import told_beams
+from viewshed.preprocess.ring_recovery import rings_of_sweep
 from viewshed.sweep import Sweep
 from viewshed.threats.corruptions.base import within
 
@@ -79,7 +79,7 @@ class DeadRings:
         """
         if len(sweep) == 0:
             return sweep
-        beams = told_beams(sweep)
+        beams = rings_of_sweep(sweep)
         dead = rng.permutation(beams.rings)[: max(1, round(self.share * beams.rings))]
         return sweep.select(~np.isin(beams.ring, dead))
 
@@ -108,5 +108,5 @@ class FewerBeams:
         """
         if len(sweep) == 0:
             return sweep
-        ring = told_beams(sweep).ring
+        ring = rings_of_sweep(sweep).ring
         return sweep.select((ring >= 0) & (ring % self.of < self.kept))

@@ -57,7 +57,7 @@ class Vegetation:
     Attributes:
         bushes: how many.
         radius_m: of each.
-        per_m: stops per metre of path; the simulator's leaves by default.
+        per_m: stops per meter of path; the simulator's leaves by default.
     """
 
     bushes: int

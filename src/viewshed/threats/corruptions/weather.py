@@ -21,7 +21,7 @@ GROUND_M = 0.2
 """Returns lower than this above local ground are the ground, which may be wet."""
 
 NO_SENSOR = (Optics(), (0.5, 100.0))
-"""Optics, and minimum and maximum range in metres, of a sweep whose sensor is not known."""
+"""Optics, and minimum and maximum range in meters, of a sweep whose sensor is not known."""
 
 FAINT = 0.05
 """A particle is given the intensity below which this share of the sweep's returns lies."""
@@ -86,7 +86,7 @@ def _between(table: NDArray[np.float32], luck: Floats) -> Floats:
 
 
 def _sensor(model: LidarModel | None) -> tuple[Optics, tuple[float, float]]:
-    """Return optics, minimum and maximum range in metres; one that detects everything gets an unknown one's reach."""
+    """Return optics, minimum and maximum range in meters; one that detects everything gets an unknown one's reach."""
     if model is None:
         return NO_SENSOR
     optics = optics_of(model)
@@ -100,7 +100,7 @@ def _detected(signal: Floats) -> Floats:
 
 
 def _extra_noise(dry: Floats, signal: Floats, sigma_m: float, factor: float) -> Floats:
-    """Return the standard deviation (N,) in metres that weather adds to the noise that is there."""
+    """Return the standard deviation (N,) in meters that weather adds to the noise that is there."""
     added = factor**2 * (1 + _WEAK / np.maximum(signal, 1e-3)) - (1 + _WEAK / dry)
     return np.asarray(sigma_m * np.sqrt(np.maximum(added, 0.0)), np.float64)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import polar
 from viewshed.preprocess.leveling import MAX_RANGE_M, NULL_RANGE_M
-from viewshed.preprocess.ring_recovery import told_beams
+from viewshed.preprocess.ring_recovery import rings_of_sweep
 from viewshed.sweep import Sweep
 from viewshed.threats.defenses.base import Defended, without
 
@@ -64,7 +64,7 @@ class OneReturnPerBeam:
         dropped = np.zeros(len(sweep), np.bool_)
         if len(sweep) == 0:
             return without(sweep, dropped)
-        beams = told_beams(sweep)
+        beams = rings_of_sweep(sweep)
         range_m = np.linalg.norm(sweep.points, axis=1)
         azimuth = polar(sweep.points)[1] if sweep.azimuth is None else sweep.azimuth
         rows = np.flatnonzero((beams.ring >= 0) & (range_m >= HOUSING_M))

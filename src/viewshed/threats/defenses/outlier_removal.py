@@ -103,7 +103,7 @@ _MANY = 48
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mean_distances(points: Any, k: int) -> Any:  # pragma: no cover - compiled
-    """Return (N,) float64 metres: mean distance of each point (N, 3) to its ``k`` nearest others, 0 < k < N.
+    """Return (N,) float64 meters: mean distance of each point (N, 3) to its ``k`` nearest others, 0 < k < N.
 
     Points are visited leaf by leaf. A point's k-th neighbor is at most as far as that of the point before plus the step
     between the two, so that the leaves near one leaf, found once, hold the neighbors of all its points.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid, polar
-from viewshed.preprocess.ring_recovery import Beams, told_beams
+from viewshed.preprocess.ring_recovery import RingAssignment, rings_of_sweep
 from viewshed.sweep import Sweep
 from viewshed.threats.defenses.base import Defended, without
 
@@ -81,7 +81,7 @@ class _View:
     @classmethod
     def of(cls, sweep: Sweep) -> _View:
         """Return the view of a sweep with a pose and rings."""
-        pose, beams = _pose(sweep), told_beams(sweep)
+        pose, beams = _pose(sweep), rings_of_sweep(sweep)
         range_m = np.linalg.norm(sweep.points.astype(np.float64), axis=1)
         depth_m = np.full((beams.rings, beams.columns), np.inf)
         used = (beams.ring >= 0) & (range_m > _NEAREST_M)
@@ -109,7 +109,7 @@ class _View:
         return between & returned & (nearest_m > range_m + margin_m), surface
 
 
-def _rings_with_returns(beams: Beams, used: Mask) -> NDArray[np.intp]:
+def _rings_with_returns(beams: RingAssignment, used: Mask) -> NDArray[np.intp]:
     """Return the rings that have returns, from the lowest elevation up."""
     rings = np.unique(beams.ring[used]).astype(np.intp)
     return rings[np.argsort(beams.elevation[rings], kind="stable")]

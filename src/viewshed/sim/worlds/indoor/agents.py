@@ -14,7 +14,7 @@ from viewshed.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed.sim.assets.street import drive, person
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect
 from viewshed.sim.worlds.indoor.routes import Network, Points, RoadMap, follow, open_floor
 
 ROBOT_RADIUS_M = 0.18
@@ -30,10 +30,10 @@ class Building:
 
     Attributes:
         name: kind of world.
-        inside: the floor that may be driven on, in metres.
+        inside: the floor that may be driven on, in meters.
         ceiling_m: height of the ceiling.
         walkers: how many people walk about.
-        haunts: where robots go, in metres; anywhere if empty.
+        haunts: where robots go, in meters; anywhere if empty.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Building:
     haunts: tuple[Rect, ...] = ()
 
 
-def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
+def inhabited(site: FloorPlan, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
     """Return the world of a finished building with robots, walking people and sensors below its ceiling.
 
     Raises:
@@ -67,7 +67,7 @@ def inhabited(site: Site, terrain: Terrain, building: Building, plan: AgentPlan)
     return World(building.name, terrain, (*robots, *people, *rods, *site.things), tuple(agents), indoor=True)
 
 
-def _roads(site: Site, building: Building, solids: NDArray[np.float64], below_m: float) -> RoadMap:
+def _roads(site: FloorPlan, building: Building, solids: NDArray[np.float64], below_m: float) -> RoadMap:
     """Return the road map around all solids that begin below a height, over sills and thresholds, off steps."""
     near = solids[(solids[:, 4] < below_m) & (solids[:, 5] > 0.03), :4]
     near = np.concatenate([near, np.array(site.steps).reshape(-1, 4)])
@@ -98,7 +98,7 @@ def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: f
 
 
 def _beat(rng: np.random.Generator, roads: RoadMap, nodes: NDArray[np.intp]) -> Points | None:
-    """Return a way of a few metres between two of some nodes that see each other or have one corner between them."""
+    """Return a way of a few meters between two of some nodes that see each other or have one corner between them."""
     start = int(rng.choice(nodes))
     apart = np.hypot(*(roads.nodes_m[nodes] - roads.nodes_m[start]).T)
     goals = nodes[(apart > 2.5) & (apart < 9.0)]
@@ -122,7 +122,7 @@ def _walker(rng: np.random.Generator, beat: Points, duration_s: float) -> Thing:
 
 
 def _territories(roads: RoadMap, haunts: tuple[Rect, ...], count: int) -> list[Network]:
-    """Return one network for each robot: strips of the building half a metre apart, cut along its better axis."""
+    """Return one network for each robot: strips of the building half a meter apart, cut along its better axis."""
     best: list[NDArray[np.intp]] = []
     sizes: list[int] = []
     every = roads.largest(np.ones(len(roads.nodes_m), np.bool_))

@@ -13,7 +13,7 @@ from viewshed.sim.assets.shapes import Box
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.indoor.agents import Building, inhabited
 from viewshed.sim.worlds.indoor.floor import Rise, floor, lay, raised_room
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect
 from viewshed.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 
@@ -29,7 +29,7 @@ class Office:
     """A room in a block.
 
     Attributes:
-        rect: outer faces of its walls, in metres.
+        rect: outer faces of its walls, in meters.
         free: sides that face a corridor: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y.
     """
 
@@ -51,7 +51,7 @@ class Office:
 
 def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a floor of offices in blocks, with a grid of corridors between them."""
-    site, top = Site(rng), rng.uniform(2.5, 2.9)
+    site, top = FloorPlan(rng), rng.uniform(2.5, 2.9)
     xs, ys = _spans(rng, rng.uniform(19.0, 22.0)), _spans(rng, rng.uniform(17.0, 20.0))
     inside = (xs[0][0], ys[0][0], xs[-1][1], ys[-1][1])
     offices, walls = _offices(rng, xs, ys)

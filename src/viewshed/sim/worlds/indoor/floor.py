@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.sim.assets.shapes import material_index
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect
 
 _EDGE_M = 0.01
 
@@ -24,7 +24,7 @@ class Rise:
     """A raised part of the floor.
 
     Attributes:
-        rect: where, in metres.
+        rect: where, in meters.
         height_m: above the floor around it.
         ramp: where the floor rises from 0 at one end to ``height_m`` at the other, within ``rect``.
         side: end at which the ramp begins: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y; a side of ``rect``.
@@ -49,7 +49,7 @@ class Rise:
         return [*sides[: self.side], *sides[self.side + 1 :], *split]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return points (x, y) in metres up the ramp: before it, three on it, behind it."""
+        """Return points (x, y) in meters up the ramp: before it, three on it, behind it."""
         a, b, c, d = self.ramp
         long = (d - b) if self.side % 2 else (c - a)
         ahead = [-0.6, 0.1 * long, 0.5 * long, 0.9 * long, long + 0.6]
@@ -62,7 +62,7 @@ def raised_room(rect: Rect, side: int, door_m: tuple[float, float], height_m: fl
     """Return a room that lies higher, with a ramp behind a door in one of its sides.
 
     Args:
-        rect: the room, in metres.
+        rect: the room, in meters.
         side: which wall has the door, as in :class:`Rise`.
         door_m: middle and width of the door along that wall.
         height_m: how much higher.
@@ -75,7 +75,7 @@ def raised_room(rect: Rect, side: int, door_m: tuple[float, float], height_m: fl
     return Rise(rect, height_m, ramp, side)
 
 
-def lay(site: Site, rise: Rise) -> None:
+def lay(site: FloorPlan, rise: Rise) -> None:
     """Note a raised floor on a site: its steps, its ramp, and room to turn at both ends of that."""
     site.steps += rise.steps()
     site.spots += rise.way()

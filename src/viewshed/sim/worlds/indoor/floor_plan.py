@@ -13,7 +13,7 @@ from viewshed.sim.assets.furniture import Group, Maker, bounds, footprint, place
 from viewshed.sim.world import Thing
 
 Rect = tuple[float, float, float, float]
-"""x and y from, x and y to, in metres."""
+"""x and y from, x and y to, in meters."""
 
 _GAP_M, _OVERHEAD_M = 0.04, 2.0
 
@@ -22,7 +22,7 @@ _ROOM = 4096
 
 @dataclass(frozen=True, slots=True)
 class Doorway:
-    """An opening that one can walk through: its middle in metres, and whether the wall around it runs along x."""
+    """An opening that one can walk through: its middle in meters, and whether the wall around it runs along x."""
 
     x_m: float
     y_m: float
@@ -30,7 +30,7 @@ class Doorway:
 
 
 @dataclass(slots=True)
-class Site:
+class FloorPlan:
     """A building that grows: things, and the rectangles that the next thing must not touch.
 
     Attributes:
@@ -55,7 +55,7 @@ class Site:
         return sum(len(one.parts) for one in self.things)
 
     def clear(self, rect: Rect, gap_m: float = _GAP_M) -> bool:
-        """Return whether nothing reserved or standing lies within ``gap_m`` metres of a rectangle."""
+        """Return whether nothing reserved or standing lies within ``gap_m`` meters of a rectangle."""
         taken, (x0, y0, x1, y1) = self._taken[: self._count], rect
         apart = (taken[:, 0] >= x1 + gap_m) | (taken[:, 2] <= x0 - gap_m)
         apart |= (taken[:, 1] >= y1 + gap_m) | (taken[:, 3] <= y0 - gap_m)

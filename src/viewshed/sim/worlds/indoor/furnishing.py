@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.sim.assets import furniture
 from viewshed.sim.assets import furniture as fittings
 from viewshed.sim.assets.furniture import Maker
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect
 
 Wish = tuple[str, Maker, float]
 """Where (``wall``, ``corner``, ``middle`` or ``anywhere``), what, and how many on average: the share after the whole
@@ -76,12 +76,12 @@ FURNISHING: dict[str, tuple[Wish, ...]] = {
 _BARE_PARTS = 75
 
 
-def furnish(site: Site, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2, 3)) -> None:
+def furnish(site: FloorPlan, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2, 3)) -> None:
     """Furnish a room whose walls have the inner faces ``room``; what does not fit is left out.
 
     Args:
         site: the building.
-        room: metres.
+        room: meters.
         use: a name of ``FURNISHING``.
         sides: which of its sides have walls: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y.
     """
@@ -94,7 +94,7 @@ def furnish(site: Site, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2,
 
 
 def furnish_all(
-    site: Site, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
+    site: FloorPlan, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
 ) -> tuple[Rect, ...]:
     """Furnish rooms from the nearest to a hub on; once the building has so many parts, the others are bare or empty.
 

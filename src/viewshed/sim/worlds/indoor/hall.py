@@ -15,7 +15,7 @@ from viewshed.sim.assets.shapes import Box, Cylinder
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.indoor.agents import Building, inhabited
 from viewshed.sim.worlds.indoor.floor import Rise, floor, lay
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site, shrunk
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
 from viewshed.sim.worlds.indoor.walls import Opening, Wall, around, build, ceiling
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
@@ -31,7 +31,7 @@ _WISHES = (
 
 def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a large hall, as of a station or a fair."""
-    site, top = Site(rng), rng.uniform(5.0, 9.5)
+    site, top = FloorPlan(rng), rng.uniform(5.0, 9.5)
     half_x, half_y = rng.uniform(19.0, 24.0), rng.uniform(17.0, 21.0)
     inside = (-half_x, -half_y, half_x, half_y)
     front = int(rng.integers(4))
@@ -73,7 +73,7 @@ def _back(rng: np.random.Generator, wall: Wall) -> Wall:
     return replace(wall, openings=tuple(one for one in doors if rng.random() < 0.45))
 
 
-def _pillars(site: Site, inside: Rect, top_m: float) -> None:
+def _pillars(site: FloorPlan, inside: Rect, top_m: float) -> None:
     pitch, side = site.rng.uniform(6.0, 9.0, 2), site.rng.uniform(0.4, 0.8)
     one = fittings.pillar(site.rng, top_m, side)
     for x in np.arange(inside[0] + pitch[0] / 1.5, inside[2] - 2.0, pitch[0]).tolist():
@@ -81,7 +81,7 @@ def _pillars(site: Site, inside: Rect, top_m: float) -> None:
             site.put(placed(one, x, y))
 
 
-def _gallery(site: Site, inside: Rect, side: int) -> None:
+def _gallery(site: FloorPlan, inside: Rect, side: int) -> None:
     """Add a gallery along a wall, on posts, with a balustrade of glass and stairs that lead up to it."""
     x0, y0, x1, y1 = inside
     along_x = side % 2 == 1
@@ -107,7 +107,7 @@ def _beside(inside: Rect, side: int, deep_m: float) -> Rect:
     return rect[0], rect[1], rect[2], rect[3]
 
 
-def _stage(site: Site, inside: Rect) -> Rise | None:
+def _stage(site: FloorPlan, inside: Rect) -> Rise | None:
     """Return a raised part of the floor with a ramp; what stands on it is put there, with a rail of glass."""
     rng = site.rng
     wide, deep, height = rng.uniform(6.0, 9.0), rng.uniform(4.0, 7.0), rng.uniform(0.12, 0.4)
@@ -132,7 +132,7 @@ def _stage(site: Site, inside: Rect) -> Rise | None:
     return None
 
 
-def _seating(site: Site, inside: Rect) -> None:
+def _seating(site: FloorPlan, inside: Rect) -> None:
     """Add a field of seats in rows, all turned the same way."""
     rng = site.rng
     maker = stock.double_seats if rng.random() < 0.6 else stock.seats
@@ -148,7 +148,7 @@ def _seating(site: Site, inside: Rect) -> None:
             site.put(placed(group, x + (v if turn else u), y + (u if turn else v), np.pi / 2 if turn else 0.0))
 
 
-def _scattered(site: Site, inside: Rect, sides: tuple[int, ...]) -> None:
+def _scattered(site: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> None:
     for maker, most, where in _WISHES:
         for _ in range(int(site.rng.integers(0, most + 1))):
             if where == "wall":
@@ -157,7 +157,7 @@ def _scattered(site: Site, inside: Rect, sides: tuple[int, ...]) -> None:
                 site.inside(shrunk(inside, 2.0), maker, _QUARTERS if where == "inside" else (), 0.5)
 
 
-def _overhead(site: Site, inside: Rect, top_m: float) -> None:
+def _overhead(site: FloorPlan, inside: Rect, top_m: float) -> None:
     """Add beams below the ceiling, hanging signs, and what stands outside the glass."""
     for x in np.linspace(inside[0] + 3.0, inside[2] - 3.0, int(site.rng.integers(3, 7))).tolist():
         beam = Box(x, 0.0, 0.3, inside[3] - inside[1], top_m, top_m - 0.5, 0.0, "concrete")

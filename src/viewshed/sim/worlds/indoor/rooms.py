@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds.indoor.agents import Building, inhabited
 from viewshed.sim.worlds.indoor.floor import Rise, floor, lay, raised_room
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site, shrunk
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
 from viewshed.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 
@@ -45,7 +45,7 @@ class Shared:
 
 def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a floor of rooms along a hallway: offices or apartments."""
-    site = Site(rng)
+    site = FloorPlan(rng)
     half_x, half_y, top = rng.uniform(18.0, 22.0), rng.uniform(17.0, 20.0), rng.uniform(2.45, 3.1)
     inside = (-half_x, -half_y, half_x, half_y)
     hub = (rng.uniform(-8.0, 8.0), rng.uniform(-6.0, 6.0))

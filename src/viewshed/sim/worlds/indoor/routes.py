@@ -112,7 +112,7 @@ class RoadMap:
         return np.flatnonzero(kept & (part == sizes.argmax()))
 
     def matrix(self, rows: NDArray[np.bool_]) -> csr_matrix:
-        """Return lengths in metres of the edges within ``rows`` (n,) as a sparse (n, n) matrix."""
+        """Return lengths in meters of the edges within ``rows`` (n,) as a sparse (n, n) matrix."""
         i, j = self.edges[rows[self.edges].all(axis=1)].T
         lengths = np.hypot(*(self.nodes_m[i] - self.nodes_m[j]).T)
         return csr_matrix((lengths, (i, j)), shape=(len(rows), len(rows)))
@@ -157,7 +157,7 @@ def follow(way: Points, speed_mps: float, turn_rate: float, start_s: float, paus
 
     Args:
         way: corners, no two in a row the same.
-        speed_mps: metres a second.
+        speed_mps: meters a second.
         turn_rate: radians a second.
         start_s: when it leaves the first corner.
         pause_s: seconds to stand at each corner, before turning; none if left out.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from viewshed.sim.assets.furniture import DOOR_TOP_M, Group, bounds, door, footprint, placed
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.world import Thing
-from viewshed.sim.worlds.indoor.floor_plan import Doorway, Rect, Site
+from viewshed.sim.worlds.indoor.floor_plan import Doorway, FloorPlan, Rect
 
 DOORS = ("open", "ajar", "shut", "passage")
 """Openings with a lintel above :data:`DOOR_TOP_M`; the others are ``window`` and ``pane``."""
@@ -65,14 +65,14 @@ class Wall:
     openings: tuple[Opening, ...] = ()
 
     def box(self, start_m: float, stop_m: float, z_m: tuple[float, float], material: str, thick_m: float) -> Box:
-        """Return the box that fills a stretch of the wall from ``z_m[0]`` to ``z_m[1]``, all in metres."""
+        """Return the box that fills a stretch of the wall from ``z_m[0]`` to ``z_m[1]``, all in meters."""
         middle, length = (start_m + stop_m) / 2, stop_m - start_m
         if self.along_x:
             return Box(middle, self.at_m, length, thick_m, z_m[1], z_m[0], 0.0, material)
         return Box(self.at_m, middle, thick_m, length, z_m[1], z_m[0], 0.0, material)
 
     def rect(self, opening: Opening, reach_m: float) -> Rect:
-        """Return the rectangle of an opening that reaches so far to both sides of the wall, in metres."""
+        """Return the rectangle of an opening that reaches so far to both sides of the wall, in meters."""
         u, half = opening.middle_m, opening.width_m / 2
         if self.along_x:
             return u - half, self.at_m - reach_m, u + half, self.at_m + reach_m
@@ -111,8 +111,8 @@ def _filled(wall: Wall, one: Opening, start: float, stop: float, top_m: float) -
             yield wall.box(edge - 0.025, edge + 0.025, (0.08, head), "metal", 0.07)
 
 
-def build(site: Site, walls: Iterable[Wall], top_m: float) -> None:
-    """Add walls up to ``top_m`` metres to a site, hang the doors and keep the doorways free."""
+def build(site: FloorPlan, walls: Iterable[Wall], top_m: float) -> None:
+    """Add walls up to ``top_m`` meters to a site, hang the doors and keep the doorways free."""
     walls = list(walls)
     gates = [wall.rect(one, 1.6) for wall in walls for one in wall.openings if one.kind in ("gate", "roller")]
     panes = [wall.rect(one, 0.15) for wall in walls for one in wall.openings if one.kind == "pane"]
@@ -131,7 +131,7 @@ def build(site: Site, walls: Iterable[Wall], top_m: float) -> None:
         site.add((shell,))
 
 
-def _hang(site: Site, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
+def _hang(site: FloorPlan, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
     """Hang the leaf of a door so that it stands in no other doorway and hits no other leaf or wall, if that can be."""
     angle = {"open": site.rng.uniform(1.5, 1.9), "ajar": site.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
     for way in site.rng.permutation(4).tolist():
@@ -158,7 +158,7 @@ def _leaf(wall: Wall, one: Opening, angle: float, way: int) -> Group:
     return placed(leaf, wall.at_m, one.middle_m, math.pi / 2)
 
 
-def _threshold(site: Site, wall: Wall, one: Opening) -> None:
+def _threshold(site: FloorPlan, wall: Wall, one: Opening) -> None:
     if site.rng.random() < 0.4:
         half = one.width_m / 2 - _POST_M
         strip = wall.box(one.middle_m - half, one.middle_m + half, (-0.01, site.rng.uniform(0.008, 0.02)), "metal", 0.1)

@@ -14,7 +14,7 @@ from viewshed.sim.assets.shapes import Box
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.indoor.agents import Building, inhabited
 from viewshed.sim.worlds.indoor.floor import Rise, floor, lay
-from viewshed.sim.worlds.indoor.floor_plan import Rect, Site, shrunk
+from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
 from viewshed.sim.worlds.indoor.walls import Opening, Wall, around, build, ceiling
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
@@ -29,7 +29,7 @@ _STAGED: tuple[tuple[Maker, int], ...] = (
 
 def warehouse(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a warehouse with racks along y and gates at one end."""
-    site, top = Site(rng), rng.uniform(6.5, 10.0)
+    site, top = FloorPlan(rng), rng.uniform(6.5, 10.0)
     half_x, half_y = rng.uniform(19.0, 23.0), rng.uniform(18.0, 21.0)
     inside = (-half_x, -half_y, half_x, half_y)
     gates = 3 if rng.random() < 0.5 else 1
@@ -77,7 +77,7 @@ def _zones(inside: Rect, gates: int) -> tuple[Rect, Rect]:
     return (x0, y0, x1, y0 + _STAGING_M), (x0, y0 + _STAGING_M, x1, y1)
 
 
-def _racks(site: Site, store: Rect, top_m: float) -> float:
+def _racks(site: FloorPlan, store: Rect, top_m: float) -> float:
     """Add racks back to back along y with a cross aisle, and return the x where they end."""
     rng = site.rng
     aisle, levels = rng.uniform(2.6, 3.6), int(rng.integers(2, 4)) if top_m > 8.8 else 2
@@ -93,7 +93,7 @@ def _racks(site: Site, store: Rect, top_m: float) -> float:
     return x
 
 
-def _rack_row(site: Site, x_m: float, store: Rect, bays: int, levels: int) -> None:
+def _rack_row(site: FloorPlan, x_m: float, store: Rect, bays: int, levels: int) -> None:
     """Add the two halves of a row and guards at its ends."""
     middle, half = (store[1] + store[3]) / 2, bays * (stock.BAY_M + 0.1) / 2
     for side in (-1, 1):
@@ -102,7 +102,7 @@ def _rack_row(site: Site, x_m: float, store: Rect, bays: int, levels: int) -> No
         site.put(placed(stock.bollard(site.rng), x_m, y + side * (half + 0.25)))
 
 
-def _floor_storage(site: Site, rect: Rect) -> None:
+def _floor_storage(site: FloorPlan, rect: Rect) -> None:
     """Add blocks of stacked pallets with lanes between them."""
     rng = site.rng
     x = rect[0]
@@ -116,7 +116,7 @@ def _floor_storage(site: Site, rect: Rect) -> None:
         x += 2.8 + rng.uniform(2.2, 3.2)
 
 
-def _dock(site: Site, staging: Rect, gates: int) -> Rise | None:
+def _dock(site: FloorPlan, staging: Rect, gates: int) -> Rise | None:
     """Return a strip of floor before some gates that lies higher, with a ramp up to it."""
     rng = site.rng
     long, deep, height = rng.uniform(6.0, 12.0), 3.2, rng.uniform(0.1, 0.25)
@@ -129,7 +129,7 @@ def _dock(site: Site, staging: Rect, gates: int) -> Rise | None:
     return rise
 
 
-def _along_walls(site: Site, inside: Rect, gates: int) -> None:
+def _along_walls(site: FloorPlan, inside: Rect, gates: int) -> None:
     sides = tuple(side for side in range(4) if side != gates)
     for maker, most in ((fittings.extinguisher, 4), (fittings.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
                         (stock.cage, 2), (furniture.desk, 2)):  # fmt: skip
@@ -137,7 +137,7 @@ def _along_walls(site: Site, inside: Rect, gates: int) -> None:
             site.against(inside, maker, sides)
 
 
-def _roof(site: Site, inside: Rect, top_m: float) -> None:
+def _roof(site: FloorPlan, inside: Rect, top_m: float) -> None:
     """Add girders below the roof, columns along the walls, and lamps over the floor."""
     lines = np.linspace(inside[0] + 1.0, inside[2] - 1.0, 6).tolist()
     for x in lines:
