@@ -303,10 +303,10 @@ def _run(folder: Path, *words: str) -> str:
 
 
 def _write_index(folder: Path) -> None:
-    """Write an index of five posed sweeps of one simulated scene, half a second apart."""
+    """Write an index of five posed sweeps of one simulated scene, a second and a half apart."""
     scene, entries = ScenePlan(preset_named("nuscenes-small"), 0, 1), []
     folder.mkdir()
-    for number in range(5):
+    for number in range(0, 15, 3):
         sweep = simulate_frame(scene, number).sweep
         if sweep.world_from_sensor is None or sweep.t_ns is None:
             raise ValueError("a simulated sweep must have pose and time")
