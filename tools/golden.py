@@ -2,6 +2,10 @@
 
 python tools/golden.py record [arrays shards published tiny]    writes them anew; all parts if none is named
 python tools/golden.py check [arrays shards published tiny]     lists what differs; exit code 1 if anything does
+
+``tables`` names both published and tiny. ``arrays`` needs the real sweeps: VIEWSHED_REAL_DATA is their folder.
+``tiny`` runs every study on its tiny plan, which takes minutes; three of its pages come from networks trained on the
+spot, so that another processor or another torch may give other figures there.
 """
 
 from __future__ import annotations
@@ -24,12 +28,14 @@ def main() -> int:
     parser.add_argument("what", choices=["record", "check"])
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts.PARTS)}")
     asked = parser.parse_args()
-    unknown = set(asked.parts) - set(parts.PARTS)
+    words = asked.parts or list(parts.PARTS)
+    names = [name for word in words for name in (("published", "tiny") if word == "tables" else (word,))]
+    unknown = set(names) - set(parts.PARTS)
     if unknown:
         parser.error(f"PART must be among {', '.join(parts.PARTS)}, got {', '.join(sorted(unknown))}")
     folder = os.environ.get("VIEWSHED_REAL_DATA")
     differing = 0
-    for name in asked.parts or parts.PARTS:
+    for name in names:
         start = time.perf_counter()
         part = parts.PARTS[name]
         lines = [] if asked.what == "record" else part.check(Path(folder) if folder else None)

@@ -27,7 +27,6 @@ from tests.golden.recorder import Arrays, SweepName
 
 FOLDER = Path(__file__).parent / "arrays"
 MANIFEST = FOLDER / "manifest.json"
-LEARNED = frozenset({"viewnet", "unet", "mcd"})
 SHARE = 1e-4
 """Of all cells of a method, over its sweeps together, that may differ on another processor."""
 SWEEP_SHARE = 1e-3
@@ -120,4 +119,4 @@ def _certain(state: _Bytes) -> _Bytes:
 
 
 def _step(method: str) -> int:
-    return 2 if method in LEARNED else 1
+    return 2 if method in recorder.LEARNED else 1

@@ -15,6 +15,10 @@ def test_every_sweep_and_method_has_an_array() -> None:
         assert set(stored.load(method)) == wanted, method
 
 
+def test_every_method_and_attack_of_the_tables_is_there() -> None:
+    assert recorder.unrecorded() == []
+
+
 def test_simulated_sweeps_are_estimated_as_before() -> None:
     names = [name for name in recorder.SIMULATED if str(name) in recorder.SHORT]
     assert len(names) >= 12
