@@ -5,6 +5,7 @@ Options of the estimators that are networks.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -241,9 +242,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
     if not files:
         yield from ((file, entry) for file, entry in entries.items() if entry.points)
     for file in files:
-        if file.resolve() not in entries:
+        entry = entries.get(Path(os.path.realpath(file)))
+        if entry is None:
             raise ValueError(f"{file} is not in the index {index}")
-        yield file, entries[file.resolve()]
+        yield file, entry
 
 
 Weights = Annotated[

@@ -342,16 +342,24 @@ def test_a_truncated_bag_is_one_line_and_its_neighbors_are_read(tmp_path: Path, 
 def test_wrong_magic_and_missing_metadata(tmp_path: Path) -> None:
     for name in ("a.bag", "a.mcap"):
         (tmp_path / name).write_bytes(b"GIF89a" + bytes(100))
-        with pytest.raises(ValueError, match=rf"{name}: is (damaged|no MCAP file)"):
+        with pytest.raises(ValueError, match=rf"{name}: is no (ROS 1|MCAP) file: its first bytes are others"):
             open_source(tmp_path / name)
-    folder = write_ros2(tmp_path / "b", [("/points", 1, ROS2.cloud(S))])
-    (folder / "metadata.yaml").unlink()
-    with pytest.raises(ValueError, match=r"\.db3: is one file of a ROS 2 bag; name its folder.*metadata\.yaml"):
-        open_source(folder)
-    folder = write_ros2(tmp_path / "c", [("/points", 1, ROS2.cloud(S))])
-    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
-    with pytest.raises(ValueError, match=r"c: is damaged"):
-        open_source(folder)
+
+
+def test_ros2_bags_need_no_metadata(tmp_path: Path) -> None:
+    for number, metadata in enumerate((None, "rosbag2_bagfile_information: [", "version: 99\n")):
+        folder = write_ros2(tmp_path / f"b{number}", [("/points", 1, ROS2.cloud(S))])
+        (folder / "metadata.yaml").unlink()
+        if metadata is not None:
+            (folder / "metadata.yaml").write_text(metadata)
+        [(ref, sweep)] = each_sweep(open_source(folder))
+        assert (ref.t_ns, len(sweep)) == (S, 3)
+        [(_, again)] = each_sweep(open_source(next(folder.glob("*.db3"))))
+        np.testing.assert_array_equal(again.points, sweep.points)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "metadata.yaml").write_text("x: 1\n")
+    with pytest.raises(ValueError, match=r"empty: is damaged: it holds no \.db3 and no \.mcap file"):
+        open_source(tmp_path / "empty", "bag")
 
 
 @KINDS

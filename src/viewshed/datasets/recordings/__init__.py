@@ -43,11 +43,13 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSourc
         problem = "its links lead in a circle" if path.is_symlink() else "no such folder"
         raise FileNotFoundError(f"{path}: {problem}")
     with errors_named(path, path.parent):
-        known = SOURCES[kind] if kind != "auto" else next((each for each in SOURCES.values() if each.fits(path)), None)
-        if known is None:
-            layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
-            raise ValueError(f"{path}: no recording found here; looked for {layouts}")
-        return _OneLineErrors(path.parent, known.open(path))
+        known = (
+            SOURCES[kind] if kind != "auto" else next((known for known in SOURCES.values() if known.fits(path)), None)
+        )
+        if known is not None:
+            return _OneLineErrors(path.parent, known.open(path))
+    layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
+    raise ValueError(f"{path}: no recording found here; looked for {layouts}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,7 +97,7 @@ def open_bag(root: Path, path: Path) -> BagFile:
     """
     inside(root, path)
     if path.is_dir():
-        return FolderBag(path)
+        return FolderBag(root, path)
     stream: BinaryIO = io.BytesIO(_unzstd(path.read_bytes())) if path.suffix == ".zstd" else path.open("rb")
     head = stream.read(16)
     stream.seek(0)
@@ -485,14 +485,15 @@ class FolderBag:
     """A folder of a ROS 2 bag: its SQLite or MCAP files, one after the other. Its metadata.yaml is not needed.
 
     Args:
+        root: the recording, which links must not leave.
         folder: the folder.
 
     Raises:
         ValueError: it holds no such file.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, root: Path, folder: Path) -> None:
+        self._root = root
         self._files = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
         if not self._files:
             raise ValueError("is damaged: it holds no .db3 and no .mcap file")
@@ -528,5 +529,5 @@ class FolderBag:
     def _bag(self, number: int) -> BagFile:
         if self._open is None or self._open[0] != number:
             self.close()
-            self._open = (number, open_bag(self._folder, self._files[number]))
+            self._open = (number, open_bag(self._root, self._files[number]))
         return self._open[1]

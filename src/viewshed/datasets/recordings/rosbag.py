@@ -109,6 +109,8 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str]) -> Bag | Non
             _add_message(contents, message, damage)
     except (ValueError, OSError) as error:
         note_damage(damage, f"{one_line(error)}; {len(contents.clouds)} clouds before that are kept")
+        if not contents.clouds:
+            return None
     finally:
         types = file.types
         file.close()
