@@ -126,7 +126,7 @@ def carla() -> Files:
     }
 
 
-def _cloud(ros1: bool) -> tuple[Any, bytes]:
+def cloud(ros1: bool) -> tuple[Any, bytes]:
     """Return a type store, and a PointCloud2 of :data:`POINTS` as it writes it."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -136,16 +136,16 @@ def _cloud(ros1: bool) -> tuple[Any, bytes]:
     header = types["std_msgs/msg/Header"](*((0, stamp, "lidar") if ros1 else (stamp, "lidar")))
     fields = [types["sensor_msgs/msg/PointField"](name, 4 * axis, 7, 1) for axis, name in enumerate("xyz")]
     data = np.frombuffer(POINTS.tobytes(), np.uint8)
-    cloud = types["sensor_msgs/msg/PointCloud2"](header, 1, 6, fields, False, 12, 72, data, True)
+    message = types["sensor_msgs/msg/PointCloud2"](header, 1, 6, fields, False, 12, 72, data, True)
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    return store, bytes(serialize(cloud, "sensor_msgs/msg/PointCloud2"))
+    return store, bytes(serialize(message, "sensor_msgs/msg/PointCloud2"))
 
 
 def ros1_bag(packing: str = "") -> bytes:
     """Return a ROS 1 bag of two clouds; ``packing`` is "", bz2 or lz4."""
     from rosbags.rosbag1 import Writer
 
-    store, raw = _cloud(ros1=True)
+    store, raw = cloud(ros1=True)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.bag"
         writer: Any = Writer(path)
@@ -160,7 +160,7 @@ def ros1_bag(packing: str = "") -> bytes:
 
 def db3(statements: tuple[str, ...] = (), raw: bytes | None = None) -> bytes:
     """Return a SQLite file of ROS 2 with two clouds; further statements may spoil it."""
-    raw = _cloud(ros1=False)[1] if raw is None else raw
+    raw = cloud(ros1=False)[1] if raw is None else raw
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.db3"
         base = sqlite3.connect(path)
@@ -179,7 +179,7 @@ def mcap(packing: str = "ZSTD") -> bytes:
     """Return an MCAP file of two clouds, written by the ``mcap`` package."""
     from mcap.writer import CompressionType, Writer
 
-    raw = _cloud(ros1=False)[1]
+    raw = cloud(ros1=False)[1]
     file = io.BytesIO()
     writer = Writer(file, compression=CompressionType[packing], chunk_size=100)
     writer.start("ros2")

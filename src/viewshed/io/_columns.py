@@ -248,37 +248,37 @@ def number_columns(
     if rows and not columns:
         held = len(content) - start
         raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {held} bytes")
-    lines = _text_lines(content, start, width)
     done = 0
-    while done < rows:
-        part = [line for _, line in zip(range(min(rows - done, 1 + _TEXT_NUMBERS // width)), lines, strict=False)]
-        if not part:
-            raise ValueError(f"text must hold {rows} rows of {width} numbers, got {done} of {width}; it is cut off")
-        table = np.loadtxt(part, dtype=np.float64, comments=None, ndmin=2)
-        if table.shape != (len(part), width):
-            got = f"{done + len(table)} of {table.shape[1]}"
-            raise ValueError(f"text must hold {rows} rows of {width} numbers, got {got}")
-        for name, position in wanted.items():
-            columns[name][done : done + len(part)] = table[:, position]
-        done += len(part)
+    for part in _text_blocks(content, start, width):
+        lines = part[: rows - done]
+        if lines:
+            table = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+            if table.shape != (len(lines), width):
+                got = f"{done + len(table)} of {table.shape[1]}"
+                raise ValueError(f"text must hold {rows} rows of {width} numbers, got {got}")
+            for name, position in wanted.items():
+                columns[name][done : done + len(lines)] = table[:, position]
+            done += len(lines)
+        if done == rows:
+            return columns
+    if done < rows:
+        raise ValueError(f"text must hold {rows} rows of {width} numbers, got {done} of {width}; it is cut off")
     return columns
 
 
-_TEXT_NUMBERS = 1 << 16
+_TEXT_BLOCK_BYTES = 1 << 18
 
 _TEXT_BYTES_A_NUMBER = 64
 
 
-def _text_lines(content: bytes, start: int, width: int) -> Iterator[str]:
-    """Yield the lines that are not empty; one far too long for its numbers is refused before it is split."""
-    limit = 256 + _TEXT_BYTES_A_NUMBER * width
+def _text_blocks(content: bytes, start: int, width: int) -> Iterator[list[str]]:
+    """Yield the lines that are not empty, block by block; one far too long for its numbers is refused."""
+    longest = 256 + _TEXT_BYTES_A_NUMBER * width
+    block = max(_TEXT_BLOCK_BYTES, longest)
     while start < len(content):
-        end = content.find(b"\n", start, start + limit)
-        if end < 0:
-            end = len(content)
-            if end - start > limit:
-                raise ValueError(f"text must hold {width} numbers a line, got a line of more than {limit} bytes")
-        line = content[start:end].decode("latin-1").strip()
-        start = end + 1
-        if line:
-            yield line
+        end = content.rfind(b"\n", start, start + block) + 1 or min(len(content), start + block)
+        lines = content[start:end].decode("latin-1").split("\n")
+        if max(map(len, lines)) >= longest:
+            raise ValueError(f"text must hold {width} numbers a line, got a line of more than {longest} bytes")
+        yield [line for line in lines if line and not line.isspace()]
+        start = end

@@ -81,7 +81,7 @@ FILE = "tracklet_labels.xml"
 
 _MOST_BYTES = 64_000_000
 
-_MOST_ELEMENTS = 1_000_000  # 1000 sweeps with 30 objects each have 400,000
+_MOST_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
 
 _DEPTH_MAX = 16
 

@@ -16,6 +16,8 @@ _DEPTH_MAX = 50
 
 _NODES_MAX = 200_000
 
+_NUMBER_LETTERS = 64
+
 _DIRECTIVE = re.compile(r"(?:^|[\r\n\x85\u2028\u2029])%")
 
 _PYTHON = "tag:yaml.org,2002:python/"
@@ -39,8 +41,8 @@ def read_yaml(path: Path) -> Any:
 
     The parser's composer recurses in C and dies of deep nesting, and its constructor follows merges and base-60
     integers for minutes. So only its events are used, which come one by one, and values are built here: aliases share
-    one value and count as what they stand for, whole numbers have up to 18 digits (longer ones are text), and objects
-    of Python are None.
+    one value and count as what they stand for, whole numbers of more than 18 digits are floats, and objects of Python
+    are None.
 
     Raises:
         ValueError: it is no YAML, is too large or too deep, or refers to itself.
@@ -151,6 +153,6 @@ def _scalar(event: Any) -> Any:
         return _WORDS[text]
     if _INT.fullmatch(text):
         return int(text)
-    if _FLOAT.fullmatch(text):
+    if len(text) <= _NUMBER_LETTERS and _FLOAT.fullmatch(text):
         return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     return text

@@ -437,8 +437,11 @@ class SqliteBag:
                 if self._rows_left < 0:
                     raise ValueError("is damaged: it has more messages than its size allows")
                 topic, kind, encoding = self._topics.get(topic_id, ("", "", ""))
-                if kind in kinds:
-                    yield Message(topic, kind, encoding, int(t_ns), str(row), self.message(str(row)))
+                if kind not in kinds:
+                    continue
+                if not isinstance(t_ns, int):
+                    raise ValueError(f"is damaged: message {row} has no time")
+                yield Message(topic, kind, encoding, t_ns, str(row), self.message(str(row)))
 
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""
