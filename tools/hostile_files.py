@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 LIMIT_S, LIMIT_BYTES, RATIO = 2.0, 64_000_000, 10
-GIVE_UP_S = 30
+GIVE_UP_S = 20
 MEMORY_BYTES = 4_000_000_000
 
 
@@ -328,18 +328,21 @@ def _recordings() -> tuple[Any, Any]:
         ).each_sweep
 
 
-def _warm(folder: Path) -> None:
-    """Load libraries and compiled code before anything is measured."""
+def _warm(folder: Path, path: Path) -> None:
+    """Load the libraries and the compiled code that a file needs before it is measured."""
     import pyarrow  # noqa: F401
 
     files: Any = import_module("sweep_files")
     made: Any = import_module("recording_files")
+    if path.is_dir():
+        for kind in ("opv2v", "kitti_raw", "mcap"):
+            measure(made.write(folder / kind, made.recordings()[kind]))
+        return
     for sample in files.samples().values():
-        for name, content in {**sample.beside, sample.name: sample.content}.items():
-            (folder / name).write_bytes(content)
-        measure(folder / sample.name)
-    for number, recording in enumerate(made.recordings().values()):
-        measure(made.write(folder / f"warm {number}", recording))
+        if Path(sample.name).suffix == path.suffix:
+            for name, content in {**sample.beside, sample.name: sample.content}.items():
+                (folder / name).write_bytes(content)
+            measure(folder / sample.name)
 
 
 def _run_one(path: Path, source: Path | None) -> Cost:
@@ -363,7 +366,7 @@ def _child(path: Path) -> None:
     from dataclasses import asdict
 
     with TemporaryDirectory() as folder:
-        _warm(Path(folder))
+        _warm(Path(folder), path)
     used = int(time.process_time())
     resource.setrlimit(resource.RLIMIT_CPU, (used + GIVE_UP_S, used + GIVE_UP_S + 5))
     size = _status("VmSize") + MEMORY_BYTES
