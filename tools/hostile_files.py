@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 LIMIT_S, LIMIT_BYTES, RATIO = 2.0, 64_000_000, 10
-GIVE_UP_S = 20
+GIVE_UP_S = 10
 MEMORY_BYTES = 4_000_000_000
 
 
@@ -168,7 +168,7 @@ def _pcap(frames: int, more: bool) -> bytes:
     parts[1] = files.ip_packet(bytes(8), offset=8 * 511, more=False)
     record = [struct.pack("<IIII", 1000, 0, len(part), len(part)) + part for part in parts]
     capture = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1)
-    velodyne = files.pcap([files.ip_packet(files.udp_packet(files.vlp16_payload(0, 0.4, 5)))])[24:]
+    velodyne: bytes = files.pcap([files.ip_packet(files.udp_packet(files.vlp16_payload(0, 0.4, 5)))])[24:]
     return capture + velodyne + b"".join(record[k % len(record)] for k in range(frames))
 
 
@@ -351,7 +351,7 @@ def _run_one(path: Path, source: Path | None) -> Cost:
     command = [sys.executable, __file__, "--measure", str(path)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=GIVE_UP_S + 60, check=False, env=environment
+            command, capture_output=True, text=True, timeout=GIVE_UP_S + 90, check=False, env=environment
         )
     except subprocess.TimeoutExpired:
         return Cost(GIVE_UP_S, 0, "does not end")
