@@ -18,8 +18,6 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-import grimp
-
 from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
 
@@ -60,22 +58,20 @@ def measure(tree: Path) -> House:
     return House(len(files), dict(lines), roots, layers, _circles(tree / "src"))
 
 
+_COUNT_CIRCLES = """
+import sys, grimp
+sys.path.insert(0, sys.argv[1])
+graph = grimp.build_graph("viewshed", cache_dir=None, exclude_type_checking_imports=True)
+below = {module: graph.find_upstream_modules(module) for module in graph.modules}
+print(len({frozenset(other for other in below[one] if one in below[other]) for one in below} - {frozenset()}))
+"""
+"""Two modules are in one circle if each imports the other, directly or through others."""
+
+
 def _circles(source: Path) -> int:
-    """Return how many groups of modules import each other, in a process that sees no other copy of the package."""
-    code = f"import sys; sys.path.insert(0, {str(source)!r}); sys.path.insert(1, {str(Path(__file__).parent)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}; import house; print(house.count_circles())"],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    return int(done.stdout)
-
-
-def count_circles() -> int:
-    """Return how many groups of the modules of ``viewshed``, as it is found first on the path, import each other."""
-    graph = grimp.build_graph("viewshed", cache_dir=None, exclude_type_checking_imports=True)
-    below = {module: graph.find_upstream_modules(module) for module in graph.modules}
-    groups = {frozenset(m for m in below[module] if module in below[m]) for module in graph.modules}
-    return sum(1 for group in groups if group)
+    """Return how many circles of imports there are, counted in a process that sees no other copy of the package."""
+    command = [sys.executable, "-c", _COUNT_CIRCLES, str(source)]
+    return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def at_commit(commit: str) -> House:
