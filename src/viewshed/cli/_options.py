@@ -91,13 +91,13 @@ class Reading:
         if self.file_frame is not None:
             raise ValueError("--file-frame does not go with a recording, which knows its own axes")
         problems: list[str] = []
-        found = 0
+        count = 0
         source = ArchiveSource.open(path) if is_archive(path) else open_source(path)
-        for _, sweep in each_sweep(source, on_damage=lambda scene, line: _told(problems, line)):
-            found += 1
+        for _, sweep in each_sweep(source, on_damage=lambda scene, line: _report(problems, line)):
+            count += 1
             yield self._overridden(sweep)
-        if problems or not found:
-            raise ValueError(f"{path}: {found} sweeps read, {len(problems)} problems")
+        if problems or not count:
+            raise ValueError(f"{path}: {count} sweeps read, {len(problems)} problems")
 
     def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
         from viewshed.io import read_indexed
@@ -112,7 +112,7 @@ class Reading:
         return sweep.replace(**{name: value for name, value in given.items() if value is not None})
 
 
-def _told(problems: list[str], line: str) -> None:
+def _report(problems: list[str], line: str) -> None:
     problems.append(line)
     typer.echo(f"viewshed: {line}", err=True)
 

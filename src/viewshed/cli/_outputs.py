@@ -1,6 +1,6 @@
 """Where results go: one name for each sweep, and never over an input.
 
-What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it tells.
+What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it prints.
 """
 
 from __future__ import annotations
