@@ -19,15 +19,19 @@ from viewshed.sweep import Sweep
 class SweepBuffer:
     """The last sweeps of each agent of a stream, as many and as far apart as a :class:`History` is made of.
 
+    The times of all agents are those of one clock.
+
     Attributes:
         sweeps: how many are kept of an agent.
         every_s: least time in seconds between two of them.
-        forget_s: those from longer before are not used any more.
+        forget_s: those from longer before are not used any more; agents not seen for so long are dropped.
+        agents: how many agents are kept; of more the one that was seen longest ago is dropped.
     """
 
     sweeps: int = HISTORY_SWEEPS
     every_s: float = 1.0
     forget_s: float = 10.0
+    agents: int = 64
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -36,6 +40,8 @@ class SweepBuffer:
                 "sweeps must be at least 1, every_s at least 0 and forget_s above 0, got "
                 f"{self.sweeps}, {self.every_s} and {self.forget_s}"
             )
+        if self.agents < 1:
+            raise ValueError(f"agents must be at least 1, got {self.agents}")
 
     def past(self, leveled: LeveledSweep) -> History | None:
         """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
@@ -43,7 +49,7 @@ class SweepBuffer:
         if now_ns is None or leveled.world_from_level is None:
             return None
         return History.of(
-            leveled, [each for each in kept if 0 < now_ns - (each.sweep.t_ns or 0) <= self.forget_s * 1e9]
+            leveled, [before for before in kept if 0 < now_ns - (before.sweep.t_ns or 0) <= self.forget_s * 1e9]
         )
 
     def add(self, leveled: LeveledSweep) -> None:
@@ -51,13 +57,25 @@ class SweepBuffer:
 
         One from before it begins a new stream.
         """
-        t_ns, kept = leveled.sweep.t_ns, self._kept.setdefault(leveled.sweep.agent, deque(maxlen=self.sweeps))
+        t_ns = leveled.sweep.t_ns
         if t_ns is None or leveled.world_from_level is None:
             return
+        # Taken out and put back last: the first agent is the one that was seen longest ago.
+        kept = self._kept.pop(leveled.sweep.agent, None) or deque(maxlen=self.sweeps)
         if kept and t_ns < (kept[-1].sweep.t_ns or 0):
             kept.clear()
         if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
             kept.append(leveled)
+        self._kept[leveled.sweep.agent] = kept
+        self._drop_agents(t_ns)
+
+    def _drop_agents(self, now_ns: int) -> None:
+        """Drop the agents whose sweeps are all too old to be used, and those that are too many."""
+        oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
+        for agent in [name for name, kept in self._kept.items() if (kept[-1].sweep.t_ns or 0) < oldest_ns]:
+            del self._kept[agent]
+        while len(self._kept) > self.agents:
+            del self._kept[next(iter(self._kept))]
 
 
 class PastEstimator(Protocol):
@@ -110,12 +128,12 @@ def where_confirmed(estimate: FovEstimate, past: History | None) -> FovEstimate:
     Elsewhere its probability is 0, and what was claimed is UNKNOWN. Who opens a view by spoofed returns must have begun
     before the earlier sweeps; what comes into view for the first time waits for the next one.
     """
-    supported = np.zeros(estimate.grid.shape, np.bool_)
+    confirmed = np.zeros(estimate.grid.shape, np.bool_)
     if past is not None:
-        supported = past.support(estimate.grid, estimate.target) > 0
+        confirmed = past.confirmations(estimate.grid, estimate.target) > 0
     claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
     return replace(
         estimate,
-        visible_prob=np.where(supported, estimate.visible_prob, np.float32(0.0)),
-        state=np.where(claimed & ~supported, np.uint8(CellState.UNKNOWN), estimate.state),
+        visible_prob=np.where(confirmed, estimate.visible_prob, np.float32(0.0)),
+        state=np.where(claimed & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state),
     )

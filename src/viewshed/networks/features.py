@@ -267,7 +267,7 @@ def _confirmed_by_history(shown: FeatureContext) -> Bytes:
     """Return the code of the share of the earlier sweeps that saw each cell: 0 to 255, 128 without any."""
     if shown.past is None:
         return np.full(shown.grid.shape, NO_HISTORY, np.uint8)
-    share = shown.past.support(shown.grid, shown.target) * (255.0 / len(shown.past.earlier))
+    share = shown.past.confirmations(shown.grid, shown.target) * (255.0 / len(shown.past.earlier))
     code: Bytes = np.round(share).astype(np.uint8)
     return code
 
