@@ -13,7 +13,7 @@ from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator, where_confirmed
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.geometry import Rigid
 from viewshed.preprocess.history import GAP_ROWS, History, _fill_gaps, _pixel, history_of
@@ -114,7 +114,7 @@ def returns_at(*xyz: tuple[float, float, float], t_s: float = 0.0, agent: str = 
     points = np.array(xyz, np.float32).reshape(-1, 3)
     x, y, z = points.T
     sweep = Sweep(points, world_from_sensor=at(0, 0), t_ns=int(1e9 * t_s), agent=agent)
-    ground, level_from_sensor = Ground.flat(32.0), Rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
+    ground, level_from_sensor = HeightMap.flat(32.0), Rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
     rows = np.arange(len(points))
     return LeveledSweep(sweep, points, np.hypot(x, y), np.arctan2(y, x), z, rows, level_from_sensor, ground)
 

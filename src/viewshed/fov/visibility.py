@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.fov.height_map import Ground, Places, places_of
+from viewshed.fov.height_map import HeightMap, LatticePositions, lattice_positions
 from viewshed.grid import BevGrid, polar_of_cells
 
 AZIMUTH_COLUMNS = 2048
@@ -238,7 +238,7 @@ class Beams:
 
 
 def expected_returns(
-    beams: Beams, sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
+    beams: Beams, sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return (cells, cells) expected returns of a target in each cell, and the beams that aim at it.
 
@@ -257,7 +257,7 @@ def expected_returns(
 
 
 def returns_by_kind(
-    kinds: Sequence[Beams], sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
+    kinds: Sequence[Beams], sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
 ) -> NDArray[np.float32]:
     """Return (kinds, cells, cells) expected returns of a target by each of several sets of beams.
 
@@ -318,22 +318,22 @@ def _poisson_table(min_returns: int) -> NDArray[np.float32]:
 
 
 def _slope_limits(
-    sensor_height_m: float, ground: Ground, grid: BevGrid, target: Target
+    sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the slopes (sectors, bins) of beams that pass a target's foot and its top."""
     lattice = ground.half_extent_m, len(ground.heights_m)
     places, per_range = _polar_places(range_bins(grid), grid.cell_m, *lattice)
-    foot = ground.on(places) - np.float32(sensor_height_m)
+    foot = ground.at_positions(places) - np.float32(sensor_height_m)
     return (foot - np.float32(_BELOW_GROUND_M)) * per_range, (foot + np.float32(target.height_m)) * per_range
 
 
 @lru_cache(maxsize=8)
-def _polar_places(bins: int, cell_m: float, half_extent_m: float, nodes: int) -> tuple[Places, Floats]:
+def _polar_places(bins: int, cell_m: float, half_extent_m: float, nodes: int) -> tuple[LatticePositions, Floats]:
     """Return where the middles of polar bins (sectors, bins) lie on a ground's lattice, and 1 / range (bins,)."""
     azimuth = (np.arange(GROUND_SECTORS) + 0.5) * (2 * np.pi / GROUND_SECTORS) - np.pi
     range_m = (np.arange(bins) + 0.5) * cell_m
     xy = np.stack([np.cos(azimuth)[:, None] * range_m, np.sin(azimuth)[:, None] * range_m], axis=-1)
-    return places_of(xy, half_extent_m, nodes), (1.0 / range_m).astype(np.float32)
+    return lattice_positions(xy, half_extent_m, nodes), (1.0 / range_m).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -185,15 +185,15 @@ class FeatureContext:
         return cell_statistics(self.leveled, self.grid)
 
     @cached_property
-    def told(self) -> BeamsByEvidence:
-        """The beams by what is known of them."""
+    def beams(self) -> BeamsByEvidence:
+        """The beams by what is known of their depth."""
         return beams_by_evidence(self.leveled, self.target.height_m)
 
     @cached_property
     def returns(self) -> Floats:
         """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
-        leveled, told = self.leveled, self.told
-        kinds = told.measured, told.inferred, told.unresolved
+        leveled, beams = self.leveled, self.beams
+        kinds = beams.measured, beams.inferred, beams.unresolved
         return returns_by_kind(kinds, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
 
     @cached_property

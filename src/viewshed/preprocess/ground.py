@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.preprocess.ground_plane import MIN_HEIGHT_M, near_plane
 from viewshed.preprocess.ground_surface import FLAT_M, smooth_ground
 
@@ -45,7 +45,7 @@ MIN_SUPPORT = 0.22
 
 def estimate_ground(
     lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
-) -> Ground:
+) -> HeightMap:
     """Return the ground, z from the sensor, from a low point of each node.
 
     Args:
@@ -63,9 +63,9 @@ def estimate_ground(
     heights, seen = smooth_ground(lows_m, rise_m, (walked, sure), plane, half_extent_m)
     middle = lows_m.shape[0] // 2
     if support < MIN_SUPPORT or (sensor_height_m is None and heights[middle, middle] > -MIN_HEIGHT_M):
-        return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
+        return HeightMap.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
     a, b, c = (float(value) for value in plane)
-    return Ground(heights, half_extent_m, seen, (a, b, c), float(support))
+    return HeightMap(heights, half_extent_m, seen, (a, b, c), float(support))
 
 
 def _lowest_m(lows_m: NDArray[np.float32]) -> float:
