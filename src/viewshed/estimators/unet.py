@@ -198,7 +198,7 @@ class UnetEstimator:
         reach_m = min(reach_of(seen.leveled), self.card.max_range_m)
         doubted_above = 1.0 - self.sure if self.sure > EVEN else 1.0
         limits = np.array([self.card.max_range_m, reach_m, self.decision_threshold, doubted_above], np.float32)
-        found = seen.scan
+        found = seen.statistics
         cells = polar_of_cells(self.grid)[0], found.obstacle
         bearings = bins_of_cells(self.grid, found.bins), bins_of_cells(self.grid, EVIDENCE_BINS)
         by_bearing = found.blocker_m, _evidence(found.returns, self.target)

@@ -60,7 +60,7 @@ class HeightMap:
     def at(self, xy: FloatArray) -> NDArray[np.float32]:
         """Return ground z (…,) in meters below points (…, 2+) of ``level``.
 
-        >>> Ground.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
+        >>> HeightMap.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
         [-1.5]
         """
         return self.at_positions(lattice_positions(xy, self.half_extent_m, len(self.heights_m)))
