@@ -376,7 +376,9 @@ def _columns_around(counts: Any, empty: Any) -> Any:  # pragma: no cover - compi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _directions(pixels: Any, tangent: Any, phase: Any, rotation: Any, columns: int) -> Any:  # pragma: no cover - compiled
+def _directions(
+    pixels: Any, tangent: Any, phase: Any, rotation: Any, columns: int
+) -> Any:  # pragma: no cover - compiled
     """Return azimuth (M,) and slope (M,) in ``level`` of the beams of pixels (M, 2)."""
     count = pixels.shape[0]
     azimuth, slope = np.empty(count, np.float32), np.empty(count, np.float32)
