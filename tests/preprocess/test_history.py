@@ -165,7 +165,7 @@ def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see
 
 @given(st.lists(st.floats(0, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
 def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], sweeps: int, every_s: float) -> None:
-    memory, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
+    buffer, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
     kept: list[int] = []
     empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
     for t_s in times:
@@ -173,38 +173,38 @@ def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], swe
             empty.sweep.replace(t_ns=int(1e9 * t_s)), empty.points, empty.range_m, empty.azimuth, empty.height_m,
             empty.rows, empty.level_from_sensor, empty.ground,
         )  # fmt: skip
-        memory.add(leveled)
+        buffer.add(leveled)
         if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
             kept.append(int(1e9 * t_s))
-    assert [leveled.sweep.t_ns for leveled in memory._kept["ego"]] == kept[-sweeps:]
+    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == kept[-sweeps:]
 
 
 def test_agents_that_are_gone_are_dropped() -> None:
-    memory = SweepBuffer(forget_s=10.0)
+    buffer = SweepBuffer(forget_s=10.0)
     for number in range(300):
-        memory.add(returns_at(t_s=float(number), agent=f"agent {number}"))
-        assert memory.past(returns_at(t_s=number + 0.5, agent=f"agent {number}")) is not None
-    assert len(memory._kept) <= 11
+        buffer.add(returns_at(t_s=float(number), agent=f"agent {number}"))
+        assert buffer.history(returns_at(t_s=number + 0.5, agent=f"agent {number}")) is not None
+    assert len(buffer._kept) <= 11
     for number in range(5):
-        memory.past(returns_at(t_s=400.0, agent=f"stranger {number}"))
-        memory.add(level_of(NOTHING.replace(agent=f"stranger without a pose {number}", t_ns=0)))
-    assert len(memory._kept) <= 11
+        buffer.history(returns_at(t_s=400.0, agent=f"stranger {number}"))
+        buffer.add(level_of(NOTHING.replace(agent=f"stranger without a pose {number}", t_ns=0)))
+    assert len(buffer._kept) <= 11
 
 
 def test_of_too_many_agents_at_once_the_ones_seen_last_are_kept() -> None:
-    memory = SweepBuffer(agents=3)
+    buffer = SweepBuffer(agents=3)
     for number in [0, 1, 2, 0, 3, 4]:
-        memory.add(returns_at(t_s=0.1 * number, agent=f"agent {number}"))
-    assert set(memory._kept) == {"agent 0", "agent 3", "agent 4"}
+        buffer.add(returns_at(t_s=0.1 * number, agent=f"agent {number}"))
+    assert set(buffer._kept) == {"agent 0", "agent 3", "agent 4"}
     with pytest.raises(ValueError, match="agents must be at least 1, got 0"):
         SweepBuffer(agents=0)
 
 
 def test_a_slow_memory_keeps_no_more_than_every_s_of_an_agent() -> None:
-    memory = SweepBuffer(every_s=20.0, forget_s=5.0)
+    buffer = SweepBuffer(every_s=20.0, forget_s=5.0)
     for t_s in (0.0, 12.0, 21.0):
-        memory.add(returns_at(t_s=t_s))
-    assert [leveled.sweep.t_ns for leveled in memory._kept["ego"]] == [0, int(21e9)]
+        buffer.add(returns_at(t_s=t_s))
+    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == [0, int(21e9)]
 
 
 def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
@@ -225,7 +225,10 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
 def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
     stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
     lie = seen([FAR], at(0, 0), 10.0)
-    estimator, trusting = TemporalEstimator(ShadowMap(GRID), wary=True), TemporalEstimator(ShadowMap(GRID))
+    estimator, trusting = (
+        TemporalEstimator(ShadowMap(GRID), require_confirmation=True),
+        TemporalEstimator(ShadowMap(GRID)),
+    )
     first = estimator.estimate(stream[0])
     assert not first.visible().any()
     assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
@@ -269,7 +272,7 @@ def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
     sweep = seen([WALL], at(0, 0))
     for bare in (sweep.replace(world_from_sensor=None), sweep.replace(t_ns=None)):
         assert np.array_equal(estimator.estimate(bare).visible(), claimed(bare))
-    assert not any(estimator.memory._kept.values())
+    assert not any(estimator.buffer._kept.values())
 
 
 def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
