@@ -342,8 +342,8 @@ def _sort_by_column(
         column[n] = np.int32(min(max(position, np.float32(0.0)), most))
     for n in range(azimuth.shape[0]):
         begin[np.uint32(column[n]) + np.uint32(1)] += np.int32(1)
-    for c in range(AZIMUTH_COLUMNS):
-        begin[c + 1] += begin[c]
+    for at in range(AZIMUTH_COLUMNS):
+        begin[at + 1] += begin[at]
     # Each beam to the end of its column. One above all targets is written there, too, and then written over.
     end, highest = begin[:AZIMUTH_COLUMNS].copy(), np.array([row.max() for row in top])
     sorted_slope, last_bin = np.empty(azimuth.shape[0], np.float32), np.empty(azimuth.shape[0], np.int32)

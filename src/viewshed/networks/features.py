@@ -92,8 +92,15 @@ def cell_statistics(leveled: LeveledSweep, grid: BevGrid) -> CellStatistics:
         blocker_m = nearest_obstacle_in_bins(leveled, bins, 1, OBSTACLE_HEIGHTS_M)
         farthest_m = farthest_in_bins(leveled, bins)
     counts = returns.reshape(EVIDENCE_BINS, -1).sum(axis=1, dtype=np.int32)
-    on_grid = (array[:-1].reshape(grid.shape) for array in (lowest, highest, obstacle))
-    return CellStatistics(*on_grid, counts, bins, blocker_m, farthest_m)
+    return CellStatistics(
+        lowest[:-1].reshape(grid.shape),
+        highest[:-1].reshape(grid.shape),
+        obstacle[:-1].reshape(grid.shape),
+        counts,
+        bins,
+        blocker_m,
+        farthest_m,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -51,7 +51,7 @@ Mask = NDArray[np.bool_]
 
 def is_cluttered(isolated: Mask) -> bool:
     """Return whether so many of the returns (N,) are isolated that chance makes others similar."""
-    return len(isolated) >= _FEWEST_RETURNS and np.count_nonzero(isolated) > CLUTTERED_SHARE * len(isolated)
+    return len(isolated) >= _FEWEST_RETURNS and int(np.count_nonzero(isolated)) > CLUTTERED_SHARE * len(isolated)
 
 
 def find_clutter(
