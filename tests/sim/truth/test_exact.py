@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Target
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams, expected_returns
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.sensors import LidarModel
@@ -209,7 +209,7 @@ def test_the_truth_is_near_the_interpolated_count_of_the_estimators() -> None:
     stop = (scan.direction * depth[..., None]).reshape(-1, 3)
     range_m = np.hypot(stop[:, 0], stop[:, 1])
     beams = Beams(np.arctan2(stop[:, 1], stop[:, 0]), (stop[:, 2] / range_m).astype(np.float32), range_m)
-    counts, _ = expected_returns(beams, 2.0, Ground.flat(60.0), ROAD, CAR)
+    counts, _ = expected_returns(beams, 2.0, HeightMap.flat(60.0), ROAD, CAR)
     same = (counts >= 5) == truth.visible(CAR)
     assert same.mean() > 0.985
     assert ((counts[:, ::-1] >= 5) == truth.visible(CAR)).mean() < 0.95

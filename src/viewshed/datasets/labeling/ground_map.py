@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.leveling import LeveledSweep
@@ -51,7 +51,7 @@ class Patch:
         yaw: heading of the sensor in the world.
     """
 
-    ground: Ground
+    ground: HeightMap
     center_m: NDArray[np.float64]
     yaw: float
 
