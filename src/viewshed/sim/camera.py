@@ -113,7 +113,7 @@ def viewpoint(snapshot: Snapshot, eye: NDArray[np.float64], yaw: float, ways_m: 
     return Rigid.from_yaw(yaw, eye)
 
 
-def opened(world: World, snapshot: Snapshot) -> tuple[Snapshot, float]:
+def without_ceiling(world: World, snapshot: Snapshot) -> tuple[Snapshot, float]:
     """Return the solids of a building without its ceiling and what hangs, and how high one sees then, in meters.
 
     Things that begin higher than ``CEILING_M`` above the ground are left out; outdoors none is.

@@ -19,19 +19,19 @@ from viewshed.sim.terrain import Terrain
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def place_things(t_s: Any, which: Any, resting: Any, knots: Any, out: Any) -> None:  # pragma: no cover - compiled
+def poses_of_things(t_s: Any, which: Any, resting: Any, knots: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill x, y and yaw (n, k, 3) of k things at n times, from where they rest or from their knots."""
     (at_rest, spans), (times, values) = resting, knots
     for k in range(which.shape[0]):
         thing = which[k]
         if spans[thing, 0] < spans[thing, 1]:
-            follow(t_s, times, values, (spans[thing, 0], spans[thing, 1]), out[:, k])
+            interpolate_track(t_s, times, values, (spans[thing, 0], spans[thing, 1]), out[:, k])
         else:
             out[:, k] = at_rest[thing]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow(t_s: Any, times: Any, values: Any, span: Any, out: Any) -> None:  # pragma: no cover - compiled
+def interpolate_track(t_s: Any, times: Any, values: Any, span: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill x, y and yaw (n, 3) at n times, straight between the knots of a span, still outside."""
     begin, end = span
     for n in range(t_s.shape[0]):
@@ -84,7 +84,7 @@ class Track:
     def over(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, 3) x and y in meters and yaw in radians at times (n,)."""
         out = np.empty((len(t_s), 3))
-        follow(np.asarray(t_s, np.float64), self.t_s, self.knots, (0, len(self.t_s)), out)
+        interpolate_track(np.asarray(t_s, np.float64), self.t_s, self.knots, (0, len(self.t_s)), out)
         return out
 
     @property
@@ -291,7 +291,7 @@ class World:
         """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
         at_rest, z_m, tilts, spans, knots = self._courses
         places = np.empty((len(t_s), len(which), 3))
-        place_things(t_s, which, (at_rest, spans), knots, places)
+        poses_of_things(t_s, which, (at_rest, spans), knots, places)
         origin = places.copy()
         origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(places), z_m[which])
         rotation = _turns(places[..., 2])

@@ -98,7 +98,7 @@ def count_ground(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lost_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
+def silent_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Set ``out`` (C,) where no beam of a column and of those next to it returned: they were not fired, or not kept."""
     columns = depth.shape[0]
     for c in range(columns):
@@ -109,7 +109,7 @@ def lost_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _side(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+def _next_in_ring(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
     """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
     columns = depth.shape[0]
     for step in range(1, columns // 8):
@@ -120,7 +120,7 @@ def _side(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: 
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _rise(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+def _next_in_column(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
     """Return what the next return of the column met, up to three rings away (depth, or ground or none)."""
     for step in range(1, _UP_AND_DOWN + 1):
         k = r + side * step
@@ -130,7 +130,7 @@ def _rise(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def drop_lonely(depth: Any, thing: Any, far_m: Any, out: Any) -> Any:  # pragma: no cover - compiled
+def drop_isolated(depth: Any, thing: Any, far_m: Any, out: Any) -> Any:  # pragma: no cover - compiled
     """Fill ``out`` (C, R) with the depths, 0 for returns in the air up to ``far_m`` that fewer than three others share.
 
     Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not. Returns how many.
@@ -160,7 +160,7 @@ def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def explain(beams: Any, shares: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
+def end_beams(beams: Any, shares: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out``: best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8.
 
     ``beams`` are depths, meters to the ground and whether a return is a thing's, (C, R) each, and whether a column was
@@ -174,19 +174,19 @@ def explain(beams: Any, shares: Any, frame: Any, out: Any) -> None:  # pragma: n
         for r in range(depth.shape[1]):
             ends = (depth[c, r], depth[c, r], depth[c, r], 0)
             if depth[c, r] <= 0:
-                ends = _missing(beams, shares, frame, c, r)
+                ends = _end_missing_beam(beams, shares, frame, c, r)
             depths[0, c, r], depths[1, c, r], depths[2, c, r], kinds[c, r] = ends
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _missing(beams: Any, shares: Any, frame: Any, c: Any, r: Any) -> Any:  # pragma: no cover - compiled
+def _end_missing_beam(beams: Any, shares: Any, frame: Any, c: Any, r: Any) -> Any:  # pragma: no cover - compiled
     """Return best, least and most depth of a missing beam, and what became of it."""
     depth, to_ground, thing, lost = beams
     reach, nearest, band_m, sure, gap_m, sure_gap_m = frame
     none, g = np.float32(0.0), to_ground[c, r]
-    left, gap_left = _side(depth, thing, c, r, 1)
-    right, gap_right = _side(depth, thing, c, r, -1)
-    up, down = _rise(depth, thing, c, r, 1), _rise(depth, thing, c, r, -1)
+    left, gap_left = _next_in_ring(depth, thing, c, r, 1)
+    right, gap_right = _next_in_ring(depth, thing, c, r, -1)
+    up, down = _next_in_column(depth, thing, c, r, 1), _next_in_column(depth, thing, c, r, -1)
     near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
     near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
     if lost[c] or near < np.float32(1.5) * nearest + np.float32(0.1):
@@ -268,18 +268,18 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     beams = (image.origin_m, image.direction, image.depth_m)
     cast_to_ground(beams, patch.ground.heights_m, frame, to_ground, thing)
     depth, lost = np.empty_like(to_ground), np.empty(len(to_ground), np.bool_)
-    lonely = drop_lonely(image.depth_m, thing, np.float32(LONELY_M), depth)
+    lonely = drop_isolated(image.depth_m, thing, np.float32(LONELY_M), depth)
     if lonely < LONELY_SHARE * np.count_nonzero(thing):
         depth = image.depth_m
     else:
         cast_to_ground((*beams[:2], depth), patch.ground.heights_m, frame, to_ground, thing)
-    lost_columns(depth, lost)
+    silent_columns(depth, lost)
     band = np.float32(max(image.max_range_m / _BANDS, 1e-3))
     shares = (_seen_share((depth, to_ground, thing), reach, band), np.asarray((depth > 0).mean(axis=0), np.float32))
     depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)
     nearest = 0.0 if image.model is None else image.model.min_range_m
     limits = tuple(np.array([reach, nearest, band, SURE, GAP_M, SURE_GAP_M], np.float32))
-    explain((depth, to_ground, thing, lost), shares, limits, (depths, kinds))
+    end_beams((depth, to_ground, thing, lost), shares, limits, (depths, kinds))
     return BeamEnds(depths[0], depths[1], depths[2], thing, kinds)
 
 

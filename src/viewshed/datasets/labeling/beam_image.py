@@ -21,7 +21,9 @@ JITTER_COLUMNS = 4
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fired(points: Any, ring: Any, seconds: Any, pose: Any, tables: Any) -> Any:  # pragma: no cover - compiled
+def beams_of_returns(
+    points: Any, ring: Any, seconds: Any, pose: Any, tables: Any
+) -> Any:  # pragma: no cover - compiled
     """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
 
     ``pose`` is level_from_sensor (3, 3), velocity (3,) and yaw rate; ``tables`` are the height of each ring's start
@@ -54,7 +56,7 @@ def fired(points: Any, ring: Any, seconds: Any, pose: Any, tables: Any) -> Any: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def settle(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
     """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
 
     Returns how many points found none.
@@ -71,12 +73,12 @@ def settle(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: 
         if nearer:
             pixels[column[n], ring[n]] = n
     for k in range(spares):
-        lost += not _moved(spare[k], column[spare[k]], ring[spare[k]], pixels)
+        lost += not _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
     return lost
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _moved(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
     for step in range(1, JITTER_COLUMNS + 1):
         for side in (-1, 1):
             c = (column + side * step) % pixels.shape[0]
@@ -199,7 +201,7 @@ def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
     """
     posed = [one for one in (before, now, after) if one is not None and one.world_from_sensor is not None]
     pose = now.world_from_sensor
-    if pose is None or len(posed) < 2 or not _passable(posed[0], posed[-1]):
+    if pose is None or len(posed) < 2 or not _reachable(posed[0], posed[-1]):
         return AT_REST
     first, last = posed[0].world_from_sensor, posed[-1].world_from_sensor
     seconds = posed[0].seconds_to(posed[-1])
@@ -210,11 +212,11 @@ def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
     return Drift(velocity @ Rigid.from_yaw(pose.yaw).rotation, turned / seconds)
 
 
-def _passable(one: Moment, other: Moment) -> bool:
+def _reachable(one: Moment, other: Moment) -> bool:
     return one.meters_to(other) <= MAX_SPEED_MPS * max(abs(one.seconds_to(other)), _SHORT_S)
 
 
-def posts_of(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
+def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
     """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
 
     Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
@@ -228,7 +230,7 @@ def posts_of(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
     for place, moment in enumerate(moments):
         if moment is None or moment.world_from_sensor is None:
             continue
-        if last is None or (_passable(last, moment) and _apart(last, moment, spacing_m)):
+        if last is None or (_reachable(last, moment) and _apart(last, moment, spacing_m)):
             posts.append(place)
             last = moment
     return posts
@@ -285,21 +287,21 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
         drift: how the sensor moved; needs the times of the returns, else it is left out.
     """
     seconds, model = _seconds(sweep), sweep.model
-    found = recover_rings(sweep if sweep.ring is not None else _still(sweep, level_from_sensor, drift, seconds))
-    elevation, rise, offset = _tables(found.elevation, model)
+    rings = recover_rings(sweep if sweep.ring is not None else _undo_motion(sweep, level_from_sensor, drift, seconds))
+    elevation, rise, offset = _tables(rings.elevation, model)
     pose = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
-    start, way, length, azimuth = fired(sweep.points, found.ring, seconds, pose, (rise, offset))
-    columns = _count(azimuth, {found.columns} if model is None else {found.columns, model.azimuth_columns})
+    start, way, length, azimuth = beams_of_returns(sweep.points, rings.ring, seconds, pose, (rise, offset))
+    columns = _best_column_count(azimuth, {rings.columns} if model is None else {rings.columns, model.azimuth_columns})
     column, phase = _columns(azimuth, columns)
     pixels = np.full((columns, len(elevation)), -1, np.int32)
-    settle(found.ring, column, length, pixels)
+    assign_pixels(rings.ring, column, length, pixels)
     step = np.float32(2 * np.pi / columns)
     times = mean_times(column, seconds, columns)
     shape = pixels.shape
     out = np.empty((*shape, 3), np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
     nominal = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
     fill_image(pixels, (start, way, length), nominal, pose, out)
-    return BeamImage(*out, pixels, _reach(model, length), model)
+    return BeamImage(*out, pixels, _max_range_m(model, length), model)
 
 
 def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
@@ -320,7 +322,7 @@ def _seconds(sweep: Sweep) -> Floats:
     return (sweep.time_s - np.float32(middle)).astype(np.float32)
 
 
-def _still(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: Floats) -> Sweep:
+def _undo_motion(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: Floats) -> Sweep:
     """Return the sweep with each point as the sensor saw it when it fired: rings are told from directions."""
     if not (drift.yaw_rate or drift.velocity_mps.any()):
         return sweep
@@ -329,7 +331,7 @@ def _still(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, s
     return sweep.replace(points=np.stack([c * x + s * y, c * y - s * x, z], axis=-1) @ level_from_sensor)
 
 
-def _count(azimuth: Floats, likely: set[int]) -> int:
+def _best_column_count(azimuth: Floats, likely: set[int]) -> int:
     """Return the number of columns that firing azimuths (N,) fit best, of the likely ones and those next to them."""
     some = azimuth[:: max(len(azimuth) // _SAMPLED, 1)].astype(np.float64)
     near = sorted({columns + more for columns in likely for more in range(-_NEAR_COLUMNS, _NEAR_COLUMNS + 1)})
@@ -351,7 +353,7 @@ def _columns(azimuth: Floats, columns: int) -> tuple[NDArray[np.int64], float]:
     return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
 
 
-def _reach(model: LidarModel | None, length: Floats) -> float:
+def _max_range_m(model: LidarModel | None, length: Floats) -> float:
     if model is not None:
         return model.max_range_m
     return float(length.max(initial=0.0))

@@ -86,11 +86,11 @@ def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float
     frame = (world_from_points.as_matrix()[:3], corner, np.float32(reach_m), node_m)
     _lowest(points, frame, count, world, rows)
     used = np.flatnonzero(rows[:, 0] >= 0)
-    found = np.full((len(used), 3, 3), np.nan)
+    lowest_m = np.full((len(used), 3, 3), np.nan)
     some = rows[used] >= 0
-    found[some] = world[rows[used][some]]
+    lowest_m[some] = world[rows[used][some]]
     node = np.stack([used // count, used % count], axis=-1) + corner
-    return Lows(node.astype(np.int32), found[:, :2], found[:, 2, 2])
+    return Lows(node.astype(np.int32), lowest_m[:, :2], lowest_m[:, 2, 2])
 
 
 def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float, node_m: float) -> Patch:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
-from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, posts_of
+from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, well_spaced
 from viewshed.datasets.labeling.ground_map import Lows, Patch, lows_of, patch_of
 from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
@@ -57,7 +57,7 @@ class Lines:
     max_range_m: np.float32
 
 
-def lines_of(image: BeamImage, depth_m: Floats) -> Lines:
+def beam_lines_of(image: BeamImage, depth_m: Floats) -> Lines:
     """Return the beams of ``image``, which ended at depths (C, R)."""
     rings, origin, reach = image.pixels.shape[1], image.origin_m, np.float32(image.max_range_m)
     lines, azimuth = beam_lines(origin, image.direction, depth_m, (np.float32(1), np.float32(0)), reach)
@@ -153,7 +153,7 @@ class Rules:
 
 def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
     """Return the lowest returns of ``sweep`` in the world, or in its own ``level`` frame if it has no pose."""
-    return _lows(level(sweep, rules.grid), rules)
+    return _lows_of_level(level(sweep, rules.grid), rules)
 
 
 def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules) -> tuple[Truth, Mask]:
@@ -171,11 +171,11 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules
     """
     leveled = level(sweep, rules.grid)
     image = beam_image(sweep, leveled.level_from_sensor.rotation, drift)
-    patch = patch_of(leveled, (*around, _lows(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
+    patch = patch_of(leveled, (*around, _lows_of_level(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
     return _Labeling(rules, image, patch, beam_ends_of(image, patch), _has_vehicle(leveled)).result()
 
 
-def _lows(leveled: LeveledSweep, rules: Rules) -> Lows:
+def _lows_of_level(leveled: LeveledSweep, rules: Rules) -> Lows:
     pose = leveled.world_from_level or Rigid.identity()
     return lows_of(leveled.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
@@ -199,14 +199,14 @@ class _Labeling:
     rules: Rules
     image: BeamImage
     patch: Patch
-    stops: BeamEnds
+    ends: BeamEnds
     has_vehicle: bool
 
     def result(self) -> tuple[Truth, Mask]:
         """Return the label and where it is trusted."""
         grid = self.rules.grid
         ground = self.patch.at(grid.centers.reshape(-1, 2))
-        lines = lines_of(self.image, self.stops.best_m)
+        lines = beam_lines_of(self.image, self.ends.best_m)
         counts = count_targets(lines, grid, ground, TARGETS)
         reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
         things = self._things()
@@ -235,10 +235,10 @@ class _Labeling:
 
     def _things(self) -> Mask:
         """Return which beams (C, R) ended on a thing that is not the own vehicle."""
-        things: Mask = self.stops.thing | (self.stops.kind == SURFACE)
+        things: Mask = self.ends.thing | (self.ends.kind == SURFACE)
         if not self.has_vehicle:
             return things
-        end = self.image.origin_m[..., :2] + self.image.direction[..., :2] * self.stops.best_m[..., None]
+        end = self.image.origin_m[..., :2] + self.image.direction[..., :2] * self.ends.best_m[..., None]
         own = np.asarray((np.abs(end) < EGO_BOX_M).all(axis=-1))
         return things & ~own
 
@@ -248,18 +248,18 @@ class _Labeling:
         Ground gives light back: a beam that nothing stopped before it counts as a return from there, though the sensor
         was too weak to get it. A bin without any return of its own is not known.
         """
-        grid, kind = self.rules.grid, self.stops.kind
+        grid, kind = self.rules.grid, self.ends.kind
         bins = min(self.image.pixels.shape[0], MAX_BINS)
         stored = (self.image.returned & (kind == 0)) * np.uint8(RETURNS)
-        ground = (kind == OPEN) & (self.stops.best_m < np.float32(self.image.max_range_m))
+        ground = (kind == OPEN) & (self.ends.best_m < np.float32(self.image.max_range_m))
         flags = things * np.uint8(BLOCKS) + np.maximum(stored, ground * np.uint8(RETURNS))
         farthest, blocker = stop_limits(lines.lines, flags.reshape(-1), bins)
         returned = stop_limits(lines.lines, stored.reshape(-1), bins)[0] >= 0
         range_m, azimuth = polar_of_cells(grid)
-        place = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
-        inside = range_m <= farthest[place]
-        before = inside & (range_m - np.float32(grid.cell_m) <= blocker[place])
-        return {"farthest": inside, "first_blocker": before}, returned[place]
+        index = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
+        inside = range_m <= farthest[index]
+        before = inside & (range_m - np.float32(grid.cell_m) <= blocker[index])
+        return {"farthest": inside, "first_blocker": before}, returned[index]
 
     def _sure(self, reached: dict[str, NDArray[np.uint8]], ground: Floats) -> Mask:
         """Return where (cells, cells) the probe does not hang on missing beams or on the ground."""
@@ -271,8 +271,8 @@ class _Labeling:
         away = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
         wrong = np.minimum(GROUND_M + GROUND_PER_M * away, GROUND_MOST_M).astype(np.float32).reshape(-1)
         verdicts = []
-        for depth in (self.stops.least_m, self.stops.most_m):
-            lines = lines_of(self.image, depth)
+        for depth in (self.ends.least_m, self.ends.most_m):
+            lines = beam_lines_of(self.image, depth)
             for height in (ground - wrong, ground + wrong):
                 again = count_targets(lines, grid, height, TARGETS, doubtful)[target.name][1]
                 verdicts.append((again >= target.min_returns) == (counts >= target.min_returns))
@@ -326,36 +326,36 @@ class Track(Generic[R]):
         moments: list[Moment | None] = [None] * len(refs)
         lows: dict[int, Lows] = {}
         last_post: Moment | None = None
-        for place in range(max(first - ahead, 0), min(last + ahead, len(refs))):
+        for index in range(max(first - ahead, 0), min(last + ahead, len(refs))):
             try:
-                sweep = sweep_of(refs[place])
+                sweep = sweep_of(refs[index])
             except (ValueError, OSError):  # told when it is labeled
                 continue
             moment = Moment(sweep.world_from_sensor, sweep.t_ns)
-            moments[place] = moment
-            helps = posts_of([last_post, moment], SPACING * rules.grid.half_extent_m)
+            moments[index] = moment
+            helps = well_spaced([last_post, moment], SPACING * rules.grid.half_extent_m)
             if rules.neighbors and helps and helps[-1] == 1:
-                lows[place] = lows_of_sweep(sweep, rules)
+                lows[index] = lows_of_sweep(sweep, rules)
                 last_post = moment
         return cls(sweep_of, refs, rules, moments, lows)
 
-    def label(self, place: int) -> tuple[Truth, Mask]:
+    def label(self, index: int) -> tuple[Truth, Mask]:
         """Return the label of the sweep at ``place``, and where it is trusted.
 
         Raises:
             ValueError: the sweep is damaged.
             OSError: it cannot be read.
         """
-        sweep = self.sweep_of(self.refs[place])
+        sweep = self.sweep_of(self.refs[index])
         moment = Moment(sweep.world_from_sensor, sweep.t_ns)
-        before = self.moments[place - 1] if place else None
-        after = self.moments[place + 1] if place + 1 < len(self.refs) else None
-        near = [] if moment.world_from_sensor is None else self._helpers(place)
+        before = self.moments[index - 1] if index else None
+        after = self.moments[index + 1] if index + 1 < len(self.refs) else None
+        near = [] if moment.world_from_sensor is None else self._helpers(index)
         drift = drift_of(before, moment, after) if self.rules.neighbors else drift_of(None, moment, None)
         return label_sweep(sweep, drift, near, self.rules)
 
-    def _helpers(self, place: int) -> list[Lows]:
+    def _helpers(self, index: int) -> list[Lows]:
         """Return the lows of the nearest posts before and after ``place``, its own left out."""
-        before = [k for k in self.lows if k < place][-self.rules.neighbors :]
-        after = [k for k in self.lows if k > place][: self.rules.neighbors]
+        before = [k for k in self.lows if k < index][-self.rules.neighbors :]
+        after = [k for k in self.lows if k > index][: self.rules.neighbors]
         return [self.lows[k] for k in (*before, *after)]

@@ -84,11 +84,15 @@ class LabelJob:
 
 
 def label(
-    origin: Origin, rules: Rules, store: Storage, engine: Engine, progress: Callable[[ShardResult], None] | None = None
+    origin: Origin,
+    rules: Rules,
+    store: Storage,
+    engine: Engine,
+    on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
     """Return the archive of a recording's sweeps with their labels, made into ``store``.
 
-    The same bytes for any engine. Sweeps that cannot be read are left out and told to ``progress``; labels of an
+    The same bytes for any engine. Sweeps that cannot be read are left out and told to ``on_progress``; labels of an
     earlier run that was stopped are kept.
 
     Args:
@@ -96,19 +100,19 @@ def label(
         rules: how it is labeled.
         store: where the archive goes.
         engine: makes the shards.
-        progress: is told of each shard that is there, and of what could not be read.
+        on_progress: is told of each shard that is there, and of what could not be read.
 
     Raises:
         ValueError: the recording has no sweeps, or the place holds something else.
         OSError: something cannot be read or written.
     """
     jobs, problems = jobs_of(origin, rules, store)
-    if progress is not None and problems:
-        progress(ShardResult(None, problems))
+    if on_progress is not None and problems:
+        on_progress(ShardResult(None, problems))
     if not jobs:
         raise ValueError(f"{origin.place} must hold sweeps, got none that can be labeled")
     layout = Layout(rules.grid, tuple(sorted(target.name for target in TARGETS)), ("farthest", "first_blocker"))
-    return make_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, progress)
+    return make_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, on_progress)
 
 
 def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
@@ -131,7 +135,7 @@ def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob
             problems.append(" ".join(str(error).split()))
             continue
         for track, sensor in enumerate(_sensors(refs)):
-            wanted = len(_wanted(refs, sensor, origin))
+            wanted = len(_refs_to_label(refs, sensor, origin))
             for part, first in zip(count(), range(0, wanted, FRAMES_PER_SHARD)):
                 name = f"{number:04d}-{track:02d}-{part:03d}.parquet"
                 last = min(first + FRAMES_PER_SHARD, wanted)
@@ -147,16 +151,16 @@ def label_shard(job: LabelJob) -> ShardResult:
         OSError: a file cannot be written.
     """
     problems: list[str] = []
-    frames = list_of_frames(job, problems)
+    frames = labeled_frames(job, problems)
     first = next(frames, None)
     if first is None:
         return ShardResult(None, tuple(problems))
     place = (job.scene, _split(opened(job.origin), job.scene))
-    facts = write_frames(job.store, job.name, place, _chained(first, frames))
+    facts = write_frames(job.store, job.name, place, _chain(first, frames))
     return ShardResult(write_beside(job.store, facts, problems), tuple(problems))
 
 
-def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
+def labeled_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
     """Yield the labeled frames of a job; what cannot be read is told in one line of ``problems``."""
     source = opened(job.origin)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
@@ -171,7 +175,7 @@ def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
             problems.append(" ".join(str(error).split()))
 
 
-def _chained(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
+def _chain(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
     yield first
     yield from rest
 
@@ -180,7 +184,7 @@ def _sensors(refs: Any) -> list[tuple[str, str]]:
     return list(dict.fromkeys((ref.agent, ref.sensor) for ref in refs))
 
 
-def _wanted(refs: Any, sensor: tuple[str, str], origin: Origin) -> list[SweepRef]:
+def _refs_to_label(refs: Any, sensor: tuple[str, str], origin: Origin) -> list[SweepRef]:
     return [ref for ref in refs if (ref.agent, ref.sensor) == sensor and (ref.keyframe or origin.every)]
 
 

@@ -31,7 +31,7 @@ def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
     return options[int(rng.integers(len(options)))]
 
 
-def put(thing: Thing, x_m: float, y_m: float, yaw: float = 0.0) -> Thing:
+def place_at(thing: Thing, x_m: float, y_m: float, yaw: float = 0.0) -> Thing:
     """Return the thing at rest at (x, y) meters of the world, heading along ``yaw``."""
     return replace(thing, x_m=float(x_m), y_m=float(y_m), yaw=float(yaw))
 
@@ -91,7 +91,7 @@ def group(rng: np.random.Generator, x_m: float, y_m: float) -> list[Thing]:
     """Return two to four pedestrians who stand about (x, y) and face one another, within 0.9 m of it."""
     count, turn = int(rng.integers(2, 5)), rng.uniform(0, 2 * np.pi)
     angles = turn + 2 * np.pi * np.arange(count) / count
-    return [put(person(rng), x_m + 0.6 * np.cos(a), y_m + 0.6 * np.sin(a), a + np.pi) for a in angles.tolist()]
+    return [place_at(person(rng), x_m + 0.6 * np.cos(a), y_m + 0.6 * np.sin(a), a + np.pi) for a in angles.tolist()]
 
 
 def pole(height_m: float, radius_m: float = 0.07, material: str = "metal") -> Thing:

@@ -68,7 +68,7 @@ def _lookup(table: Any, place: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measured(
+def measure_beams(
     surface: Any, tables: Any, alive: Any, numbers: Any, seed: Any, out: Any
 ) -> None:  # pragma: no cover - compiled
     """Fill ``out``: steps (C, R) uint16 and intensity (C, R) uint8, both 0 before.
@@ -100,7 +100,7 @@ def measured(
             if signal <= 0:
                 continue
             if mixed > 0:
-                d += _mixed(depth[after, r] - d, mixed, seed ^ _GOLDEN, number)
+                d += _mix_at_edge(depth[after, r] - d, mixed, seed ^ _GOLDEN, number)
             d += sigma * np.sqrt(np.float32(1.0) + _WEAK / signal) * _normal(_hash(seed ^ _MIX_B, number))
             if near <= d <= far:
                 out[0][c, r] = np.uint16(d * per_step + np.float32(0.5))
@@ -139,7 +139,7 @@ def _particle(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _mixed(gap: Any, share: Any, seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
+def _mix_at_edge(gap: Any, share: Any, seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
     """How far a return at an edge lies towards the next surface."""
     if _MIXED_GAP_M[0] < abs(gap) < _MIXED_GAP_M[1]:
         chance = _hash(seed, number)
@@ -211,7 +211,7 @@ def measure(
     shape = scan.depth_m.shape
     steps, intensity = np.zeros(shape, np.uint16), np.zeros(shape, np.uint8)
     step_m = step_of(model)
-    measured(
+    measure_beams(
         (scan.depth_m, scan.cos_incidence, scan.material, scan.thing),
         (REFLECTIVITY, _facing(), _thresholds(), *air(optics, conditions, model.max_range_m)),
         _alive(model, conditions, int(seed)),

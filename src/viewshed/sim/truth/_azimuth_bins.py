@@ -22,12 +22,12 @@ _PI = np.float32(np.pi)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def what_stopped(depth: Any, thing: Any, material: Any, own: Any, reflectivity: Any) -> Any:  # pragma: no cover
+def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity: Any) -> Any:  # pragma: no cover
     """Return the flags (C·R,) uint8 of the beams."""
     depths, things, materials = depth.reshape(-1), thing.reshape(-1), material.reshape(-1)
     out = np.empty(depths.size, np.uint8)
     for n in range(depths.size):
-        blocks = BLOCKS if things[n] >= 0 and things[n] != own else 0
+        blocks = BLOCKS if things[n] >= 0 and things[n] != vehicle else 0
         returns = RETURNS if reflectivity[materials[n]] > 0 else 0
         out[n] = blocks + returns if depths[n] < np.inf else OPEN
     return out
@@ -92,27 +92,27 @@ def see_cells(limits: Any, table: Any, batches: Any, ground: Any, shape: Any, ou
         shape: height of the column above a cell, tolerance below ground, and the cell's side.
         out: as above.
     """
-    (places, ranges, bins), (high, below, cell) = batches, shape
-    room, met, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
+    (cells, ranges, bins), (high, below, cell) = batches, shape
+    room, seen, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
     for n in range(bins.shape[0]):
         b = bins[n]
         farthest, blocker = limits[0, b], limits[1, b]
         for k in range(LANES):
-            room[0, k] = ground[places[n, k]]
+            room[0, k] = ground[cells[n, k]]
         low, top = _extremes(room)
         for k in range(LANES):
             r, height = ranges[n, k], room[0, k]
             room[0, k], room[1, k], room[2, k] = r, height - below, height + high
             near = FARTHEST | BLOCKER if r - cell <= blocker else FARTHEST
-            met[k] = near if r <= farthest else 0
+            seen[k] = near if r <= farthest else 0
         view = (b, ranges[n, 0], ranges[n, LANES - 1], cell)
         first = _first_above(table, view, low - below, first)
-        if _meet_columns(table, view, (first, top + high), room, met) < LANES:
+        if _meet_columns(table, view, (first, top + high), room, seen) < LANES:
             for k in range(LANES):
-                if met[k] < BETWEEN:
-                    met[k] |= _through_gap(table, b, first, (room[0, k], room[1, k], cell))
+                if seen[k] < BETWEEN:
+                    seen[k] |= _through_gap(table, b, first, (room[0, k], room[1, k], cell))
         for k in range(LANES):
-            out[places[n, k]] = met[k]
+            out[cells[n, k]] = seen[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -145,7 +145,7 @@ def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:  # prag
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet_columns(table: Any, view: Any, rings: Any, room: Any, met: Any) -> Any:  # pragma: no cover - compiled
+def _meet_columns(table: Any, view: Any, rings: Any, room: Any, seen: Any) -> Any:  # pragma: no cover - compiled
     """Tell in ``met`` whether lines pass between foot and top of columns, and reach them; return how many have such."""
     (b, near, far, cell), (ring, top) = view, rings
     while ring < table.shape[1]:
@@ -156,11 +156,11 @@ def _meet_columns(table: Any, view: Any, rings: Any, room: Any, met: Any) -> Any
             height = rise + room[0, k] * slope
             between = (height >= room[1, k]) & (height <= room[2, k])
             worth = np.int32(BETWEEN | SIGHT) if run >= room[0, k] - cell else np.int32(BETWEEN)
-            met[k] |= worth if between else np.int32(0)
+            seen[k] |= worth if between else np.int32(0)
         ring += 1
     some = 0
     for k in range(LANES):
-        some += 1 if met[k] >= BETWEEN else 0
+        some += 1 if seen[k] >= BETWEEN else 0
     return some
 
 
@@ -177,7 +177,7 @@ def _through_gap(table: Any, b: Any, ring: Any, column: Any) -> Any:  # pragma: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def tell_definitions(met: Any, out: Any) -> None:  # pragma: no cover - compiled
+def definition_masks(seen: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out`` (3, cells) bool with what ``see_cells`` found of each definition."""
-    for n in range(met.shape[0]):
-        out[0, n], out[1, n], out[2, n] = met[n] & FARTHEST != 0, met[n] & BLOCKER != 0, met[n] & SIGHT != 0
+    for n in range(seen.shape[0]):
+        out[0, n], out[1, n], out[2, n] = seen[n] & FARTHEST != 0, seen[n] & BLOCKER != 0, seen[n] & SIGHT != 0

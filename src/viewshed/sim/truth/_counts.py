@@ -50,14 +50,14 @@ def count_cells(
             highest vertical one, and the range from which nothing is counted.
         out: as above.
     """
-    (tiles, starts, bounds), (lanes, places, middles) = beams, patches
+    (tiles, starts, bounds), (lanes, cells, middles) = beams, patches
     sizes, columns = (plates[0], plates[1], limits[0]), starts.shape[0] - 1
     room, counts, guess = np.empty((6, LANES), np.float32), np.empty((2, LANES), np.int32), (0, -1)
-    for p in range(places.shape[0]):
+    for p in range(cells.shape[0]):
         azimuth, spread, nearest, farthest = middles[p, 0], middles[p, 1], middles[p, 2], middles[p, 3]
         if nearest - sizes[2] > limits[5]:
             continue
-        heights = _load(lanes, places, p, ground, (plates, limits), room)
+        heights = _load(lanes, cells, p, ground, (plates, limits), room)
         counts[:] = 0
         if spread * columns > _NEAR or nearest <= 2 * limits[2]:
             _count_near(tiles, starts, bounds, room, counts, (plates, limits))
@@ -71,11 +71,11 @@ def count_cells(
                 _meet_patch(tiles, (ring, 0, rest, needed), room, sizes, counts)
                 needed = nearest - sizes[2] if _clamp(counts, plates[4], plates[5]) else needed
         for k in range(LANES):
-            out[places[p, k]] = counts[0, k] + (counts[1, k] << 8)
+            out[cells[p, k]] = counts[0, k] + (counts[1, k] << 8)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _load(lanes: Any, places: Any, p: Any, ground: Any, settings: Any, room: Any) -> Any:  # pragma: no cover - compiled
+def _load(lanes: Any, cells: Any, p: Any, ground: Any, settings: Any, room: Any) -> Any:  # pragma: no cover - compiled
     """Store unit vectors, ranges, bottoms and tops of the plates in a patch; return the lowest and the highest.
 
     A bottom is infinite where nothing counts.
@@ -83,7 +83,7 @@ def _load(lanes: Any, places: Any, p: Any, ground: Any, settings: Any, room: Any
     (_, _, high_a, high_b, _, _), (cell, below, aside, _, _, max_range) = settings
     bottom, top, tall = np.float32(np.inf), np.float32(-np.inf), max(high_a, high_b)
     for k in range(LANES):
-        r, height = lanes[p, 2, k], ground[places[p, k]]
+        r, height = lanes[p, 2, k], ground[cells[p, k]]
         room[0, k], room[1, k], room[2, k] = lanes[p, 0, k], lanes[p, 1, k], r
         room[3, k] = height - below if r > aside and r - cell <= max_range else np.float32(np.inf)
         room[4, k], room[5, k] = height + high_a, height + high_b
@@ -261,7 +261,7 @@ def _rings_of(bounds: Any, azimuths: Any, slopes: Any, guess: Any) -> Any:  # pr
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def tell_cells(counts: Any, which: Any, surface: Any, least: Any, out: Any) -> None:  # pragma: no cover - compiled
+def states_of_cells(counts: Any, which: Any, surface: Any, least: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out`` (2, cells) uint8 with beams that reach plate ``which`` (0 or 1) and with states.
 
     ``counts`` are those of ``count_cells``, ``surface`` is where a surface stands, ``least`` how many beams it takes.

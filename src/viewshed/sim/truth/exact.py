@@ -21,14 +21,14 @@ from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth._azimuth_bins import (
     BLOCKS,
     beams_of_bins,
+    definition_masks,
     see_cells,
+    stop_flags,
     stop_limits,
-    tell_definitions,
-    what_stopped,
 )
 from viewshed.sim.truth._azimuth_bins import LANES as COLUMNS
 from viewshed.sim.truth._beams import LANES, beam_lines, mark_stops, slope_bounds, sorted_tiles
-from viewshed.sim.truth._counts import MANY, count_cells, tell_cells
+from viewshed.sim.truth._counts import MANY, count_cells, states_of_cells
 from viewshed.sim.world import Agent, World
 
 _SIDE = 4
@@ -51,32 +51,32 @@ def patches_of(grid: BevGrid) -> tuple[Floats, Places, Floats]:
     """Return the patches of 4 x 4 cells, as ``count_cells`` takes them; at the edge of a grid cells are repeated."""
     count = -(-grid.cells // _SIDE)
     rows = np.minimum(np.arange(count * _SIDE), grid.cells - 1).reshape(count, 1, _SIDE, 1)
-    places = (rows * grid.cells + rows.reshape(1, count, 1, _SIDE)).reshape(-1, LANES)
+    cells = (rows * grid.cells + rows.reshape(1, count, 1, _SIDE)).reshape(-1, LANES)
     x, y = (grid.centers[..., axis].reshape(-1) for axis in range(2))
     some = np.maximum(ranges_of(grid), 1e-6)
-    lanes = np.stack([x / some, y / some, ranges_of(grid)])[:, places].astype(np.float32).transpose(1, 0, 2)
-    middle = np.arctan2(y[places].mean(axis=1), x[places].mean(axis=1))
-    turned = np.arctan2(y[places], x[places]) - middle[:, None]
+    lanes = np.stack([x / some, y / some, ranges_of(grid)])[:, cells].astype(np.float32).transpose(1, 0, 2)
+    middle = np.arctan2(y[cells].mean(axis=1), x[cells].mean(axis=1))
+    turned = np.arctan2(y[cells], x[cells]) - middle[:, None]
     spread = np.abs((turned + np.pi) % (2 * np.pi) - np.pi).max(axis=1) + _ROUNDING
     near, far = lanes[:, 2].min(axis=1), lanes[:, 2].max(axis=1)
     middles = np.stack([middle, spread, near, far], axis=1).astype(np.float32)
-    return np.ascontiguousarray(lanes), places.astype(np.int32), middles
+    return np.ascontiguousarray(lanes), cells.astype(np.int32), middles
 
 
 @lru_cache(maxsize=2)
 def batches_of(grid: BevGrid, bins: int) -> tuple[Places, Floats, Places]:
     """Return the cells of each bin of azimuth, as ``see_cells`` takes them; the last of a bin are repeated."""
     azimuth = polar_of_cells(grid)[1].reshape(-1)
-    own = ((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi))).astype(np.int64).clip(0, bins - 1)
-    order = np.lexsort((ranges_of(grid), own))
-    starts = np.flatnonzero(np.diff(own[order], prepend=-1))
+    vehicle = ((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi))).astype(np.int64).clip(0, bins - 1)
+    order = np.lexsort((ranges_of(grid), vehicle))
+    starts = np.flatnonzero(np.diff(vehicle[order], prepend=-1))
     counts = np.diff(starts, append=len(order))
     batches = -(-counts // COLUMNS)
     first = np.repeat(np.cumsum(batches) - batches, batches)
     step = (np.arange(len(first)) - first)[:, None] * COLUMNS + np.arange(COLUMNS)
     rows = np.repeat(starts, batches)[:, None] + np.minimum(step, np.repeat(counts, batches)[:, None] - 1)
-    places = order[rows].astype(np.int32)
-    return places, ranges_of(grid)[places], own[places[:, 0]].astype(np.int32)
+    cells = order[rows].astype(np.int32)
+    return cells, ranges_of(grid)[cells], vehicle[cells[:, 0]].astype(np.int32)
 
 
 BELOW_GROUND_M = 0.02
@@ -91,7 +91,7 @@ MAX_BINS = 1080
 
 Mask = NDArray[np.bool_]
 
-Told = dict[str, NDArray[np.uint8]]
+CountsByTarget = dict[str, NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,17 +163,17 @@ def _ground(scan: Scan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.flo
     return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 
 
-def _view(scan: Scan, grid: BevGrid, ground: NDArray[np.float32], own: int) -> _View:
+def _view(scan: Scan, grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
     """Return the scan over the grid; ``own`` is the thing that carries the sensor, or a number that no thing has."""
     yaw, origin = scan.world_from_sensor.yaw, scan.origin_m
     turn, max_range = (np.cos(yaw), np.sin(yaw)), np.float32(scan.model.max_range_m)
     beams, azimuth = beam_lines(origin, scan.direction, scan.depth_m, turn, max_range)
-    flags = what_stopped(scan.depth_m, scan.thing, scan.material, own, REFLECTIVITY)
+    flags = stop_flags(scan.depth_m, scan.thing, scan.material, vehicle, REFLECTIVITY)
     offset_m = np.float32(np.sqrt((origin[..., 0] ** 2 + origin[..., 1] ** 2).max()))
     return _View(scan, grid, beams, azimuth, flags, ground.reshape(-1), offset_m)
 
 
-def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[Told, Told]:
+def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[CountsByTarget, CountsByTarget]:
     """Return beams that reach, up to 255, and states (cells,) by target; two targets at a time."""
     scan, rings = view.scan, view.scan.model.rings
     tiles, starts = sorted_tiles(view.beams, view.azimuth, rings)
@@ -182,7 +182,7 @@ def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[Told, Told]:
     offsets = (view.offset_m, rise.min(), rise.max())
     limits = (np.float32(view.grid.cell_m), np.float32(BELOW_GROUND_M), *offsets, np.float32(scan.model.max_range_m))
     surface = _surfaces(view, targets)
-    told = {}
+    by_target = {}
     for k in range(0, len(targets), 2):
         pair = sorted((targets[k], targets[min(k + 1, len(targets) - 1)]), key=lambda t: -t.width_m)
         a, b = pair
@@ -191,9 +191,9 @@ def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[Told, Told]:
         counts = np.zeros(len(view.ground), np.int32)
         count_cells(beams, patches_of(view.grid), view.ground, plates, limits, counts)
         for which, target in enumerate(pair):
-            told[target.name] = np.empty((2, len(counts)), np.uint8)
-            tell_cells(counts, which, surface[target.name], min(target.min_returns, MANY), told[target.name])
-    return {name: both[0] for name, both in told.items()}, {name: both[1] for name, both in told.items()}
+            by_target[target.name] = np.empty((2, len(counts)), np.uint8)
+            states_of_cells(counts, which, surface[target.name], min(target.min_returns, MANY), by_target[target.name])
+    return {name: both[0] for name, both in by_target.items()}, {name: both[1] for name, both in by_target.items()}
 
 
 def _surfaces(view: _View, targets: tuple[Target, ...]) -> dict[str, Mask]:
@@ -212,11 +212,11 @@ def _definitions(view: _View) -> dict[str, Mask]:
     bins = min(model.azimuth_columns, MAX_BINS)
     limits = stop_limits(view.beams, view.flags, bins)
     table = beams_of_bins(view.beams, view.azimuth, view.flags, model.rings, bins)
-    met = np.empty(len(view.ground), np.uint8)
+    seen = np.empty(len(view.ground), np.uint8)
     shape = (np.float32(CAR.height_m), np.float32(BELOW_GROUND_M), np.float32(view.grid.cell_m))
-    see_cells(limits, table, batches_of(view.grid, bins), view.ground, shape, met)
-    out = np.empty((len(OTHER_DEFINITIONS), len(met)), np.bool_)
-    tell_definitions(met, out)
+    see_cells(limits, table, batches_of(view.grid, bins), view.ground, shape, seen)
+    out = np.empty((len(OTHER_DEFINITIONS), len(seen)), np.bool_)
+    definition_masks(seen, out)
     return dict(zip(OTHER_DEFINITIONS, out, strict=True))
 
 
@@ -228,10 +228,10 @@ def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, view: _View) -> 
     near = np.flatnonzero(ranges_of(grid) <= away + np.abs([low, high]).sum())
     x, y = grid.centers.reshape(-1, 2)[near].T
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
-    place = np.stack([c * x - s * y + pose.translation[0], s * x + c * y + pose.translation[1]], axis=-1)
-    place = (place - world_from_thing.translation[:2]) @ Rigid.from_yaw(world_from_thing.yaw).rotation[:2, :2]
+    position = np.stack([c * x - s * y + pose.translation[0], s * x + c * y + pose.translation[1]], axis=-1)
+    position = (position - world_from_thing.translation[:2]) @ Rigid.from_yaw(world_from_thing.yaw).rotation[:2, :2]
     covered = np.zeros(grid.shape, np.bool_)
-    covered.reshape(-1)[near] = ((place >= low) & (place <= high)).all(axis=1)
+    covered.reshape(-1)[near] = ((position >= low) & (position <= high)).all(axis=1)
     return covered
 
 

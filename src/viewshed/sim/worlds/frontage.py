@@ -19,8 +19,8 @@ from viewshed.sim.assets.street import (
     lamp_post,
     person,
     pick,
+    place_at,
     pole,
-    put,
     sign,
     tree,
     wall,
@@ -66,7 +66,7 @@ class Side:
     def put(self, thing: Thing, u_m: float, v_m: float, turn: float = 0.0) -> Thing:
         """Return the thing at (u, v) of this side, turned by ``turn`` from its direction."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return put(thing, c * u_m - s * v_m, s * u_m + c * v_m, self.yaw + turn)
+        return place_at(thing, c * u_m - s * v_m, s * u_m + c * v_m, self.yaw + turn)
 
 
 def side(rng: np.random.Generator, yaw: float, road: Road, parking: bool) -> Side:

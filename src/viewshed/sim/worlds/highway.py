@@ -17,8 +17,8 @@ from viewshed.sim.assets.street import (
     guard_rail,
     lamp_post,
     pick,
+    place_at,
     pole,
-    put,
     sign,
     sound_wall,
     tree,
@@ -82,7 +82,7 @@ class Route:
     def put(self, thing: Thing, x_m: float, across_m: float, turn: float = 0.0) -> Thing:
         """Return the thing beside the axis at ``x_m``, turned from its heading."""
         x, y, yaw = self.at(x_m, across_m)
-        return put(thing, x, y, yaw + turn)
+        return place_at(thing, x, y, yaw + turn)
 
     def lane(self, number: int, back: bool) -> Lane:
         """Return lane ``number`` from the median; its meter 0 is at x = 0."""

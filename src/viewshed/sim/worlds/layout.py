@@ -9,7 +9,7 @@ import numpy as np
 
 from viewshed.geometry import Rigid
 from viewshed.sim.assets.shapes import Cylinder
-from viewshed.sim.assets.street import put
+from viewshed.sim.assets.street import place_at
 from viewshed.sim.assets.vehicles import sensor_car
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
@@ -74,7 +74,7 @@ class Mast:
         """The pole that carries it, 0.5 m behind it and a little taller."""
         back_x, back_y = self.x_m - 0.5 * np.cos(self.yaw), self.y_m - 0.5 * np.sin(self.yaw)
         thing = Thing("mast", (Cylinder(0.0, 0.0, 0.07, self.height_m + 0.3, material="metal"),))
-        return put(thing, float(back_x), float(back_y), self.yaw)
+        return place_at(thing, float(back_x), float(back_y), self.yaw)
 
     def pose(self, terrain: Terrain) -> Rigid:
         """Return ``world_from_sensor``."""

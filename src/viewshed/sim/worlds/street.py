@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.sim.assets.street import cone, put, work_barrier
+from viewshed.sim.assets.street import cone, place_at, work_barrier
 from viewshed.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, side, walkers
@@ -84,6 +84,6 @@ def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> lis
 def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
     """Return a construction site where else vehicles would park: barriers around it and cones before it."""
     x, y = rng.uniform(-40, 40), half_m - 1.1
-    rows = [put(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
-    ends = [put(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
-    return [*rows, *ends, *(put(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]
+    rows = [place_at(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
+    ends = [place_at(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
+    return [*rows, *ends, *(place_at(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]

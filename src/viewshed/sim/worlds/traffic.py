@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.assets.street import drive, extent, put
+from viewshed.sim.assets.street import drive, extent, place_at
 from viewshed.sim.world import Thing, Track
 
 Array = NDArray[np.float64]
@@ -132,7 +132,7 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
         path = np.minimum(free, delayed - gap)
         track = _track(driver.lane or lane, wanted, _smooth(path)[keep])
         stands = float(np.ptp(track.xy_m, axis=0).max()) < 0.02
-        thing = put(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
+        thing = place_at(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
         riders.append((thing, driver.sensor_ahead_m))
         ahead, rear_m = path, -rear
     return riders

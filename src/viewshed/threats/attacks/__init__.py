@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         Evade,
         Objective,
         OverClaim,
-        Searched,
+        SearchResult,
         Trip,
         UnderClaim,
     )
@@ -243,7 +243,7 @@ def at_severity(name: str, attribute: str, value: float, knowledge: Knowledge = 
 
 
 _HOMES = {
-    "ADAPTIVE": "adaptive", "BlackBox": "adaptive", "Searched": "adaptive",
+    "ADAPTIVE": "adaptive", "BlackBox": "adaptive", "SearchResult": "adaptive",
     "Expectation": "_gradient", "WhiteBox": "_gradient",
     "Evade": "adaptive", "Objective": "adaptive", "OverClaim": "adaptive", "Trip": "adaptive",
     "UnderClaim": "adaptive",
@@ -252,7 +252,7 @@ _HOMES = {
 __all__ = [
     "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
     "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "SEVERITIES", "Attack", "AttackFactory", "BlackBox", "Evade",
-    "Expectation", "Knowledge", "Objective", "OverClaim", "Searched", "Spoofer", "Tampered", "Trip", "UnderClaim",
+    "Expectation", "Knowledge", "Objective", "OverClaim", "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim",
     "Wedge", "WhiteBox", "at_severity",
 ]  # fmt: skip
 

@@ -24,8 +24,8 @@ def require_budget(budget: int | None) -> None:
     """Raise a ValueError unless ``budget`` is a whole number of returns, or None for the whole wedge."""
     if budget is None:
         return
-    if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or not 0 <= budget <= MOST:
-        raise ValueError(f"budget must be a whole number of returns in [0, {MOST}], got {budget!r}")
+    if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or not 0 <= budget <= MAX_BUDGET:
+        raise ValueError(f"budget must be a whole number of returns in [0, {MAX_BUDGET}], got {budget!r}")
 
 
 def require_azimuth(azimuth: float | None) -> None:
@@ -40,7 +40,7 @@ def require_one_of(name: str, value: str, known: tuple[str, ...]) -> None:
         raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
 
 
-MOST = 1_000_000_000
+MAX_BUDGET = 1_000_000_000
 """The largest budget; more than any wedge holds."""
 
 

@@ -18,7 +18,7 @@ from viewshed.sensors import LidarModel
 from viewshed.sim.lidar.optics import step_of
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Wedge
-from viewshed.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, fitted
+from viewshed.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, fit_firing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -67,45 +67,45 @@ def _clear_around(several: Any, jitter: int, empty: Any) -> None:  # pragma: no 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def neighbors(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
+def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
     """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
 
     Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
     The row is -1 where there is no return at all.
     """
-    found, ahead = np.full(ring.shape[0], -1, np.int64), np.zeros(ring.shape[0], np.int64)
+    result, ahead = np.full(ring.shape[0], -1, np.int64), np.zeros(ring.shape[0], np.int64)
     for k in range(ring.shape[0]):
         if by_column:
-            found[k], ahead[k] = _by_columns(rows, ring[k], column[k])
+            result[k], ahead[k] = _nearest_by_columns(rows, ring[k], column[k])
         else:
-            found[k], ahead[k] = _by_rings(rows, ring[k], column[k])
-    return found, ahead
+            result[k], ahead[k] = _nearest_by_rings(rows, ring[k], column[k])
+    return result, ahead
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
     rings, columns = rows.shape
     for away in range(columns):
-        found, ahead = _in_column(rows, r, (c - away) % columns)
-        if found >= 0:
-            return found, ahead + away * rings
+        result, ahead = _nearest_in_column(rows, r, (c - away) % columns)
+        if result >= 0:
+            return result, ahead + away * rings
     return -1, 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
     rings, columns = rows.shape
     for away in range(rings):
         for side in (r - away, r + away):
             if 0 <= side < rings:
-                found, ahead = _in_ring(rows, side, c)
-                if found >= 0:
-                    return found, ahead + (r - side) * columns
+                result, ahead = _nearest_in_ring(rows, side, c)
+                if result >= 0:
+                    return result, ahead + (r - side) * columns
     return -1, 0
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
     for away in range(rows.shape[0]):
         if r - away >= 0 and rows[r - away, c] >= 0:
             return rows[r - away, c], away
@@ -115,7 +115,7 @@ def _in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
     """Rows are stored from column 0 on: what lies on the other side of that seam is no neighbor."""
     columns = rows.shape[1]
     for away in range(columns):
@@ -127,30 +127,32 @@ def _in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def returned(points: Any, row: Any, pixels: Any, origin_m: Any, poses: Any) -> Any:  # pragma: no cover - compiled
+def beams_of_returns(
+    points: Any, row: Any, pixels: Any, origin_m: Any, poses: Any
+) -> Any:  # pragma: no cover - compiled
     """Return starts (K, 3), unit directions (K, 3) and depths (K,) of the beams of returns; ring -1 has no height."""
     ring, column = pixels
     up, shift_m = poses
-    start, way, depth_m = np.empty((row.shape[0], 3)), np.empty((row.shape[0], 3)), np.empty(row.shape[0])
+    start, direction, depth_m = np.empty((row.shape[0], 3)), np.empty((row.shape[0], 3)), np.empty(row.shape[0])
     for k in range(row.shape[0]):
         c, lift, square = column[k], origin_m[ring[k]] if ring[k] >= 0 else 0.0, 0.0
         for axis in range(3):
             start[k, axis] = shift_m[c, axis] + up[c, axis] * lift
-            way[k, axis] = points[row[k], axis] - start[k, axis]
-            square += way[k, axis] ** 2
+            direction[k, axis] = points[row[k], axis] - start[k, axis]
+            square += direction[k, axis] ** 2
         depth_m[k] = np.sqrt(square)
         for axis in range(3):
-            way[k, axis] /= max(depth_m[k], 1e-9)
-    return start, way, depth_m
+            direction[k, axis] /= max(depth_m[k], 1e-9)
+    return start, direction, depth_m
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fired(pixels: Any, shape: Any, azimuth: Any, poses: Any) -> Any:  # pragma: no cover - compiled
+def beams_of_pixels(pixels: Any, shape: Any, azimuth: Any, poses: Any) -> Any:  # pragma: no cover - compiled
     """Return starts (K, 3) and unit directions (K, 3) of the beams of some pixels."""
     ring, column = pixels
     elevation, offset, origin_m = shape
     turn, shift_m = poses
-    start, way = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
+    start, direction = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
     flat, upward = np.cos(elevation), np.sin(elevation)
     for k in range(ring.shape[0]):
         r, c = ring[k], column[k]
@@ -158,8 +160,8 @@ def fired(pixels: Any, shape: Any, azimuth: Any, poses: Any) -> Any:  # pragma: 
         x, y, z = flat[r] * np.cos(angle), flat[r] * np.sin(angle), upward[r]
         for axis in range(3):
             start[k, axis] = shift_m[c, axis] + turn[c, axis, 2] * origin_m[r]
-            way[k, axis] = turn[c, axis, 0] * x + turn[c, axis, 1] * y + turn[c, axis, 2] * z
-    return start, way
+            direction[k, axis] = turn[c, axis, 0] * x + turn[c, axis, 1] * y + turn[c, axis, 2] * z
+    return start, direction
 
 
 JITTER_COLUMNS = 4
@@ -204,15 +206,17 @@ class BeamLattice:
         """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns."""
         pixels = self.ring[row], self.firing.column[row]
         up = np.ascontiguousarray(self.firing.turn[:, :, 2])
-        found: tuple[Floats, Floats, Floats] = returned(points, row, pixels, self.origin_m, (up, self.firing.shift_m))
-        return found
+        result: tuple[Floats, Floats, Floats] = beams_of_returns(
+            points, row, pixels, self.origin_m, (up, self.firing.shift_m)
+        )
+        return result
 
     def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[Floats, Floats]:
         """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
         shape = self.elevation, self.azimuth_offset, self.origin_m
         poses = self.firing.turn, self.firing.shift_m
-        found: tuple[Floats, Floats] = fired((ring, column), shape, self.firing.azimuth, poses)
-        return found
+        result: tuple[Floats, Floats] = beams_of_pixels((ring, column), shape, self.firing.azimuth, poses)
+        return result
 
     def nearest_pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the ring and column (K,) of the beams that pass nearest to points (K, 3), seen from the sensor."""
@@ -232,10 +236,10 @@ class BeamLattice:
         """
         rows = self.rows if self.by_column else np.roll(self.rows, -self.seam, axis=1)
         column = column if self.by_column else (column - self.seam) % rows.shape[1]
-        found, ahead = neighbors(rows, ring, column, self.by_column)
+        result, ahead = nearest_rows(rows, ring, column, self.by_column)
         side = np.where(ahead >= 0, self.sense, -self.sense)
-        key = found + side * (0.25 + 0.2 * np.minimum(np.abs(ahead) / self.rows.size, 1.0))
-        return found, np.where(found >= 0, key, float(len(self.ring)))
+        key = result + side * (0.25 + 0.2 * np.minimum(np.abs(ahead) / self.rows.size, 1.0))
+        return result, np.where(result >= 0, key, float(len(self.ring)))
 
 
 @lru_cache(maxsize=2)
@@ -247,7 +251,7 @@ def lattice_of(sweep: Sweep) -> BeamLattice | None:
     """
     model = sweep.model
     if model is not None and sweep.ring is not None:
-        firing = fitted(sweep, model)
+        firing = fit_firing(sweep, model)
         if firing is not None:
             shape = (model.elevation, model.azimuth_offset, model.origin_m)
             return _lattice(sweep.ring, shape, firing, step_of(model))
@@ -263,7 +267,7 @@ def _lattice(
     exact = step_m > 0.0
     columns = len(firing.azimuth)
     rows, several = pixel_rows(ring, firing.column, len(shape[0]), columns)
-    by_column, sense, ends = _order(ring, firing.column)
+    by_column, sense, ends = _storage_order(ring, firing.column)
     if not exact and not by_column:
         several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
     empty = empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
@@ -293,7 +297,7 @@ def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
     return Firing(column, even_azimuths(beams.columns, phase), *at_rest(beams.columns))
 
 
-def _order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
+def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
     """Return whether returns are stored column by column, in which sense, and the rows at the ends of stored rings."""
     up, along = np.diff(ring), np.diff(column)
     changes = up != 0
@@ -364,14 +368,14 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
             f"the beams of this sweep must be known, got {len(sweep)} points without rings; name the sensor, give "
             "rings, or use an attack that is free of beams"
         )
-    returned = _returned(sweep, lattice, np.flatnonzero(within(sweep.points, wedge)))
+    returned = _returned_rays(sweep, lattice, np.flatnonzero(within(sweep.points, wedge)))
     if not empty or lattice is None:
         return returned
-    missing = _missing(lattice, wedge)
+    missing = _empty_rays(lattice, wedge)
     return Rays(*(np.concatenate([getattr(returned, f.name), getattr(missing, f.name)]) for f in fields(Rays)))
 
 
-def _returned(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) -> Rays:
+def _returned_rays(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) -> Rays:
     if lattice is not None:
         ring, column = lattice.ring[row].astype(np.intp), lattice.firing.column[row].astype(np.intp)
         return Rays(row, ring, column, *lattice.of_returns(sweep.points, row))
@@ -380,7 +384,7 @@ def _returned(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) 
     return Rays(row, unknown, unknown, np.zeros((len(row), 3)), reach / np.maximum(depth_m, 1e-9)[:, None], depth_m)
 
 
-def _missing(lattice: BeamLattice, wedge: Wedge) -> Rays:
+def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
     ring, column = np.nonzero(lattice.empty)
     start_m, direction = lattice.of_pixels(ring, column)
     none = np.full(len(ring), -1)

@@ -19,7 +19,7 @@ from viewshed.sweep import Sweep
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def beside(returns: Any, beams: Any, motion: Any, axis: Any, limit_m: float) -> Any:  # pragma: no cover - compiled
+def _residuals(returns: Any, beams: Any, motion: Any, axis: Any, limit_m: float) -> Any:  # pragma: no cover - compiled
     """Return how far returns lie beside their beams (n,), and the normal equations for a better motion.
 
     ``motion`` (4,): velocity, and turn rate about ``axis``. Of Gauss and Newton's (4, 4) matrix and (4,) right side,
@@ -33,17 +33,17 @@ def beside(returns: Any, beams: Any, motion: Any, axis: Any, limit_m: float) -> 
     for n in range(points.shape[0]):
         r, s = ring[n], since_s[column[n]]
         angle, flat = azimuth[column[n]] + offset[r], np.cos(elevation[r])
-        way = _turned((flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[r])), axis, motion[3] * s)
-        up = _turned((0.0, 0.0, origin_m[r]), axis, motion[3] * s)
+        direction = _rotate((flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[r])), axis, motion[3] * s)
+        up = _rotate((0.0, 0.0, origin_m[r]), axis, motion[3] * s)
         arm = (points[n, 0] - motion[0] * s, points[n, 1] - motion[1] * s, points[n, 2] - motion[2] * s)
         reach = (arm[0] - up[0], arm[1] - up[1], arm[2] - up[2])
-        along = reach[0] * way[0] + reach[1] * way[1] + reach[2] * way[2]
+        along = reach[0] * direction[0] + reach[1] * direction[1] + reach[2] * direction[2]
         for k in range(3):
-            miss[k] = reach[k] - along * way[k]
+            miss[k] = reach[k] - along * direction[k]
         off_m[n] = np.sqrt(miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2)
         if off_m[n] < limit_m:
             used += 1
-            _slopes(way, _cross(axis, arm), s, slope)
+            _residual_slopes(direction, _cross(axis, arm), s, slope)
             for i in range(4):
                 right[i] += slope[i, 0] * miss[0] + slope[i, 1] * miss[1] + slope[i, 2] * miss[2]
                 for j in range(4):
@@ -52,13 +52,13 @@ def beside(returns: Any, beams: Any, motion: Any, axis: Any, limit_m: float) -> 
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _slopes(way: Any, sideways: Any, s: Any, slope: Any) -> None:  # pragma: no cover - compiled
+def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:  # pragma: no cover - compiled
     """How the miss of one return follows velocity and turn rate: their part across the beam, times the time."""
-    turning = sideways[0] * way[0] + sideways[1] * way[1] + sideways[2] * way[2]
+    turning = sideways[0] * direction[0] + sideways[1] * direction[1] + sideways[2] * direction[2]
     for k in range(3):
         for i in range(3):
-            slope[i, k] = s * ((1.0 if i == k else 0.0) - way[i] * way[k])
-        slope[3, k] = s * (sideways[k] - turning * way[k])
+            slope[i, k] = s * ((1.0 if i == k else 0.0) - direction[i] * direction[k])
+        slope[3, k] = s * (sideways[k] - turning * direction[k])
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -67,7 +67,7 @@ def _cross(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _turned(v: Any, axis: Any, angle: Any) -> Any:  # pragma: no cover - compiled
+def _rotate(v: Any, axis: Any, angle: Any) -> Any:  # pragma: no cover - compiled
     """Rodrigues' rotation of v (3,) about a unit axis (3,)."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = _cross(axis, v)
@@ -119,16 +119,16 @@ def even_azimuths(columns: int, phase: float) -> Floats:
     return (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
 
 
-def fitted(sweep: Sweep, model: LidarModel) -> Firing | None:
+def fit_firing(sweep: Sweep, model: LidarModel) -> Firing | None:
     """Return the firing that explains the returns within 2 mm, or None where none does; the sweep must have rings."""
     if len(sweep) == 0 or sweep.ring is None:
         return None
     time_s = sweep.time_s
     moving = time_s is not None and float(time_s.max()) > float(time_s.min())
-    return _in_motion(sweep, model) if moving else _still(sweep, model)
+    return _fit_in_motion(sweep, model) if moving else _fit_at_rest(sweep, model)
 
 
-def _still(sweep: Sweep, model: LidarModel) -> Firing | None:
+def _fit_at_rest(sweep: Sweep, model: LidarModel) -> Firing | None:
     """Columns by azimuth, with the phase that most returns share."""
     ring, columns = _rings(sweep), model.azimuth_columns
     azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]).astype(np.float64)
@@ -137,11 +137,11 @@ def _still(sweep: Sweep, model: LidarModel) -> Firing | None:
     column = np.rint(position - phase).astype(np.int32) % columns
     time_s = None if sweep.time_s is None else np.full(columns, sweep.time_s[0], np.float32)
     firing = Firing(column, even_azimuths(columns, phase), *at_rest(columns), time_s)
-    off_m, *_ = _beside(sweep, model, firing, np.zeros(4), np.inf)
+    off_m, *_ = _fit_step(sweep, model, firing, np.zeros(4), np.inf)
     return firing if np.quantile(off_m, 0.75) < ON_BEAM_M else None
 
 
-def _in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
+def _fit_in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
     """Columns by time, then the motion about the middle of the revolution by Gauss and Newton's method."""
     step_s = _column_time_s(sweep, model.azimuth_columns)
     if step_s is None or sweep.time_s is None:
@@ -156,11 +156,11 @@ def _in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
     firing = Firing(column, even_azimuths(len(columns), 0.5), *at_rest(len(columns)), time_s)
     motion = np.zeros(4)
     for limit_m in _LIMITS_M:
-        _, matrix, right, used = _beside(sweep, model, firing, motion, limit_m)
+        _, matrix, right, used = _fit_step(sweep, model, firing, motion, limit_m)
         if used < _FEWEST:
             return None
         motion = motion + np.linalg.lstsq(matrix, right, rcond=None)[0]
-    off_m, *_ = _beside(sweep, model, firing, motion, np.inf)
+    off_m, *_ = _fit_step(sweep, model, firing, motion, np.inf)
     return _moved(firing, motion, _vertical(sweep)) if np.quantile(off_m, 0.75) < ON_BEAM_M else None
 
 
@@ -172,14 +172,14 @@ def _rings(sweep: Sweep) -> NDArray[np.int16]:
     return np.zeros(len(sweep), np.int16) if sweep.ring is None else sweep.ring
 
 
-def _beside(
+def _fit_step(
     sweep: Sweep, model: LidarModel, firing: Firing, motion: Floats, limit_m: float
 ) -> tuple[Floats, Floats, Floats, int]:
     rows = _sample(sweep)
     returns = sweep.points[rows], _rings(sweep)[rows], firing.column[rows]
     beams = firing.azimuth, _since_middle_s(firing), model.elevation, model.azimuth_offset, model.origin_m
-    found: tuple[Floats, Floats, Floats, int] = beside(returns, beams, motion, _vertical(sweep), limit_m)
-    return found
+    result: tuple[Floats, Floats, Floats, int] = _residuals(returns, beams, motion, _vertical(sweep), limit_m)
+    return result
 
 
 def _column_time_s(sweep: Sweep, columns: int) -> float | None:

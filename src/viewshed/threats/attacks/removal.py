@@ -12,16 +12,16 @@ import numpy as np
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget
 from viewshed.threats.attacks.beam_lattice import rays_in
-from viewshed.threats.attacks.ghosts import aimed
+from viewshed.threats.attacks.ghosts import aim_wedge
 from viewshed.threats.attacks.spoofer import (
-    AS_MEASURED,
     LEAVE,
+    MEASURED_SPOOFER,
     NO_RETURN,
-    NOISELESS,
+    NOISELESS_SPOOFER,
     Spoofer,
+    choose_nearest,
+    choose_random,
     limits_m,
-    nearest_first,
-    some_of,
 )
 
 
@@ -43,7 +43,7 @@ class Relay:
     sector_deg: float = 30.0
     azimuth: float | None = None
     aim_m: float = 30.0
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -54,9 +54,9 @@ class Relay:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge)
-        chosen = nearest_first(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
+        chosen = choose_nearest(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
         return self.spoofer.spoof(sweep, rays, np.where(chosen, rays.depth_m + self.offset_m, LEAVE), wedge, rng)
 
 
@@ -76,7 +76,7 @@ class PhysicalRemoval:
     sector_deg: float = 30.0
     azimuth: float | None = None
     aim_m: float = 30.0
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -86,9 +86,9 @@ class PhysicalRemoval:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge)
-        chosen = nearest_first(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
+        chosen = choose_nearest(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
         return self.spoofer.spoof(sweep, rays, np.where(chosen, NO_RETURN, LEAVE), wedge, rng)
 
 
@@ -112,7 +112,7 @@ class HighFrequencyRemoval:
     noise_m: float = 50.0
     azimuth: float | None = None
     aim_m: float = 30.0
-    spoofer: Spoofer = NOISELESS
+    spoofer: Spoofer = NOISELESS_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -124,9 +124,9 @@ class HighFrequencyRemoval:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge, empty=True)
-        chosen = nearest_first(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
+        chosen = choose_nearest(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
         noisy = rng.random(len(rays)) < self.noise_rate
         depth_m = np.where(noisy, rng.uniform(0.0, self.noise_m, len(rays)), NO_RETURN)
         return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)
@@ -150,7 +150,7 @@ class Jamming:
     blind_share: float = 0.0
     sector_deg: float = 360.0
     azimuth: float | None = None
-    spoofer: Spoofer = NOISELESS
+    spoofer: Spoofer = NOISELESS_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -164,7 +164,7 @@ class Jamming:
         azimuth = float(rng.uniform(-np.pi, np.pi)) if self.azimuth is None else self.azimuth
         wedge = Wedge(azimuth, min(float(np.deg2rad(self.sector_deg)), 2 * np.pi))
         rays = rays_in(sweep, wedge, empty=True)
-        chosen = some_of(rng.random(len(rays)) < self.share, self.budget, rng)
+        chosen = choose_random(rng.random(len(rays)) < self.share, self.budget, rng)
         depth_m = rng.uniform(*limits_m(sweep), len(rays))
         depth_m[rng.random(len(rays)) < self.blind_share] = NO_RETURN
         return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)

@@ -21,7 +21,7 @@ _FARTHEST = 1e9
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def have_neighbors(
-    points: Any, marked: Any, asked: Any, radius_m: float, fewest: int
+    points: Any, marked: Any, queried: Any, radius_m: float, fewest: int
 ) -> Any:  # pragma: no cover - compiled
     """Return (N,) bool: ``asked`` points with at least ``fewest`` other ``marked`` points within ``radius_m``.
 
@@ -37,11 +37,11 @@ def have_neighbors(
         for axis in range(3):
             cubes[n, axis] = int(np.floor(min(max(points[n, axis] / radius_m, -_FARTHEST), _FARTHEST)))
     starts, rows = _table(cubes, marked, slots)
-    found = np.zeros(count, np.bool_)
+    count_found = np.zeros(count, np.bool_)
     for n in range(count):
-        if asked[n]:
-            found[n] = _count(points, cubes, (starts, rows), n, (radius_m * radius_m, fewest)) >= fewest
-    return found
+        if queried[n]:
+            count_found[n] = _count(points, cubes, (starts, rows), n, (radius_m * radius_m, fewest)) >= fewest
+    return count_found
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -70,13 +70,13 @@ def _table(cubes: Any, marked: Any, slots: int) -> Any:  # pragma: no cover - co
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count(points: Any, cubes: Any, table: Any, n: int, asked: Any) -> Any:  # pragma: no cover - compiled
+def _count(points: Any, cubes: Any, table: Any, n: int, queried: Any) -> Any:  # pragma: no cover - compiled
     """Count neighbors of point ``n``, at most as many as are asked for, from its own cube outward."""
     starts, rows = table
-    radius2, fewest = asked
-    found = 0
-    for place in range(27):
-        cell = (place + 13) % 27
+    radius2, fewest = queried
+    count_found = 0
+    for offset in range(27):
+        cell = (offset + 13) % 27
         x, y, z = cubes[n, 0] + cell // 9 - 1, cubes[n, 1] + cell // 3 % 3 - 1, cubes[n, 2] + cell % 3 - 1
         slot = _slot(x, y, z, len(starts) - 1)
         for k in range(starts[slot], starts[slot + 1]):
@@ -88,10 +88,10 @@ def _count(points: Any, cubes: Any, table: Any, n: int, asked: Any) -> Any:  # p
                 step = np.float64(points[m, axis]) - np.float64(points[n, axis])
                 apart2 += step * step
             if apart2 <= radius2:
-                found += 1
-                if found >= fewest:
-                    return found
-    return found
+                count_found += 1
+                if count_found >= fewest:
+                    return count_found
+    return count_found
 
 
 _LEAF = 16
@@ -156,7 +156,7 @@ def _near_leaves(points: Any, boxes: Any, reaches: Any, rows: Any, out: Any) -> 
         bound = max(bound, _bound(points, reach, known, n))
     first_leaf = (1 << depth) - 1
     own = boxes[first_leaf + leaf]
-    found, used = 0, 1
+    count_found, used = 0, 1
     stack[0] = 0
     while used > 0:
         used -= 1
@@ -167,9 +167,9 @@ def _near_leaves(points: Any, boxes: Any, reaches: Any, rows: Any, out: Any) -> 
             stack[used], stack[used + 1] = 2 * node + 1, 2 * node + 2
             used += 2
         else:
-            near[found] = node - first_leaf
-            found += 1
-    return found
+            near[count_found] = node - first_leaf
+            count_found += 1
+    return count_found
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

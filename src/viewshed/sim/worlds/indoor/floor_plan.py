@@ -140,9 +140,9 @@ def turned(rect: Rect, yaw: float) -> Rect:
     return min(xs), min(ys), max(xs), max(ys)
 
 
-def shrunk(rect: Rect, by_m: float) -> Rect:
+def shrunk(rect: Rect, margin_m: float) -> Rect:
     """Return a rectangle with all four sides moved inward."""
-    return rect[0] + by_m, rect[1] + by_m, rect[2] - by_m, rect[3] - by_m
+    return rect[0] + margin_m, rect[1] + margin_m, rect[2] - margin_m, rect[3] - margin_m
 
 
 def _at_wall(room: Rect, own: Rect, side: int, share: float) -> tuple[float, float] | None:
