@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.adaptive import SearchResult
 from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import Tampered, require, require_azimuth, require_budget
+from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed.threats.attacks.ghosts import aim_wedge
 from viewshed.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m
+from viewshed.threats.parameters import require, require_sector
 
 Floats = NDArray[np.float64]
 
@@ -89,11 +90,9 @@ class WhiteBox:
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("steps", self.steps, 2, 100_000)
         require("step_m", self.step_m, 1e-6, 1000.0)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
         require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:

@@ -1,6 +1,6 @@
 """Search without gradients: random draws, and an evolution strategy that starts from the best of them.
 
-Spaces of plans: which beams to take and which ranges to give them, or where to put free points.
+Search spaces: which beams to take and which ranges to give them, or where to put free points.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ from viewshed.threats.attacks.spoofer import (
     to_sensor,
 )
 
+Floats = NDArray[np.float64]
+
 Candidate = NDArray[np.float64]
+"""A plan as a row of numbers, which its search space turns into a tampered sweep."""
 
 DRAWN_SHARE = 0.3
 """Share of the queries of an evolution that its random draws may use."""
@@ -36,8 +39,43 @@ DRAWN_SHARE = 0.3
 OFFSPRING = 6
 
 _GROWS, _SHRINKS = 1.6, 0.88
+"""Factors of the step after a success and after a failure."""
 
 _STEPS = (0.03, 2.0)
+"""Smallest and largest step of the evolution."""
+
+_MARGIN_M = 2.0
+"""Planned ranges keep this far from the sensor's limits, so that noise rarely takes a return away."""
+
+_NEAR_M = 25.0
+"""Obstacles nearer than this are a feature of their own."""
+
+_FREE_M = (1.0, 90.0)
+"""Nearest and farthest range of free points."""
+
+_F = 10
+"""Features of a beam."""
+
+_GONE, _SHARP, _STREET, _WALL = 2 * _F, 3 * _F + 1, 3 * _F + 2, 3 * _F + 3
+"""Places in a candidate: the constant weight of removal, and numbers of the head."""
+
+_MIDDLE, _OBSTACLE, _SPREAD, _CROWD, _NEAR = 2, 4, 6, 8, 9
+"""Features by column, see ``_features``."""
+
+_GUESSES: tuple[dict[int, float], ...] = (
+    {_SPREAD: 0.5, _SHARP: 2.0, _STREET: -1.0, _WALL: 4.0},
+    {_NEAR: 9.0, _MIDDLE: -3.0, _STREET: 1.0, _WALL: 0.3},
+    {_NEAR: 9.0, _SPREAD: 3.0, _STREET: 1.0, _WALL: 0.3},
+    {_NEAR: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
+    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 0.3},
+    {_OBSTACLE: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 4.0},
+    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _GONE: 5.0},
+    {_OBSTACLE: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
+    {_MIDDLE: -3.0, _STREET: -1.0, _WALL: -2.5},
+    {_SPREAD: 3.0, _STREET: -1.0, _WALL: -2.5},
+)
+"""The first plans: a fan of far returns; a far wall in the middle and one spread over columns; removal in the middle;
+far walls and removal that take the columns with the fewest obstacles first; near walls."""
 
 
 class SearchSpace(Protocol):
@@ -57,7 +95,7 @@ class BestCandidate:
     """The best plan that was met.
 
     Attributes:
-        genome: the plan, or None where no query was left.
+        candidate: the plan, or None where no query was left.
         value: what it is worth.
         history: (Q,) what each plan that was tried is worth, in order.
     """
@@ -71,14 +109,14 @@ class _Attempts:
     """Counts what is tried and keeps the best; of equals the later, so that a plateau is crossed."""
 
     def __init__(self, value_of: Callable[[Candidate], float], limit: int) -> None:
-        self._value_of, self._most = value_of, limit
+        self._value_of, self._limit = value_of, limit
         self.candidate: Candidate | None = None
         self.value = -np.inf
         self.history: list[float] = []
 
     @property
-    def left(self) -> int:
-        return self._most - len(self.history)
+    def remaining(self) -> int:
+        return self._limit - len(self.history)
 
     def attempt(self, candidate: Candidate) -> bool:
         """Return whether a plan is better than all before."""
@@ -96,7 +134,7 @@ class _Attempts:
 def random_search(
     space: SearchSpace, value_of: Callable[[Candidate], float], limit: int, rng: np.random.Generator
 ) -> BestCandidate:
-    """Return the best of ``most`` random draws."""
+    """Return the best of ``limit`` random draws."""
     tried = _Attempts(value_of, limit)
     for number in range(limit):
         tried.attempt(space.draw(number, rng))
@@ -106,37 +144,27 @@ def random_search(
 def evolution(
     space: SearchSpace, value_of: Callable[[Candidate], float], limit: int, rng: np.random.Generator
 ) -> BestCandidate:
-    """Return the best plan of ``most``: random draws, then a (1 + λ) evolution strategy with λ = 6 from the best.
+    """Return the best plan of ``limit``: random draws, then a (1 + λ) evolution strategy with λ = 6 from the best.
 
     The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws.
     """
     tried, step = _Attempts(value_of, limit), 0.6
     for number in range(int(np.ceil(DRAWN_SHARE * limit))):
         tried.attempt(space.draw(number, rng))
-    while tried.left > 0 and tried.candidate is not None:
+    while tried.remaining > 0 and tried.candidate is not None:
         parent = tried.candidate
-        children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, tried.left))]
+        children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, tried.remaining))]
         won = [tried.attempt(child) for child in children]
         step = float(np.clip(step * (_GROWS if any(won) else _SHRINKS), *_STEPS))
     return tried.best()
-
-
-Floats = NDArray[np.float64]
-
-_MARGIN_M = 2.0
-"""Planned ranges keep this far from the sensor's limits, so that noise rarely takes a return away."""
-
-_NEAR_M = 25.0
-
-_FREE_M = (1.0, 90.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamSearchSpace:
     """Plans on the beams of a wedge: a priority and a wanted depth for each, from a few weights and a residual each.
 
-    A genome is: weights of the features for the priority, for the depth and for removal; which elevation to prefer and
-    how much; whether depths are an empty street's and how far its wall is; then residuals of priority and depth.
+    A candidate is: weights of the features for the priority, for the depth and for removal; which elevation to prefer
+    and how much; whether depths are an empty street's and how far its wall is; then residuals of priority and depth.
 
     Attributes:
         sweep: that is attacked.
@@ -179,7 +207,7 @@ class BeamSearchSpace:
 
     def _by_column(self, rng: np.random.Generator) -> Floats:
         """Return one normal number (K,) for each beam, the same for all of a column."""
-        _, number = np.unique(self.features[:, 6], return_inverse=True)
+        _, number = np.unique(self.features[:, _SPREAD], return_inverse=True)
         return np.asarray(rng.normal(0.0, 1.0, int(number.max(initial=-1)) + 1)[number])
 
     def mutated(self, parent: Candidate, step: float, rng: np.random.Generator) -> Candidate:
@@ -222,28 +250,6 @@ class BeamSearchSpace:
         chosen = chosen[np.isfinite(priority[chosen])]
         out[chosen] = wanted[chosen]
         return out
-
-
-_F = 10
-
-_GONE, _SHARP, _STREET, _WALL = 2 * _F, 3 * _F + 1, 3 * _F + 2, 3 * _F + 3
-
-_MIDDLE, _SPREAD, _CROWD, _NEAR = 2, 6, 8, 9
-
-_GUESSES: tuple[dict[int, float], ...] = (
-    {_SPREAD: 0.5, _SHARP: 2.0, _STREET: -1.0, _WALL: 4.0},
-    {_NEAR: 9.0, _MIDDLE: -3.0, _STREET: 1.0, _WALL: 0.3},
-    {_NEAR: 9.0, _SPREAD: 3.0, _STREET: 1.0, _WALL: 0.3},
-    {_NEAR: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
-    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 0.3},
-    {4: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 4.0},
-    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _GONE: 5.0},
-    {4: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
-    {_MIDDLE: -3.0, _STREET: -1.0, _WALL: -2.5},
-    {_SPREAD: 3.0, _STREET: -1.0, _WALL: -2.5},
-)
-"""The first plans: a fan of far returns; a far wall in the middle and one spread over columns; removal in the middle;
-far walls and removal that take the columns with the fewest obstacles first; near walls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,7 +314,7 @@ def _features(rays: Rays, wedge: Wedge, obstacle: NDArray[np.bool_]) -> Floats:
     column = rays.column if (rays.column >= 0).all() else np.rint(azimuth * 500.0).astype(np.intp)
     ring = np.where(rays.ring >= 0, rays.ring, np.rint(elevation * 20.0).astype(np.intp))
     one, stands = np.ones(len(rays)), obstacle.astype(float)
-    _, column_number = np.unique(column, return_inverse=True)
+    _, column_number = np.unique(column, return_inverse=True)  # columns of the wedge, from 0 on
     crowd = np.bincount(column_number, stands, minlength=1)[column_number] / 10.0
     near = stands * (rays.depth_m < _NEAR_M)
     columns = one, azimuth, np.abs(azimuth), elevation, stands, depth, _spread(column), _spread(ring), crowd, near

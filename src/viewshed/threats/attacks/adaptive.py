@@ -19,18 +19,11 @@ from viewshed.sweep import Sweep
 from viewshed.threats.attacks import NOTHING, AttackFactory, Knowledge
 from viewshed.threats.attacks._search import BeamSearchSpace, Candidate, PointSearchSpace, evolution, random_search
 from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import (
-    Attack,
-    Tampered,
-    Wedge,
-    require,
-    require_azimuth,
-    require_budget,
-    require_one_of,
-)
+from viewshed.threats.attacks.base import Attack, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import aim_wedge
 from viewshed.threats.attacks.points import MODES, MOST_FREE, Mode
 from viewshed.threats.attacks.spoofer import MEASURED_SPOOFER, Spoofer, scene_of
+from viewshed.threats.parameters import require, require_one_of, require_sector
 
 Value = Callable[[Sweep], float]
 """From an attacked sweep to what it is worth to the attacker."""
@@ -197,10 +190,8 @@ class BlackBox:
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("queries", self.queries, 1, 10_000_000)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
         require("aim_m", self.aim_m, 0.5, 1000.0)
         require("samples", self.samples, 1, 1000)
         require_one_of("mode", self.mode, MODES)
@@ -217,29 +208,29 @@ class BlackBox:
         wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         value_of = self.objective.on(sweep, wedge)
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
-        plans = self._plans(sweep, wedge)
+        space = self._space(sweep, wedge)
         limit = max(0, (self.queries - 2) // self.samples)
         search = evolution if self.method == "evolution" else random_search
-        best = search(plans, lambda candidate: self._worth(plans, candidate, value_of, seed), limit, rng)
+        best = search(space, lambda candidate: self._expected_value(space, candidate, value_of, seed), limit, rng)
         history = np.append(nothing, best.history)
         queries = 2 + len(best.history) * self.samples
         if best.candidate is None or best.value <= nothing:
             return SearchResult(untouched(sweep, wedge), nothing, history, queries)
-        return SearchResult(plans.tampered(best.candidate, rng), best.value, history, queries)
+        return SearchResult(space.tampered(best.candidate, rng), best.value, history, queries)
 
-    def _plans(self, sweep: Sweep, wedge: Wedge) -> BeamSearchSpace | PointSearchSpace:
+    def _space(self, sweep: Sweep, wedge: Wedge) -> BeamSearchSpace | PointSearchSpace:
         if self.mode == "free_form":
             return PointSearchSpace(sweep, wedge, self.budget or 0)
         return BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
 
-    def _worth(
-        self, plans: BeamSearchSpace | PointSearchSpace, candidate: Candidate, value_of: Value, seed: int
+    def _expected_value(
+        self, space: BeamSearchSpace | PointSearchSpace, candidate: Candidate, value_of: Value, seed: int
     ) -> float:
         """Return what a plan is worth over draws of the noise that are the same for every plan."""
         values = []
         for sample in range(self.samples):
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, sample])))
-            values.append(value_of(plans.tampered(candidate, rng).sweep))
+            values.append(value_of(space.tampered(candidate, rng).sweep))
         return float(np.mean(values))
 
 

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
+"""What a sweep has of each return."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +44,12 @@ def untouched(sweep: Sweep, wedge: Wedge | None = None) -> Tampered:
 
 
 def assemble(sweep: Sweep, removed: Mask, forged: Forged, wedge: Wedge | None, rng: np.random.Generator) -> Tampered:
-    """Return the sweep without the rows ``removed`` (N,) and with what was made, each where a sensor would store it.
+    """Return the sweep without the rows ``removed`` (N,) and with what is forged, each where a sensor would store it.
 
     A return that replaces another takes its place, its ring, azimuth and time; any other is stored next to its
     neighbor on the beams. Intensities are drawn from those of the sweep.
     """
+    # Sort what is forged among the rows that are kept: a key is a row, or lies between two.
     source, key = _neighbors(sweep, forged)
     order = np.argsort(key, kind="stable")
     kept = np.flatnonzero(~removed)
@@ -82,27 +84,27 @@ def _neighbors(sweep: Sweep, forged: Forged) -> tuple[NDArray[np.intp], Floats]:
     key[alone] = len(sweep)
     lattice = lattice_of(sweep)
     if lattice is not None and len(alone):
-        row[alone], key[alone] = lattice.places(forged.ring[alone], forged.column[alone])
+        row[alone], key[alone] = lattice.storage_keys(forged.ring[alone], forged.column[alone])
     return row, key
 
 
 def _columns(
     sweep: Sweep, forged: Forged, source: NDArray[np.intp], rng: np.random.Generator
 ) -> dict[str, NDArray[Any]]:
-    """Return the columns of what was made, for those that the sweep has."""
-    made_columns: dict[str, NDArray[Any]] = {}
+    """Return the columns of what is forged, for those that the sweep has."""
+    columns: dict[str, NDArray[Any]] = {}
     if sweep.intensity is not None:
         some = sweep.intensity if len(sweep) else np.zeros(1, np.float32)
-        made_columns["intensity"] = some[rng.integers(len(some), size=len(source))]
+        columns["intensity"] = some[rng.integers(len(some), size=len(source))]
     if sweep.ring is not None:
         like = _take(sweep.ring, source, np.int16(0))
-        made_columns["ring"] = np.where(forged.ring >= 0, forged.ring, like).astype(np.int16)
+        columns["ring"] = np.where(forged.ring >= 0, forged.ring, like).astype(np.int16)
     if sweep.azimuth is not None:
         aimed = np.arctan2(forged.points[:, 1], forged.points[:, 0])
-        made_columns["azimuth"] = np.where(source >= 0, _take(sweep.azimuth, source, np.float32(0)), aimed)
+        columns["azimuth"] = np.where(source >= 0, _take(sweep.azimuth, source, np.float32(0)), aimed)
     if sweep.time_s is not None:
-        made_columns["time_s"] = _times(sweep.time_s, forged, source, lattice_of(sweep))
-    return made_columns
+        columns["time_s"] = _times(sweep.time_s, forged, source, lattice_of(sweep))
+    return columns
 
 
 def _take(column: NDArray[Any], source: NDArray[np.intp], default: Any) -> NDArray[Any]:

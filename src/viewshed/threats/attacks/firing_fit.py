@@ -1,4 +1,4 @@
-"""Where each beam of a sweep started and pointed, told from the sweep and its sensor's beam table alone.
+"""Where each beam of a sweep started and pointed, from the sweep and its sensor's beam table alone.
 
 A sweep of a sensor in motion has its points in one frame. Where it carries times, the motion is that of a constant
 velocity and a constant turn about the world's vertical which puts the returns on the table's beams.
@@ -17,64 +17,6 @@ from viewshed.geometry import rotation_from_quaternion
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _residuals(returns: Any, beams: Any, motion: Any, axis: Any, limit_m: float) -> Any:  # pragma: no cover - compiled
-    """Return how far returns lie beside their beams (n,), and the normal equations for a better motion.
-
-    ``motion`` (4,): velocity, and turn rate about ``axis``. Of Gauss and Newton's (4, 4) matrix and (4,) right side,
-    over the returns less than ``limit_m`` beside, and their number.
-    """
-    points, ring, column = returns
-    azimuth, since_s, elevation, offset, origin_m = beams
-    off_m = np.empty(points.shape[0])
-    matrix, right, used = np.zeros((4, 4)), np.zeros(4), 0
-    miss, slope = np.empty(3), np.empty((4, 3))
-    for n in range(points.shape[0]):
-        r, s = ring[n], since_s[column[n]]
-        angle, flat = azimuth[column[n]] + offset[r], np.cos(elevation[r])
-        direction = _rotate((flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[r])), axis, motion[3] * s)
-        up = _rotate((0.0, 0.0, origin_m[r]), axis, motion[3] * s)
-        arm = (points[n, 0] - motion[0] * s, points[n, 1] - motion[1] * s, points[n, 2] - motion[2] * s)
-        reach = (arm[0] - up[0], arm[1] - up[1], arm[2] - up[2])
-        along = reach[0] * direction[0] + reach[1] * direction[1] + reach[2] * direction[2]
-        for k in range(3):
-            miss[k] = reach[k] - along * direction[k]
-        off_m[n] = np.sqrt(miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2)
-        if off_m[n] < limit_m:
-            used += 1
-            _residual_slopes(direction, _cross(axis, arm), s, slope)
-            for i in range(4):
-                right[i] += slope[i, 0] * miss[0] + slope[i, 1] * miss[1] + slope[i, 2] * miss[2]
-                for j in range(4):
-                    matrix[i, j] += slope[i, 0] * slope[j, 0] + slope[i, 1] * slope[j, 1] + slope[i, 2] * slope[j, 2]
-    return off_m, matrix, right, used
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:  # pragma: no cover - compiled
-    """How the miss of one return follows velocity and turn rate: their part across the beam, times the time."""
-    turning = sideways[0] * direction[0] + sideways[1] * direction[1] + sideways[2] * direction[2]
-    for k in range(3):
-        for i in range(3):
-            slope[i, k] = s * ((1.0 if i == k else 0.0) - direction[i] * direction[k])
-        slope[3, k] = s * (sideways[k] - turning * direction[k])
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _cross(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _rotate(v: Any, axis: Any, angle: Any) -> Any:  # pragma: no cover - compiled
-    """Rodrigues' rotation of v (3,) about a unit axis (3,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y, z = _cross(axis, v)
-    along = (1.0 - c) * (axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2])
-    return c * v[0] + s * x + along * axis[0], c * v[1] + s * y + along * axis[1], c * v[2] + s * z + along * axis[2]
-
-
 Floats = NDArray[np.float64]
 
 Ints = NDArray[np.int32]
@@ -83,6 +25,7 @@ ON_BEAM_M = 0.002
 """Three quarters of the returns must lie this near to the table's beams, or the table does not tell where they are."""
 
 _SAMPLED = 1500
+"""Returns that the fit looks at; a revolution has some ten thousand."""
 
 _FEWEST = 50
 
@@ -175,11 +118,13 @@ def _rings(sweep: Sweep) -> NDArray[np.int16]:
 def _fit_step(
     sweep: Sweep, model: LidarModel, firing: Firing, motion: Floats, limit_m: float
 ) -> tuple[Floats, Floats, Floats, int]:
+    """Return the residuals (n,) of a sample of the returns, and the normal equations for a better motion."""
     rows = _sample(sweep)
-    returns = sweep.points[rows], _rings(sweep)[rows], firing.column[rows]
-    beams = firing.azimuth, _since_middle_s(firing), model.elevation, model.azimuth_offset, model.origin_m
-    result: tuple[Floats, Floats, Floats, int] = _residuals(returns, beams, motion, _vertical(sweep), limit_m)
-    return result
+    step: tuple[Floats, Floats, Floats, int] = _residuals(
+        sweep.points[rows], _rings(sweep)[rows], firing.column[rows], firing.azimuth, _since_middle_s(firing),
+        model.elevation, model.azimuth_offset, model.origin_m, motion, _vertical(sweep), limit_m,
+    )  # fmt: skip
+    return step
 
 
 def _column_time_s(sweep: Sweep, columns: int) -> float | None:
@@ -221,3 +166,78 @@ def _moved(firing: Firing, motion: Floats, axis: Floats) -> Firing:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turn = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1 - np.cos(angle))[:, None, None] * (cross @ cross)
     return replace(firing, turn=turn, shift_m=np.outer(since_s, motion[:3]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residuals(
+    points: Any,
+    ring: Any,
+    column: Any,
+    azimuth: Any,
+    since_s: Any,
+    elevation: Any,
+    offset: Any,
+    origin_m: Any,
+    motion: Any,
+    axis: Any,
+    limit_m: float,
+) -> Any:  # pragma: no cover - compiled
+    """Return how far returns lie beside their beams (n,) meters, and one step of Gauss and Newton towards the motion.
+
+    ``motion`` (4,) is a velocity and a turn rate about ``axis`` (3,). The step's normal equations, a matrix (4, 4) and
+    a right side (4,), are summed over the returns less than ``limit_m`` beside their beam; their number comes last.
+    Points (n, 3), ring and column (n,) are the returns'; azimuth and time from the middle of the revolution (C,) the
+    columns'; elevation, azimuth offset and height of the start (R,) the rings'.
+    """
+    off_m = np.empty(points.shape[0])
+    matrix, right, used = np.zeros((4, 4)), np.zeros(4), 0
+    miss, slope = np.empty(3), np.empty((4, 3))
+    for n in range(points.shape[0]):
+        # The beam as the table has it, turned and moved with the sensor by the time of its column.
+        r, s = ring[n], since_s[column[n]]
+        angle, flat = azimuth[column[n]] + offset[r], np.cos(elevation[r])
+        direction = _rotate((flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[r])), axis, motion[3] * s)
+        start = _rotate((0.0, 0.0, origin_m[r]), axis, motion[3] * s)
+        arm = (points[n, 0] - motion[0] * s, points[n, 1] - motion[1] * s, points[n, 2] - motion[2] * s)
+        reach = (arm[0] - start[0], arm[1] - start[1], arm[2] - start[2])
+        # The residual: the part of the way to the return that is across the beam.
+        along = reach[0] * direction[0] + reach[1] * direction[1] + reach[2] * direction[2]
+        for k in range(3):
+            miss[k] = reach[k] - along * direction[k]
+        off_m[n] = np.sqrt(miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2)
+        # J'J and J'r of the returns that are no outliers.
+        if off_m[n] < limit_m:
+            used += 1
+            _residual_slopes(direction, _cross(axis, arm), s, slope)
+            for i in range(4):
+                right[i] += slope[i, 0] * miss[0] + slope[i, 1] * miss[1] + slope[i, 2] * miss[2]
+                for j in range(4):
+                    matrix[i, j] += slope[i, 0] * slope[j, 0] + slope[i, 1] * slope[j, 1] + slope[i, 2] * slope[j, 2]
+    return off_m, matrix, right, used
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:  # pragma: no cover - compiled
+    """Fill ``slope`` (4, 3): how the residual of one return follows velocity and turn rate.
+
+    Their part across the beam, times the time; ``sideways`` is what a turn of one radian moves the return by.
+    """
+    turning = sideways[0] * direction[0] + sideways[1] * direction[1] + sideways[2] * direction[2]
+    for k in range(3):
+        for i in range(3):
+            slope[i, k] = s * ((1.0 if i == k else 0.0) - direction[i] * direction[k])
+        slope[3, k] = s * (sideways[k] - turning * direction[k])
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _cross(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _rotate(v: Any, axis: Any, angle: Any) -> Any:  # pragma: no cover - compiled
+    """Rodrigues' rotation of v (3,) about a unit axis (3,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = _cross(axis, v)
+    along = (1.0 - c) * (axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2])
+    return c * v[0] + s * x + along * axis[0], c * v[1] + s * y + along * axis[1], c * v[2] + s * z + along * axis[2]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import rays_in
 from viewshed.threats.attacks.points import wedge_around
 from viewshed.threats.attacks.spoofer import (
@@ -31,8 +31,22 @@ from viewshed.threats.attacks.spoofer import (
     random_open_azimuth,
     street_depth_m,
 )
+from viewshed.threats.parameters import require, require_azimuth, require_budget, require_sector
 
 _MARGIN_M = 2.0
+"""A far wall stands so much nearer than the sensor's maximum range."""
+
+CAR_M = (4.2, 1.8, 1.5)
+"""Length, width and height of a ghost car."""
+
+_WALL_M = (0.3, 3.0)
+"""Thickness and height of a ghost wall."""
+
+_ROOM = 1.05
+"""Wedges of ghosts are so much wider than what they show."""
+
+_BEYOND = 1.2
+"""Ghosts stand where some beam goes farther than this multiple of their range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +72,7 @@ class FarWall:
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("near_m", self.near_m, 0.5, 1000.0)
         require("far_m", self.far_m, 0.5, 1000.0)
 
@@ -69,10 +81,9 @@ class FarWall:
         wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.near_m, rng)
         rays = rays_in(sweep, wedge)
         near = is_obstacle(sweep, rays) & (rays.depth_m < self.near_m)
-        chosen = np.flatnonzero(choose_nearest(rays, near, wedge, self.budget))
-        rays = rays.select(chosen)
         depth_m = street_depth_m(sweep, rays, min(self.far_m, limits_m(sweep)[1] - _MARGIN_M))
-        return self.spoofer.spoof(sweep, rays, np.where(depth_m > rays.depth_m, depth_m, LEAVE), wedge, rng)
+        depth_m = np.where(depth_m > rays.depth_m, depth_m, LEAVE)
+        return self.spoofer.spoof_nearest(sweep, rays, near, depth_m, wedge, self.budget, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +107,7 @@ class RemovalAndFarWall:
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("far_m", self.far_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
@@ -119,18 +128,7 @@ def aim_wedge(sweep: Sweep, azimuth: float | None, sector_deg: float, near_m: fl
     """Return the wedge at ``azimuth``; where that is None, at an obstacle nearer than ``near_m``, else anywhere."""
     if azimuth is None:
         azimuth = random_obstacle_azimuth(sweep, 0.0, near_m, rng)
-    return Wedge(azimuth_or_random(azimuth, rng), float(np.deg2rad(sector_deg)))
-
-
-CAR_M = (4.2, 1.8, 1.5)
-"""Length, width and height of a ghost car."""
-
-_WALL_M = (0.3, 3.0)
-
-_ROOM = 1.05
-
-_BEYOND = 1.2
-"""Ghosts stand where some beam goes farther than this multiple of their range."""
+    return Wedge.of_sector(azimuth_or_random(azimuth, rng), sector_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,16 +191,14 @@ class GhostWall:
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 150.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg, 150.0)
         require("range_m", self.range_m, 0.2, 1000.0)
         require("height_m", self.height_m, 0.05, 100.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
         azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
-        wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
+        wedge = Wedge.of_sector(azimuth, self.sector_deg)
         x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
         wide = 2 * self.range_m * np.tan(wedge.width / 2) * _ROOM + 1.0
         box = Box((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))
@@ -214,5 +210,4 @@ def spoof_box(sweep: Sweep, box: Box, wedge: Wedge, ghost: GhostCar | GhostWall,
     rays = rays_in(sweep, wedge, empty=True)
     enter, _ = chord_m(*level_rays(sweep, rays), box)
     hit = np.isfinite(enter) & (enter < rays.depth_m)
-    chosen = choose_nearest(rays, hit, wedge, ghost.budget)
-    return ghost.spoofer.spoof(sweep, rays, np.where(chosen, enter, LEAVE), wedge, rng)
+    return ghost.spoofer.spoof_nearest(sweep, rays, hit, enter, wedge, ghost.budget, rng)

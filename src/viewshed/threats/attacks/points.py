@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.assembly import add_points, untouched
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget, require_one_of
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed.threats.attacks.spoofer import (
     LEAVE,
@@ -36,10 +36,13 @@ from viewshed.threats.attacks.spoofer import (
     street_depth_m,
     to_sensor,
 )
+from viewshed.threats.parameters import require, require_azimuth, require_budget, require_one_of
 
 Mode = Literal["free_form", "beam_constrained"]
 
 MODES: tuple[Mode, ...] = ("free_form", "beam_constrained")
+
+Side = Literal["behind", "before"]
 
 FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
 
@@ -166,7 +169,7 @@ class WedgeCluster:
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
         azimuth = random_open_azimuth(sweep, self.range_m, rng) if self.azimuth is None else self.azimuth
-        wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
+        wedge = Wedge.of_sector(azimuth, self.sector_deg)
         x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m)
         if self.mode == "free_form":
             around = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width
@@ -197,9 +200,6 @@ def _at_obstacle_heights(sweep: Sweep, xy: Floats, rng: np.random.Generator) -> 
     """Return points (A, 3) of the sensor's frame over places (A, 2) of the level frame, at heights of an obstacle."""
     z = scene_of(sweep).ground.at(xy) + rng.uniform(*HEIGHTS_M, len(xy))
     return to_sensor(sweep, np.column_stack([xy, z]))
-
-
-Side = Literal["behind", "before"]
 
 
 @dataclass(frozen=True, slots=True)

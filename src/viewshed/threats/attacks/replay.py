@@ -13,19 +13,22 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget, require_one_of
+from viewshed.threats.attacks.assembly import COLUMNS, untouched
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed.threats.attacks.ghosts import CAR_M, GhostCar
 from viewshed.threats.attacks.points import FULL_CIRCLE, MODES, Mode
 from viewshed.threats.attacks.spoofer import (
-    LEAVE,
     MEASURED_SPOOFER,
     NO_RETURN,
     NOISELESS_SPOOFER,
     Spoofer,
-    choose_nearest,
 )
+from viewshed.threats.parameters import require, require_azimuth, require_budget, require_one_of, require_sector
+
+Anchor = Literal["world", "sensor"]
+
+ANCHORS: tuple[Anchor, ...] = ("world", "sensor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +80,6 @@ def _about_level_axis(axis: float, angle: float) -> np.ndarray[tuple[int, ...], 
     return rotation_from_quaternion([np.cos(half), x, y, 0.0])
 
 
-Anchor = Literal["world", "sensor"]
-
-ANCHORS: tuple[Anchor, ...] = ("world", "sensor")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
     """An earlier sweep of the same sensor instead of this one: looks real because it was.
@@ -106,9 +104,7 @@ class Replay:
     spoofer: Spoofer = NOISELESS_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require_one_of("mode", self.mode, MODES)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
@@ -119,18 +115,17 @@ class Replay:
         """
         if self.mode == "free_form":
             return _replace_returns(sweep, self.earlier)
-        wedge = Wedge(self.azimuth, min(float(np.deg2rad(self.sector_deg)), 2 * np.pi))
+        wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
         if len(rays) == 0:
             return untouched(sweep, wedge)
         earlier_m = _earlier_depth_m(self.earlier, lattice_of(sweep), rays)
         changed = (rays.ring >= 0) & ~((rays.row < 0) & np.isinf(earlier_m))
-        chosen = choose_nearest(rays, changed, wedge, self.budget)
-        return self.spoofer.spoof(sweep, rays, np.where(chosen, earlier_m, LEAVE), wedge, rng)
+        return self.spoofer.spoof_nearest(sweep, rays, changed, earlier_m, wedge, self.budget, rng)
 
 
 def _replace_returns(sweep: Sweep, earlier: Sweep) -> Tampered:
-    columns = {name: getattr(earlier, name) for name in ("points", "intensity", "ring", "azimuth", "time_s")}
+    columns = {name: getattr(earlier, name) for name in COLUMNS}
     return Tampered(sweep.replace(**columns), np.ones(len(earlier), np.bool_), np.ones(len(sweep), np.bool_))
 
 

@@ -1,6 +1,6 @@
 """What a laser that fires at a sensor achieves: which beams it wins and how exactly it sets their ranges.
 
-What an attacker knows of the scene: level frame, ground and obstacles, as the victim's own sweep tells them.
+Where it aims: the level frame, ground and obstacles of the scene, by the victim's own sweep.
 """
 
 from __future__ import annotations
@@ -16,14 +16,34 @@ from viewshed.grid import GRIDS
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.assembly import Forged, assemble, untouched
-from viewshed.threats.attacks.base import Tampered, Wedge, require
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, within
+from viewshed.threats.parameters import require
 
 Floats = NDArray[np.float64]
 
+Mask = NDArray[np.bool_]
+
+RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
+"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
+
+DEFAULT_RELIABILITY = 0.985
+"""The same for other sensors."""
+
+FINGERPRINT_RELIABILITY = 0.02
+"""The same for a sensor whose pulses carry a fingerprint."""
+
+LEAVE, NO_RETURN = np.nan, np.inf
+"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
+
+_MAX_RANGE_M = 100.0
+"""How far a sensor is taken to see that is not known."""
+
 _NEAR_M, _NEAR_SHARE = 25.0, 0.01
+"""A sweep is indoors where at most this share of its returns lies farther away."""
 
 _ROUNDS = 4
+"""Iterations on the height of the ground under a beam."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +120,7 @@ def level_rays(sweep: Sweep, rays: Rays) -> tuple[Floats, Floats]:
 
 
 def position_at(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, float]:
-    """Return the place (x, y) in the level frame at an azimuth of the sensor and a range, and its level azimuth."""
+    """Return x and y in the level frame at an azimuth of the sensor and a range, and their level azimuth."""
     rotation = scene_of(sweep).level_from_sensor.rotation
     x, y, _ = rotation @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     level_azimuth = float(np.arctan2(y, x))
@@ -151,23 +171,6 @@ def chord_m(start: Floats, direction: Floats, box: Box) -> tuple[Floats, Floats]
     return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
 
 
-Mask = NDArray[np.bool_]
-
-RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
-"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
-
-DEFAULT_RELIABILITY = 0.985
-"""The same for other sensors."""
-
-FINGERPRINT_RELIABILITY = 0.02
-"""The same for a sensor whose pulses carry a fingerprint."""
-
-LEAVE, NO_RETURN = np.nan, np.inf
-"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
-
-_MAX_RANGE_M = 100.0
-
-
 @dataclass(frozen=True, slots=True)
 class Spoofer:
     """A spoofer: one return for each beam that it wins.
@@ -214,6 +217,20 @@ class Spoofer:
         kept = reported & stays
         forged = Forged(points[kept], rays.ring[kept], rays.column[kept], rays.row[kept])
         return assemble(sweep, removed, forged, wedge, rng)
+
+    def spoof_nearest(
+        self,
+        sweep: Sweep,
+        rays: Rays,
+        candidates: Mask,
+        wanted_m: Floats,
+        wedge: Wedge,
+        budget: int | None,
+        rng: np.random.Generator,
+    ) -> Tampered:
+        """Spoof at most ``budget`` of the rays that ``candidates`` (K,) marks, those nearest to the wedge's middle."""
+        chosen = choose_nearest(rays, candidates, wedge, budget)
+        return self.spoof(sweep, rays, np.where(chosen, wanted_m, LEAVE), wedge, rng)
 
     def _noisy(self, sweep: Sweep, depth_m: Floats, rng: np.random.Generator) -> Floats:
         """Return depths (K,) with noise, in whole steps of the sensor's range where they are known."""

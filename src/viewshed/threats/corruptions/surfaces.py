@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from viewshed.sim.assets.shapes import PER_M, material_index
 from viewshed.sweep import Sweep
-from viewshed.threats.corruptions.base import at_ranges, heights_of, ranges_of, within
+from viewshed.threats.corruptions.base import at_ranges, heights_of, ranges_of
+from viewshed.threats.parameters import require
 
 ABOVE_GROUND_M = 0.3
 """Surfaces whose returns lie higher than this above local ground may be panes, if there are any."""
@@ -34,8 +35,8 @@ class GlassPatches:
     radius_m: float
 
     def __post_init__(self) -> None:
-        within("patches", self.patches, 0, 1000)
-        within("radius_m", self.radius_m, 0, 100)
+        require("patches", self.patches, 0, 1000)
+        require("radius_m", self.radius_m, 0, 100)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the patches; their middles are returns above the ground, where there are any."""
@@ -65,9 +66,9 @@ class Vegetation:
     per_m: float = float(PER_M[material_index("leaves")])
 
     def __post_init__(self) -> None:
-        within("bushes", self.bushes, 0, 1000)
-        within("radius_m", self.radius_m, 0, BUSH_RANGES_M[0] - 0.5)
-        within("per_m", self.per_m, 0, 1e6)
+        require("bushes", self.bushes, 0, 1000)
+        require("radius_m", self.radius_m, 0, BUSH_RANGES_M[0] - 0.5)
+        require("per_m", self.per_m, 0, 1e6)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with the returns that the leaves stopped moved nearer along their rays."""
