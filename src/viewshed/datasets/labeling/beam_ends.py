@@ -98,7 +98,7 @@ def count_ground(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def silent_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
+def empty_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Set ``out`` (C,) where no beam of a column and of those next to it returned: they were not fired, or not kept."""
     columns = depth.shape[0]
     for c in range(columns):
@@ -273,7 +273,7 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
         depth = image.depth_m
     else:
         cast_to_ground((*beams[:2], depth), patch.ground.heights_m, frame, to_ground, thing)
-    silent_columns(depth, lost)
+    empty_columns(depth, lost)
     band = np.float32(max(image.max_range_m / _BANDS, 1e-3))
     shares = (_seen_share((depth, to_ground, thing), reach, band), np.asarray((depth > 0).mean(axis=0), np.float32))
     depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)

@@ -240,7 +240,8 @@ def _near_leaves(
 ) -> Any:  # pragma: no cover - compiled
     """Fill ``near`` with the leaves that may hold neighbors of ``points[start:end]``, and return how many.
 
-    Those points are the ``leaf``'s; ``reach`` (N,) is how far the k-th neighbor of a point lies, known before row ``known``; ``stack`` is room.
+    Those points are the ``leaf``'s; ``reach`` (N,) is how far the k-th neighbor of a point lies, known before row
+    ``known``; ``stack`` is room.
     """
     bound = np.float32(0.0)
     for n in range(start, end):
