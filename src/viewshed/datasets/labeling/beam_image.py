@@ -16,129 +16,10 @@ from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
+Floats = NDArray[np.float32]
+
 JITTER_COLUMNS = 4
 """A point may lie this many columns from the firing that it belongs to."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def beams_of_returns(
-    points: Any, ring: Any, seconds: Any, pose: Any, tables: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
-
-    ``pose`` is level_from_sensor (3, 3), velocity (3,) and yaw rate; ``tables`` are the height of each ring's start
-    and its azimuth offset.
-    """
-    turn, velocity, yaw_rate = pose
-    rise, offset = tables
-    count = points.shape[0]
-    start, way = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    length, azimuth = np.empty(count, np.float32), np.empty(count, np.float32)
-    for n in range(count):
-        t = seconds[n]
-        c, s = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
-        h = rise[max(ring[n], 0)]
-        ox, oy, oz = turn[0, 2] * h, turn[1, 2] * h, turn[2, 2] * h
-        ox, oy = c * ox - s * oy + velocity[0] * t, s * ox + c * oy + velocity[1] * t
-        oz += velocity[2] * t
-        p = points[n]
-        dx = turn[0, 0] * p[0] + turn[0, 1] * p[1] + turn[0, 2] * p[2] - ox
-        dy = turn[1, 0] * p[0] + turn[1, 1] * p[1] + turn[1, 2] * p[2] - oy
-        dz = turn[2, 0] * p[0] + turn[2, 1] * p[1] + turn[2, 2] * p[2] - oz
-        far = max(np.sqrt(dx * dx + dy * dy + dz * dz), np.float32(1e-3))
-        start[n, 0], start[n, 1], start[n, 2] = ox, oy, oz
-        way[n, 0], way[n, 1], way[n, 2], length[n] = dx / far, dy / far, dz / far, far
-        bx, by = c * dx + s * dy, c * dy - s * dx
-        x = turn[0, 0] * bx + turn[1, 0] * by + turn[2, 0] * dz
-        y = turn[0, 1] * bx + turn[1, 1] * by + turn[2, 1] * dz
-        azimuth[n] = atan2(np.float32(y), np.float32(x)) - offset[max(ring[n], 0)]
-    return start, way, length, azimuth
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
-    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
-
-    Returns how many points found none.
-    """
-    spare, spares, lost = np.empty(ring.shape[0], np.int64), 0, 0
-    for n in range(ring.shape[0]):
-        if ring[n] < 0:
-            continue
-        other = pixels[column[n], ring[n]]
-        nearer = other < 0 or length[n] < length[other]
-        if other >= 0:
-            spare[spares] = other if nearer else n
-            spares += 1
-        if nearer:
-            pixels[column[n], ring[n]] = n
-    for k in range(spares):
-        lost += not _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
-    return lost
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
-    for step in range(1, JITTER_COLUMNS + 1):
-        for side in (-1, 1):
-            c = (column + side * step) % pixels.shape[0]
-            if pixels[c, ring] < 0:
-                pixels[c, ring] = n
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_times(column: Any, seconds: Any, columns: Any) -> Any:  # pragma: no cover - compiled
-    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
-    total, count = np.zeros(columns, np.float64), np.zeros(columns, np.int64)
-    for n in range(column.shape[0]):
-        total[column[n]] += seconds[n]
-        count[column[n]] += 1
-    out = np.zeros(columns, np.float32)
-    for step in range(2 * columns):
-        c = step % columns
-        if count[c] > 0:
-            out[c] = total[c] / count[c]
-        else:
-            out[c] = out[c - 1]
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_image(pixels: Any, beams: Any, nominal: Any, pose: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill starts, directions (C, R, 3) and depths (C, R) from the points and, where there is none, the pattern.
-
-    ``nominal`` are azimuth of column 0, step, time of each column, and elevation, start height and azimuth offset of
-    each ring. A missing beam has depth 0.
-    """
-    start, way, length = beams
-    first, step, seconds, elevation, rise, offset = nominal
-    turn, velocity, yaw_rate = pose
-    origins, directions, depth = out
-    for c in range(pixels.shape[0]):
-        t = seconds[c]
-        cos, sin = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
-        for r in range(pixels.shape[1]):
-            n = pixels[c, r]
-            if n >= 0:
-                for axis in range(3):
-                    origins[c, r, axis], directions[c, r, axis] = start[n, axis], way[n, axis]
-                depth[c, r] = length[n]
-                continue
-            azimuth = first + c * step + offset[r]
-            flat, z = np.cos(elevation[r]), np.sin(elevation[r])
-            x, y, h = flat * np.cos(azimuth), flat * np.sin(azimuth), rise[r]
-            dx = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z
-            dy = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z
-            dz = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z
-            ox, oy = turn[0, 2] * h, turn[1, 2] * h
-            directions[c, r, 0], directions[c, r, 1], directions[c, r, 2] = cos * dx - sin * dy, sin * dx + cos * dy, dz
-            origins[c, r, 0] = cos * ox - sin * oy + velocity[0] * t
-            origins[c, r, 1] = sin * ox + cos * oy + velocity[1] * t
-            origins[c, r, 2] = turn[2, 2] * h + velocity[2] * t
-            depth[c, r] = np.float32(0.0)
-
 
 MAX_GAP_S = 1.5
 """Poses farther apart than this tell nothing about the motion in between."""
@@ -147,8 +28,19 @@ MAX_SPEED_MPS = 70.0
 """Poses that could only be reached faster do not belong together."""
 
 POST_S = 2.0
+"""Sweeps that stand for all are at most so far apart in time."""
 
 _SHORT_S = 0.15
+"""Times are uncertain by so much when speeds are judged."""
+
+_SAMPLED = 4000
+"""Returns from which the number of columns is told."""
+
+_NEAR_COLUMNS = 2
+"""Numbers of columns that are tried, so far from the likely ones."""
+
+_ALMOST = 0.98
+"""A likely number of columns that fits so well is taken before a better fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,15 +132,6 @@ def _apart(one: Moment, other: Moment, spacing_m: float) -> bool:
     return one.meters_to(other) >= spacing_m or one.seconds_to(other) >= POST_S
 
 
-Floats = NDArray[np.float32]
-
-_SAMPLED = 4000
-
-_NEAR_COLUMNS = 2
-
-_ALMOST = 0.98
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamImage:
     """The beams of one revolution. C columns by azimuth, R rings from the lowest up, in the axes of ``level``.
@@ -289,19 +172,20 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
     seconds, model = _seconds(sweep), sweep.model
     rings = recover_rings(sweep if sweep.ring is not None else _undo_motion(sweep, level_from_sensor, drift, seconds))
     elevation, rise, offset = _tables(rings.elevation, model)
-    pose = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
-    start, way, length, azimuth = beams_of_returns(sweep.points, rings.ring, seconds, pose, (rise, offset))
+    motion = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
+    start, direction, length, azimuth = beams_of_returns(sweep.points, rings.ring, seconds, *motion, rise, offset)
+    # The firing pattern: how many columns, and where they begin.
     columns = _best_column_count(azimuth, {rings.columns} if model is None else {rings.columns, model.azimuth_columns})
     column, phase = _columns(azimuth, columns)
     pixels = np.full((columns, len(elevation)), -1, np.int32)
     assign_pixels(rings.ring, column, length, pixels)
-    step = np.float32(2 * np.pi / columns)
-    times = mean_times(column, seconds, columns)
-    shape = pixels.shape
-    out = np.empty((*shape, 3), np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-    nominal = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
-    fill_image(pixels, (start, way, length), nominal, pose, out)
-    return BeamImage(*out, pixels, _max_range_m(model, length), model)
+    step, times = np.float32(2 * np.pi / columns), mean_times(column, seconds, columns)
+    # Every beam: the returns, and the pattern between them.
+    origins, directions = np.empty((2, *pixels.shape, 3), np.float32)
+    depth = np.empty(pixels.shape, np.float32)
+    pattern = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
+    fill_image(pixels, start, direction, length, *pattern, *motion, origins, directions, depth)
+    return BeamImage(origins, directions, depth, pixels, _max_range_m(model, length), model)
 
 
 def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
@@ -357,3 +241,139 @@ def _max_range_m(model: LidarModel | None, length: Floats) -> float:
     if model is not None:
         return model.max_range_m
     return float(length.max(initial=0.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_returns(
+    points: Any, ring: Any, seconds: Any, turn: Any, velocity: Any, yaw_rate: Any, rise: Any, offset: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
+
+    Of points (N, 3) in the reference frame with rings and times (N,). ``turn`` (3, 3) is level_from_sensor, velocity
+    (3,) and yaw rate the sensor's in level axes; height of the start and azimuth offset (R,) are the rings'.
+    """
+    count = points.shape[0]
+    start, direction = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    length, azimuth = np.empty(count, np.float32), np.empty(count, np.float32)
+    for n in range(count):
+        # Where the sensor was when the beam was fired, and the beam's start on its axis.
+        t = seconds[n]
+        c, s = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
+        h = rise[max(ring[n], 0)]
+        ox, oy, oz = turn[0, 2] * h, turn[1, 2] * h, turn[2, 2] * h
+        ox, oy = c * ox - s * oy + velocity[0] * t, s * ox + c * oy + velocity[1] * t
+        oz += velocity[2] * t
+        # From there to the return, in level axes.
+        p = points[n]
+        dx = turn[0, 0] * p[0] + turn[0, 1] * p[1] + turn[0, 2] * p[2] - ox
+        dy = turn[1, 0] * p[0] + turn[1, 1] * p[1] + turn[1, 2] * p[2] - oy
+        dz = turn[2, 0] * p[0] + turn[2, 1] * p[1] + turn[2, 2] * p[2] - oz
+        far = max(np.sqrt(dx * dx + dy * dy + dz * dz), np.float32(1e-3))
+        start[n, 0], start[n, 1], start[n, 2] = ox, oy, oz
+        direction[n, 0], direction[n, 1], direction[n, 2], length[n] = dx / far, dy / far, dz / far, far
+        # The same seen from the turned sensor: the firing azimuth.
+        bx, by = c * dx + s * dy, c * dy - s * dx
+        x = turn[0, 0] * bx + turn[1, 0] * by + turn[2, 0] * dz
+        y = turn[0, 1] * bx + turn[1, 1] * by + turn[2, 1] * dz
+        azimuth[n] = atan2(np.float32(y), np.float32(x)) - offset[max(ring[n], 0)]
+    return start, direction, length, azimuth
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
+    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
+
+    Returns how many points found none.
+    """
+    spare, spares, lost = np.empty(ring.shape[0], np.int64), 0, 0
+    for n in range(ring.shape[0]):
+        if ring[n] < 0:
+            continue
+        other = pixels[column[n], ring[n]]
+        nearer = other < 0 or length[n] < length[other]
+        if other >= 0:
+            spare[spares] = other if nearer else n
+            spares += 1
+        if nearer:
+            pixels[column[n], ring[n]] = n
+    for k in range(spares):
+        lost += not _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
+    return lost
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
+    for step in range(1, JITTER_COLUMNS + 1):
+        for side in (-1, 1):
+            c = (column + side * step) % pixels.shape[0]
+            if pixels[c, ring] < 0:
+                pixels[c, ring] = n
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mean_times(column: Any, seconds: Any, columns: Any) -> Any:  # pragma: no cover - compiled
+    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
+    total, count = np.zeros(columns, np.float64), np.zeros(columns, np.int64)
+    for n in range(column.shape[0]):
+        total[column[n]] += seconds[n]
+        count[column[n]] += 1
+    out = np.zeros(columns, np.float32)
+    for step in range(2 * columns):
+        c = step % columns
+        if count[c] > 0:
+            out[c] = total[c] / count[c]
+        else:
+            out[c] = out[c - 1]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_image(
+    pixels: Any,
+    start: Any,
+    direction: Any,
+    length: Any,
+    first: Any,
+    step: Any,
+    seconds: Any,
+    elevation: Any,
+    rise: Any,
+    offset: Any,
+    turn: Any,
+    velocity: Any,
+    yaw_rate: Any,
+    origins: Any,
+    directions: Any,
+    depth: Any,
+) -> None:  # pragma: no cover - compiled
+    """Fill starts, directions (C, R, 3) and depths (C, R) from the returns and, where there is none, the pattern.
+
+    ``pixels`` (C, R) are rows of the returns, whose starts, directions and lengths (N,) come from
+    :func:`beams_of_returns`. The pattern: azimuth of column 0, step, time of each column (C,), and elevation, height of
+    the start and azimuth offset of each ring (R,), turned and moved as there. A missing beam has depth 0.
+    """
+    for c in range(pixels.shape[0]):
+        t = seconds[c]
+        cos, sin = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
+        for r in range(pixels.shape[1]):
+            n = pixels[c, r]
+            if n >= 0:
+                for axis in range(3):
+                    origins[c, r, axis], directions[c, r, axis] = start[n, axis], direction[n, axis]
+                depth[c, r] = length[n]
+                continue
+            # A missing beam: as the pattern has it, turned to level axes, then by the motion.
+            azimuth = first + c * step + offset[r]
+            flat, z = np.cos(elevation[r]), np.sin(elevation[r])
+            x, y, h = flat * np.cos(azimuth), flat * np.sin(azimuth), rise[r]
+            dx = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z
+            dy = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z
+            dz = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z
+            ox, oy = turn[0, 2] * h, turn[1, 2] * h
+            directions[c, r, 0], directions[c, r, 1], directions[c, r, 2] = cos * dx - sin * dy, sin * dx + cos * dy, dz
+            origins[c, r, 0] = cos * ox - sin * oy + velocity[0] * t
+            origins[c, r, 1] = sin * ox + cos * oy + velocity[1] * t
+            origins[c, r, 2] = turn[2, 2] * h + velocity[2] * t
+            depth[c, r] = np.float32(0.0)
