@@ -105,8 +105,8 @@ def viewpoint(snapshot: Snapshot, eye: NDArray[np.float64], yaw: float, ways_m: 
 
     If nothing is clear, the eye itself.
     """
-    for way in ways_m:
-        step = Rigid.from_yaw(yaw).rotation @ way
+    for offset in ways_m:
+        step = Rigid.from_yaw(yaw).rotation @ offset
         length = float(np.linalg.norm(step))
         if _clear_m(snapshot, eye, step / length) > length + 1.0:
             return Rigid.from_yaw(yaw, eye + step)

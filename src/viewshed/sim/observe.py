@@ -82,8 +82,8 @@ def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion
     """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
     if period_s == 0.0 or agent.carrier is None:
         return Motion(period_s=period_s)
-    turns, places = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s + period_s / 2]))
-    vx, vy, vz = (float(value) for value in (places[1] - places[0]) / period_s)
+    turns, positions = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s + period_s / 2]))
+    vx, vy, vz = (float(value) for value in (positions[1] - positions[0]) / period_s)
     turned = turns[1] @ turns[0].T
     yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
     return Motion((vx, vy, vz), yaw / period_s, period_s)

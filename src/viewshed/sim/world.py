@@ -85,7 +85,7 @@ class Thing:
     tilts: bool = False
     z_m: float | None = None
 
-    def place(self, t_s: float) -> tuple[float, float, float]:
+    def pose_at(self, t_s: float) -> tuple[float, float, float]:
         """Return x and y in meters and yaw in radians at ``t_s``."""
         return (self.x_m, self.y_m, self.yaw) if self.track is None else self.track.at(t_s)
 
@@ -192,20 +192,20 @@ class World:
         mount, carrier = agent.mount, agent.carrier
         if carrier is None:
             return np.tile(mount.rotation, (len(t_s), 1, 1)), np.tile(mount.translation, (len(t_s), 1))
-        turns, places = (part[:, 0] for part in self._poses(t_s, np.array([carrier])))
-        origins = [turn @ mount.translation + place for turn, place in zip(turns, places, strict=True)]
+        turns, positions = (part[:, 0] for part in self._poses(t_s, np.array([carrier])))
+        origins = [turn @ mount.translation + position for turn, position in zip(turns, positions, strict=True)]
         return np.stack([turn @ mount.rotation for turn in turns]), np.stack(origins)
 
     def snapshot(self, t_s: float) -> Snapshot:
         """Return all solids at ``t_s``, with their velocities."""
         (center, rotation), (kind, thing, material, half) = self._rest, self._parts[:4]
         velocity = np.zeros((len(kind), 3))
-        things, rows, place = self._moving
+        things, rows, which = self._moving
         if rows.size:
             turn, origin = self._poses(np.array([t_s, t_s - _DT_S, t_s + _DT_S]), things)
             center, rotation = center.copy(), rotation.copy()
-            center[rows], rotation[rows] = self._placed(rows, turn[0, place], origin[0, place])
-            velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[place]
+            center[rows], rotation[rows] = self._placed(rows, turn[0, which], origin[0, which])
+            velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[which]
         return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
 
     @cached_property
@@ -258,15 +258,15 @@ class World:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
         at_rest, z_m, tilts, spans, knots = self._courses
-        places = np.empty((len(t_s), len(which), 3))
-        poses_of_things(t_s, which, at_rest, spans, *knots, places)
-        origin = places.copy()
-        origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(places), z_m[which])
-        rotation = _turns(places[..., 2])
+        positions = np.empty((len(t_s), len(which), 3))
+        poses_of_things(t_s, which, at_rest, spans, *knots, positions)
+        origin = positions.copy()
+        origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(positions), z_m[which])
+        rotation = _turns(positions[..., 2])
         tilting = np.flatnonzero(tilts[which])
         if tilting.size:
-            normals = self.terrain.normals_at(places[:, tilting], _WHEELBASE_M)
-            rotation[:, tilting] = _along(normals, places[:, tilting, 2])
+            normals = self.terrain.normals_at(positions[:, tilting], _WHEELBASE_M)
+            rotation[:, tilting] = _along(normals, positions[:, tilting, 2])
         return rotation, origin
 
 

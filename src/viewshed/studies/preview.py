@@ -136,7 +136,7 @@ def marks(world: World, snapshot: Snapshot, agent: int, pose: tuple[Rigid, float
     world_from_level, t_s = pose
     first = np.unique(snapshot.thing, return_index=True)[1]
     first = first[np.hypot(*snapshot.velocity_mps[first, :2].T) > 0.2]
-    start = np.array([world.things[snapshot.thing[k]].place(t_s)[:2] for k in first]).reshape(-1, 2)
+    start = np.array([world.things[snapshot.thing[k]].pose_at(t_s)[:2] for k in first]).reshape(-1, 2)
     end = start + 2.0 * snapshot.velocity_mps[first, :2]
     others = [world.world_from_sensor(one, t_s).translation[:2] for k, one in enumerate(world.agents) if k != agent]
     arrows = np.hstack([_pixels(place, world_from_level, grid) for place in (start, end)])

@@ -129,7 +129,7 @@ def test_signs_face_against_the_heading_and_lamps_reach_ahead() -> None:
 
 def test_a_group_faces_its_middle() -> None:
     for one in group(np.random.default_rng(6), 10.0, -4.0):
-        x, y, yaw = one.place(0.0)
+        x, y, yaw = one.pose_at(0.0)
         toward = np.array([10.0 - x, -4.0 - y])
         assert 0.5 < np.hypot(*toward) < 0.7
         assert toward @ (np.cos(yaw), np.sin(yaw)) > 0.5

@@ -58,7 +58,7 @@ def extent(thing: Thing, below_m: float = _OVERHEAD_M) -> tuple[float, float, fl
 def footprint(thing: Thing, t_s: float = 0.0, below_m: float = _OVERHEAD_M) -> NDArray[np.float64]:
     """Return the corners (4, 2) in meters of the world, counter-clockwise, of the rectangle around :func:`extent`."""
     rear, front, right, left = extent(thing, below_m)
-    x_m, y_m, yaw = thing.place(t_s)
+    x_m, y_m, yaw = thing.pose_at(t_s)
     corners = np.array([[rear, right], [front, right], [front, left], [rear, left]])
     turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     return np.asarray(corners @ turn + (x_m, y_m))

@@ -117,12 +117,12 @@ def _terrain(rng: np.random.Generator, lot: Lot) -> Terrain:
 
 
 def _masts(rng: np.random.Generator, count: int, lot: Lot) -> list[Mast]:
-    found = []
+    masts_placed = []
     for k in range(count):
         x = (k + 0.5 - count / 2) * 1.6 * lot.half_x_m / count + rng.uniform(-2, 2)
         y = pick(rng, lot.rows_m)
-        found.append(mast(rng, x, y, (rng.uniform(-10, 10), y + pick(rng, (-15, 15)))))
-    return found
+        masts_placed.append(mast(rng, x, y, (rng.uniform(-10, 10), y + pick(rng, (-15, 15)))))
+    return masts_placed
 
 
 def _row(rng: np.random.Generator, lot: Lot, y_m: float, masts: list[Mast]) -> list[Thing]:
