@@ -12,10 +12,10 @@ from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
 from viewshed.sensors import lidar_model
 from viewshed.sim.lidar.measurement import measure
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS, Conditions
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Motion, Scan
+from viewshed.sim.raycast.scan import ExactScan, Motion
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, Snapshot, World
 
@@ -31,8 +31,8 @@ class Observation:
         known: (cells, cells) bool, where that is known.
     """
 
-    scan: Scan
-    image: RangeImage
+    scan: ExactScan
+    image: StoredSweep
     truth: Truth
     known: NDArray[np.bool_]
 

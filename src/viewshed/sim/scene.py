@@ -11,7 +11,7 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import Box, Cylinder
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Thing, World
 from viewshed.sweep import Sweep
@@ -57,7 +57,7 @@ class Scene:
 
 def scan_of(
     model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
-) -> Scan:
+) -> ExactScan:
     """Return what the beams meet; column c fires at azimuth -π + c · ``model.azimuth_step``.
 
     ``attitude`` is ``level_from_sensor`` (w, x, y, z).

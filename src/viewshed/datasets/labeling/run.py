@@ -21,7 +21,7 @@ from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import IndexSource, SweepRef, SweepSource
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 SPLIT = "all"
@@ -211,7 +211,7 @@ class _Reader:
         """Return a sweep with its beam table."""
         return self._dressed(self.source.read(ref))
 
-    def stored(self, ref: SweepRef) -> RangeImage | Sweep:
+    def stored(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return what the archive of labels keeps of a sweep."""
         return self.source.measured(ref) if isinstance(self.source, ArchiveSource) else self.sweep(ref)
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import REFLECTIVITY
 from viewshed.sim.lidar.optics import Optics, optics_of, step_of
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import Conditions
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 
 ROUGHNESS = 0.2
 """Slope of the facets of a surface, radians (Oren & Nayar 1994): why a road is seen at grazing incidence."""
@@ -67,7 +67,7 @@ _GROUND = -1
 
 
 class Surfaces(NamedTuple):
-    """What every beam met, (C, R) each, as in :class:`viewshed.sim.raycast.scan.Scan`."""
+    """What every beam met, (C, R) each, as in :class:`viewshed.sim.raycast.scan.ExactScan`."""
 
     depth: Floats
     cosine: Floats
@@ -120,14 +120,14 @@ class Numbers(NamedTuple):
 
 
 def measure(
-    scan: Scan,
+    scan: ExactScan,
     conditions: Conditions,
     rng: np.random.Generator,
     *,
     sensor_height_m: float | None = None,
     t_ns: int | None = None,
     agent: str = "ego",
-) -> RangeImage:
+) -> StoredSweep:
     """Return what the sensor of ``scan`` stores under ``conditions``: (C, R) whole steps of range, and intensity.
 
     The signal of a beam is that of the LiDAR equation for a surface that fills it,
@@ -157,7 +157,7 @@ def measure(
         steps,
         intensity,
     )
-    return RangeImage(
+    return StoredSweep(
         model=model, steps=steps, intensity=intensity, step_m=step_m, world_from_sensor=scan.world_from_sensor,
         motion=scan.motion, sensor_height_m=sensor_height_m, t_ns=t_ns, agent=agent,
     )  # fmt: skip

@@ -15,13 +15,13 @@ from viewshed.sim.raycast._inputs import BLOCK, DRAWS, Beams, Ground, Nearest, S
 from viewshed.sim.raycast._refine import measure_stops, turn_beams
 from viewshed.sim.raycast._solids import cast_solids
 from viewshed.sim.raycast._terrain import cast_terrain
-from viewshed.sim.raycast.scan import STILL, Motion, Scan
+from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.world import Snapshot
 
 
 def cast_world(
     snapshot: Snapshot, model: LidarModel, world_from_sensor: Rigid, motion: Motion = STILL, seed: int = 0
-) -> Scan:
+) -> ExactScan:
     """Return what every beam of one revolution meets first, within 1e-5 of its depth.
 
     Every solid and every triangle of the ground is tested against those beams that point at its bounding box, in
@@ -57,7 +57,7 @@ def cast_world(
         origin, direction, time_s, solids, ground, _free_paths(), model.max_range_m, nearest,
         depth, thing, material, cosine,
     )  # fmt: skip
-    return Scan(model, world_from_sensor, motion, time_s, origin, direction, depth, thing, material, cosine)
+    return ExactScan(model, world_from_sensor, motion, time_s, origin, direction, depth, thing, material, cosine)
 
 
 def _empty_beams(model: LidarModel) -> Beams:

@@ -13,7 +13,7 @@ from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.sim.assets.shapes import REFLECTIVITY, Shape
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.beam_lines import BeamLines, stops_on_surfaces
 from viewshed.sim.truth.count import BELOW_GROUND_M, MANY, count_targets, ranges_of, states_of_cells
@@ -51,7 +51,7 @@ class _View:
         ground: (cells²,) float32 z at the centers of the cells.
     """
 
-    scan: Scan
+    scan: ExactScan
     grid: BevGrid
     lines: BeamLines
     flags: NDArray[np.uint8]
@@ -59,7 +59,7 @@ class _View:
 
 
 def exact_truth(
-    scan: Scan,
+    scan: ExactScan,
     world: World | Terrain,
     grid: BevGrid,
     targets: tuple[Target, ...] = (CAR, PEDESTRIAN),
@@ -98,13 +98,13 @@ def exact_truth(
     return truth, known
 
 
-def _ground(scan: Scan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
+def _ground(scan: ExactScan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
     """Return the ground (cells, cells) at the centers, from the sensor's height, and where there is terrain."""
     centers = grid.centers
     return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 
 
-def _view(scan: Scan, grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
+def _view(scan: ExactScan, grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
     """Return the scan over the grid; ``vehicle`` is the thing that carries the sensor, or a number of none."""
     max_range_m, yaw = scan.model.max_range_m, scan.world_from_sensor.yaw
     lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, max_range_m, yaw)

@@ -1,4 +1,4 @@
-"""RangeImage: one revolution as the sensor stores it, whole steps of range for each column and ring."""
+"""StoredSweep: one revolution as the sensor stores it, whole steps of range for each column and ring."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from viewshed.sweep import Sweep
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RangeImage:
+class StoredSweep:
     """One measured revolution. C columns in firing order, R rings from the lowest up.
 
     Attributes:
