@@ -257,9 +257,9 @@ class World:
         self, t_s: NDArray[np.float64], which: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
-        at_rest, z_m, tilts, spans, knots = self._courses
+        at_rest, z_m, tilts, spans, (times, knots) = self._courses
         positions = np.empty((len(t_s), len(which), 3))
-        poses_of_things(t_s, which, at_rest, spans, *knots, positions)
+        poses_of_things(t_s, which, at_rest, spans, times, knots, positions)
         origin = positions.copy()
         origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(positions), z_m[which])
         rotation = _turns(positions[..., 2])

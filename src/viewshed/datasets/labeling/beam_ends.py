@@ -144,7 +144,9 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     reach, low_m = np.float32(image.max_range_m), np.float32(OBSTACLE_HEIGHTS_M[0])
     to_ground, thing = np.empty(image.depth_m.shape, np.float32), np.empty(image.depth_m.shape, np.bool_)
     frame = GroundFrame(
-        *(np.float32(number) for number in (patch.ground.half_extent_m, *patch.center_m)),
+        np.float32(patch.ground.half_extent_m),
+        np.float32(patch.center_m[0]),
+        np.float32(patch.center_m[1]),
         np.float32(np.cos(patch.yaw)),
         np.float32(np.sin(patch.yaw)),
     )

@@ -72,7 +72,8 @@ class BeamLines:
         farthest = np.float32(max_range_m)
         lines, azimuth = beam_lines(origin_m, direction, depth_m, np.cos(yaw), np.sin(yaw), farthest)
         rings, (x, y, z) = depth_m.shape[1], np.moveaxis(origin_m, -1, 0)
-        in_order = SortedBeams(*sorted_tiles(lines, azimuth, rings), slope_bounds(lines[SLOPE], azimuth, rings))
+        tiles, starts = sorted_tiles(lines, azimuth, rings)
+        in_order = SortedBeams(tiles, starts, slope_bounds(lines[SLOPE], azimuth, rings))
         return cls(lines, azimuth, in_order, np.float32(np.sqrt((x**2 + y**2).max())), z.min(), z.max(), farthest)
 
 

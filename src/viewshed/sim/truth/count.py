@@ -145,7 +145,7 @@ def count_targets(
     patches = patches_of(grid)
     if mask is not None:
         rows = mask[patches.cells].any(axis=1)
-        patches = Patches(*(part[rows] for part in patches))
+        patches = Patches(patches.lanes[rows], patches.cells[rows], patches.middles[rows])
     counts = np.zeros(ground.size, np.int32)
     count_cells(lines.sorted, patches, ground, plates, limits, counts)
     return (a, b), counts
