@@ -160,13 +160,13 @@ def _run(sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers
     if output.file is not None:
         _to_file(sweeps, plan, output)
     else:
-        typer.echo(_summary(_to_archive(sweeps, plan, output, (engine, workers), failed), sweeps.count))
+        typer.echo(_summary(_to_archive(sweeps, plan, output, engine, workers, failed), sweeps.count))
     if failed:
         raise typer.Exit(2)
 
 
 def _to_archive(
-    sweeps: Sweeps, plan: TamperPlan, output: _Output, runs_on: tuple[str, int | None], failed: list[str]
+    sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None, failed: list[str]
 ) -> Archive:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -177,7 +177,7 @@ def _to_archive(
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
                TimeRemainingColumn())  # fmt: skip
-    runner = engine_named(*runs_on)
+    runner = engine_named(engine, workers)
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(plan.name, total=sweeps.count)
 
