@@ -477,7 +477,7 @@ def tamper(
         store: where the archive goes.
         engine: makes the shards.
         seed: of all that is random.
-        on_progress: is told of each shard that is there, and of the sweeps that had to be left out.
+        on_progress: is called with each shard that is done, and of the sweeps that had to be left out.
 
     Raises:
         ValueError: the place holds something else, or the seed is negative.
@@ -501,7 +501,7 @@ def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Swe
         OSError: the sweep cannot be read.
     """
     job = TamperJob(Storage.of("."), sweeps.parts[0], plan, seed)
-    frame = _tampered_frame(job, 0, _Earlier(job.part))
+    frame = _tampered_frame(job, 0, _EarlierSweeps(job.part))
     about = {"command": plan.command, "name": plan.name, "seed": seed, "config": plan.config()}
     touched = frame.touched
     if touched is not None:
@@ -527,7 +527,7 @@ def tamper_shard(job: TamperJob) -> ShardResult:
 
 
 def _tampered_frames(job: TamperJob, problems: list[tuple[int, str]]) -> Iterator[Frame]:
-    earlier = _Earlier(job.part)
+    earlier = _EarlierSweeps(job.part)
     for index in range(job.part.first, job.part.last):
         try:
             yield _tampered_frame(job, index, earlier)
@@ -535,7 +535,7 @@ def _tampered_frames(job: TamperJob, problems: list[tuple[int, str]]) -> Iterato
             problems.append((index, " ".join(str(error).split())))
 
 
-def _tampered_frame(job: TamperJob, index: int, earlier: _Earlier) -> Frame:
+def _tampered_frame(job: TamperJob, index: int, earlier: _EarlierSweeps) -> Frame:
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([job.seed, job.part.number, index])))
     frame = job.part.frames.frame(index)
     sweep = frame.sweep
@@ -544,7 +544,7 @@ def _tampered_frame(job: TamperJob, index: int, earlier: _Earlier) -> Frame:
     return replace(frame, touched=touched, clean=None) if done is sweep else frame.attacked(done, touched)
 
 
-class _Earlier:
+class _EarlierSweeps:
     """The first sweep of each agent of a scene and the last before a frame; remembers what has passed."""
 
     def __init__(self, part: Part) -> None:
@@ -558,16 +558,16 @@ class _Earlier:
     def of(self, sweep: Sweep, index: int) -> tuple[Sweep, ...]:
         agent = sweep.agent
         if agent not in self._last:
-            before = self._found(agent, range(self._part.first - 1, -1, -1))
+            before = self._first_of(agent, range(self._part.first - 1, -1, -1))
             if before is None:
                 self._first[agent] = sweep
                 return ()
             self._last[agent] = before
         if agent not in self._first:
-            self._first[agent] = self._found(agent, range(index)) or self._last[agent]
+            self._first[agent] = self._first_of(agent, range(index)) or self._last[agent]
         return self._first[agent], self._last[agent]
 
-    def _found(self, agent: str, indices: Iterable[int]) -> Sweep | None:
+    def _first_of(self, agent: str, indices: Iterable[int]) -> Sweep | None:
         """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
         for index in indices:
             try:

@@ -41,7 +41,7 @@ SURE_GAP_M = 0.6
 """Over a gap of at most this it surely does; a wider one may be a window that beams pass."""
 
 ISOLATED_M = 35.0
-"""Isolated returns farther away are kept: there the beams lie too far apart to tell."""
+"""Isolated returns farther away are kept: there the beams lie too far apart to judge."""
 
 ISOLATED_SHARE = 0.06
 """Returns in the air up to 35 m that no others share are drops or flakes if they are so many, and count as missing."""
@@ -72,7 +72,7 @@ class GroundFrame(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the beams of a revolution, C columns and R rings, and their surroundings tell.
+    """What the beams of a revolution, C columns and R rings, and their surroundings say.
 
     Attributes:
         depth: (C, R) float32 meters to the return, 0 where there is none.

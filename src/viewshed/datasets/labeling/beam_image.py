@@ -22,7 +22,7 @@ JITTER_COLUMNS = 4
 """A point may lie this many columns from the firing that it belongs to."""
 
 MAX_GAP_S = 1.5
-"""Poses farther apart than this tell nothing about the motion in between."""
+"""Poses farther apart than this say nothing about the motion in between."""
 
 MAX_SPEED_MPS = 70.0
 """Poses that could only be reached faster do not belong together."""
@@ -34,7 +34,7 @@ _SHORT_S = 0.15
 """Times are uncertain by so much when speeds are judged."""
 
 _SAMPLED = 4000
-"""Returns from which the number of columns is told."""
+"""Returns from which the number of columns is estimated."""
 
 _NEAR_COLUMNS = 2
 """Numbers of columns that are tried, so far from the likely ones."""
@@ -84,7 +84,7 @@ AT_REST = Drift(np.zeros(3), 0.0)
 
 
 def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
-    """Return the motion at ``now`` by differences of the poses next to it; at rest where they do not tell.
+    """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known.
 
     >>> pose = Rigid.from_yaw(np.pi / 2)
     >>> later = Moment(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
@@ -142,7 +142,7 @@ class BeamImage:
         depth_m: (C, R) float32 meters from start to return, 0 where there was none.
         pixels: (C, R) int32 row of the return in the sweep, -1 where there was none.
         max_range_m: how far the sensor sees.
-        model: the sensor's beams, or None where they had to be told from the returns.
+        model: the sensor's beams, or None where they were estimated from the returns.
     """
 
     origin_m: Floats
@@ -199,7 +199,7 @@ def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[F
 
 
 def _seconds(sweep: Sweep) -> Floats:
-    """Return the time (N,) of each return from the middle of the revolution; 0 where they are not told."""
+    """Return the time (N,) of each return from the middle of the revolution; 0 where they are not known."""
     if sweep.time_s is None or not len(sweep):
         return np.zeros(len(sweep), np.float32)
     middle = (float(sweep.time_s.min()) + float(sweep.time_s.max())) / 2
@@ -207,7 +207,7 @@ def _seconds(sweep: Sweep) -> Floats:
 
 
 def _undo_motion(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: Floats) -> Sweep:
-    """Return the sweep with each point as the sensor saw it when it fired: rings are told from directions."""
+    """Return the sweep with each point as the sensor saw it when it fired: rings are recovered from directions."""
     if not (drift.yaw_rate or drift.velocity_mps.any()):
         return sweep
     x, y, z = (sweep.points @ level_from_sensor.T - np.outer(seconds, drift.velocity_mps)).T
@@ -229,7 +229,7 @@ def _best_column_count(azimuth: Floats, likely: set[int]) -> int:
 def _columns(azimuth: Floats, columns: int) -> tuple[NDArray[np.int64], float]:
     """Return the column (N,) of firing azimuths, and where in a column firings lie, in [0, 1).
 
-    The circular mean of the remainders tells the sensor's phase.
+    The circular mean of the remainders is the sensor's phase.
     """
     position = (azimuth.astype(np.float64) / (2 * np.pi) + 0.5) * columns
     turn = np.exp(2j * np.pi * position).sum() if len(position) else -1.0

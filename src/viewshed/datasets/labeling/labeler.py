@@ -1,6 +1,6 @@
-"""The label of one sweep: what it could have seen, told afterwards from the sweep and those around it in time.
+"""The label of one sweep: what it could have seen, from the sweep and those around it in time.
 
-The sweeps of one sensor in time order, and what those around each of them tell about the ground.
+The sweeps of one sensor in time order, and what those around each of them say about the ground.
 
 The definitions themselves are counted, in whole beams, with the loops of the exact truth.
 """
@@ -277,7 +277,7 @@ class Track(Generic[R]):
         for index in range(max(first - ahead, 0), min(last + ahead, len(refs))):
             try:
                 sweep = sweep_of(refs[index])
-            except (ValueError, OSError):  # told when it is labeled
+            except (ValueError, OSError):  # reported when it is labeled
                 continue
             moment = Moment(sweep.world_from_sensor, sweep.t_ns)
             moments[index] = moment

@@ -92,7 +92,7 @@ def label(
 ) -> Archive:
     """Return the archive of a recording's sweeps with their labels, made into ``store``.
 
-    The same bytes for any engine. Sweeps that cannot be read are left out and told to ``on_progress``; labels of an
+    The same bytes for any engine. Sweeps that cannot be read are left out and reported to ``on_progress``; labels of an
     earlier run that was stopped are kept.
 
     Args:
@@ -100,7 +100,7 @@ def label(
         rules: how it is labeled.
         store: where the archive goes.
         engine: makes the shards.
-        on_progress: is told of each shard that is there, and of what could not be read.
+        on_progress: is called with each shard that is done, and of what could not be read.
 
     Raises:
         ValueError: the recording has no sweeps, or the place holds something else.
@@ -145,7 +145,7 @@ def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob
 
 
 def label_shard(job: LabelJob) -> ShardResult:
-    """Return what became of the shard of ``job``, which is written with a file beside it that tells its checksum.
+    """Return what became of the shard of ``job``, which is written with a file beside it that holds its checksum.
 
     Raises:
         OSError: a file cannot be written.
@@ -161,7 +161,7 @@ def label_shard(job: LabelJob) -> ShardResult:
 
 
 def labeled_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
-    """Yield the labeled frames of a job; what cannot be read is told in one line of ``problems``."""
+    """Yield the labeled frames of a job; what cannot be read is one line of ``problems``."""
     source = opened(job.origin)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
     wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
@@ -205,25 +205,25 @@ class _Reader:
     source: SweepSource
     origin: Origin
     _model: LidarModel | None = None
-    _asked: bool = False
+    _identified: bool = False
 
     def sweep(self, ref: SweepRef) -> Sweep:
         """Return a sweep with its beam table."""
-        return self._dressed(self.source.read(ref))
+        return self._with_model(self.source.read(ref))
 
     def stored(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return what the archive of labels keeps of a sweep."""
         return self.source.measured(ref) if isinstance(self.source, ArchiveSource) else self.sweep(ref)
 
-    def _dressed(self, sweep: Sweep) -> Sweep:
+    def _with_model(self, sweep: Sweep) -> Sweep:
         if sweep.model is not None:
             return sweep
-        if not self._asked:
-            self._model, self._asked = self._found(sweep), True
+        if not self._identified:
+            self._model, self._identified = self._identify(sweep), True
         fits = self._model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < self._model.rings)
         return sweep.replace(model=self._model) if fits else sweep
 
-    def _found(self, sweep: Sweep) -> LidarModel | None:
+    def _identify(self, sweep: Sweep) -> LidarModel | None:
         if self.origin.sensor == "auto":
             return infer_sensor(sweep.points, sweep.ring)[0]
         return None if self.origin.sensor == "none" else lidar_model(self.origin.sensor)

@@ -21,7 +21,7 @@ LANES = 32
 """Cells of a bin are seen by so many at a time."""
 
 FARTHEST, BLOCKER, SIGHT, BETWEEN = 1, 2, 4, 8
-"""What is told of a cell, as flags: the definitions that see it, and that a line passes over it."""
+"""What is known of a cell, as flags: the definitions that see it, and that a line passes over it."""
 
 _PI = np.float32(np.pi)
 

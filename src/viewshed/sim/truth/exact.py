@@ -70,7 +70,7 @@ def exact_truth(
     For a cell whose center lies at horizontal range r from the sensor, the target is an upright plate of its width and
     height through the center, across the line of sight, on the ground there. A beam *aims* at it if it crosses it, and
     *reaches* it if it stops no more than a cell's side before it, measured along the line of sight. ``docs/truth.md``
-    tells the states and the other definitions.
+    defines the states and the other definitions.
 
     Args:
         scan: what every beam met.

@@ -1,4 +1,4 @@
-"""Projected gradient on the ranges of an attacker's beams, through whatever tells a value and its gradient."""
+"""Projected gradient on the ranges of an attacker's beams, through any function that gives a value and its gradient."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class BeamLattice:
 
 @lru_cache(maxsize=2)
 def lattice_of(sweep: Sweep) -> BeamLattice | None:
-    """Return the beams of ``sweep``, or None where they cannot be told: no rings, not even by the order of the points.
+    """Return the beams of ``sweep``, or None where they are not known: no rings, not even by the order of the points.
 
     Exact where the returns lie on the beams of the sweep's model within 2 mm; else columns are those of the returns
     themselves and empty beams point where the median of their ring does.
@@ -225,7 +225,7 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
     """Return the beams of ``sweep`` that returned in the wedge and, with ``empty``, those there that did not.
 
     Raises:
-        ValueError: ``empty`` beams are asked for and the sweep's beams cannot be told.
+        ValueError: ``empty`` beams are needed and the sweep's beams are not known.
     """
     lattice = lattice_of(sweep)
     if empty and lattice is None and len(sweep):

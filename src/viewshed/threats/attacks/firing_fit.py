@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 ON_BEAM_M = 0.002
-"""Three quarters of the returns must lie this near to the table's beams, or the table does not tell where they are."""
+"""Three quarters of the returns must lie this near to the table's beams, or the table does not say where they are."""
 
 _SAMPLED = 1500
 """Returns that the fit looks at; a revolution has some ten thousand."""
@@ -128,7 +128,7 @@ def _fit_step(
 
 
 def _column_time_s(sweep: Sweep, columns: int) -> float | None:
-    """Return the time between two columns, or None where the times do not tell."""
+    """Return the time between two columns, or None where the times do not give it."""
     time_s = np.zeros(0) if sweep.time_s is None else sweep.time_s.astype(np.float64)
     gaps = np.diff(time_s)
     if len(gaps) and gaps.min() < 0:

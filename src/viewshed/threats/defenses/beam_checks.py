@@ -42,7 +42,7 @@ class OneReturnPerBeam:
     """Drops all returns of a beam but the nearest. Needs rings.
 
     Two returns share a beam if they share a ring and their firing azimuths (those of the points where the sweep has
-    none) lie within ``tolerance`` of a firing step. Which one is real cannot be told; the nearest one is kept because a
+    none) lie within ``tolerance`` of a firing step. Which one is real is not known; the nearest one is kept because a
     claim to see through a surface is the dangerous one. Returns nearer than 1 m, and those of no ring, are left alone.
 
     Attributes:

@@ -26,7 +26,7 @@ _ROOM = 96
 """Distances that are collected beside the k smallest before they are thinned out to these."""
 
 _MANY = 48
-"""With more leaves near a leaf than this, they are searched again once its first point has told a better bound."""
+"""With more leaves near a leaf than this, they are searched again once its first point gives a better bound."""
 
 _ROUNDING = 1e-6
 """Share of the limit by which mean distances may exceed it: rounding makes no outlier of a lattice."""
