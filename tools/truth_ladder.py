@@ -31,7 +31,7 @@ from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import motion_of
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, World
 from viewshed.sweep import Sweep
@@ -48,7 +48,7 @@ on this kernel can pass. *Clear* leaves out the cells next to the target's numbe
 class Shot:
     """One revolution and all that is known about it."""
 
-    scan: Scan
+    scan: ExactScan
     world: World
     agent: Agent
     truth: Truth

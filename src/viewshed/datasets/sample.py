@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.truth import Truth
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 
@@ -33,7 +33,7 @@ class Sample:
     known: NDArray[np.bool_]
     scene: str = ""
     split: str = ""
-    image: RangeImage | None = None
+    image: StoredSweep | None = None
 
     def __post_init__(self) -> None:
         known = np.ascontiguousarray(self.known)

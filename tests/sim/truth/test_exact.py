@@ -14,7 +14,7 @@ from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import STILL, Motion, Scan
+from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import BELOW_GROUND_M, exact_truth
 from viewshed.sim.world import Agent, Thing, World
@@ -58,12 +58,12 @@ CASES = {
 }
 
 
-def _scan(name: str) -> Scan:
+def _scan(name: str) -> ExactScan:
     model, pose, motion = CASES[name]
     return cast_world(WORLD.snapshot(0.0), model, pose, motion, seed=5)
 
 
-def _by_hand(scan: Scan, grid: BevGrid, target: Target, slack_m: float) -> tuple[NDArray[Any], NDArray[Any]]:
+def _by_hand(scan: ExactScan, grid: BevGrid, target: Target, slack_m: float) -> tuple[NDArray[Any], NDArray[Any]]:
     """Aimed and reached beams of every cell in double precision, each limit moved outwards by ``slack_m``."""
     pose = scan.world_from_sensor
     place, turn = pose.translation, Rigid.from_yaw(pose.yaw).rotation
@@ -109,7 +109,7 @@ EVEN = LidarModel("even", np.deg2rad(np.arange(-20.0, 1.0)), azimuth_columns=720
 ROAD = BevGrid(120, 30.0)
 
 
-def _look(world: World, grid: BevGrid = ROAD, yaw: float = 0.0) -> Scan:
+def _look(world: World, grid: BevGrid = ROAD, yaw: float = 0.0) -> ExactScan:
     return cast_world(world.snapshot(0.0), EVEN, Rigid.from_yaw(yaw, (0.0, 0.0, 2.0)))
 
 

@@ -30,7 +30,7 @@ from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import level
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -290,9 +290,9 @@ class ArchiveSource:
             OSError: its shard cannot be read.
         """
         measured = self.measured(ref)
-        return measured.sweep() if isinstance(measured, RangeImage) else measured
+        return measured.sweep() if isinstance(measured, StoredSweep) else measured
 
-    def measured(self, ref: SweepRef) -> RangeImage | Sweep:
+    def measured(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return a sweep as it is stored: the range image where there is one; errors as :meth:`read`."""
         return self.archive.frame(self._place(ref))[0].measured
 

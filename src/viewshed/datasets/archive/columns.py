@@ -19,7 +19,7 @@ from viewshed.datasets.archive.schema import Layout, Sensors
 from viewshed.datasets.sample import Sample
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.raycast.scan import Motion
 from viewshed.sweep import Sweep
 
@@ -144,11 +144,11 @@ class Frame:
         ValueError: ``touched`` does not fit the sweep.
     """
 
-    measured: RangeImage | Sweep
+    measured: StoredSweep | Sweep
     truth: Truth
     known: NDArray[np.bool_]
     touched: Touched | None = None
-    clean: RangeImage | None = None
+    clean: StoredSweep | None = None
 
     def __post_init__(self) -> None:
         if self.touched is None:
@@ -250,7 +250,7 @@ def _numbers(pose: Rigid | None) -> NDArray[np.float64] | None:
     return None if pose is None else np.concatenate([pose.rotation.ravel(), pose.translation])
 
 
-def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
+def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
     """Return what is neither array nor truth, as plain values; Python's floats survive JSON exactly."""
     pose = _numbers(measured.world_from_sensor)
     about: dict[str, Any] = {
@@ -260,7 +260,7 @@ def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
         "sensor_height_m": None if measured.sensor_height_m is None else float(measured.sensor_height_m),
         "world_from_sensor": None if pose is None else pose.tolist(),
     }
-    if isinstance(measured, RangeImage):
+    if isinstance(measured, StoredSweep):
         motion = measured.motion
         numbers = [*motion.velocity_mps, motion.yaw_rate, motion.period_s]
         return about | {"step_m": float(measured.step_m), "motion": [float(value) for value in numbers]}
@@ -272,7 +272,7 @@ def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
     }
 
 
-def _pack_image(image: RangeImage) -> tuple[bytes, bytes]:
+def _pack_image(image: StoredSweep) -> tuple[bytes, bytes]:
     return packing.pack_ranges(image.steps), image.intensity.tobytes()
 
 
@@ -283,7 +283,7 @@ def _pack_points(sweep: Sweep) -> bytes:
 
 def _image(
     about: dict[str, Any], ranges: packing.Buffer | None, intensity: packing.Buffer | None, sensors: Sensors
-) -> RangeImage:
+) -> StoredSweep:
     model = sensors.model(about["sensor"])
     if model is None or ranges is None or intensity is None:
         raise ValueError("a frame without points must have a sensor, ranges and intensity")
@@ -292,7 +292,7 @@ def _image(
     pose = _pose(about["world_from_sensor"])
     if pose is None:
         raise ValueError("a range image must have a pose")
-    return RangeImage(
+    return StoredSweep(
         model=model,
         steps=packing.unpack_ranges(ranges, shape),
         intensity=packing.bytes_of(intensity, shape),
