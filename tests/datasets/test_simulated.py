@@ -148,7 +148,7 @@ def test_what_is_damaged_is_made_anew_and_nothing_else(whole: Path, tmp_path: Pa
         victim.unlink()
     else:
         table = json.loads((out / "manifest.json").read_text("utf-8"))
-        (out / "manifest.json").write_text(json.dumps(table | {"shards": [], "complete": False}), "utf-8")
+        (out / "manifest.json").write_text(json.dumps(table | {"shards": [], "frames": 0, "complete": False}), "utf-8")
         (out / "train-0001-000.parquet.json").write_text("{")
     made: list[str] = []
 

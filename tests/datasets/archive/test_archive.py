@@ -182,6 +182,50 @@ def test_a_bad_manifest_is_one_line(archive: Archive, tmp_path: Path, before: st
     assert "\n" not in str(caught.value)
 
 
+def _edited(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Change a manifest as whoever has an editor can: checksums are still those of the files."""
+    path = folder / "manifest.json"
+    table = json.loads(path.read_text("utf-8"))
+    change(table)
+    path.write_text(json.dumps(table), "utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda table: table["shards"][1].update(frames=-1), "frames must be at least 1, got -1"),
+    (lambda table: table["shards"][1].update(frames=0), "frames must be at least 1, got 0"),
+    (lambda table: table["shards"][1].update(bytes=-5), "bytes must be at least 1, got -5"),
+    (lambda table: table["shards"].append(dict(table["shards"][1])), "lists a-00001.parquet twice"),
+    (lambda table: table["shards"].append(table["shards"][1] | {"split": "test"}), "lists a-00001.parquet twice"),
+    (lambda table: table.update(frames=40), "frames must be 39, those of all shards, got 40"),
+])  # fmt: skip
+def test_a_manifest_that_contradicts_itself_is_refused(
+    archive: Archive, tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message.replace("a-0", "shard-0")) as caught:
+        Archive.open(_edited(tmp_path / "a", change))
+    assert "manifest.json is damaged" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda table: table["shards"][1].update(split="test"), "split must be 'test', as in the manifest, got 'train'"),
+    (lambda table: table["shards"][1].update(scene="s9"), "scene must be 's9', as in the manifest, got 's0'"),
+    (lambda table: (table["shards"][1].update(frames=2), table.update(frames=40)), "frames must be 2, as in the man"),
+    (lambda table: table["layout"].update(targets=["car"]), "layout must be .*, as in the manifest, got"),
+])  # fmt: skip
+def test_a_manifest_that_contradicts_a_shard_is_noticed(
+    archive: Archive, tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    opened = Archive.open(_edited(tmp_path / "a", change))
+    problems = {facts.name: problem for facts, problem in opened.verify()}
+    assert message.partition(" must")[0] in str(problems["shard-00001.parquet"])
+    with pytest.raises(ValueError, match=message) as caught:
+        opened[3]
+    assert "shard-00001.parquet is damaged" in str(caught.value)
+    assert str(caught.value) == problems["shard-00001.parquet"]
+
+
 def test_a_shard_of_another_schema_is_refused(make_sample: MakeSample, tmp_path: Path) -> None:
     store = Storage.of(tmp_path)
     write_shard(store, "a.parquet", [make_sample(0)])

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.archive.manifest import MANIFEST, Manifest
+from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.shard import REPAIR, Shard, ShardFacts, damage
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef
@@ -57,7 +58,7 @@ class Archive:
         self.manifest = manifest
         self.shards = tuple(manifest.shards if shards is None else shards)
         self._ends = np.array(list(accumulate(shard.frames for shard in self.shards)), np.int64)
-        self._files = _Files(store)
+        self._files = _Files(store, manifest.layout)
 
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Archive:
@@ -95,7 +96,7 @@ class Archive:
         index %= count
         number = int(np.searchsorted(self._ends, index, side="right"))
         facts = self.shards[number]
-        return self._files.shard(facts.name).frame(index - int(self._ends[number]) + facts.frames), facts
+        return self._files.shard(facts).frame(index - int(self._ends[number]) + facts.frames), facts
 
     def __iter__(self) -> Iterator[Sample]:
         return self.samples()
@@ -113,7 +114,7 @@ class Archive:
         """
         for facts in self.shards:
             try:
-                shard = self._files.shard(facts.name)
+                shard = self._files.shard(facts)
                 for index in range(facts.frames):
                     yield shard.frame(index).sample(facts.scene, facts.split)
             except (ValueError, OSError) as error:
@@ -167,15 +168,19 @@ class Archive:
             yield self.of_scenes(set(scenes) - held), self.of_scenes(held)
 
     def verify(self) -> Iterator[tuple[ShardFacts, str | None]]:
-        """Yield each shard with what is wrong with it in one line, or None: its length and checksum are compared."""
+        """Yield each shard with what is wrong with it in one line, or None.
+
+        Length, checksum and what the shard's own footer says are compared with the manifest. The checksum finds damage,
+        not forgery: whoever can write the shards can write the manifest as well.
+        """
         for facts in self.shards:
-            yield facts, damage_of(self.store, facts)
+            yield facts, damage_of(self.store, facts, self.manifest.layout)
 
     def _with(self, shards: Iterable[ShardFacts]) -> Archive:
         return Archive(self.store, self.manifest, shards)
 
 
-def damage_of(store: Storage, facts: ShardFacts) -> str | None:
+def damage_of(store: Storage, facts: ShardFacts, layout: Layout) -> str | None:
     """Return one line that says why a shard is not the one that was written, or None if it is."""
     try:
         content = store.read(facts.name)
@@ -186,6 +191,11 @@ def damage_of(store: Storage, facts: ShardFacts) -> str | None:
         return f"{where}: it must have {facts.bytes} bytes, got {len(content)}; {REPAIR}"
     if hashlib.sha256(content).hexdigest() != facts.sha256:
         return f"{where}: its checksum is not the manifest's; {REPAIR}"
+    try:
+        shard = Shard(store, facts.name, content)
+        shard.check(facts, layout)
+    except ValueError as error:
+        return str(error)
     return None
 
 
@@ -201,24 +211,25 @@ class _Open:
 class _Files:
     """Opens shards when they are first read, again in each process."""
 
-    def __init__(self, store: Storage) -> None:
-        self._store = store
+    def __init__(self, store: Storage, layout: Layout) -> None:
+        self._store, self._layout = store, layout
         self._open = _Open(os.getpid(), OrderedDict(), {})
 
-    def __getstate__(self) -> Storage:
-        return self._store
+    def __getstate__(self) -> tuple[Storage, Layout]:
+        return self._store, self._layout
 
-    def __setstate__(self, store: Storage) -> None:
-        self.__init__(store)  # type: ignore[misc]
+    def __setstate__(self, state: tuple[Storage, Layout]) -> None:
+        self.__init__(*state)  # type: ignore[misc]
 
-    def shard(self, name: str) -> Shard:
-        """Return an open shard."""
+    def shard(self, facts: ShardFacts) -> Shard:
+        """Return an open shard that is the one of the manifest."""
         if self._open.process != os.getpid():
             self._open = _Open(os.getpid(), OrderedDict(), self._open.footers)
-        files, footers = self._open.files, self._open.footers
+        name, files, footers = facts.name, self._open.files, self._open.footers
         if name not in files:
-            files[name] = Shard(self._store, name, footers.get(name))
-            footers[name] = files[name].metadata
+            shard = Shard(self._store, name, metadata=footers.get(name))
+            shard.check(facts, self._layout)
+            files[name], footers[name] = shard, shard.metadata
             if len(files) > OPEN_SHARDS:
                 files.popitem(last=False)[1].close()
         files.move_to_end(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -108,6 +109,12 @@ class Manifest:
     @classmethod
     def _of(cls, table: dict[str, Any]) -> Manifest:
         shards = tuple(ShardFacts.from_json(shard) for shard in table["shards"])
+        twice = [name for name, count in Counter(shard.name for shard in shards).items() if count > 1]
+        if twice:
+            raise ValueError(f"it lists {twice[0]} twice")
+        total = sum(shard.frames for shard in shards)
+        if table["frames"] != total:
+            raise ValueError(f"frames must be {total}, those of all shards, got {table['frames']}")
         recipe, code = table["recipe"], table["code"]
         if table["kind"] != _KIND or not isinstance(recipe, dict) or not isinstance(code, dict):
             raise ValueError("it must have kind, recipe, code, layout and shards")

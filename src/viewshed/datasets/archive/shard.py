@@ -56,11 +56,14 @@ class ShardFacts:
         """Return the facts in plain values.
 
         Raises:
-            ValueError: there are other keys or types.
+            ValueError: there are other keys or types, or a count below 1.
         """
         types = {"name": str, "scene": str, "split": str, "frames": int, "bytes": int, "sha256": str}
         if not isinstance(table, dict) or {key: type(value) for key, value in table.items()} != types:
             raise ValueError(f"a shard must have {', '.join(types)}, got {str(table)[:100]}")
+        for key in ("frames", "bytes"):
+            if table[key] < 1:
+                raise ValueError(f"{key} must be at least 1, got {table[key]}")
         return cls(**table)
 
     def to_json(self) -> dict[str, Any]:
@@ -214,6 +217,7 @@ class Shard:
     Args:
         store: the archive's place.
         name: of the file.
+        content: of the file, if it was read before; None reads what is needed from the store.
         metadata: of this file, if it was read before; opening is faster with it.
 
     Raises:
@@ -221,11 +225,14 @@ class Shard:
         OSError: it cannot be read.
     """
 
-    def __init__(self, store: Storage, name: str, metadata: pq.FileMetaData | None = None) -> None:
+    def __init__(
+        self, store: Storage, name: str, content: bytes | None = None, metadata: pq.FileMetaData | None = None
+    ) -> None:
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         self.name = f"{store.place}/{name}"
-        file = store.open(name)
+        file = store.open(name) if content is None else pa.BufferReader(content)
         with damage(self.name):
             self._file = pq.ParquetFile(file, metadata=metadata, page_checksum_verification=True)
             table = _footer_table(self._file.metadata)
@@ -240,6 +247,22 @@ class Shard:
 
     def __len__(self) -> int:
         return int(self._file.metadata.num_row_groups)
+
+    def check(self, facts: ShardFacts, layout: Layout) -> None:
+        """Compare what a manifest says with the shard's own footer: a manifest is a text that anybody can edit.
+
+        Raises:
+            ValueError: they differ.
+        """
+        rows = self._file.metadata.num_rows
+        own = {"scene": self.footer.scene, "split": self.footer.split, "frames": len(self), "layout": self.footer.layout}
+        listed = {"scene": facts.scene, "split": facts.split, "frames": facts.frames, "layout": layout}
+        with damage(self.name):
+            for key, value in listed.items():
+                if own[key] != value:
+                    raise ValueError(f"{key} must be {value!r}, as in the manifest, got {own[key]!r}")
+            if rows != len(self):
+                raise ValueError(f"a row group must hold one frame, got {rows} rows in {len(self)}")
 
     def frame(self, index: int) -> Frame:
         """Return the frame with this number.
