@@ -36,7 +36,7 @@ class Delaunay:
         name: goes into the estimate's ``method``.
 
     >>> corners = np.array([[3.0, -2.0, -1.7], [3.0, 2.0, -1.7], [6.0, 0.0, -1.7], [-9.0, 0.0, -1.7]])
-    >>> estimate = PolygonFit(BevGrid(32, 16.0)).estimate(Sweep(corners, sensor_height_m=1.7))
+    >>> estimate = Delaunay(BevGrid(32, 16.0)).estimate(Sweep(corners, sensor_height_m=1.7))
     >>> estimate.at(np.array([[4.5, 0.5], [-4.5, 0.5]])).tolist()
     [1.0, 0.0]
     """
