@@ -175,7 +175,7 @@ def test_a_full_disk_is_one_line_and_finished_shards_stay(
 
     out = tmp_path / "b"
     with monkeypatch.context() as patch:
-        patch.setattr("viewshed.datasets.archive.storage.write_bytes", write)
+        patch.setattr("viewshed.datasets.archive.storage.write_atomic", write)
         with pytest.raises(OSError, match=r"train-0002-000\.parquet: the disk is full; .*finished") as caught:
             simulation.simulate(_small(), Storage.of(out), LocalEngine(1))
     assert "\n" not in str(caught.value)
