@@ -16,6 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from viewshed.networks.card import INT8, NetworkCard
 from viewshed.networks.features import Bytes
+from viewshed.networks.inspection import inspect_network
 from viewshed.networks.runtime import values_of
 from viewshed.networks.weights import CARD_KEY, verify_checksum, with_checksum
 
@@ -177,8 +178,8 @@ def quantized(content: bytes, name: str, frames: Iterable[Bytes], told: Mapping[
         ValueError: the file is damaged, or a network in bytes already; or there is no frame.
     """
     verify_checksum(content, name)
+    card = inspect_network(content, name)
     model = onnx.load_from_string(content)
-    card = NetworkCard.from_json({each.key: each.value for each in model.metadata_props}[CARD_KEY])
     if card.precision == INT8:
         raise ValueError(f"{name} must be a network in float32, got one in bytes; give the file that it was made of")
     card = replace(card, trained={**card.trained, **(told or {}), "precision": INT8})

@@ -15,8 +15,9 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
-from viewshed.networks.card import INT8, NetworkCard, require_doubt
-from viewshed.networks.weights import CARD_KEY, shipped_content, shipped_names, verify_checksum
+from viewshed.networks.card import INT8, require_doubt
+from viewshed.networks.inspection import inspect_network
+from viewshed.networks.weights import shipped_content, shipped_names, verify_checksum
 
 _CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
 
@@ -124,17 +125,20 @@ class OnnxRunner:
     """Runs a network that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
 
     Args:
-        path: the file; its checksum is checked.
+        path: the file; its checksum is compared, and what it would run is bounded by its card
+            (:mod:`viewshed.networks.inspection`) before anything runs. The checksum finds damage, not forgery: take
+            networks from people whom you trust to say the truth.
         threads: threads of one run; None leaves it to the engine (one for each core).
         engine: one of ``ENGINES``.
         precision: one of ``PRECISIONS``.
 
     Raises:
-        ValueError: the file is damaged, another, or of another version; or the engine cannot do what is asked.
+        ValueError: the file is damaged, another, of another version, or asks for more than a network of ours; or the
+            engine cannot do what is asked.
         OSError: it cannot be read.
         ImportError: the engine is not installed.
 
-    With ``cuda`` a run may also raise an OSError: the graphics card failed.
+    A run raises a ValueError if the network fails, with ``cuda`` an OSError if the graphics card does.
     """
 
     _alone: OnnxRunner | None
@@ -159,15 +163,12 @@ class OnnxRunner:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.engine, self.precision = _resolved(engine, precision), precision
-        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda: reads the card, proves it sound
+        self.card = inspect_network(content, name)
+        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda as well: proves the file sound
         try:
-            card, self._call = start(content, threads, precision)
+            self._call = _named(start(content, threads, precision), name)
         except RuntimeError as error:
             raise ValueError(f"{name} must be a network in ONNX, got another file ({_first(error)})") from error
-        try:
-            self.card = NetworkCard.from_json(card)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
         if self.card.precision == INT8 and self.engine != IN_BYTES:
             raise ValueError(
                 f"engine must be {IN_BYTES} for {name}, a network in bytes, got {engine}, {_NO_BYTES[engine]}; give the"
@@ -253,20 +254,25 @@ def _resolved(engine: str, precision: str) -> str:
     return engine
 
 
-def _onnxruntime(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+def _named(call: Call, name: str) -> Call:
+    """Give whatever an engine raises while a network runs one line that names its file."""
+
+    def run(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
+        try:
+            return call(inputs, masks, names)
+        except Exception as error:  # engines raise whatever their parts raise
+            raise ValueError(f"{name} cannot be run ({_first(error)}); export it again with viewshed train") from error
+
+    return run
+
+
+def _onnxruntime(content: bytes, threads: int | None, precision: str) -> Call:
+    return values_of(content, threads)
+
+
+def values_of(content: bytes, threads: int | None = None) -> Call:
+    """Return what runs a model for any of its outputs; card and checksum are not asked for."""
     session = _session(content, threads)
-    card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
-
-    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
-        found: list[Floats] = session.run(names, {"inputs": inputs, "masks": masks})
-        return found
-
-    return card, call
-
-
-def values_of(content: bytes) -> Call:
-    """Return what runs a model without card and checksum for any of its outputs, to look into a network."""
-    session = _session(content, None)
     return lambda inputs, masks, names: list(session.run(names, {"inputs": inputs, "masks": masks}))
 
 
@@ -299,7 +305,7 @@ def _cuda(content: bytes) -> Call:
     return lambda inputs, masks, names: run(names, {"inputs": inputs, "masks": masks})
 
 
-def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+def _openvino(content: bytes, threads: int | None, precision: str) -> Call:
     try:
         import openvino
     except ImportError as error:
@@ -310,14 +316,12 @@ def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str,
         settings["INFERENCE_NUM_THREADS"] = threads
     model = core.read_model(content)
     request = core.compile_model(model, "CPU", settings).create_infer_request()
-    place = ["framework", CARD_KEY]
-    card = model.get_rt_info(place).astype(str) if model.has_rt_info(place) else ""
 
     def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
         found = request.infer({"inputs": inputs, "masks": masks})
         return [found[name].copy() for name in names]
 
-    return card, call
+    return call
 
 
 def _first(error: BaseException) -> str:

@@ -183,7 +183,12 @@ def _standing(manifest: Manifest, store: Storage, jobs: Sequence[J]) -> Iterator
     for job in jobs:
         made = told.get(job.name) or _beside(job, names)
         facts = None if made is None else made.facts
-        if made is not None and facts is not None and facts.name == job.name and damage_of(job.store, facts, manifest.layout) is None:
+        if (
+            made is not None
+            and facts is not None
+            and facts.name == job.name
+            and damage_of(job.store, facts, manifest.layout) is None
+        ):
             yield job.name, made
 
 

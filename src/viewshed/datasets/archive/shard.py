@@ -255,7 +255,12 @@ class Shard:
             ValueError: they differ.
         """
         rows = self._file.metadata.num_rows
-        own = {"scene": self.footer.scene, "split": self.footer.split, "frames": len(self), "layout": self.footer.layout}
+        own = {
+            "scene": self.footer.scene,
+            "split": self.footer.split,
+            "frames": len(self),
+            "layout": self.footer.layout,
+        }
         listed = {"scene": facts.scene, "split": facts.split, "frames": facts.frames, "layout": layout}
         with damage(self.name):
             for key, value in listed.items():
