@@ -1,7 +1,7 @@
 """Weights that travel with the package: a manifest of names, files and checksums.
 
 A checksum inside a network's file: its last entry of metadata is the SHA-256 of all bytes before it. It finds damage,
-not forgery: anybody can compute it. What a file may make an engine do is bounded in :mod:`viewshed.networks.inspection`.
+not forgery: anybody can compute it. What a file may make an engine do is bounded by :mod:`~viewshed.networks.inspection`.
 """
 
 from __future__ import annotations
