@@ -79,8 +79,8 @@ def test_frames_do_not_depend_on_those_before(whole: Path) -> None:
     archive = Archive.open(whole)
     world_of.cache_clear()
     frame = simulate_frame(ScenePlan(_small(), 0, 1), 3)
-    stored = archive.split("train").of_scenes([ScenePlan(_small(), 0, 1).name]).frame(3)[0]
-    assert (frame.measured.sweep().points == stored.sweep.points).all()  # type: ignore[union-attr]
+    stored = archive.split("train").of_scenes([ScenePlan(_small(), 0, 1).name])[3]
+    assert (frame.sweep.points == stored.sweep.points).all()
     assert (frame.truth.expected_returns["car"] == stored.truth.expected_returns["car"]).all()
 
 
@@ -242,7 +242,8 @@ def simulation_worlds() -> dict:  # type: ignore[type-arg]
 def test_several_agents_measure_at_the_same_time(tmp_path: Path) -> None:
     preset = replace(preset_named("carla-small").scaled(30), grid_cells=16)
     [job] = [job for job in jobs_of(preset, Storage.of(tmp_path)) if job.scene.split_name == "train"]
-    facts = simulate_shard(replace(job, last=20))
+    facts = simulate_shard(replace(job, last=20)).facts
+    assert facts is not None
     assert (facts.frames, facts.split) == (20, "train")
     scene = job.scene
     frames = [simulate_frame(scene, k) for k in range(12)]

@@ -15,20 +15,17 @@ import numpy as np
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import BuildPlan, ShardResult, make_archive, write_beside
-from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import ShardFacts, write_frames
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset
+from viewshed.datasets.sample import Sample
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import TARGETS
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import Observation, Setting, observe
 from viewshed.sim.world import World
 from viewshed.sim.worlds import WORLDS
-
-FRAMES_PER_SHARD = 48
 
 _GOLDEN = (5**0.5 - 1) / 2
 
@@ -144,20 +141,20 @@ def jobs_of(preset: Preset, store: Storage) -> list[ShardJob]:
     ]
 
 
-def simulate_shard(job: ShardJob) -> ShardFacts:
-    """Return the facts of the shard of ``job``, which is written with a file beside it that tells them.
+def simulate_shard(job: ShardJob) -> ShardResult:
+    """Return what became of the shard of ``job``, which is written with a file beside it.
 
     Raises:
         OSError: a file cannot be written.
     """
-    frames = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
-    return write_beside(job.store, write_frames(job.store, job.name, (job.scene.name, job.scene.split_name), frames))
+    samples = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
+    return build_shard(job.store, job.name, samples)
 
 
-def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
+def simulate_frame(scene: ScenePlan, frame: int) -> Sample:
     """Return one frame of a scene: range image, truth and where it is known."""
     seen = observe_frame(scene, frame)
-    return Frame(seen.image, seen.truth, seen.known)
+    return Sample(seen.image, seen.truth, seen.known, scene.name, scene.split_name)
 
 
 def observe_frame(scene: ScenePlan, frame: int) -> Observation:
@@ -184,7 +181,7 @@ def world_of(scene: ScenePlan) -> World:
 
 
 def simulate(
-    preset: Preset, store: Storage, engine: Engine, progress: Callable[[ShardFacts], None] | None = None
+    preset: Preset, store: Storage, engine: Engine, on_progress: Callable[[ShardResult], None] | None = None
 ) -> Archive:
     """Return the archive of a preset, simulated into ``store``; its bytes do not depend on the engine.
 
@@ -194,15 +191,15 @@ def simulate(
         preset: what is simulated.
         store: where it goes.
         engine: makes the shards.
-        progress: is told of each shard that is there.
+        on_progress: is called with each shard that is finished, also of an earlier run.
 
     Raises:
         ValueError: the place holds something else.
         OSError: a shard could not be made or written; those that are finished stay.
     """
     layout = Layout(preset.grid, tuple(sorted(TARGETS)), tuple(sorted(OTHER_DEFINITIONS)))
-    task = BuildPlan(recipe_of(preset), layout, jobs_of(preset, store), _made)
-    return make_archive(task, store, engine, None if progress is None else lambda made: _tell(progress, made))
+    plan = BuildPlan(recipe_of(preset), layout, jobs_of(preset, store), simulate_shard)
+    return build_archive(plan, store, engine, on_progress)
 
 
 def recipe_of(preset: Preset) -> dict[str, object]:
@@ -210,12 +207,3 @@ def recipe_of(preset: Preset) -> dict[str, object]:
     targets = {name: asdict(target) for name, target in TARGETS.items()}
     about = {"command": "simulate", "preset": preset.name, "seed": preset.seed}
     return about | {"config": preset.to_json(), "targets": targets}
-
-
-def _made(job: ShardJob) -> ShardResult:
-    return ShardResult(simulate_shard(job))
-
-
-def _tell(progress: Callable[[ShardFacts], None], made: ShardResult) -> None:
-    if made.facts is not None:
-        progress(made.facts)

@@ -13,7 +13,7 @@ import numpy as np
 
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.manifest import MANIFEST
+from viewshed.datasets.archive.schema import MANIFEST
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import recipe_of, simulate

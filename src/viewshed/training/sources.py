@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.columns import Frame
-from viewshed.datasets.archive.shard import ShardFacts
+from viewshed.datasets.archive.schema import ShardFacts
 from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
 from viewshed.grid import BevGrid
@@ -105,7 +105,7 @@ def label_shard(job: LabelJob) -> int:
         if shard.name == job.shard.name:
             break
         first += shard.frames
-    sweeps = (job.scene.frame(first + row)[0].sweep for row in range(job.shard.frames))
+    sweeps = (job.scene[first + row].sweep for row in range(job.shard.frames))
     masks = [paper_label(sweep, job.labels.grid, job.labels.indoor) for sweep in sweeps]
     buffer = io.BytesIO()
     np.save(buffer, np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
@@ -129,7 +129,9 @@ _FRESH = 0x7665777368
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CleanSample:
-    """A sweep that nobody attacked, and what there is to see.
+    """A sweep that nobody attacked, and the one mask that a config teaches of it.
+
+    Not a :class:`~viewshed.datasets.sample.Sample`: what is taught may be the paper's label, which is no truth.
 
     Attributes:
         sweep: what the sensor measured.
@@ -191,23 +193,23 @@ class Archived:
             OSError: its shard cannot be read.
         """
         archive, at = self._place(index)
-        frame, shard = archive.frame(at)
+        sample = archive[at]
         if self.labels is None:
-            return _with_truth(frame, self.config)
-        return _with_label(frame.sweep, self.labels.of_frame(shard, _row(archive, at)))
+            return _with_truth(sample, self.config)
+        return _with_label(sample.sweep, self.labels.of_frame(*archive.locate(at)))
 
     def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
         """Return the last sweeps before it of the same sensor and scene, the oldest first."""
         archive, at = self._place(index)
-        frame, shard = archive.frame(at)
-        found: list[Sweep] = []
+        sample = archive[at]
+        sweeps: list[Sweep] = []
         for before in range(at - 1, max(at - _LOOK_BACK, 0) - 1, -1):
-            other, facts = archive.frame(before)
-            if facts.scene != shard.scene or len(found) == count:
+            other = archive[before]
+            if other.scene != sample.scene or len(sweeps) == count:
                 break
-            if other.measured.agent == frame.measured.agent:
-                found.insert(0, other.sweep)
-        return tuple(found)
+            if other.measured.agent == sample.measured.agent:
+                sweeps.insert(0, other.sweep)
+        return tuple(sweeps)
 
     def _place(self, index: int) -> tuple[Archive, int]:
         for archive in self.archives:
@@ -239,17 +241,16 @@ class OnlineSimulation:
 
     def clean(self, epoch: int, index: int) -> CleanSample:
         """Return one frame, simulated now."""
-        frame = simulate_frame(*self._place(epoch, index))
+        sample = simulate_frame(*self._place(epoch, index))
         if self.config.truth == "probe":
-            return _with_truth(frame, self.config)
-        sweep = frame.sweep
-        return _with_label(sweep, paper_label(sweep, self.config.grid, self.config.indoor))
+            return _with_truth(sample, self.config)
+        return _with_label(sample.sweep, paper_label(sample.sweep, self.config.grid, self.config.indoor))
 
     def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
         """Return the sweeps of the same agent just before it, the oldest first; fewer at the start of a scene."""
         scene, number = self._place(epoch, index)
         before = range(number - scene.preset.agents, -1, -scene.preset.agents)[:count]
-        return tuple(simulate_frame(scene, each).sweep for each in reversed(before))
+        return tuple(simulate_frame(scene, earlier).sweep for earlier in reversed(before))
 
     def _place(self, epoch: int, index: int) -> tuple[ScenePlan, int]:
         number, turn = divmod(index, FRESH_PER_SCENE)
@@ -276,17 +277,8 @@ def on_grid(preset: Preset, config: TrainConfig) -> Preset:
     return replace(preset, grid_cells=config.cells, grid_half_extent_m=config.half_extent_m)
 
 
-def _row(archive: Archive, at: int) -> int:
-    """Return the row that a frame has in its shard."""
-    for shard in archive.shards:
-        if at < shard.frames:
-            return at
-        at -= shard.frames
-    raise IndexError(f"index must be below {len(archive)}, the number of frames")
-
-
-def _with_truth(frame: Frame, config: TrainConfig) -> CleanSample:
-    return CleanSample(frame.sweep, frame.truth.visible(config.target), frame.known)
+def _with_truth(sample: Sample, config: TrainConfig) -> CleanSample:
+    return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
 
 
 def _with_label(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
 from viewshed.datasets.presets import preset_named
 from viewshed.estimators import ESTIMATORS
 from viewshed.estimators.first_blocker import FirstBlocker
