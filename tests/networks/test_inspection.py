@@ -19,7 +19,7 @@ from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.inspection import inspect_network
 from viewshed.networks.onnx_export import onnx_model
-from viewshed.networks.quantize import quantized
+from viewshed.networks.quantize import quantize_network
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.networks.weights import WEIGHTS, verify_checksum, with_checksum
 
@@ -35,7 +35,7 @@ def test_what_we_export_passes(shape: UNetShape) -> None:
     content = sealed(onnx_model(card(shape), drawn(shape)))
     assert inspect_network(content, "a.onnx") == card(shape)
     maps = np.random.default_rng(1).integers(0, 9, (2, shape.channels, *GRID.shape)).astype(np.uint8)
-    small = quantized(content, "a.onnx", maps)
+    small = quantize_network(content, "a.onnx", maps)
     assert inspect_network(small, "a.onnx").precision == "int8"
 
 
@@ -163,6 +163,7 @@ def _functions(model: onnx.ModelProto) -> None:
     (_much_work, r"[\d,]+ products, more than"),
     (_other_card(shape=SMALL | {"width": 8}), r"a split of 64 channels into \[8, 16, 8\]"),
     (_other_card(shape=SMALL | {"width": 256}, grid=WIDE), "numbers in one layer"),
+    (_node("Loo\np\x1b[31m", ["inputs"], "other"), r"the operator Loo\?p\?\[31m"),
     (_node("Relu", ["nowhere"], "other"), r"a graph that cannot run \('nowhere'\)"),
 ])  # fmt: skip
 def test_what_we_never_export_is_refused(change: Callable[[onnx.ModelProto], None], message: str) -> None:

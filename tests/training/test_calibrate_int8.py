@@ -31,9 +31,9 @@ def test_a_network_is_quantized_and_compared(fresh: tuple[TrainConfig, Path], tm
     config, network = fresh
     found = quantize(config, network, tmp_path / "bytes.onnx", 3)
     assert 0.2 < found.f1 < 1.0
-    assert found.f1 - found.f1_bytes <= module.MOST_LOSS
-    assert 0.0 < found.away < 0.1
-    assert 0.0 <= found.flipped < 0.1
+    assert found.f1 - found.f1_int8 <= module.MAX_F1_LOSS
+    assert 0.0 < found.mean_difference < 0.1
+    assert 0.0 <= found.flipped_share < 0.1
     card = OnnxRunner(tmp_path / "bytes.onnx", 1).card
     assert card.precision == INT8
     assert card.trained["calibration"] == "3 sweeps of nuscenes-small, 50% attacked"

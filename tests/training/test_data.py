@@ -12,12 +12,12 @@ from viewshed._jobs import Done, LocalEngine
 from viewshed.cli import main
 from viewshed.datasets import write_archive
 from viewshed.training import Fold, TrainConfig
-from viewshed.training.data import Frames, prepare, processes_for
-from viewshed.training.sources import Archived
+from viewshed.training.data import TrainingData, prepare, processes_for
+from viewshed.training.sources import ArchivedSamples
 
 
-def _scenes(frames: Frames) -> tuple[set[str], set[str]]:
-    sources = (cast(Archived, part.source) for part in (frames.train, frames.validation))
+def _scenes(frames: TrainingData) -> tuple[set[str], set[str]]:
+    sources = (cast(ArchivedSamples, part.source) for part in (frames.train, frames.validation))
     train, validation = ({scene for archive in source.archives for scene in archive.scenes} for source in sources)
     return train, validation
 

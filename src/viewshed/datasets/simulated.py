@@ -1,6 +1,6 @@
-"""Simulated frames: everything that is random comes from the seed and the place of the frame in the data set.
+"""Simulated data sets: everything random in a frame follows from the seed and the frame's place in the data set.
 
-A simulated data set from start to end: what is there already is kept, the rest is made by an engine.
+So frames can be simulated in any order, on any machine, and a run that was stopped resumes to the same bytes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SILVER = 2**0.5 - 1
 _BRONZE = (13**0.5 - 3) / 2
 
 
-class _Purpose(IntEnum):
+class _SeedPurpose(IntEnum):
     WORLD = 0
     OBSERVATION = 1
     WORLD_KIND = 2
@@ -80,17 +80,17 @@ class ScenePlan:
     @property
     def world_kind(self) -> str:
         """What kind of place it is."""
-        return self.preset.worlds[self._turn(_Purpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
+        return self.preset.worlds[self._turn(_SeedPurpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
 
     @property
     def conditions(self) -> str:
         """Weather and faults."""
-        return self.preset.conditions[self._turn(_Purpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
+        return self.preset.conditions[self._turn(_SeedPurpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
 
     @property
     def sensor(self) -> int:
         """Which of the preset's sensors the moving agents have."""
-        return self._turn(_Purpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
+        return self._turn(_SeedPurpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
 
     def chunks(self) -> Iterator[tuple[int, int]]:
         """Yield the first frame of each shard and the one after its last: whole times, 48 frames if they fit."""
@@ -162,7 +162,7 @@ def observe_frame(scene: ScenePlan, frame: int) -> Observation:
     preset, world = scene.preset, world_of(scene)
     time, number = divmod(frame, preset.agents)
     setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
-    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_Purpose.OBSERVATION, frame)
+    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_SeedPurpose.OBSERVATION, frame)
     return observe(world, world.agents[number], t_s, setting, seed)
 
 
@@ -173,7 +173,7 @@ def world_of(scene: ScenePlan) -> World:
     Raises:
         ValueError: it does not have the agents of the preset.
     """
-    rng = np.random.Generator(np.random.PCG64(scene.seed(_Purpose.WORLD)))
+    rng = np.random.Generator(np.random.PCG64(scene.seed(_SeedPurpose.WORLD)))
     world = WORLDS[scene.world_kind](rng, scene.preset.plan(scene.sensor, scene.duration_s))
     if len(world.agents) != scene.preset.agents:
         raise ValueError(f"{scene.name} must have {scene.preset.agents} agents, got {len(world.agents)}")

@@ -74,18 +74,25 @@ def inspect_network(content: bytes, name: str) -> NetworkCard:
         graph, metadata = _read_model(content)
     except (ValueError, IndexError, OverflowError) as error:
         if isinstance(error, _RefusedError):
-            raise ValueError(f"{name} must hold only what viewshed exports, got {error}") from error
-        raise ValueError(f"{name} must be a network in ONNX, got another file ({error})") from error
+            raise ValueError(f"{name} must hold only what viewshed exports, got {_printable(error)}") from error
+        raise ValueError(f"{name} must be a network in ONNX, got another file ({_printable(error)})") from error
     try:
         card = NetworkCard.from_json(metadata.get(CARD_KEY, ""))
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
+        raise ValueError(f"{name}: {_printable(error)}") from error
     try:
         _check_graph(graph, card)
     except (ValueError, IndexError, KeyError) as error:
-        said = str(error) if isinstance(error, _RefusedError) else f"a graph that cannot run ({error})"
-        raise ValueError(f"{name} must hold only what viewshed exports, got {said}") from error
+        text = _printable(error)
+        problem = text if isinstance(error, _RefusedError) else f"a graph that cannot run ({text})"
+        raise ValueError(f"{name} must hold only what viewshed exports, got {problem}") from error
     return card
+
+
+def _printable(error: Exception) -> str:
+    """Return the message of an error in one line: names in a file may hold line breaks and control characters."""
+    text = "".join(character if character.isprintable() else "?" for character in str(error))
+    return text if len(text) <= 300 else f"{text[:299]}…"
 
 
 class _RefusedError(ValueError):

@@ -122,7 +122,7 @@ def model_of_text(text: str) -> LidarModel:
     Raises:
         ValueError: the text is not such a line, or the table is not valid.
     """
-    shipped = _shipped().get(text)
+    shipped = _shipped_models().get(text)
     if shipped is not None:
         return shipped
     try:
@@ -133,7 +133,7 @@ def model_of_text(text: str) -> LidarModel:
 
 
 @lru_cache(maxsize=1)
-def _shipped() -> dict[str, LidarModel]:
+def _shipped_models() -> dict[str, LidarModel]:
     return {text_of_model(model): model for model in map(lidar_model, sensor_names())}
 
 
