@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -46,7 +47,7 @@ def test_what_we_ship_passes(path: Path) -> None:
     assert inspect_network(path.read_bytes(), path.name) == NetworkCard.from_json(told["viewshed.card"])
 
 
-def _node(kind: str, inputs: list[str], output: str, **settings: object) -> Callable[[onnx.ModelProto], None]:
+def _node(kind: str, inputs: list[str], output: str, **settings: Any) -> Callable[[onnx.ModelProto], None]:
     def change(model: onnx.ModelProto) -> None:
         model.graph.node.insert(0, helper.make_node(kind, inputs, [output], **settings))
 
@@ -188,7 +189,8 @@ def test_what_fails_while_it_runs_is_one_line() -> None:
 
 @lru_cache(maxsize=1)
 def _model() -> bytes:
-    return onnx_model(card(), drawn()).SerializeToString()
+    content: bytes = onnx_model(card(), drawn()).SerializeToString()
+    return content
 
 
 @settings(max_examples=150, deadline=None)

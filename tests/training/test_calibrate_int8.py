@@ -46,7 +46,7 @@ def test_what_loses_too_much_is_not_written(
     fresh: tuple[TrainConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, network = fresh
-    monkeypatch.setattr(module, "MOST_LOSS", -1.0)
+    monkeypatch.setattr(module, "MAX_F1_LOSS", -1.0)
     with pytest.raises(ValueError, match=r"F1 in bytes must be within -1.0 of float32, got 0\.\d{4} and 0\.\d{4};"):
         quantize(config, network, tmp_path / "bytes.onnx", 1)
     assert not (tmp_path / "bytes.onnx").exists()

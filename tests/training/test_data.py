@@ -78,7 +78,7 @@ def test_tampered_sweeps_have_no_label(config: TrainConfig, archive: Path, tmp_p
 
 def test_an_archive_without_truth_for_the_target_is_refused(config: TrainConfig, tmp_path: Path) -> None:
     samples = list(Archive.open(config.data[0]).split("train"))
-    bare = [replace(one, truth=replace(one.truth, expected_returns={}, state={}), image=None) for one in samples]
+    bare = [replace(sample, truth=replace(sample.truth, expected_returns={}, state={})) for sample in samples]
     write_archive(tmp_path / "bare", bare, {})
     _refused(replace(config, data=(str(tmp_path / "bare"),)), tmp_path, "has no truth for target 'car', it has none")
 

@@ -71,7 +71,7 @@ class ShippedWeights:
         cells: of the grid.
         half_extent_m: of the grid.
         target: what would have to be seen.
-        methods: estimators that take it if no weights are named: ``unet``, ``mcd``, ``viewnet``; perhaps none.
+        methods: estimators that take it if no weights are named: ``unet``, ``mc_dropout``, ``viewnet``; perhaps none.
     """
 
     name: str

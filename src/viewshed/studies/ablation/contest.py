@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 from typing import Any
 
@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.datasets.simulated import simulate_frame
+from viewshed.estimators import Estimator
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.temporal import where_confirmed
-from viewshed.estimators.unet import uses_history
-from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import Scores
@@ -124,7 +125,7 @@ def _simulated(subject: Subject) -> tuple[Sweep, ...]:
 
 
 def estimates(
-    estimators: Mapping[str, FovEstimator],
+    estimators: Mapping[str, Estimator],
     names: tuple[str, ...],
     leveled: LeveledSweep,
     pasts: Mapping[str, History | None],
@@ -132,9 +133,9 @@ def estimates(
     """Yield what those of the estimators that the past helps say with each past, wary or not, each with its name."""
     for name in names:
         estimator = estimators.get(name)
-        if estimator is not None and uses_history(estimator):
+        if estimator is not None and estimator.uses_history:
             for kind, past in pasts.items():
-                found = estimator.estimate_level(leveled, past)
+                found = estimator.estimate(leveled, past)
                 yield f"{name}, {kind}", found
                 if past is not None:
                     yield f"{name}, {WARY}{kind}", where_confirmed(found, past)
@@ -243,7 +244,7 @@ def _sum(one: list[int] | None, other: list[int] | None) -> list[int]:
 
 def score(
     subjects: Mapping[int, Subject],
-    estimators: Mapping[str, FovEstimator],
+    estimators: Mapping[str, Estimator],
     seed: int,
     target: Target = CAR,
     remembering: tuple[str, ...] = (),
@@ -275,7 +276,7 @@ def score(
 
 
 @dataclass(frozen=True, slots=True)
-class Enveloped:
+class Enveloped(ClassicalEstimator):
     """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim.
 
     Attributes:
@@ -283,19 +284,31 @@ class Enveloped:
         bound: the first blocker, not limited by the farthest return.
     """
 
-    inner: FovEstimator
-    bound: FovEstimator
+    inner: Estimator
+    bound: Estimator
+    name: str = "enveloped"
 
     @property
-    def grid(self) -> BevGrid:
+    def grid(self) -> BevGrid:  # type: ignore[override]
         """Grid of both."""
         return self.inner.grid
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    @property
+    def target(self) -> Target:  # type: ignore[override]
+        """What would have to be seen."""
+        return self.inner.target
+
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Return the inner estimate within the bound."""
-        inner, bound = self.inner.estimate(sweep), self.bound.estimate(sweep)
+        inner, bound = self.inner.estimate(leveled), self.bound.estimate(leveled)
         prob = np.where(bound.visible(), inner.visible_prob, np.float32(0.0))
-        return FovEstimate(self.grid, prob, np.where(bound.visible(), inner.state, bound.state), method="enveloped")
+        return replace(
+            inner,
+            visible_prob=prob,
+            state=np.where(bound.visible(), inner.state, bound.state),
+            std=None,
+            method=self.name,
+        )
 
 
 UNTOUCHED = "untouched"
@@ -310,7 +323,7 @@ SECTOR_DEG = 30.0
 _AIM_M = 25.0
 
 
-def attack_on(victim: FovEstimator, questions: int) -> BlackBox:
+def attack_on(victim: Estimator, questions: int) -> BlackBox:
     """Return the attacker who wants a victim to claim what it did not claim before, by free points in one wedge.
 
     The victim's own answers are searched, as its channels count returns and have no gradient: weights and channels are
@@ -322,7 +335,7 @@ def attack_on(victim: FovEstimator, questions: int) -> BlackBox:
 
 def duels(
     subject: Subject,
-    victims: Mapping[str, FovEstimator],
+    victims: Mapping[str, Estimator],
     questions: Mapping[str, Sequence[int]],
     rng_of: tuple[int, int],
     target: Target = CAR,

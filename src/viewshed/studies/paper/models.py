@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from viewshed.fov.estimate import FovEstimator
+from viewshed.estimators import Estimator
 from viewshed.networks.card import Runner
 from viewshed.networks.mc_dropout import mean_and_std
 from viewshed.studies.paper.data import Predict, Said, place_of, score_contestants, test_sweeps
@@ -82,7 +82,7 @@ def classical(setting: Setting) -> dict[str, Predict]:
     return {name: _claims(make(setting.grid)) for name, make in setting.classical().items()}
 
 
-def _claims(estimator: FovEstimator) -> Predict:
+def _claims(estimator: Estimator) -> Predict:
     return lambda sweep: (estimator.estimate(sweep).visible_prob, None)
 
 
