@@ -63,7 +63,7 @@ def make_sample(make_truth: Callable[..., tuple[Truth, np.ndarray]], custom_mode
         made = StoredSweep(
             model, steps, level, 0.002, pose, motion, 1.73, 123_456_789_012_345_678 + seed, f"agent {seed}"
         )
-        return Sample(made.sweep(), truth, known, scene, split, made)
+        return Sample(made, truth, known, scene, split)
 
     return make
 

@@ -11,7 +11,6 @@ import pytest
 from viewshed import GRIDS, Archive, Sweep, write_sweep
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.archive.build import ShardResult
-from viewshed.datasets.archive.columns import Frame, Touched
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
@@ -25,7 +24,8 @@ from viewshed.datasets.tampered import (
     tampered_sweep,
 )
 from viewshed.io import read_sweeps
-from viewshed.threats.attacks import ATTACKS, Wedge
+from viewshed.threats.attacks import ATTACKS
+from viewshed.threats.attacks.base import Tampered
 
 ONE = LocalEngine(1)
 
@@ -48,13 +48,13 @@ def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path:
     ]
     places = {}
     for index, (before, after) in enumerate(zip(clean, Archive.open(tmp_path), strict=True)):
-        touched = made.frame(index)[0].touched
+        touched = made[index].tampered
         assert touched is not None
         assert touched.added.sum() <= 40
         assert before.sweep.points[~touched.removed].tobytes() == after.sweep.points[~touched.added].tobytes()
         assert touched.wedge is not None
         new = after.sweep.points[touched.added]
-        assert Wedge(*touched.wedge).holds(np.arctan2(new[:, 1], new[:, 0])).all()
+        assert touched.wedge.holds(np.arctan2(new[:, 1], new[:, 0])).all()
         assert before.known.tobytes() == after.known.tobytes()
         for target in before.truth.expected_returns:
             assert (before.truth.expected_returns[target] == after.truth.expected_returns[target]).all()
@@ -65,7 +65,7 @@ def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path:
 def test_a_sweep_is_attacked_with_the_seed_of_its_scene_and_number(clean: Archive, tmp_path: Path) -> None:
     made = tamper(sweeps_of_archive(clean), AttackPlan("uniform", 25), Storage.of(tmp_path), ONE, seed=9)
     scene = clean.scenes[1]
-    inside = [index for index in range(len(clean)) if clean.frame(index)[1].scene == scene]
+    inside = [index for index in range(len(clean)) if clean[index].scene == scene]
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([9, 1, 2])))
     wanted = ATTACKS["uniform"](25).apply(clean[inside[2]].sweep, rng)
     assert made[inside[2]].sweep.points.tobytes() == wanted.sweep.points.tobytes()
@@ -142,23 +142,24 @@ def test_an_archive_without_a_record_has_no_column_for_it(clean: Archive, tmp_pa
     ]
     assert columns[0] == columns[1] == [name for name in columns[2] if name != "touched"]
     assert columns[2][-1] == "touched"
-    assert foggy.frame(0)[0].touched is None
+    assert foggy[0].tampered is None
     assert len(foggy[0].sweep) != len(clean.split("test")[0].sweep)
 
 
 def test_an_untouched_frame_stays_a_range_image(clean: Archive, tmp_path: Path) -> None:
     made = tamper(sweeps_of_archive(clean, "test"), AttackPlan("far_wall", 0), Storage.of(tmp_path), ONE)
-    frame, before = made.frame(0)[0], clean.split("test").frame(0)[0]
-    assert frame.sweep.points.tobytes() == before.sweep.points.tobytes()
-    assert frame.touched is not None
-    assert not frame.touched.added.any()
-    assert not frame.touched.removed.any()
+    sample, before = made[0], clean.split("test")[0]
+    assert sample.sweep.points.tobytes() == before.sweep.points.tobytes()
+    assert sample.tampered is not None
+    assert not sample.tampered.added.any()
+    assert not sample.tampered.removed.any()
 
 
 def test_a_record_that_does_not_fit_is_refused(clean: Archive) -> None:
-    frame = clean.frame(0)[0]
-    with pytest.raises(ValueError, match=r"touched must be of \d+ rows, got 2"):
-        Frame(frame.measured, frame.truth, frame.known, Touched(np.zeros(2, np.bool_), np.zeros(2, np.bool_)))
+    sample, none = clean[0], np.zeros(2, np.bool_)
+    tampered = Tampered(sample.sweep.select(np.arange(2)), none, none)
+    with pytest.raises(ValueError, match=r"tampered must have \d+ returns, as measured, got 2"):
+        replace(sample, tampered=tampered)
 
 
 def test_a_place_that_holds_another_attack_is_refused(clean: Archive, tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.presets import preset_named
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import ESTIMATORS
 from viewshed.fov.visibility import CAR, returns_by_kind
@@ -32,7 +32,7 @@ Maps = dict[str, NDArray[np.uint8]]
 
 
 @pytest.fixture(scope="module")
-def frame() -> Frame:
+def frame() -> Sample:
     return simulate_frame(ScenePlan(preset_named("nuscenes-small"), 0, 1), 0)
 
 
@@ -44,7 +44,7 @@ def maps(sweep: Sweep) -> Maps:
     return dict(zip(FEATURES, feature_maps(tuple(FEATURES), shown(level(sweep, GRID))), strict=True))
 
 
-def test_expected_returns_are_the_shadow_maps(frame: Frame) -> None:
+def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
     found = maps(frame.sweep)
     prob = ESTIMATORS["shadow_map"](GRID).estimate(frame.sweep).visible_prob
     threshold = returns_code(np.array([CAR.min_returns], np.float32))[0]
@@ -55,7 +55,7 @@ def test_expected_returns_are_the_shadow_maps(frame: Frame) -> None:
     assert (found["measured"] < found["expected"]).any()
 
 
-def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
+def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Sample) -> None:
     """Confirmed, explained and unexplained together reach each cell at least as often as with no gap filled."""
     returns = shown(level(frame.sweep, GRID)).returns
     assert returns.shape == (3, *GRID.shape)
@@ -63,7 +63,7 @@ def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
     assert (returns.max(axis=(1, 2)) > CAR.min_returns).all()
 
 
-def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Frame) -> None:
+def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Sample) -> None:
     leveled = level(frame.sweep, GRID)
     beams = beams_by_evidence(leveled, CAR.height_m).unresolved
     assert np.isinf(beams.depth_m).all()
@@ -114,7 +114,7 @@ def test_limits_are_where_their_code_crosses_the_middle() -> None:
     assert np.abs(height - 1.0).max() < 0.1
 
 
-def test_maps_turn_with_the_sensor(frame: Frame) -> None:
+def test_maps_turn_with_the_sensor(frame: Sample) -> None:
     sweep = frame.sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
     turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
     straight, left = maps(sweep), maps(turned)
@@ -133,7 +133,7 @@ def test_a_sweep_without_returns_is_shown_as_nothing() -> None:
         assert not found[name].any()
 
 
-def test_a_card_shows_its_channels_in_their_order(frame: Frame) -> None:
+def test_a_card_shows_its_channels_in_their_order(frame: Sample) -> None:
     names = ("range", "expected", "counts")
     card = NetworkCard("made", UNetShape(4, 2, channels=3), GRID, inputs=names, heights_m=(-10.0, 3.0), counts="log")
     found, every = card.input_of(frame.sweep), maps(frame.sweep)

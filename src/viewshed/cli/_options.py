@@ -42,6 +42,9 @@ Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the pu
 
 AUTO = "auto"
 
+NO_SENSOR = "none"
+"""No sensor is known, and none is inferred from the points."""
+
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 """What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 
@@ -68,9 +71,13 @@ class Reading:
         """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
         from viewshed.sensors import lidar_model
 
-        model = None if self.sensor in {AUTO, "none"} else lidar_model(self.sensor)
+        model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            yield sweep if model is None else sweep.replace(model=model)
+            if model is not None:
+                sweep = sweep.replace(model=model)
+            elif self.sensor == NO_SENSOR:
+                sweep = sweep.replace(model=None, infer_sensor=False)
+            yield sweep
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps

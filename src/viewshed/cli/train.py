@@ -43,7 +43,7 @@ def train(
     wanted = read_config(config)
     bar = _Bar(wanted.name)
     try:
-        done = run(wanted, out, device=device, devices=devices, nodes=nodes, progress=bar, cache=cache)
+        done = run(wanted, out, device=device, devices=devices, nodes=nodes, on_progress=bar, cache=cache)
     finally:
         bar.close()
     typer.echo(_summary(done))
@@ -70,7 +70,7 @@ def crossval(
     try:
         validated = run(
             wanted, out, search=Search(sampler, trials, folds), device=device,
-            progress=bar.show,
+            on_progress=bar.show,
         )  # fmt: skip
     finally:
         bar.close()

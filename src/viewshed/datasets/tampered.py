@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
-from itertools import chain, groupby
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,19 +20,19 @@ import numpy as np
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, make_archive, write_beside
-from viewshed.datasets.archive.columns import Frame, Touched
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import write_frames
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import SweepRef, SweepSource
+from viewshed.datasets.sample import Sample
 from viewshed.fov.estimate import FovEstimator
 from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, EARLIER, PAPER_ATTACK, PAPER_INDOOR_ATTACK, Attack, Knowledge
 from viewshed.threats.attacks.adaptive import ADAPTIVE
+from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.corruptions import CORRUPTIONS
 
 ReadFile = Callable[[Path], Iterator[Sweep]]
@@ -49,7 +49,7 @@ class SceneFrames(Protocol):
         """Return who measured a frame; errors as :meth:`frame`."""
         ...
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one frame.
 
         Raises:
@@ -82,9 +82,9 @@ class ArchiveScene:
         """Return who measured a frame."""
         return self.frame(index).measured.agent
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one frame, as it is stored."""
-        return self.archive.frame(index)[0]
+        return self.archive[index]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +110,9 @@ class RecordingScene:
         """Return who measured a frame."""
         return self._refs()[index].agent
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one sweep as a frame whose truth is nowhere known."""
-        return without_truth(opened(self.place, self.kind).read(self._refs()[index]), self.grid)
+        return without_truth(opened(self.place, self.kind).read(self._refs()[index]), self.grid, self.scene)
 
     def _refs(self) -> tuple[SweepRef, ...]:
         return _refs(self.place, self.kind, self.scene)
@@ -141,14 +141,14 @@ class FileScene:
         """Return who measured a frame."""
         return self.frame(index).measured.agent
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one sweep as a frame whose truth is nowhere known."""
-        return without_truth(_cursor(self.path, self.read).at(index), self.grid)
+        return without_truth(_cursor(self.path, self.read).at(index), self.grid, self.path.name)
 
 
-def without_truth(sweep: Sweep, grid: BevGrid) -> Frame:
-    """Return a sweep as a frame whose truth is nowhere known."""
-    return Frame(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_))
+def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
+    """Return a sweep as a sample whose truth is nowhere known."""
+    return Sample(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_), scene)
 
 
 @lru_cache(maxsize=2)
@@ -201,8 +201,13 @@ _ROOM_M = 20.0
 class TamperPlan(Protocol):
     """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
 
-    def apply(self, sweep: Sweep, history: ReadEarlier, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
-        """Return the changed sweep, and what was touched where that is known.
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample with its sweep changed; its truth stays.
+
+        Args:
+            sample: the clean one, not modified.
+            history: returns earlier sweeps; called only where they are needed.
+            rng: all that is random.
 
         Raises:
             ValueError: it cannot be done to this sweep.
@@ -252,15 +257,13 @@ class AttackPlan:
             raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
         self._made((Sweep(np.zeros((0, 3), np.float32)),))
 
-    def apply(self, sweep: Sweep, history: ReadEarlier, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
-        """Return the attacked sweep and what was touched. Before anything was seen, nothing can be replayed."""
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample under attack. Before anything was seen, nothing can be replayed: it stays as it is."""
         earlier = history() if self.attack in _LASTING else ()
         if not earlier and self.attack in EARLIER:
-            none = np.zeros(len(sweep), np.bool_)
-            return sweep, Touched(none, none)
-        done = self._made(earlier or (sweep,)).apply(sweep, rng)
-        wedge = None if done.wedge is None else (done.wedge.azimuth, done.wedge.width)
-        return done.sweep, Touched(done.added, done.removed, wedge)
+            none = np.zeros(len(sample.sweep), np.bool_)
+            return replace(sample, tampered=Tampered(sample.sweep, none, none), clean=None)
+        return sample.attacked(self._made(earlier or (sample.sweep,)).apply(sample.sweep, rng))
 
     @property
     def command(self) -> str:
@@ -309,9 +312,9 @@ class CorruptionPlan:
             raise ValueError(f"corruption must be one of {', '.join(CORRUPTIONS)}, got {self.corruption!r}")
         CORRUPTIONS[self.corruption](self.severity)
 
-    def apply(self, sweep: Sweep, history: ReadEarlier, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
-        """Return the tampered sweep; nobody says which returns moved."""
-        return CORRUPTIONS[self.corruption](self.severity).apply(sweep, rng), None
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample with a corrupted sweep; nobody says which returns moved."""
+        return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
 
     @property
     def command(self) -> str:
@@ -488,7 +491,7 @@ def tamper(
     config = plan.config() | {"source": sweeps.lineage}
     recipe = {"command": plan.command, "name": plan.name, "seed": seed, "config": config}
     jobs = [TamperJob(store, part, plan, seed) for part in sweeps.parts]
-    return make_archive(BuildPlan(recipe, sweeps.layout, jobs, tamper_shard), store, engine, on_progress)
+    return build_archive(BuildPlan(recipe, sweeps.layout, jobs, tamper_shard), store, engine, on_progress)
 
 
 def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Sweep, str]:
@@ -501,12 +504,13 @@ def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Swe
         OSError: the sweep cannot be read.
     """
     job = TamperJob(Storage.of("."), sweeps.parts[0], plan, seed)
-    frame = _tampered_frame(job, 0, _EarlierSweeps(job.part))
+    frame = _tampered_sample(job, 0, _EarlierSweeps(job.part))
     about = {"command": plan.command, "name": plan.name, "seed": seed, "config": plan.config()}
-    touched = frame.touched
-    if touched is not None:
-        about |= {"wedge": touched.wedge, "added_rows": np.flatnonzero(touched.added).tolist()}
-        about |= {"removed_rows": np.flatnonzero(touched.removed).tolist()}
+    tampered = frame.tampered
+    if tampered is not None:
+        wedge = None if tampered.wedge is None else (tampered.wedge.azimuth, tampered.wedge.width)
+        about |= {"wedge": wedge, "added_rows": np.flatnonzero(tampered.added).tolist()}
+        about |= {"removed_rows": np.flatnonzero(tampered.removed).tolist()}
     return frame.sweep, json.dumps(about) + "\n"
 
 
@@ -517,31 +521,26 @@ def tamper_shard(job: TamperJob) -> ShardResult:
         OSError: the source cannot be read now (a file that is not there is damage), or the shard cannot be written.
     """
     problems: list[tuple[int, str]] = []
-    frames = _tampered_frames(job, problems)
-    first = next(frames, None)
-    if first is None:
-        return ShardResult(None, _problem_lines(job.part, problems))
-    facts = write_frames(job.store, job.name, (job.part.scene, job.part.split), chain([first], frames))
-    lines = _problem_lines(job.part, problems)
-    return ShardResult(write_beside(job.store, facts, lines), lines)
+    frames = _tampered_samples(job, problems)
+    return build_shard(job.store, job.name, frames, lambda: _problem_lines(job.part, problems))
 
 
-def _tampered_frames(job: TamperJob, problems: list[tuple[int, str]]) -> Iterator[Frame]:
+def _tampered_samples(job: TamperJob, problems: list[tuple[int, str]]) -> Iterator[Sample]:
     earlier = _EarlierSweeps(job.part)
     for index in range(job.part.first, job.part.last):
         try:
-            yield _tampered_frame(job, index, earlier)
+            yield _tampered_sample(job, index, earlier)
         except (ValueError, FileNotFoundError) as error:
             problems.append((index, " ".join(str(error).split())))
 
 
-def _tampered_frame(job: TamperJob, index: int, earlier: _EarlierSweeps) -> Frame:
+def _tampered_sample(job: TamperJob, index: int, earlier: _EarlierSweeps) -> Sample:
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([job.seed, job.part.number, index])))
     frame = job.part.frames.frame(index)
     sweep = frame.sweep
-    done, touched = job.plan.apply(sweep, lambda: earlier.of(sweep, index), rng)
+    done = job.plan.apply(frame, lambda: earlier.of(sweep, index), rng)
     earlier.note(sweep)
-    return replace(frame, touched=touched, clean=None) if done is sweep else frame.attacked(done, touched)
+    return done
 
 
 class _EarlierSweeps:

@@ -16,7 +16,8 @@ from viewshed.sim.assets.shapes import Box
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.truth.exact import BELOW_GROUND_M, exact_truth
+from viewshed.sim.truth.count import BELOW_GROUND_M
+from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, Thing, World
 
 FAST = Motion((6.0, -3.0, 0.4), 0.5, 0.1)

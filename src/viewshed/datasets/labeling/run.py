@@ -11,14 +11,13 @@ from typing import Any
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive, ArchiveSource, is_archive
-from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, make_archive, write_beside
-from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import write_frames
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import IndexSource, SweepRef, SweepSource
+from viewshed.datasets.sample import Sample
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.lidar.stored_sweep import StoredSweep
@@ -112,7 +111,7 @@ def label(
     if not jobs:
         raise ValueError(f"{origin.place} must hold sweeps, got none that can be labeled")
     layout = Layout(rules.grid, tuple(sorted(target.name for target in TARGETS)), ("farthest", "first_blocker"))
-    return make_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, on_progress)
+    return build_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, on_progress)
 
 
 def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
@@ -151,18 +150,13 @@ def label_shard(job: LabelJob) -> ShardResult:
         OSError: a file cannot be written.
     """
     problems: list[str] = []
-    frames = labeled_frames(job, problems)
-    first = next(frames, None)
-    if first is None:
-        return ShardResult(None, tuple(problems))
-    place = (job.scene, _split(opened(job.origin), job.scene))
-    facts = write_frames(job.store, job.name, place, _chain(first, frames))
-    return ShardResult(write_beside(job.store, facts, problems), tuple(problems))
+    return build_shard(job.store, job.name, labeled_samples(job, problems), lambda: tuple(problems))
 
 
-def labeled_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
-    """Yield the labeled frames of a job; what cannot be read is one line of ``problems``."""
+def labeled_samples(job: LabelJob, problems: list[str]) -> Iterator[Sample]:
+    """Yield the labeled samples of a job; what cannot be read is one line of ``problems``."""
     source = opened(job.origin)
+    split = _split(source, job.scene)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
     wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
     reader = _Reader(source, job.origin)
@@ -170,14 +164,9 @@ def labeled_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
     for place in wanted:
         try:
             truth, known = track.label(place)
-            yield Frame(reader.stored(refs[place]), truth, known)
+            yield Sample(reader.stored(refs[place]), truth, known, job.scene, split)
         except (ValueError, OSError) as error:
             problems.append(" ".join(str(error).split()))
-
-
-def _chain(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
-    yield first
-    yield from rest
 
 
 def _sensors(refs: Any) -> list[tuple[str, str]]:

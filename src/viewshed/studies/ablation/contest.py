@@ -33,7 +33,7 @@ from viewshed.studies.statistics import counts
 from viewshed.studies.suite import Subject, estimate_of
 from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import ATTACKS, ROAD_EXTENT_M, BlackBox, Knowledge, OverClaim
-from viewshed.training.samples import Struck
+from viewshed.training.samples import AttackedSweep
 
 CLEAR = "clear of the threshold"
 """Cells whose true number of returns is more than ``MARGIN`` from that from which on a target is visible."""
@@ -97,7 +97,7 @@ class Remembered:
         return len(self.sweeps) == HISTORY_SWEEPS
 
     def pasts(
-        self, leveled: LeveledSweep, struck: Struck | None, rng_of: tuple[int, int, str]
+        self, leveled: LeveledSweep, struck: AttackedSweep | None, rng_of: tuple[int, int, str]
     ) -> dict[str, History | None]:
         """Return the pasts of a sweep: none, honest, and where it was attacked also as if the attack had lasted.
 
@@ -113,7 +113,7 @@ class Remembered:
         if struck.attack is None:
             return honest
         seed, number, case = rng_of
-        before = struck.before(self.sweeps, generator(seed, "past", number, case))
+        before = struck.attack_history(self.sweeps, generator(seed, "past", number, case))
         return honest | {ATTACKED: History.of(leveled, [level(sweep, self.grid) for sweep in before])}
 
 
@@ -166,13 +166,13 @@ class Shot:
     case: str
     sweep: Sweep
     wedge: Mask | None = None
-    struck: Struck | None = None
+    struck: AttackedSweep | None = None
 
 
 def shots_of(subject: Subject, seed: int, number: int) -> Iterator[Shot]:
     """Yield a subject in every case; attacks that its sweep does not allow are left out."""
     sweep, grid = subject.sample.sweep, subject.sample.truth.grid
-    yield Shot(BENIGN, sweep, struck=Struck(sweep))
+    yield Shot(BENIGN, sweep, struck=AttackedSweep(sweep))
     yield Shot(BARE, unorganized_no_sensor(sweep))
     knowledge = Knowledge(subject.earlier[:1], half_extent_m=grid.half_extent_m)
     for name in TOUCHING:
@@ -182,7 +182,7 @@ def shots_of(subject: Subject, seed: int, number: int) -> Iterator[Shot]:
         except ValueError:
             continue
         wedge = None if found.wedge is None else found.wedge.holds(polar_of_cells(grid)[1])
-        yield Shot(name, found.sweep, wedge, Struck(found.sweep, attack, found.wedge))
+        yield Shot(name, found.sweep, wedge, AttackedSweep(found.sweep, attack, found.wedge))
 
 
 @dataclass(slots=True, eq=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
 from viewshed.datasets.presets import preset_named
 from viewshed.estimators import CLASSICAL, Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
@@ -16,7 +16,7 @@ from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner, load_runner
-from viewshed.networks.weights import default_name, in_float32
+from viewshed.networks.weights import default_name, float32_name
 from viewshed.studies.ablation.contest import Enveloped, duels, score
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
 from viewshed.studies.ablation.results import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
@@ -106,7 +106,7 @@ def _run_step(store: JobStore[AblationPlan], step: str, workers: int | None, tol
 
 def _keep_frames(store: JobStore[AblationPlan], told: Told) -> None:
     """Make the frames of the whole network, which most variants share, with all cores."""
-    prepare(store.plan.config_of(WHOLE), cache_of(store.folder), told=told)
+    prepare(store.plan.config_of(WHOLE), cache_of(store.folder), on_progress=told)
 
 
 def cache_of(folder: Path) -> Path:
@@ -176,7 +176,7 @@ def _shipped(config: TrainConfig) -> dict[str, Estimator]:
         runner = load_runner(name, threads=1)
         found[method] = UnetEstimator(runner, PASSES if method == "mc_dropout" else 1, name=method)
         if method == OURS and runner.card.precision == INT8:
-            found[FLOAT] = UnetEstimator(load_runner(in_float32(name), threads=1), name=FLOAT)
+            found[FLOAT] = UnetEstimator(load_runner(float32_name(name), threads=1), name=FLOAT)
         if method == OURS and runner.card.shape.dropout:
             found[SEVERAL] = UnetEstimator(runner, PASSES, name=SEVERAL)
     return found

@@ -19,7 +19,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from viewshed._jobs import Engine, LocalEngine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
 from viewshed.estimators import Estimator
 from viewshed.estimators.unet import UnetEstimator
 from viewshed.grid import polar_of_cells
