@@ -24,7 +24,7 @@ class ConfusionCounts:
         area_m2: of all of them together.
         samples: how many samples.
 
-    >>> tally = Tally(6, 2, 2, 10, area_m2=5.0)
+    >>> tally = ConfusionCounts(6, 2, 2, 10, area_m2=5.0)
     >>> tally.precision, tally.recall, tally.f1, tally.iou, tally.over_m2
     (0.75, 0.75, 0.75, 0.6, 0.5)
     """
