@@ -174,7 +174,7 @@ def _pcap(frames: int, more: bool) -> bytes:
 
 
 def _npy_header(blanks: int) -> bytes:
-    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (1" + b" " * blanks + b"!"
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + (b"1" + b" " * (blanks // 4)) * 4 + b"!"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
 
 

@@ -59,7 +59,7 @@ def _lists(source: InputFile) -> Iterator[list[Any]]:
 def _whole_rows(pending: bytes, comma: bytes) -> tuple[list[Any], int]:
     """Return the rows at the beginning of some bytes that are complete, and where they end."""
     text = pending.decode("latin-1")  # a byte a letter, so that places in the text are those in the bytes
-    decoder = json.JSONDecoder()
+    decoder, plain = json.JSONDecoder(), pending.isascii()
     rows: list[Any] = []
     end = 0
     while True:
@@ -69,8 +69,8 @@ def _whole_rows(pending: bytes, comma: bytes) -> tuple[list[Any], int]:
                 return rows, end
             start = _skip(text, start + 1)
         try:
-            _, stop = decoder.raw_decode(text, start)
-            rows.append(json.loads(pending[start:stop]))
+            row, stop = decoder.raw_decode(text, start)
+            rows.append(row if plain else json.loads(pending[start:stop]))
         except ValueError:
             return rows, end
         end = stop
