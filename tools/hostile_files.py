@@ -246,7 +246,8 @@ HOSTILE: dict[str, Hostile] = {
         "a.pcd", lambda: _pcd("1 2 3 4 5 6 7 8 9 1 1", 900_000))),
     "pcd line": Hostile("ascii PCD of one line", _file("a.pcd", lambda: _pcd("1 2 3", 3_000_000, " "))),
     "pcap fragments": Hostile("capture of fragments that never fit", _file("a.pcap", lambda: _pcap(300_000, True))),
-    "index rows": Hostile("index of seven million empty entries", _file("index.json", lambda: b"[" + b"{}," * 7_000_000)),
+    "index rows": Hostile("index of seven million empty entries", _file(
+        "index.json", lambda: b"[" + b"{}," * 7_000_000)),
     "ouster pixels": Hostile("Ouster metadata of 512 × 8192 pixels", _ouster),
     "mcap chunk": Hostile("MCAP, a chunk of 1 GB of zeros", _recording("mcap", mcap=lambda: _mcap_chunk(10**9))),
     "mcap records": Hostile("MCAP, five million empty records", _recording(
