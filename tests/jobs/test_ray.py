@@ -32,14 +32,14 @@ import os
 from functools import partial
 from pathlib import Path
 from tests.jobs import jobs
-from viewshed import engines
+from viewshed import _jobs
 from viewshed.cli import main
 
-class Doomed(engines.RayEngine):
+class Doomed(_jobs.RayEngine):
     def run(self, work, made):
         return super().run(partial(jobs.hang_on_doomed_node, Path(os.environ["DOOMED"]), work), made)
 
-engines.ENGINES["ray"] = Doomed
+_jobs.ENGINES["ray"] = Doomed
 main()
 """
 CHATTER = """
