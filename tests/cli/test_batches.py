@@ -29,6 +29,7 @@ def files(tmp_path: Path) -> list[Path]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["unet", "shadow_map"])
 def test_a_batch_writes_what_one_by_one_writes_and_tells_no_time(
     files: list[Path], tmp_path: Path, method: str

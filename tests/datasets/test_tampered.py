@@ -27,6 +27,8 @@ from viewshed.datasets.tampered import (
 from viewshed.io import read_sweeps
 from viewshed.threats.attacks import ATTACKS, Wedge
 
+pytestmark = pytest.mark.slow
+
 ONE = LocalEngine(1)
 
 

@@ -59,6 +59,7 @@ def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> No
     assert (np.rot90(before.state) != after.state).mean() <= (0.05 if name == "continuous" else 0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator", [ConcaveHull(GRID), Delaunay(GRID), ShadowMap(GRID)], ids=lambda e: type(e).__name__
 )

@@ -119,7 +119,8 @@ def test_mask_of_polygon_agrees_with_shapely(seed: int, turn: float) -> None:
 
 
 def test_mask_of_polygon_agrees_with_rasterio() -> None:
-    features, affine = pytest.importorskip("rasterio.features"), pytest.importorskip("affine")
+    reason = "rasterio is not installed: masks are not compared with it"
+    features, affine = (pytest.importorskip(name, reason=reason) for name in ("rasterio.features", "affine"))
     mask, grid = street(3)
     polygon = shapely.affinity.scale(polygon_of_mask(mask, grid), 0.83, 0.91, origin=(0.3, 0.1))
     transform = affine.Affine(0.0, grid.cell_m, grid.origin_m[0], grid.cell_m, 0.0, grid.origin_m[1])

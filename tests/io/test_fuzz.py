@@ -13,6 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.slow
+
 fuzz: Any = import_module("fuzz_readers")
 CASES = fuzz.cases()
 DAMAGES = st.lists(

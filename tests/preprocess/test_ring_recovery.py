@@ -328,6 +328,7 @@ EXPECTED = {
 UNKNOWN = ("2 x VLP-32C", "Hesai Pandar64")  # two sensors in one frame; ego frame of unknown origin
 
 
+@pytest.mark.slow
 def test_every_real_sweep_is_named_right_or_not_at_all(real_data: object) -> None:
     seen = 0
     for entry in read_index(f"{real_data}/index.json"):

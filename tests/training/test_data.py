@@ -15,6 +15,8 @@ from viewshed.training import Fold, TrainConfig
 from viewshed.training.data import Frames, prepare, processes_for
 from viewshed.training.sources import Archived
 
+pytestmark = pytest.mark.slow
+
 
 def _scenes(frames: Frames) -> tuple[set[str], set[str]]:
     sources = (cast(Archived, part.source) for part in (frames.train, frames.validation))

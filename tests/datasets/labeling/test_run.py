@@ -19,6 +19,8 @@ from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
 from viewshed.fov.truth import Truth
 
+pytestmark = pytest.mark.slow
+
 
 class _Here:
     """Runs the jobs here, in an order of its own, and stops after some."""
