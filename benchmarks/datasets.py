@@ -24,8 +24,8 @@ from viewshed._page import facts, page, table
 from viewshed.datasets import Archive, Storage
 from viewshed.datasets.archive import shard as shards
 from viewshed.datasets.archive.archive import ArchiveFrames
-from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate, simulate_frame
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "datasets.md"
@@ -76,8 +76,8 @@ def _reading(archive: Archive) -> Iterator[list[str]]:
     rng = np.random.default_rng(SEED)
     where = rng.integers(0, len(archive), 2000)
     for name, job in (
-        ("random read of a sample, whole", lambda index: archive[index]),
-        ("random read, points not made", archive.frame),
+        ("random read of a sample, whole", lambda index: archive[index].sweep),
+        ("random read, points not made", archive.__getitem__),
         ("random frame for training (`ArchiveFrames`)", ArchiveFrames(archive).__getitem__),
     ):
         low, median, high = _milliseconds(job, where)
@@ -140,16 +140,16 @@ def _compression(preset: Preset, folder: Path) -> str:
         write_ms = min(_written_ms(folder, frames) for _ in range(5))
         size = (folder / "a.parquet").stat().st_size
         shard = shards.Shard(Storage.of(folder), "a.parquet")
-        _, read_ms, _ = _milliseconds(lambda index, of=shard: of.frame(index), np.arange(len(frames)))  # type: ignore[misc]
+        _, read_ms, _ = _milliseconds(lambda index, of=shard: of.sample(index), np.arange(len(frames)))  # type: ignore[misc]
         mark = " (used)" if level == used else ""
         rows.append([f"{level}{mark}", f"{size / len(frames) / 1e3:.1f}", f"{write_ms:.2f}", f"{read_ms:.2f}"])
     setattr(shards, "ZSTD_LEVEL", used)  # noqa: B010 - see above
     return table(["zstd level", "kB a frame", "ms to encode and write", "ms to read, points not made"], rows)
 
 
-def _written_ms(folder: Path, frames: list[Frame]) -> float:
+def _written_ms(folder: Path, frames: list[Sample]) -> float:
     start_s = time.perf_counter()
-    shards.write_frames(Storage.of(folder), "a.parquet", ("s", "train"), frames)
+    shards.write_shard(Storage.of(folder), "a.parquet", frames)
     return 1e3 * (time.perf_counter() - start_s) / len(frames)
 
 

@@ -46,6 +46,7 @@ class Sweep:
         sensor_height_m: mounting height above the ground below the sensor, or None where it must be estimated.
         world_from_sensor: pose in the map, or None.
         model: what is known about the sensor's beams, or None.
+        infer_sensor: whether the sensor may be inferred from the points where ``model`` is None; False: there is none.
         agent: who measured it.
         dropped_points: how many rows were not finite and were left out.
 
@@ -67,6 +68,7 @@ class Sweep:
     sensor_height_m: float | None = None
     world_from_sensor: Rigid | None = None
     model: LidarModel | None = None
+    infer_sensor: bool = True
     agent: str = "ego"
     dropped_points: int = field(default=0)
 

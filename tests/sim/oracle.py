@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sim.assets.shapes import BOX, CYLINDER, PER_M
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.world import Snapshot
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ BEAMS_AT_ONCE = 1_000
 NEAREST_M = 1e-3
 
 
-def rays_of(scan: Scan) -> tuple[Array, Array, Array]:
+def rays_of(scan: ExactScan) -> tuple[Array, Array, Array]:
     """Return starts (N, 3), directions (N, 3) and times (N,) of all beams in the world."""
     origin = scan.origin_m.reshape(-1, 3).astype(np.float64) + scan.world_from_sensor.translation
     times = np.repeat(scan.time_s.astype(np.float64), scan.depth_m.shape[1])

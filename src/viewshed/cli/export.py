@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, Network, Passes, Reading, Seed, Weights
+from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, stem_of
 
 
@@ -16,7 +16,9 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
     to: Annotated[str, typer.Option(help="geojson, occupancy_grid, grid_map, osi, cpm or npz.")] = "geojson",
     sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,
-    method: Annotated[str, typer.Option(help="Estimator, where FILE is a sweep.")] = "shadow_map",
+    method: Annotated[
+        str | None, typer.Option(help="Estimator, where FILE is a sweep; as for estimate if not given.")
+    ] = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002
@@ -45,17 +47,19 @@ def export(
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
     if _is_estimate(file):
-        found = read_npz(file)
+        estimate = read_npz(file)
     else:
         [(path, entry)] = options.chosen([file], index)
-        estimator = Network(weights, passes, seed, device=device).estimator(method, options.parse_grid(grid), target)
-        found = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
-    content = json.dumps(to_cpm(found, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(found)
+        estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
+            method, options.parse_grid(grid), target
+        )
+        estimate = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
+    content = json.dumps(to_cpm(estimate, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(estimate)
     name = stem_of(file.name) + EXPORTERS[to].suffix
-    place = Path(name) if out is None else out / name if out.is_dir() else out
-    refuse_inputs([place], [file])
-    write_atomic(place, content)
-    typer.echo(f"{place}: {len(content)} bytes. {EXPORTERS[to].states}")
+    path_out = Path(name) if out is None else out / name if out.is_dir() else out
+    refuse_inputs([path_out], [file])
+    write_atomic(path_out, content)
+    typer.echo(f"{path_out}: {len(content)} bytes. {EXPORTERS[to].states}")
 
 
 def _is_estimate(file: Path) -> bool:

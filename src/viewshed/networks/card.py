@@ -20,7 +20,7 @@ from viewshed.networks.features import (
     Bytes,
     FeatureContext,
     feature_maps,
-    folded,
+    fold_maps,
     replace_codes,
 )
 from viewshed.preprocess.history import History, history_of
@@ -44,6 +44,9 @@ MOST_DEVIATION = 0.5
 
 _LAYOUT = "viewshed network"
 
+_RENAMED_FEATURES = {"confirmed": "measured", "unexplained": "unresolved", "supported": "confirmations"}
+"""Features by the names that files of version 0.3 have for them, and their names now."""
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkCard:
@@ -61,7 +64,7 @@ class NetworkCard:
         divisor: counts are divided by it, where they are shown ``linear``.
         counts: how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip).
         threshold: probability from which a cell counts as visible.
-        inputs: names of ``CHANNELS``, what the network is shown; as many as the shape's channels.
+        inputs: names of ``FEATURES``, what the network is shown; as many as the shape's channels.
         trained: facts of the training, by name.
 
     Raises:
@@ -126,6 +129,11 @@ class NetworkCard:
         return FeatureContext(leveled, self.grid, TARGETS[self.target], counts, past)
 
     @property
+    def kind(self) -> str:
+        """Kind of network: ``unet`` where it is shown counts alone, as published, else ``viewnet``."""
+        return "unet" if self.inputs == ("counts",) else "viewnet"
+
+    @property
     def uses_history(self) -> bool:
         """Whether earlier sweeps change what the network is shown."""
         return not set(HISTORY_FEATURES).isdisjoint(self.inputs)
@@ -177,7 +185,7 @@ class NetworkCard:
         return np.array([linear if name == "counts" else 1.0 for name in self.inputs], np.float32)
 
     def _folded(self, maps: Bytes) -> Bytes:
-        blocks, size = folded(maps, self.shape.fold), self.shape.fold**2
+        blocks, size = fold_maps(maps, self.shape.fold), self.shape.fold**2
         if "counts" in self.inputs and self.counts == "log":
             begin = self.inputs.index("counts") * size
             replace_codes(
@@ -251,7 +259,7 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
         raise ValueError(f"card must have the fields {', '.join(sorted(names))}, got {', '.join(sorted(content))}")
     try:
         low, high = content.pop("heights_m")
-        grid, inputs = content.pop("grid"), tuple(content.pop("inputs"))
+        grid, inputs = content.pop("grid"), tuple(_RENAMED_FEATURES.get(name, name) for name in content.pop("inputs"))
         x, y = grid["offset_m"]
         return NetworkCard(
             shape=UNetShape(**content.pop("shape")),
@@ -267,7 +275,9 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
 def require_doubt(card: NetworkCard) -> None:
     """Raise a ValueError unless the network has a head for the deviation."""
     if not card.shape.doubt:
-        raise ValueError(f"doubt in one pass needs a network with a head for it, and {card.name} has none; use mcd")
+        raise ValueError(
+            f"doubt in one pass needs a network with a head for it, and {card.name} has none; use mc_dropout"
+        )
 
 
 class Runner(Protocol):
@@ -285,6 +295,10 @@ class Runner(Protocol):
 
         One input with N masks is as good as N copies of it, and faster: what no mask touches is computed once.
         """
+        ...
+
+    def single_threaded(self) -> Runner | None:
+        """Return a runner of the same network that runs in the calling thread alone; None if there is none."""
         ...
 
     def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -102,6 +102,10 @@ class TorchRunner:
         self.card = card
         self._module, self._device = module.to(device), torch.device(device)
 
+    def single_threaded(self) -> None:
+        """None: torch shares its threads among all runs."""
+        return
+
     def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
         with self._evaluating():
@@ -132,8 +136,8 @@ class TorchRunner:
 
 
 def _probability(logits: Tensor) -> NDArray[np.float32]:
-    found: NDArray[np.float32] = torch.sigmoid(logits)[:, 0].float().cpu().numpy()
-    return found
+    prob: NDArray[np.float32] = torch.sigmoid(logits)[:, 0].float().cpu().numpy()
+    return prob
 
 
 def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:

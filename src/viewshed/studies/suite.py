@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from hashlib import blake2b
 from itertools import chain
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,16 @@ from numpy.typing import NDArray
 from viewshed.datasets import Archive, Sample
 from viewshed.datasets.presets import Preset, preset_named, preset_names
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
-from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS, PAPER_THRESHOLD, EstimatorFactory
+from viewshed.estimators import (
+    CLASSICAL,
+    PAPER_ESTIMATORS,
+    PAPER_INDOOR_ESTIMATORS,
+    PAPER_THRESHOLD,
+    Estimator,
+    EstimatorFactory,
+)
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
+from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -38,7 +44,7 @@ _BESIDE: dict[str, dict[str, EstimatorFactory]] = {
 """By the estimator after which they stand."""
 
 ENTRANTS: dict[str, EstimatorFactory] = dict(
-    chain.from_iterable([(name, make), *_BESIDE.get(name, {}).items()] for name, make in ESTIMATORS.items())
+    chain.from_iterable([(name, make), *_BESIDE.get(name, {}).items()] for name, make in CLASSICAL.items())
 )
 """By name, in the order of the report. ``shadow_map_unknown`` counts only beams that returned, the geometric reading
 of a missing return; the bar is the better of the two shadow maps."""
@@ -50,15 +56,6 @@ _RECENT = 8
 the same sweep again."""
 
 Probs = dict[str, NDArray[np.float32]]
-
-
-@runtime_checkable
-class OfLevel(Protocol):
-    """An estimator that takes a sweep already leveled: several share one leveling."""
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Return the estimate."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +72,7 @@ class Contestants:
 
     grid: BevGrid
     threshold: float
-    estimators: Mapping[str, FovEstimator]
+    estimators: Mapping[str, Estimator]
     reference: Reference
     pose: Rigid | None
     _recent: dict[bytes, Probs] = field(init=False, repr=False, default_factory=dict)
@@ -115,7 +112,7 @@ def paper(sample: Sample) -> Contestants:
     """Return the paper's estimators and ours on its grid, against its label: one of them on the clean sweep."""
     indoor = sample.truth.grid.half_extent_m < ROOM_M
     grid = GRIDS["paper_indoor" if indoor else "paper"]
-    table = {**(PAPER_INDOOR_ESTIMATORS if indoor else PAPER_ESTIMATORS), **ESTIMATORS}
+    table = {**(PAPER_INDOOR_ESTIMATORS if indoor else PAPER_ESTIMATORS), **CLASSICAL}
     label = table[LABEL](grid).estimate(sample.sweep).visible(PAPER_THRESHOLD)
     reference = Reference.of(label, np.ones(grid.shape, np.bool_), polar_of_cells(grid)[1])
     made = {name: make(grid) for name, make in table.items()}
@@ -126,9 +123,9 @@ def _pose(sample: Sample, grid: BevGrid) -> Rigid | None:
     return level(sample.sweep, grid).world_from_level
 
 
-def estimate_of(estimator: FovEstimator, leveled: LeveledSweep, sweep: Sweep) -> FovEstimate:
+def estimate_of(estimator: Estimator, leveled: LeveledSweep, sweep: Sweep) -> FovEstimate:
     """Return the estimate for a sweep, whose leveling is used by those who take one."""
-    return estimator.estimate_level(leveled) if isinstance(estimator, OfLevel) else estimator.estimate(sweep)
+    return estimator.estimate(leveled)
 
 
 def _fingerprint(sweep: Sweep) -> bytes:
@@ -206,7 +203,7 @@ def _simulated(preset: Preset, number: int) -> Subject:
         simulate_frame(scene, (time - step) * preset.agents + agent).sweep for step in steps if step <= time
     )
     frame = time * preset.agents + agent
-    return Subject(simulate_frame(scene, frame).sample(scene.name, scene.split_name), earlier, (scene, frame))
+    return Subject(simulate_frame(scene, frame), earlier, (scene, frame))
 
 
 @lru_cache(maxsize=4)
@@ -228,9 +225,9 @@ def _before(archive: Archive, index: int, sample: Sample) -> Iterator[Sweep]:
     """Yield the earlier sweeps of the same agent and scene, up to ``BEFORE_S`` before, the newest first."""
     t_ns = sample.sweep.t_ns
     for other in range(index - 1, max(index - _LOOK_BACK, 0) - 1, -1) if t_ns is not None else ():
-        frame, shard = archive.frame(other)
-        was_ns = frame.measured.t_ns
-        if shard.scene != sample.scene or was_ns is None or t_ns is None or t_ns - was_ns > 1e9 * BEFORE_S[0] + 1e6:
+        before = archive[other]
+        was_ns = before.measured.t_ns
+        if before.scene != sample.scene or was_ns is None or t_ns is None or t_ns - was_ns > 1e9 * BEFORE_S[0] + 1e6:
             return
-        if frame.measured.agent == sample.sweep.agent and was_ns < t_ns:
-            yield frame.sweep
+        if before.measured.agent == sample.sweep.agent and was_ns < t_ns:
+            yield before.sweep

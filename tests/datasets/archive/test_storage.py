@@ -108,13 +108,13 @@ def test_another_library_sees_the_same_objects(s3: str, tmp_path: Path) -> None:
 
 KILLED = """
 import os, sys, threading, time
-from viewshed.datasets.archive.storage import Store
+from viewshed.datasets.archive.storage import Storage
 
 def kill_soon():
     time.sleep(0.3)
     os.kill(os.getpid(), 9)
 
-store = Store.of(sys.argv[1])
+store = Storage.of(sys.argv[1])
 if store.folder is None:  # in the middle of sending
     threading.Thread(target=kill_soon, daemon=True).start()
 else:  # between writing the draft and moving it

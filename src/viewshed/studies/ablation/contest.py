@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 from typing import Any
 
@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.datasets.simulated import simulate_frame
+from viewshed.estimators import Estimator
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.temporal import where_confirmed
-from viewshed.estimators.unet import uses_history
-from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import Scores
@@ -32,7 +33,7 @@ from viewshed.studies.statistics import counts
 from viewshed.studies.suite import Subject, estimate_of
 from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import ATTACKS, ROAD_EXTENT_M, BlackBox, Knowledge, OverClaim
-from viewshed.training.samples import Struck
+from viewshed.training.samples import AttackedSweep
 
 CLEAR = "clear of the threshold"
 """Cells whose true number of returns is more than ``MARGIN`` from that from which on a target is visible."""
@@ -96,7 +97,7 @@ class Remembered:
         return len(self.sweeps) == HISTORY_SWEEPS
 
     def pasts(
-        self, leveled: LeveledSweep, struck: Struck | None, rng_of: tuple[int, int, str]
+        self, leveled: LeveledSweep, struck: AttackedSweep | None, rng_of: tuple[int, int, str]
     ) -> dict[str, History | None]:
         """Return the pasts of a sweep: none, honest, and where it was attacked also as if the attack had lasted.
 
@@ -112,7 +113,7 @@ class Remembered:
         if struck.attack is None:
             return honest
         seed, number, case = rng_of
-        before = struck.before(self.sweeps, generator(seed, "past", number, case))
+        before = struck.attack_history(self.sweeps, generator(seed, "past", number, case))
         return honest | {ATTACKED: History.of(leveled, [level(sweep, self.grid) for sweep in before])}
 
 
@@ -124,7 +125,7 @@ def _simulated(subject: Subject) -> tuple[Sweep, ...]:
 
 
 def estimates(
-    estimators: Mapping[str, FovEstimator],
+    estimators: Mapping[str, Estimator],
     names: tuple[str, ...],
     leveled: LeveledSweep,
     pasts: Mapping[str, History | None],
@@ -132,9 +133,9 @@ def estimates(
     """Yield what those of the estimators that the past helps say with each past, wary or not, each with its name."""
     for name in names:
         estimator = estimators.get(name)
-        if estimator is not None and uses_history(estimator):
+        if estimator is not None and estimator.uses_history:
             for kind, past in pasts.items():
-                found = estimator.estimate_level(leveled, past)
+                found = estimator.estimate(leveled, past)
                 yield f"{name}, {kind}", found
                 if past is not None:
                     yield f"{name}, {WARY}{kind}", where_confirmed(found, past)
@@ -165,13 +166,13 @@ class Shot:
     case: str
     sweep: Sweep
     wedge: Mask | None = None
-    struck: Struck | None = None
+    struck: AttackedSweep | None = None
 
 
 def shots_of(subject: Subject, seed: int, number: int) -> Iterator[Shot]:
     """Yield a subject in every case; attacks that its sweep does not allow are left out."""
     sweep, grid = subject.sample.sweep, subject.sample.truth.grid
-    yield Shot(BENIGN, sweep, struck=Struck(sweep))
+    yield Shot(BENIGN, sweep, struck=AttackedSweep(sweep))
     yield Shot(BARE, unorganized_no_sensor(sweep))
     knowledge = Knowledge(subject.earlier[:1], half_extent_m=grid.half_extent_m)
     for name in TOUCHING:
@@ -181,7 +182,7 @@ def shots_of(subject: Subject, seed: int, number: int) -> Iterator[Shot]:
         except ValueError:
             continue
         wedge = None if found.wedge is None else found.wedge.holds(polar_of_cells(grid)[1])
-        yield Shot(name, found.sweep, wedge, Struck(found.sweep, attack, found.wedge))
+        yield Shot(name, found.sweep, wedge, AttackedSweep(found.sweep, attack, found.wedge))
 
 
 @dataclass(slots=True, eq=False)
@@ -243,7 +244,7 @@ def _sum(one: list[int] | None, other: list[int] | None) -> list[int]:
 
 def score(
     subjects: Mapping[int, Subject],
-    estimators: Mapping[str, FovEstimator],
+    estimators: Mapping[str, Estimator],
     seed: int,
     target: Target = CAR,
     remembering: tuple[str, ...] = (),
@@ -275,7 +276,7 @@ def score(
 
 
 @dataclass(frozen=True, slots=True)
-class Enveloped:
+class Enveloped(ClassicalEstimator):
     """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim.
 
     Attributes:
@@ -283,19 +284,31 @@ class Enveloped:
         bound: the first blocker, not limited by the farthest return.
     """
 
-    inner: FovEstimator
-    bound: FovEstimator
+    inner: Estimator
+    bound: Estimator
+    name: str = "enveloped"
 
     @property
-    def grid(self) -> BevGrid:
+    def grid(self) -> BevGrid:  # type: ignore[override]
         """Grid of both."""
         return self.inner.grid
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    @property
+    def target(self) -> Target:  # type: ignore[override]
+        """What would have to be seen."""
+        return self.inner.target
+
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Return the inner estimate within the bound."""
-        inner, bound = self.inner.estimate(sweep), self.bound.estimate(sweep)
+        inner, bound = self.inner.estimate(leveled), self.bound.estimate(leveled)
         prob = np.where(bound.visible(), inner.visible_prob, np.float32(0.0))
-        return FovEstimate(self.grid, prob, np.where(bound.visible(), inner.state, bound.state), method="enveloped")
+        return replace(
+            inner,
+            visible_prob=prob,
+            state=np.where(bound.visible(), inner.state, bound.state),
+            std=None,
+            method=self.name,
+        )
 
 
 UNTOUCHED = "untouched"
@@ -310,7 +323,7 @@ SECTOR_DEG = 30.0
 _AIM_M = 25.0
 
 
-def attack_on(victim: FovEstimator, questions: int) -> BlackBox:
+def attack_on(victim: Estimator, questions: int) -> BlackBox:
     """Return the attacker who wants a victim to claim what it did not claim before, by free points in one wedge.
 
     The victim's own answers are searched, as its channels count returns and have no gradient: weights and channels are
@@ -322,7 +335,7 @@ def attack_on(victim: FovEstimator, questions: int) -> BlackBox:
 
 def duels(
     subject: Subject,
-    victims: Mapping[str, FovEstimator],
+    victims: Mapping[str, Estimator],
     questions: Mapping[str, Sequence[int]],
     rng_of: tuple[int, int],
     target: Target = CAR,

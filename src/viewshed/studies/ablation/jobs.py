@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
 from viewshed.datasets.presets import preset_named
-from viewshed.estimators import ESTIMATORS
+from viewshed.estimators import CLASSICAL, Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator
-from viewshed.fov.estimate import FovEstimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner, load_runner
-from viewshed.networks.weights import default_name, in_float32
+from viewshed.networks.weights import default_name, float32_name
 from viewshed.studies.ablation.contest import Enveloped, duels, score
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
 from viewshed.studies.ablation.results import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
@@ -107,7 +106,7 @@ def _run_step(store: JobStore[AblationPlan], step: str, workers: int | None, tol
 
 def _keep_frames(store: JobStore[AblationPlan], told: Told) -> None:
     """Make the frames of the whole network, which most variants share, with all cores."""
-    prepare(store.plan.config_of(WHOLE), cache_of(store.folder), told=told)
+    prepare(store.plan.config_of(WHOLE), cache_of(store.folder), on_progress=told)
 
 
 def cache_of(folder: Path) -> Path:
@@ -158,32 +157,31 @@ def subject_in(plan: AblationPlan, split: str, setting: str, number: int) -> Sub
     return subject_of_preset(preset, number, plan.count(split, setting), plan.seed_of(split))
 
 
-def _variants(plan: AblationPlan, folder: Path) -> dict[str, FovEstimator]:
-    found: dict[str, FovEstimator] = {
+def _variants(plan: AblationPlan, folder: Path) -> dict[str, Estimator]:
+    found: dict[str, Estimator] = {
         name: UnetEstimator(OnnxRunner(weights_of(folder, name), threads=1), name=name) for name in plan.variants
     }
     bound = FirstBlocker(plan.config_of(WHOLE).grid, limit_farthest=False)
     return found | {ENVELOPED: Enveloped(found[WHOLE], bound)}
 
 
-def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
+def _shipped(config: TrainConfig) -> dict[str, Estimator]:
     """Return the learned estimators with the weights that are shipped for the grid and the target of a config."""
-    found: dict[str, FovEstimator] = {}
-    for method, make in LEARNED.items():
+    found: dict[str, Estimator] = {}
+    for method in LEARNED:
         try:
             name = default_name(method, config.grid, config.target)
         except ValueError:  # none is shipped for this grid and target
             continue
         runner = load_runner(name, threads=1)
-        found[method] = make(runner)
+        found[method] = UnetEstimator(runner, PASSES if method == "mc_dropout" else 1, name=method)
         if method == OURS and runner.card.precision == INT8:
-            found[FLOAT] = UnetEstimator(load_runner(in_float32(name), threads=1), name=FLOAT)
+            found[FLOAT] = UnetEstimator(load_runner(float32_name(name), threads=1), name=FLOAT)
         if method == OURS and runner.card.shape.dropout:
             found[SEVERAL] = UnetEstimator(runner, PASSES, name=SEVERAL)
     return found
 
 
-def _classical(config: TrainConfig) -> dict[str, FovEstimator]:
+def _classical(config: TrainConfig) -> dict[str, Estimator]:
     target = TARGETS[config.target]
-    made = {name: make(config.grid) for name, make in ESTIMATORS.items()}
-    return {name: replace(each, target=target) for name, each in made.items()}  # type: ignore[type-var]
+    return {name: make(config.grid, target) for name, make in CLASSICAL.items()}

@@ -19,9 +19,9 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from viewshed._jobs import Engine, LocalEngine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
+from viewshed.estimators import Estimator
 from viewshed.estimators.unet import UnetEstimator
-from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import polar_of_cells
 from viewshed.networks.card import Runner
 from viewshed.preprocess.leveling import level
@@ -99,7 +99,7 @@ def strict_cases(plan: StudyPlan) -> list[Case]:
     return [BENIGN, *(Case("attack", name, DEFAULT) for name in ATTACKS), *(strengths if plan.strengths else [])]
 
 
-def strict_estimators(plan: StudyPlan, setting: Setting, runners: Mapping[Model, Runner]) -> dict[str, FovEstimator]:
+def strict_estimators(plan: StudyPlan, setting: Setting, runners: Mapping[Model, Runner]) -> dict[str, Estimator]:
     """Return the estimators of the strict table by name: networks of the domain, then the classical ones.
 
     Args:
@@ -109,7 +109,7 @@ def strict_estimators(plan: StudyPlan, setting: Setting, runners: Mapping[Model,
     """
     from viewshed.estimators.unet import UnetEstimator
 
-    found: dict[str, FovEstimator] = {
+    found: dict[str, Estimator] = {
         short_name(model): UnetEstimator(runner, passes_of(plan, model), plan.test_seed, short_name(model))
         for model, runner in runners.items()
     }
@@ -125,7 +125,7 @@ def short_name(model: Model) -> str:
     return f"{model.variant}-{model.mixture}"
 
 
-def field_of(setting: Setting, subject: Subject, estimators: Mapping[str, FovEstimator]) -> Contestants:
+def field_of(setting: Setting, subject: Subject, estimators: Mapping[str, Estimator]) -> Contestants:
     """Return the contestants on the truth's grid, against exact truth of ``probe``, car."""
     sample = subject.sample
     reference = Reference.of(sample.truth.visible(), sample.known, polar_of_cells(setting.grid)[1])

@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from viewshed.fov.estimate import FovEstimator
+from viewshed.estimators import Estimator
 from viewshed.networks.card import Runner
 from viewshed.networks.mc_dropout import mean_and_std
 from viewshed.studies.paper.data import Predict, Said, place_of, score_contestants, test_sweeps
@@ -22,7 +22,7 @@ from viewshed.studies.paper.plan import StudyPlan
 from viewshed.studies.paper.protocols import Model, Setting, generator, setting_of
 from viewshed.sweep import Sweep
 from viewshed.training.config import PAPER, TrainConfig
-from viewshed.training.log import plain
+from viewshed.training.log import history_to_json
 
 WEIGHTS = "network.onnx"
 
@@ -82,7 +82,7 @@ def classical(setting: Setting) -> dict[str, Predict]:
     return {name: _claims(make(setting.grid)) for name, make in setting.classical().items()}
 
 
-def _claims(estimator: FovEstimator) -> Predict:
+def _claims(estimator: Estimator) -> Predict:
     return lambda sweep: (estimator.estimate(sweep).visible_prob, None)
 
 
@@ -151,7 +151,7 @@ def trained(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[st
     start = time.perf_counter()
     done = train(config, out, device=device, cache=cache)
     return {
-        "weights": done.weights.name, "history": plain(done.history), "best": done.best.number,
+        "weights": done.weights.name, "history": history_to_json(done.history), "best": done.best.number,
         "frames_per_s": done.frames_per_s, "network_share": done.network_share, "device": device,
         "seconds": time.perf_counter() - start,
     }  # fmt: skip

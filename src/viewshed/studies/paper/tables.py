@@ -201,8 +201,8 @@ def contestants_of(results: Results, protocol: str, domain: str) -> list[str]:
 def own_name(contestant: str, domain: str) -> str:
     """Return a contestant's name on the sweeps of its own domain.
 
-    >>> own_name("mle-benign-ugv", "ugv"), own_name("vote", "ugv")
-    ('mle-benign', 'vote')
+    >>> own_name("mle-benign-ugv", "ugv"), own_name("majority_vote", "ugv")
+    ('mle-benign', 'majority_vote')
     """
     return contestant.removesuffix(f"-{domain}")
 
@@ -322,12 +322,12 @@ def winner_table(results: Results, domain: str) -> Table:
             if where == "wedge" and not results.has_wedge(domain, case):
                 continue
             one, other = (_leader(results, (domain, case), group, columns) for group in (networks, classical))
-            vote = results.under(StrictKey(domain, case, "vote"), f1, columns)
+            vote = results.under(StrictKey(domain, case, "majority_vote"), f1, columns)
             rows.append(
                 [_case_label(results, case), where, *best(["", one[1], other[1]])[1:], one[0], other[0], three(vote)]
             )
     header = ["attack (family)", "where", "best network's F1", "best classical F1", "which network", "which classical",
-              "vote"]  # fmt: skip
+              "majority_vote"]  # fmt: skip
     return Table(header, rows)
 
 

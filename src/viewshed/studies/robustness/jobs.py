@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from viewshed._jobs import Engine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.studies import suite as contestants

@@ -38,7 +38,7 @@ from viewshed.studies.robustness.tables import estimators_of
 from viewshed.studies.suite import ENTRANTS, Subject, subject_of
 from viewshed.threats.attacks import ATTACKS, FAMILY
 
-DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "vote")
+DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "majority_vote")
 """Estimators in the pictures of single sweeps."""
 
 Value = Callable[[Key], float]
