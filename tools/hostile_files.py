@@ -169,7 +169,8 @@ def _pcap(frames: int, more: bool) -> bytes:
     record = [struct.pack("<IIII", 1000, 0, len(part), len(part)) + part for part in parts]
     capture = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1)
     velodyne = files.pcap([files.ip_packet(files.udp_packet(files.vlp16_payload(0, 0.4, 5)))])[24:]
-    return capture + velodyne + b"".join(record[k % len(record)] for k in range(frames))
+    content: bytes = capture + velodyne + b"".join(record[k % len(record)] for k in range(frames))
+    return content
 
 
 def _npy_header(blanks: int) -> bytes:
