@@ -51,8 +51,8 @@ def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
     clear = np.abs(found["expected"].astype(int) - threshold) > 2
     assert ((prob >= 0.5) == (found["expected"] > threshold))[clear].all()
     assert clear.mean() > 0.9
-    assert (found["confirmed"] <= found["expected"]).all()
-    assert (found["confirmed"] < found["expected"]).any()
+    assert (found["measured"] <= found["expected"]).all()
+    assert (found["measured"] < found["expected"]).any()
 
 
 def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Sample) -> None:
@@ -68,7 +68,7 @@ def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Sample) -> 
     beams = beams_by_evidence(leveled, CAR.height_m).unresolved
     assert np.isinf(beams.depth_m).all()
     returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, GRID, CAR)[0]
-    found = maps(frame.sweep)["unexplained"]
+    found = maps(frame.sweep)["unresolved"]
     assert np.array_equal(found, returns_code(returns))
     assert found.any()
 
@@ -83,13 +83,13 @@ def test_codes_ascend_with_the_returns() -> None:
 def test_the_code_of_a_limit_is_that_of_its_distance() -> None:
     """Tables give what the logarithm does, cell by cell, also where one code ends and the next begins."""
     rng, seen = np.random.default_rng(2), shown(level(Sweep(np.zeros((0, 3), np.float32)), GRID))
-    bins, range_m = bins_of_cells(GRID, seen.scan.bins), polar_of_cells(GRID)[0]
+    bins, range_m = bins_of_cells(GRID, seen.statistics.bins), polar_of_cells(GRID)[0]
     edges = np.expm1(np.arange(1, 254, 2) * np.log1p(FARTHEST_M) / 254)
     for limit_m in (
-        rng.uniform(-1.0, 200.0, seen.scan.bins),
-        rng.choice([-1.0, np.inf], seen.scan.bins),
-        rng.choice(range_m.reshape(-1), seen.scan.bins)
-        + rng.choice(edges, seen.scan.bins) * rng.choice([-1, 1], seen.scan.bins),
+        rng.uniform(-1.0, 200.0, seen.statistics.bins),
+        rng.choice([-1.0, np.inf], seen.statistics.bins),
+        rng.choice(range_m.reshape(-1), seen.statistics.bins)
+        + rng.choice(edges, seen.statistics.bins) * rng.choice([-1, 1], seen.statistics.bins),
     ):
         limit = limit_m.astype(np.float32)
         assert np.array_equal(seen.beyond(limit), away_code(limit[bins] - range_m))
@@ -118,7 +118,7 @@ def test_maps_turn_with_the_sensor(frame: Sample) -> None:
     sweep = frame.sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
     turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
     straight, left = maps(sweep), maps(turned)
-    for name in set(FEATURES) - {"range", "supported"}:
+    for name in set(FEATURES) - {"range", "confirmations"}:
         right, wrong = (
             (np.abs(each.astype(int) - left[name]) > 8).mean() for each in (np.rot90(straight[name]), straight[name])
         )
@@ -129,7 +129,7 @@ def test_maps_turn_with_the_sensor(frame: Sample) -> None:
 
 def test_a_sweep_without_returns_is_shown_as_nothing() -> None:
     found = maps(Sweep(np.zeros((0, 3), np.float32)))
-    for name in ("counts", "lowest", "highest", "confirmed", "expected", "unexplained"):
+    for name in ("counts", "lowest", "highest", "measured", "expected", "unresolved"):
         assert not found[name].any()
 
 

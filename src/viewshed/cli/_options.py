@@ -5,6 +5,7 @@ Options of the estimators that are networks.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +43,9 @@ Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the pu
 
 AUTO = "auto"
 
+NO_SENSOR = "none"
+"""No sensor is known, and none is inferred from the points."""
+
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 """What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 
@@ -68,9 +72,12 @@ class Reading:
         """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
         from viewshed.sensors import lidar_model
 
-        model = None if self.sensor in {AUTO, "none"} else lidar_model(self.sensor)
+        model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            yield sweep if model is None else sweep.replace(model=model)
+            if self.sensor == AUTO:
+                yield sweep
+            else:
+                yield sweep.replace(model=model, infer_sensor=False)
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
@@ -185,9 +192,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
     if not files:
         yield from ((file, entry) for file, entry in entries.items() if entry.points)
     for file in files:
-        if file.resolve() not in entries:
+        entry = entries.get(Path(os.path.realpath(file)))
+        if entry is None:
             raise ValueError(f"{file} is not in the index {index}")
-        yield file, entries[file.resolve()]
+        yield file, entry
 
 
 Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.truth import Truth
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Tampered
 
@@ -33,13 +33,13 @@ class Sample:
         ValueError: ``known`` does not fit the truth's grid, or ``tampered`` is of another number of returns.
     """
 
-    measured: RangeImage | Sweep
+    measured: StoredSweep | Sweep
     truth: Truth
     known: NDArray[np.bool_]
     scene: str = ""
     split: str = ""
     tampered: Tampered | None = None
-    clean: RangeImage | None = None
+    clean: StoredSweep | None = None
 
     def __post_init__(self) -> None:
         known = np.ascontiguousarray(self.known)

@@ -211,15 +211,15 @@ class UnetEstimator:
         state: NDArray[np.uint8],
     ) -> None:
         """Fill in probability and state (cells, cells), which hold 0 and UNKNOWN, from the network's probability."""
-        scan = context.scan
+        statistics = context.statistics
         _claim_cells(
             network_prob,
             polar_of_cells(self.grid)[0],
-            scan.obstacle,
-            bins_of_cells(self.grid, scan.bins),
+            statistics.obstacle,
+            bins_of_cells(self.grid, statistics.bins),
             bins_of_cells(self.grid, EVIDENCE_BINS),
-            scan.blocker_m,
-            _evidence(scan.returns, self.target),
+            statistics.blocker_m,
+            _evidence(statistics.returns, self.target),
             np.float32(self.card.max_range_m),
             np.float32(min(reach_of(context.leveled), self.card.max_range_m)),
             np.float32(self.threshold),

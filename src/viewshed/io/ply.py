@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_rows, table_of_sweep
-from viewshed.io._source import Source
+from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_columns, table_of_sweep
+from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _HEADER_BYTES = 65_536
@@ -37,14 +39,11 @@ class _Header:
     in_vertex: bool = False
 
 
-def read_ply(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_ply(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of a PLY file's vertices; elements after them are ignored."""
     content = source.content()
-    try:
-        header = _parse_header(content)
-        yield columns_of_table(_vertices(content, header), frame, ours=header.ours)
-    except ValueError as error:
-        raise source.error(error) from error
+    header = _parse_header(content)
+    yield columns_of_table(_vertices(content, header), frame, ours=header.ours)
 
 
 def _parse_header(content: bytes) -> _Header:
@@ -104,11 +103,11 @@ def _take_property(header: _Header, words: list[str]) -> None:
     header.properties[name] = _KINDS[words[0]]
 
 
-def _vertices(content: bytes, header: _Header) -> dict[str, np.ndarray]:
+def _vertices(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     count, names = header.vertices or 0, list(header.properties)
     if not header.order:
-        rows = number_rows(content, header.start, count, len(names))
-        return {name: rows[:, at] for at, name in enumerate(names) if name in WANTED}
+        wanted = {name: at for at, name in enumerate(names) if name in WANTED}
+        return number_columns(content, header.start, count, len(names), wanted)
     kind = np.dtype([(name, header.order + header.properties[name]) for name in names])
     held, needed = len(content) - header.start, count * kind.itemsize
     if held < needed:

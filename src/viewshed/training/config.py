@@ -82,7 +82,7 @@ class TrainConfig:
         workers: processes that prepare frames beside the one that trains.
         threshold: probability from which a cell counts as visible, in the scores and in the weights' card.
         seed: of everything random.
-        inputs: what the network is shown, names of ``CHANNELS``; ``counts`` alone as published.
+        inputs: what the network is shown, names of ``FEATURES``; ``counts`` alone as published.
         counts: how the returns of a cell are shown: ``linear``, as published, or ``log``.
         max_range_m: returns up to this horizontal range count.
         heights_m: lowest and highest z from the sensor at which returns count.

@@ -18,7 +18,7 @@ from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import simulate
-from viewshed.datasets.tampered import AttackPlan, of_archive, spoil
+from viewshed.datasets.tampered import AttackPlan, sweeps_of_archive, tamper
 from viewshed.threats.attacks import ATTACKS, FULL_WEDGE
 from viewshed.threats.attacks.base import Tampered
 
@@ -48,7 +48,7 @@ def _size(archive: Archive) -> int:
 def test_every_attack_is_read_as_it_was_made_and_takes_little_room(
     attack: str, budget: int | None, times: float, clean: Archive, tmp_path: Path
 ) -> None:
-    made = spoil(of_archive(clean), AttackPlan(attack, budget), Storage.of(tmp_path), ONE, seed=7)
+    made = tamper(sweeps_of_archive(clean), AttackPlan(attack, budget), Storage.of(tmp_path), ONE, seed=7)
     scenes = [sample.scene for sample in clean]
     for index, scene in enumerate(scenes):
         within = index - scenes.index(scene)
@@ -82,9 +82,9 @@ def test_where_an_attacker_made_most_returns_points_are_stored(make_sample: Call
 
 
 def test_an_attacked_archive_can_be_attacked_again(clean: Archive, tmp_path: Path) -> None:
-    once = spoil(of_archive(clean), AttackPlan("ghost_car", 60), Storage.of(tmp_path / "once"), ONE, seed=1)
-    twice = spoil(of_archive(once), AttackPlan("uniform", 10), Storage.of(tmp_path / "twice"), ONE, seed=2)
-    none = spoil(of_archive(once), AttackPlan("uniform", 0), Storage.of(tmp_path / "none"), ONE, seed=2)
+    once = tamper(sweeps_of_archive(clean), AttackPlan("ghost_car", 60), Storage.of(tmp_path / "once"), ONE, seed=1)
+    twice = tamper(sweeps_of_archive(once), AttackPlan("uniform", 10), Storage.of(tmp_path / "twice"), ONE, seed=2)
+    none = tamper(sweeps_of_archive(once), AttackPlan("uniform", 0), Storage.of(tmp_path / "none"), ONE, seed=2)
     for index in range(len(once)):
         rows = twice[index].tampered
         assert rows is not None

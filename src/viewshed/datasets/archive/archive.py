@@ -27,7 +27,7 @@ from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import level
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -287,7 +287,7 @@ class ArchiveSource:
         """
         return self.sample(ref).sweep
 
-    def measured(self, ref: SweepRef) -> RangeImage | Sweep:
+    def measured(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return a sweep as it is stored: the range image where there is one; errors as :meth:`read`."""
         return self.sample(ref).measured
 

@@ -17,7 +17,7 @@ from viewshed.datasets.archive.schema import Footer, Layout, Sensors
 from viewshed.datasets.sample import Sample
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.raycast.scan import Motion
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Tampered, Wedge
@@ -147,7 +147,7 @@ def merge_rows(clean: Sweep, made: Sweep, added: NDArray[np.bool_], removed: NDA
     return made.replace(**columns)
 
 
-def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
+def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
     """Return what is neither array nor truth, as plain values; Python's floats survive JSON exactly."""
     pose = _pose_numbers(measured.world_from_sensor)
     about: dict[str, Any] = {
@@ -157,7 +157,7 @@ def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
         "sensor_height_m": None if measured.sensor_height_m is None else float(measured.sensor_height_m),
         "world_from_sensor": None if pose is None else pose.tolist(),
     }
-    if isinstance(measured, RangeImage):
+    if isinstance(measured, StoredSweep):
         motion = measured.motion
         numbers = [*motion.velocity_mps, motion.yaw_rate, motion.period_s]
         return about | {"step_m": float(measured.step_m), "motion": [float(value) for value in numbers]}
@@ -169,7 +169,7 @@ def _about(measured: RangeImage | Sweep, sensors: Sensors) -> dict[str, Any]:
     }
 
 
-def _pack_image(image: RangeImage) -> tuple[bytes, bytes]:
+def _pack_image(image: StoredSweep) -> tuple[bytes, bytes]:
     return packing.pack_ranges(image.steps), image.intensity.tobytes()
 
 
@@ -180,7 +180,7 @@ def _pack_points(sweep: Sweep) -> bytes:
 
 def _image(
     about: dict[str, Any], ranges: packing.Buffer | None, intensity: packing.Buffer | None, sensors: Sensors
-) -> RangeImage:
+) -> StoredSweep:
     model = sensors.model(about["sensor"])
     if model is None or ranges is None or intensity is None:
         raise ValueError("a frame without points must have a sensor, ranges and intensity")
@@ -189,7 +189,7 @@ def _image(
     pose = _pose(about["world_from_sensor"])
     if pose is None:
         raise ValueError("a range image must have a pose")
-    return RangeImage(
+    return StoredSweep(
         model=model,
         steps=packing.unpack_ranges(ranges, shape),
         intensity=packing.bytes_of(intensity, shape),
@@ -205,7 +205,8 @@ def _image(
 def _sweep(about: dict[str, Any], raw: packing.Buffer, sensors: Sensors) -> Sweep:
     count, view = int(about["points"]), memoryview(raw)
     points = packing.unpack_column(view[: 12 * count], np.float32, (count, 3))
-    start, columns = 12 * count, {}
+    start = 12 * count
+    columns: dict[str, Any] = {}
     for name in about["columns"]:
         end = start + count * np.dtype(_COLUMNS[name]).itemsize
         columns[name] = packing.unpack_column(view[start:end], _COLUMNS[name], (count,))
