@@ -181,7 +181,7 @@ def mcap(packing: str = "ZSTD") -> bytes:
 
     raw = cloud(ros1=False)[1]
     file = io.BytesIO()
-    writer = Writer(file, compression=CompressionType[packing], chunk_size=100)
+    writer: Any = Writer(file, compression=CompressionType[packing], chunk_size=100)
     writer.start("ros2")
     schema = writer.register_schema("sensor_msgs/msg/PointCloud2", "ros2msg", b"")
     channel = writer.register_channel("/points", "cdr", schema)

@@ -84,7 +84,7 @@ BAD = {
         r"NPY shape \(999999999, 3\) of float64 needs 23999999976 bytes, the array holds 0",
     ),
     "blanks.npy": (
-        header_only(b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"1 " * 4_900 + b"!"),
+        header_only(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1" + b" " * 9_900 + b"!"),
         "NPY header is damaged",
     ),
     "sizes.npy": (

@@ -128,7 +128,7 @@ def format_named(name: str, path: str) -> str:
         plain = path.lower().removesuffix(".gz")
         name = next((known for known in writable if plain.endswith(FORMATS[known].suffixes)), "")
         if not name:
-            raise ValueError(f"{path}: format is not told by the name; name one of {', '.join(writable)}")
+            raise ValueError(f"{path}: format cannot be known by the name; name one of {', '.join(writable)}")
     if name not in writable:
         raise ValueError(f"{path}: format must be one of {', '.join(writable)} to write, got {name!r}")
     return name

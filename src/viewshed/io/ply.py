@@ -57,14 +57,14 @@ def _parse_header(content: bytes) -> _Header:
         start = end + 1
         if line == "end_header":
             break
-        _take_line(header, line)
+        _parse_line(header, line)
     if header.order is None or header.vertices is None:
         raise ValueError("PLY header must have lines 'format' and 'element vertex'")
     header.start = start
     return header
 
 
-def _take_line(header: _Header, line: str) -> None:
+def _parse_line(header: _Header, line: str) -> None:
     words = line.split()
     match words:
         case ["format", order, _] if order in _ORDERS:
@@ -72,16 +72,16 @@ def _take_line(header: _Header, line: str) -> None:
         case ["format", *_]:
             raise ValueError(f"PLY format must be {', '.join(_ORDERS)}, got {line!r}")
         case ["element", name, count]:
-            _take_element(header, name, count)
+            _parse_element(header, name, count)
         case ["property", *rest] if header.in_vertex:
-            _take_property(header, rest)
+            _parse_property(header, rest)
         case ["comment", *_]:
             header.ours = header.ours or line == f"comment {MARK}"
         case _:
             return
 
 
-def _take_element(header: _Header, name: str, count: str) -> None:
+def _parse_element(header: _Header, name: str, count: str) -> None:
     header.in_vertex = name == "vertex"
     if header.vertices is None and not header.in_vertex:
         raise ValueError(f"PLY element vertex must come first, got {name!r}")
@@ -94,7 +94,7 @@ def _take_element(header: _Header, name: str, count: str) -> None:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, PLY header says {count}")
 
 
-def _take_property(header: _Header, words: list[str]) -> None:
+def _parse_property(header: _Header, words: list[str]) -> None:
     if len(words) != 2 or words[0] not in _KINDS:
         raise ValueError(f"PLY vertex property must be one number of a known type, got {' '.join(words)!r}")
     name = words[1].lower()

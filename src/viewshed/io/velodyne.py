@@ -84,10 +84,10 @@ def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> by
     body = ip[header : total if total >= header else None]
     flags = int.from_bytes(ip[6:8], "big")
     if flags & 0x3FFF:
-        whole = _joined(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
-        if whole is None:
+        joined = _join_fragments(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
+        if joined is None:
             return None
-        body = whole
+        body = joined
     length = int.from_bytes(body[4:6], "big")
     return body[8:length] if 8 <= length <= len(body) else None
 
@@ -102,7 +102,9 @@ def _ip_packet(packet: bytes, link: int) -> bytes:
     return packet[start:]
 
 
-def _joined(key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, _Datagram]) -> bytes | None:
+def _join_fragments(
+    key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, _Datagram]
+) -> bytes | None:
     """Keep a fragment; return the datagram once as many bytes are there as it has, None before.
 
     The parts are put together once, so that fragments that never fit cost no more than those that do.
@@ -119,10 +121,10 @@ def _joined(key: bytes, offset: int, body: bytes, more: bool, fragments: dict[by
     if datagram.held != datagram.length:
         return None
     del fragments[key]
-    whole = bytearray()
-    while len(whole) in datagram.parts:
-        whole += datagram.parts[len(whole)]
-    return bytes(whole) if len(whole) == datagram.length else None
+    joined = bytearray()
+    while len(joined) in datagram.parts:
+        joined += datagram.parts[len(joined)]
+    return bytes(joined) if len(joined) == datagram.length else None
 
 
 PACKET_BYTES = 1206

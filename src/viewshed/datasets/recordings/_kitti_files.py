@@ -271,7 +271,7 @@ class CameraTrack:
         return self.camera_from_velodyne.inverse() @ first_from_camera @ self.camera_from_velodyne
 
 
-def posed(ref: SweepRef, pose: Callable[[str], Rigid]) -> Rigid:
+def pose_of(ref: SweepRef, pose: Callable[[str], Rigid]) -> Rigid:
     """Return the pose of a ref; errors name the sweep's file too.
 
     Raises:

@@ -18,7 +18,7 @@ import struct
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, NamedTuple, Protocol
 
 from viewshed.io._input import inside, one_line, unpack_limit
 
@@ -117,9 +117,8 @@ Read = Callable[[int, int], bytes]
 """(first byte, number of bytes) → what is there, of a file or of a chunk that was unpacked."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Record:
-    """One record: where it ends, and what is used of a message or a chunk.
+class _Record(NamedTuple):
+    """One record: where it ends, and what is used of a message or a chunk (a tuple: a bag has millions).
 
     Attributes:
         end: first byte behind it.
@@ -244,8 +243,8 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
     at = 0
     while at < len(header):
         (length,) = struct.unpack_from("<I", header, at)
-        name, _, fields_value = header[at + 4 : at + 4 + length].partition(b"=")
-        fields[name] = fields_value
+        name, _, value = header[at + 4 : at + 4 + length].partition(b"=")
+        fields[name] = value
         at += 4 + length
     return fields
 
@@ -306,9 +305,8 @@ class RecordBag:
         chunk, start, length = map(int, where.split(":"))
         if chunk < 0:
             return self._read(start, length)
-        with _damage_in_one_line(chunk):
-            record = self._layout.record(self._read, chunk, self._size)
-            return self._chunk(chunk, record)[start : start + length]
+        content = self._chunk(chunk, self._record(self._read, chunk, self._size))
+        return content[start : start + length]
 
     def _read(self, at: int, count: int) -> bytes:
         self._file.seek(at)
@@ -317,8 +315,7 @@ class RecordBag:
     def _records(self, read: Read, at: int, stop: int) -> Iterator[tuple[int, _Record]]:
         """Yield each record with its first byte; many in a row without a message are refused."""
         while at < stop or read == self._read:
-            with _damage_in_one_line(at):
-                record = self._layout.record(read, at, stop)
+            record = self._record(read, at, stop)
             if record.kind == "end":
                 return
             self._empty = 0 if record.kind == "message" else self._empty + 1
@@ -326,6 +323,12 @@ class RecordBag:
                 raise ValueError(f"is damaged: {self._empty} records before byte {at} hold no message")
             yield at, record
             at = record.end
+
+    def _record(self, read: Read, at: int, stop: int) -> _Record:
+        try:
+            return self._layout.record(read, at, stop)
+        except (struct.error, KeyError) as error:
+            raise ValueError(f"is damaged: the record at byte {at} does not hold what it should: {error!r}") from error
 
     def _wanted(self, record: _Record, chunk: int, read: Read, kinds: Collection[str]) -> Iterator[Message]:
         if record.kind != "message":
@@ -350,14 +353,6 @@ class RecordBag:
 
 def _reader_of(content: bytes) -> Read:
     return lambda at, count: content[at : at + count]
-
-
-@contextlib.contextmanager
-def _damage_in_one_line(at: int) -> Iterator[None]:
-    try:
-        yield
-    except (struct.error, KeyError, IndexError) as error:
-        raise ValueError(f"is damaged: the record at byte {at} does not hold what it should: {error!r}") from error
 
 
 def _unpack(packed: bytes, packing: str, size: int, at: int) -> bytes:
@@ -446,20 +441,15 @@ class SqliteBag:
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""
         with _sqlite_errors():
-            [found] = self._base.execute("SELECT data FROM messages WHERE id = ?", (int(where),)).fetchall()
-        if not isinstance(found[0], bytes):
+            row = self._base.execute("SELECT data FROM messages WHERE id = ?", (int(where),)).fetchone()
+        if row is None or not isinstance(row[0], bytes):
             raise ValueError(f"is damaged: message {where} is no bytes")
-        return _unpacked_message(found[0])
+        return _unzstd(row[0]) if row[0][:4] == _ZSTD_MAGIC else row[0]  # rosbag2 may pack each message
 
 
 _ROW_BYTES_MIN = 8
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
-
-def _unpacked_message(raw: bytes) -> bytes:
-    """Return a message as it was before rosbag2 packed it; one that is not packed begins in another way."""
-    return _unzstd(raw) if raw[:4] == _ZSTD_MAGIC else raw
 
 
 def _unzstd(packed: bytes) -> bytes:

@@ -9,7 +9,7 @@ from viewshed.datasets.recordings._kitti_boxes import FILE, Tracklets, read_labe
 from viewshed.datasets.recordings._kitti_files import (
     CameraTrack,
     InertialTrack,
-    posed,
+    pose_of,
     read_frame,
     refs_of,
     sweep_files,
@@ -105,7 +105,7 @@ class KittiRaw:
 
     def _pose(self, ref: SweepRef) -> Rigid | None:
         track = self._tracks.get(ref.scene)
-        return None if track is None else posed(ref, track.world_from_velodyne)
+        return None if track is None else pose_of(ref, track.world_from_velodyne)
 
 
 class KittiOdometry:
@@ -159,7 +159,7 @@ class KittiOdometry:
             OSError: its file cannot be read.
         """
         track = self._tracks.get(ref.scene)
-        return read_frame(self._root, ref, None if track is None else posed(ref, track.world_from_velodyne))
+        return read_frame(self._root, ref, None if track is None else pose_of(ref, track.world_from_velodyne))
 
     def boxes(self, ref: SweepRef) -> None:
         """Return None: the set has no annotated objects."""

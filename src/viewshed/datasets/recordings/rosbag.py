@@ -96,7 +96,7 @@ class Bag:
 
 
 def scan_bag(root: Path, scene: str, path: Path, damage: list[str]) -> Bag | None:
-    """Return what a bag holds, or None where it has no clouds; what is wrong is added to a list."""
+    """Return what a bag holds, or None where it has no clouds; what is wrong is added to ``damage``."""
     try:
         file = open_bag(root, path)
     except (ValueError, OSError) as error:
@@ -166,13 +166,13 @@ def _add(buffer: TransformBuffer, header: Any, child: str, where: Any, turn: Any
 
 
 def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str]) -> None:
-    heard = {cloud.topic for cloud in contents.clouds}
+    with_clouds = {cloud.topic for cloud in contents.clouds}
     for topic, kind in sorted(types.items()):
-        if kind == CLOUD and topic not in heard:
+        if kind == CLOUD and topic not in with_clouds:
             note_damage(damage, f"topic {topic} has no cloud")
         elif kind in PACKETS:
             note_damage(damage, f"topic {topic} has {kind}, which is not read; record PointCloud2")
-    if not heard and CLOUD not in types.values():
+    if not with_clouds and CLOUD not in types.values():
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
         note_damage(damage, f"no topic has {CLOUD}; topics that exist: {topics}")
 
@@ -275,10 +275,10 @@ class BagRecording:
         damage: dict[str, None] = {}
         bags: dict[str, Bag] = {}
         for path in bags_in(place) or [place]:
-            said: list[str] = []
+            problems: list[str] = []
             scene = path.stem if path.stem not in bags else path.name
-            bag = scan_bag(root, scene, path, said)
-            damage |= dict.fromkeys(f"{path}: {line}" for line in said)
+            bag = scan_bag(root, scene, path, problems)
+            damage |= dict.fromkeys(f"{path}: {line}" for line in problems)
             if bag is not None:
                 bags[scene] = bag
         if not bags:

@@ -132,15 +132,15 @@ def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np
     """Return the ring (N,), 0 the lowest, of a field that counts beams in any order; None where it counts none."""
     if laser is None:
         return None
-    whole = whole_rings(laser)
-    if whole is None:
+    number = whole_rings(laser)
+    if number is None:
         return None
-    if whole.size == 0:
-        return whole.astype(np.int16)
-    order = _order(whole, points)
+    if number.size == 0:
+        return number.astype(np.int16)
+    order = _order(number, points)
     if order == 0:
-        return rings_by_elevation(whole, points)
-    return (whole if order > 0 else whole.max() - whole).astype(np.int16)
+        return rings_by_elevation(number, points)
+    return (number if order > 0 else number.max() - number).astype(np.int16)
 
 
 def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
