@@ -18,7 +18,7 @@ from viewshed.fov.visibility import CAR
 from viewshed.sensors import LidarModel
 from viewshed.sim.raycast.scan import Scan
 from viewshed.sim.truth.exact import exact_truth
-from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.records import Case
 from viewshed.studies.samples import StudySample
 from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import (
@@ -111,8 +111,14 @@ def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
         yield from (replace(case, defense=defense) for defense in defenses)
 
 
-def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered:
+def apply(case: Case, sample: StudySample, rng: np.random.Generator, half_extent_m: float | None = None) -> Tampered:
     """Return the sweep as a case leaves it, without its defense; what a corruption does is no attacker's.
+
+    Args:
+        case: what is done.
+        sample: the sweep, and what was measured before.
+        rng: all that is random.
+        half_extent_m: of the grid that attacks are scaled to; that of the truth if not given.
 
     Raises:
         ValueError: the attack or corruption cannot work on this sweep; the message says why.
@@ -124,7 +130,7 @@ def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered
         return untouched(unorganized_no_sensor(sweep))
     if case.kind == "corruption":
         return untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
-    return attack_of(case, sample).apply(sweep, rng)
+    return attack_of(case, sample, half_extent_m or sample.truth.grid.half_extent_m).apply(sweep, rng)
 
 
 def untouched(sweep: Sweep) -> Tampered:
@@ -133,13 +139,12 @@ def untouched(sweep: Sweep) -> Tampered:
     return Tampered(sweep, none, none)
 
 
-def attack_of(case: Case, sample: StudySample) -> Attack:
-    """Return the attack of a case, scaled to the grid of the sample.
+def attack_of(case: Case, sample: StudySample, half_extent_m: float) -> Attack:
+    """Return the attack of a case, scaled to a grid.
 
     Raises:
         ValueError: it needs an earlier sweep and there is none, or there is no attack of this kind.
     """
-    half_extent_m = sample.truth.grid.half_extent_m
     knowledge = Knowledge(sample.earlier[:1], half_extent_m=half_extent_m)
     if case.kind == "attack":
         budget = FULL_WEDGE if case.level == FULL else None if case.level == DEFAULT else int(case.level)

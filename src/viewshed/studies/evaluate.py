@@ -17,8 +17,7 @@ from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts, Mask, Scores, average_precision
 from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import apply, visible_with
-from viewshed.studies.records import Case
-from viewshed.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Record, Series
+from viewshed.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Record, Series
 from viewshed.studies.samples import StudySample
 from viewshed.studies.suite import EstimatorSuite
 from viewshed.sweep import Sweep
@@ -145,6 +144,14 @@ class Evaluation:
         yield self.record(method, case, VIEW, reference.counts(prob, threshold, reference.known), numbers)
         if wedge is not None:
             yield self.record(method, case, WEDGE, reference.counts(prob, threshold, reference.inside(wedge)))
+
+    def score(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Record]:
+        """Yield the same with all cells by their probability and deviation."""
+        reference, prob = self.reference, self.reference.prob_of(estimate)
+        masks = {VIEW: reference.known} if wedge is None else {VIEW: reference.known, WEDGE: reference.inside(wedge)}
+        for region, mask in masks.items():
+            counts = reference.counts(prob, self.suite.threshold, mask)
+            yield replace(self.record(method, case, region, counts), scores=reference.scores(estimate, mask))
 
     def _untouched(self, method: str, case: Case, wedge: Wedge) -> Record:
         clean = self.suite.estimates(level(self.sample.sweep, self.suite.grid))[method]
@@ -291,5 +298,3 @@ class AdaptiveEvaluation:
         if defense is None or defense.apply(self.evaluation.sample.sweep).alarm is None:
             return attack
         return replace(attack, objective=Evade(attack.objective, lambda sweep: float(defense.apply(sweep).alarm or 0)))
-
-

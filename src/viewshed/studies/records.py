@@ -1,4 +1,4 @@
-"""What a study counts, one record for each sweep, method, case and region; and all of them pooled by what they are of."""
+"""What a study counts: one record for each sweep, method, case and region, and all of them pooled."""
 
 from __future__ import annotations
 
@@ -219,9 +219,14 @@ class Results(Generic[P]):
         """Return how many sweeps of a domain there are records of."""
         return max((len(self._rows[s].counts) for s in self.series(domain, protocol)), default=0)
 
+    def scenes(self, series: Series) -> set[str]:
+        """Return the scenes of the sweeps that there are records of."""
+        return set(self._rows[series].scenes) if series in self._rows else set()
+
     def met(self, domain: str, kind: str) -> Results[P]:
         """Return the records of only those sweeps of a domain that met a kind of case, to compare like with like."""
-        numbers = {n for s, rows in self._rows.items() if s.domain == domain and s.case.kind == kind for n in rows.sweeps}
+        of_kind = [s for s in self.series(domain) if s.case.kind == kind]
+        numbers = {number for s in of_kind for number in self._rows[s].sweeps}
         found = Results(self.plan)
         for series in self.series(domain):
             rows = self._rows[series]
@@ -255,11 +260,14 @@ class Results(Generic[P]):
         """Return a measure of each sweep (S,), NaN where it has none."""
         return measure(self.array(series))
 
+    def by_sweep(self, series: Series, name: str) -> dict[int, float]:
+        """Return another figure of each sweep that has it, by the number of the sweep in ascending order."""
+        rows = self._rows.get(series, _Rows())
+        return dict(sorted((sweep, n[name]) for sweep, n in zip(rows.sweeps, rows.numbers, strict=True) if name in n))
+
     def numbers(self, series: Series, name: str) -> Floats:
         """Return another figure of each sweep that has it (S,), in the order of their numbers."""
-        rows = self._rows.get(series, _Rows())
-        found = sorted((sweep, n[name]) for sweep, n in zip(rows.sweeps, rows.numbers, strict=True) if name in n)
-        return np.array([value for _, value in found], np.float64)
+        return np.array(list(self.by_sweep(series, name).values()), np.float64)
 
     def rate(self, series: Series, measure: Measure) -> float:
         """Return a measure of all sweeps together; NaN where there are none."""

@@ -26,6 +26,7 @@ from viewshed.threats.attacks import ATTACKS, FAMILY
 DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "vote")
 """Estimators in the pictures of single sweeps."""
 
+
 def violin_picture(domains: Sequence[Domain], protocol: str) -> Picture:
     """Return violins of precision and AUPRC for every domain: benign against the paper's mixture, or all attacks."""
     paper = protocol == PAPER
@@ -65,9 +66,7 @@ def budget_picture(domain: Domain) -> Picture:
 def wedge_picture(domain: Domain) -> Picture:
     """Return curves of precision in the attacker's wedge over the budget, one panel an attack that has a wedge."""
     attacks = [name for name in _budgeted(domain) if domain.has_wedge(domain.strongest[name])]
-    panels = [
-        _over_budgets(domain, name, lambda m, case: domain.counts(m, case, WEDGE).precision) for name in attacks
-    ]
+    panels = [_over_budgets(domain, name, lambda m, case: domain.counts(m, case, WEDGE).precision) for name in attacks]
     png = figures.curve_figure(panels, 5, "precision in the wedge")
     alt = f"{domain.name}: precision in the attacker's wedge over the budget of each attack"
     return Picture(f"robustness_wedge_{_word(domain)}.png", png, alt)
@@ -81,9 +80,7 @@ def _over_budgets(domain: Domain, attack: str, value: Callable[[str, Case], floa
     return _curves(domain, f"{attack} ({FAMILY[attack]})", budget_cases(attack, domain.plan.budgets), value)
 
 
-def _curves(
-    domain: Domain, title: str, cases: Sequence[Case], value: Callable[[str, Case], float]
-) -> figures.Curves:
+def _curves(domain: Domain, title: str, cases: Sequence[Case], value: Callable[[str, Case], float]) -> figures.Curves:
     values = {name: [value(name, case) for case in cases] for name in domain.methods}
     return figures.Curves(title, [case.level or "benign" for case in cases], values)
 
@@ -205,7 +202,9 @@ both the truth stays what it was. `vegetation` puts bushes before surfaces: the 
 what is over-claimed behind them is the truth's own. All others spoil the measurement alone."""
 
 
-def files_of(store: ResultStore[RobustnessPlan], failed: Sequence[str] = (), stem: str = "robustness") -> dict[str, bytes]:
+def files_of(
+    store: ResultStore[RobustnessPlan], failed: Sequence[str] = (), stem: str = "robustness"
+) -> dict[str, bytes]:
     """Return the files of the study by name: one HTML file, pictures, the long tables, and the main page last.
 
     Args:

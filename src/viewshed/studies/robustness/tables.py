@@ -63,7 +63,7 @@ def budget_table(domain: Domain) -> Table:
 
 
 def wedge_table(domain: Domain) -> Table:
-    """Return precision / recall in the wedge at the largest budget, above the same in the wedge with nothing touched."""
+    """Return precision / recall in the wedge at the largest budget, above the same with no return touched."""
     rows = []
     for attack, case in domain.strongest.items():
         if domain.has_wedge(case):
@@ -238,7 +238,8 @@ def known_defense_table(domain: Domain, attack: str) -> Table:
         counts = domain.counts(method, Case(kind, attack, level, defense), WEDGE)
         return _pair(counts) if counts.cells and not isnan(counts.recall) else "–"
 
-    columns = {f"{name}, {words}": (name, kind) for name in domain.plan.adaptive_defended for words, kind in kinds.items()}
+    defended = domain.plan.adaptive_defended
+    columns = {f"{name}, {words}": (name, kind) for name in defended for words, kind in kinds.items()}
     return pivot("", {"*no defense*": ""} | _by_name(domain.plan.defenses), columns, rates)
 
 

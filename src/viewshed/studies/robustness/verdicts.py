@@ -141,7 +141,7 @@ class Domain:
         return self.counts(method, self.asked(attack)).cells > 0
 
     def before(self, method: str, case: Case) -> tuple[Case, str]:
-        """Return what an attacked score is held against: the same wedge with no return touched, else the benign view."""
+        """Return what an attacked score is held against: its wedge with no return touched, else the benign view."""
         kinds = {"attack": "attack", "adaptive": "adaptive", "unaware": "adaptive"}
         unarmed = replace(case, kind=kinds.get(case.kind, ""), level="0")
         if self.counts(method, case, WEDGE).cells and self.counts(method, unarmed, WEDGE).cells:
