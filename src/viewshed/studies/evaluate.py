@@ -204,7 +204,7 @@ def defense_of(name: str, sample: StudySample) -> Defense:
 def _judged(defended: Defended, tampered: Tampered) -> dict[str, float]:
     """Return how many of the attacker's and of the other returns a defense drops, and whether it alarms."""
     added, dropped = tampered.added, defended.dropped
-    numbers = {"caught": int((dropped & added).sum()), "added": int(added.sum()),
+    numbers: dict[str, float] = {"caught": int((dropped & added).sum()), "added": int(added.sum()),
                "lost": int((dropped & ~added).sum()), "others": int((~added).sum())}  # fmt: skip
     return numbers if defended.alarm is None else numbers | {"alarm": int(defended.alarm)}
 
@@ -251,7 +251,7 @@ class AdaptiveEvaluation:
         suite, defenses = self.evaluation.suite, self.evaluation.defenses
         for case in cases:
             try:
-                records = []
+                records: list[Record] = []
                 for victim in self.defended if case.defense else suite.estimators:
                     sweep = self._sweep(case, victim)
                     if case.defense:

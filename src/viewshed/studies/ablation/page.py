@@ -82,8 +82,8 @@ def page_of(store: ResultStore[AblationPlan]) -> str:
     validation = SettingResults.read(store, "validation", plan.config)
     tests = {setting: SettingResults.read(store, "test", setting) for setting in plan.settings}
     test, chosen = tests[plan.config], SettingResults.read(store, "chosen", plan.config)
-    blocks += _aimed({plan.title_of(plan.config): targets_of(validation, test, chosen)}
-                     | {plan.title_of(setting): targets_elsewhere(tests[setting]) for setting in plan.others})  # fmt: skip
+    elsewhere = {plan.title_of(setting): targets_elsewhere(tests[setting]) for setting in plan.others}
+    blocks += _aimed({plan.title_of(plan.config): targets_of(validation, test, chosen)} | elsewhere)
     if validation.methods:
         blocks += [
             Heading(2, "What each part is worth"),

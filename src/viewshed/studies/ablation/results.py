@@ -287,7 +287,7 @@ def _agreement(test: SettingResults) -> Iterator[Target]:
     yield Target("mean F1, unseen attacks less those trained on", "≥ -.020", found, unseen - seen >= -0.02)
 
 
-def _lead(test: SettingResults, cases: Iterable[str], what: str) -> Target:
+def _lead(test: SettingResults, cases: Iterable[Case], what: str) -> Target:
     leads = {case: test.f1(OURS, [case]) - test.f1(RIVAL, [case]) for case in cases if test.has(OURS, case)}
     worst = min(leads, key=lambda case: leads[case])
     return Target(what, "≥ 0", f"{leads[worst]:+.3f} ({label(worst)})", leads[worst] >= 0)

@@ -43,7 +43,7 @@ from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.attacks.base import Tampered
 
 ATTACKED = Case("attack", "adversarial")
-"""What the held-out sweeps of the pairs face: in the paper's protocol its mixture, in the strict one attacks in turn."""
+"""What held-out sweeps of the pairs face: in the paper's protocol its mixture, in the strict one attacks in turn."""
 
 TRADE = "trade"
 """Protocol of the records of the trade study: the paper's, on grids of other resolutions."""

@@ -85,7 +85,7 @@ def mcd_picture(results: PaperResults, protocol: str) -> Picture | None:
 
 
 def _shown_sweep(results: PaperResults, protocol: str, domain: str) -> tuple[Evaluation, Tampered]:
-    """Return the first held-out sweep that the paper's mixture touches, or the first under ``SHOWN``; and it attacked."""
+    """Return the first held-out sweep that the mixture touches, or the first under ``SHOWN``; and it attacked."""
     plan, folder, setting = results.plan, results.store.folder, setting_of(results.plan, protocol, domain)
     numbers = range(plan.pair_frames) if protocol == PAPER else [TOUCHING.index(SHOWN)]
     found = []
