@@ -147,7 +147,7 @@ def _severities(results: PaperResults, domain: str, methods: list[str], region: 
             yield Curves(f"{name}, {attribute}", steps, curves)
 
 
-TITLES = {PAPER: "The paper's study, made again", STRICT: "The paper's study, held against exact truth"}
+TITLES = {PAPER: "The published study, made again", STRICT: "The published study, held against exact truth"}
 
 _PAPER = """\
 arXiv 2503.07375 made again on simulated sweeps: its network, label, grid, threshold and attacks. The truth is the
