@@ -63,7 +63,7 @@ def test_public_definitions_have_docstrings(path: Path) -> None:
 
 
 def test_version_is_in_changelog_and_citation() -> None:
-    newest = re.search(r"^## (\S+)", _text("CHANGELOG.md"), re.MULTILINE)
+    newest = re.search(r"^## (\d\S+)", _text("CHANGELOG.md"), re.MULTILINE)
     assert newest is not None
     assert newest[1] == viewshed.__version__
     assert yaml.safe_load(_text("CITATION.cff"))["version"] == viewshed.__version__

@@ -16,7 +16,6 @@ from pathlib import Path
 from viewshed import GRIDS, CellState
 from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
-from viewshed.cli._options import with_inferred_sensor
 from viewshed.estimators import ESTIMATORS
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.plot import Panel, contact_sheet
@@ -53,7 +52,7 @@ def main() -> None:
 
 def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Panel | None]:
     try:
-        sweep = with_inferred_sensor(read_indexed(entry))
+        sweep = read_indexed(entry)
     except (ValueError, OSError) as error:
         return [name, entry.sensor, "–", *[""] * 6, " ".join(str(error).split()).split(": ")[-1][:90]], None
     estimator = ESTIMATORS["shadow_map"](GRIDS[grid])

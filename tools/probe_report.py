@@ -47,8 +47,8 @@ truth or the cast has at least one beam (behind a wall both say 0, which is easy
 the probe does not; *probe only* the other way round."""
 _WHOLE = """\
 The same with a whole target, turned at random and centered in its cell. It is no test of the truth: a car of 4.2 m
-shows up to 4.5 m where the plate shows 1.8 m, and its nearest corner stands 2.3 m before the center, so it is met by more
-beams and looks out from behind what hides its center. It tells how cautious the definition is: nearly all
+shows up to 4.5 m where the plate shows 1.8 m, and its nearest corner stands 2.3 m before the center, so more
+beams meet it, and it looks out from behind what hides its center. It tells how cautious the definition is: nearly all
 disagreements are cars that are met and not claimed."""
 
 

@@ -23,7 +23,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("file", type=Path, help="network.onnx of a training")
     parser.add_argument("--name", required=True, help="what users ask for")
     parser.add_argument(
-        "--methods", default="unet,mcd", help="estimators that take it where no weights are named; may be none"
+        "--methods", default="unet,mc_dropout", help="estimators that take it where no weights are named; may be none"
     )
     parser.add_argument("--folder", type=Path, default=WEIGHTS)
     chosen = parser.parse_args(words)

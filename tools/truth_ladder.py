@@ -113,11 +113,11 @@ def steps(shot: Shot, grid: BevGrid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     leveled: LeveledSweep | None = None
     for name, sweep in (("as measured", shot.measured()), ("no noise, nothing lost", shot.noise_free())):
         leveled = level(sweep, grid)
-        yield name, ShadowMap(grid).estimate_level(leveled).visible()
+        yield name, ShadowMap(grid).estimate(leveled).visible()
         if name == "as measured":
             for rule in ("fill", "max_range"):
-                yield f"{name}, no return {rule}", ShadowMap(grid, CAR, rule).estimate_level(leveled).visible()
-        yield f"{name}, exact ground", ShadowMap(grid).estimate_level(replace(leveled, ground=exact)).visible()
+                yield f"{name}, no return {rule}", ShadowMap(grid, CAR, rule).estimate(leveled).visible()
+        yield f"{name}, exact ground", ShadowMap(grid).estimate(replace(leveled, ground=exact)).visible()
     for name, ground in (("every beam exact", leveled.ground if leveled else exact), ("the kernel alone", exact)):
         counts, _ = expected_returns(shot.beams(), shot.height_m, ground, grid, CAR)
         yield name, counts >= CAR.min_returns

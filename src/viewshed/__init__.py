@@ -2,19 +2,19 @@
 
 >>> import numpy as np, viewshed
 >>> sweep = viewshed.Sweep(points=np.zeros((0, 3), np.float32))
->>> viewshed.BevGrid().shape
-(256, 256)
+>>> viewshed.estimate(sweep, method="shadow_map").visible().any()
+np.False_
 """
-
-from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive, Sample
-    from viewshed.estimators import ESTIMATORS
+    from viewshed.datasets.recording import open_recording
+    from viewshed.estimators import ESTIMATORS, estimate, load_estimator
     from viewshed.fov.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.fov.score import score
     from viewshed.fov.truth import Truth
     from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
     from viewshed.geometry import Rigid
@@ -23,24 +23,27 @@ if TYPE_CHECKING:
     from viewshed.sensors import LidarModel, lidar_model
     from viewshed.sim.worlds import WORLDS
     from viewshed.sweep import Sweep
-
+    from viewshed.threats import attacks
 
 __version__ = "0.3.0"
 
 _HOMES = {
-    "Rigid": "geometry", "LidarModel": "sensors", "lidar_model": "sensors",
-    "read_sweep": "io", "write_sweep": "io", "Sweep": "sweep",
-    "BevGrid": "grid", "GRIDS": "grid",
-    "Target": "fov.visibility", "CAR": "fov.visibility", "PEDESTRIAN": "fov.visibility",
-    "FovEstimate": "fov.estimate", "CellState": "fov.estimate", "FovEstimator": "fov.estimate",
-    "ESTIMATORS": "estimators",
-    "WORLDS": "sim.worlds", "Truth": "fov.truth", "Sample": "datasets", "Archive": "datasets",
+    # what most users need, in the order of the flow
+    "read_sweep": "io", "open_recording": "datasets.recording", "Sweep": "sweep",
+    "estimate": "estimators", "load_estimator": "estimators",
+    "FovEstimate": "fov.estimate", "CellState": "fov.estimate",
+    "attacks": "threats.attacks", "Truth": "fov.truth", "score": "fov.score",
+    # values and tables behind them
+    "BevGrid": "grid", "GRIDS": "grid", "Target": "fov.visibility", "CAR": "fov.visibility",
+    "PEDESTRIAN": "fov.visibility", "LidarModel": "sensors", "lidar_model": "sensors", "Rigid": "geometry",
+    "ESTIMATORS": "estimators", "FovEstimator": "fov.estimate", "write_sweep": "io",
+    "Archive": "datasets", "Sample": "datasets", "WORLDS": "sim.worlds",
 }  # fmt: skip
 
 __all__ = [
     "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "WORLDS", "Archive", "BevGrid", "CellState", "FovEstimate",
-    "FovEstimator", "LidarModel", "Rigid", "Sample", "Sweep", "Target", "Truth", "lidar_model", "read_sweep",
-    "write_sweep",
+    "FovEstimator", "LidarModel", "Rigid", "Sample", "Sweep", "Target", "Truth", "attacks", "estimate", "lidar_model",
+    "load_estimator", "open_recording", "read_sweep", "score", "write_sweep",
 ]  # fmt: skip
 
 
@@ -48,7 +51,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that ``import viewshed`` stays light."""
     if name not in _HOMES:
         raise AttributeError(f"module 'viewshed' has no attribute {name!r}")
-    return getattr(import_module(f"viewshed.{_HOMES[name]}"), name)
+    home = import_module(f"viewshed.{_HOMES[name]}")
+    return home if name == "attacks" else getattr(home, name)
 
 
 def __dir__() -> list[str]:

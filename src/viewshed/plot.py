@@ -88,6 +88,13 @@ class _Page:
         return buffer.getvalue()
 
 
+def draw(panel: Panel) -> bytes:
+    """Return a PNG of one estimate: of its states, and of probability and deviation where they say more than these."""
+    prob = panel.estimate.visible_prob
+    is_mask = bool(((prob == 0.0) | (prob == 1.0)).all())
+    return picture(panel) if is_mask else maps_picture(panel)
+
+
 def picture(panel: Panel) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
     side = 768

@@ -10,9 +10,13 @@ from tests.networks.made import card, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named, Run
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, Target
 from viewshed.io.export import read_npz
 from viewshed.networks.onnx_export import export_onnx
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 
 GRID = BevGrid(16, 8.0)
 
@@ -105,15 +109,18 @@ def test_a_recording_is_estimated_in_batches_as_far_as_it_can_be_read(tmp_path: 
 
 
 @dataclass(frozen=True, slots=True)
-class Picky:
+class Picky(ClassicalEstimator):
     """An estimator that cannot take sweeps of an odd time."""
 
     grid: BevGrid = GRID
+    target: Target = CAR
+    name: str = "picky"
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        if sweep.t_ns is None or sweep.t_ns % 2:
-            raise ValueError(f"no time {sweep.t_ns}")
-        return FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8), t_ns=sweep.t_ns)
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+        t_ns = leveled.sweep.t_ns
+        if t_ns is not None and t_ns % 2:
+            raise ValueError(f"no time {t_ns}")
+        return FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8), t_ns=t_ns)
 
 
 @pytest.mark.parametrize("batch", [1, 2, 16])
@@ -145,7 +152,7 @@ def test_a_result_that_cannot_be_written_costs_a_line(files: list[Path], tmp_pat
     [
         (("--batch", 0), "Invalid value for '--batch'"),
         (("--batch", 1025), "Invalid value for '--batch'"),
-        (("--batch", 2, "--past", 3), "--past goes with --batch 1: a sweep is remembered before the next one"),
+        (("--batch", 2, "--history", 3), "--history goes with --batch 1: a sweep is remembered before the next one"),
         (("--results", "jpeg"), "results must be some of png,geojson,npz, with commas, got 'jpeg'"),
         (("--results", ""), "results must be some of png,geojson,npz, with commas, got ''"),
     ],

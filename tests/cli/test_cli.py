@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 import viewshed
 from viewshed import BevGrid, read_sweep, write_sweep
 from viewshed.cli import main
-from viewshed.cli._options import make_estimator, parse_grid
+from viewshed.cli._options import NetworkOptions, parse_grid
 from viewshed.cli._outputs import output_names
+from viewshed.estimators import CLASSICAL
 from viewshed.io.export import EXPORTERS, read_npz
 from viewshed.io.samples import junction_path
 
@@ -337,7 +338,7 @@ def test_an_index_names_files_frames_heights_and_poses(kitti_like: Path, tmp_pat
     assert "is not in the index" in refused.stderr
 
 
-@pytest.mark.parametrize("method", sorted(viewshed.ESTIMATORS))
+@pytest.mark.parametrize("method", sorted(CLASSICAL))
 @pytest.mark.parametrize(
     "points",
     [
@@ -377,9 +378,9 @@ def test_output_that_cannot_be_written_is_one_line(kitti_like: Path, tmp_path: P
 
 
 def test_grids_and_targets_reach_the_estimator() -> None:
-    estimator = make_estimator("first_blocker", parse_grid("64x8"), "pedestrian")
+    estimator = NetworkOptions().estimator("first_blocker", parse_grid("64x8"), "pedestrian")
     assert estimator.grid == BevGrid(64, 8.0)
-    assert make_estimator("quantized", parse_grid("road"), "car", "paper").grid.cells == 256
+    assert NetworkOptions().estimator("quantized", parse_grid("road"), "car", "paper").grid.cells == 256
 
 
 def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""``viewshed estimate --past`` as a stranger types it."""
+"""``viewshed estimate --history`` as a stranger types it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, tmp_path: Path) -> None:
     words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--out")
-    assert run(*words, tmp_path / "past", "--past", 3)[0] == 0
+    assert run(*words, tmp_path / "past", "--history", 3)[0] == 0
     assert run(*words, tmp_path / "alone")[0] == 0
     estimator, alone = TemporalEstimator(ShadowMap(GRID), SweepBuffer(3)), ShadowMap(GRID)
     fewer = 0
@@ -50,7 +50,19 @@ def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, t
 
 
 def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, tmp_path: Path) -> None:
-    words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--past", 3, "--results", "npz", "--out")
+    words = (
+        "estimate",
+        drive,
+        "--grid",
+        "64x32",
+        "--method",
+        "shadow_map",
+        "--history",
+        3,
+        "--results",
+        "npz",
+        "--out",
+    )
     assert run(*words, tmp_path / "wary", "--wary")[0] == 0
     assert run(*words, tmp_path / "past")[0] == 0
     wary, past = (
@@ -64,9 +76,11 @@ def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, t
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("--wary",), "--wary goes with --past 1 or more"),
-        (("--method", "vote", "--past", 5), "--past goes with --method viewnet or shadow_map"),
-        (("--method", "unet", "--past", 5, "--grid", "road"), "--past goes with --method viewnet or shadow_map"),
+        (("--require-confirmation",), "--require-confirmation goes with --history 1 or more"),
+        (("--method", "majority_vote", "--history", 5), "history helps viewnet and shadow_map, got majority_vote"),
+        (("--method", "unet", "--history", 5, "--grid", "road"), "history helps viewnet and shadow_map, got unet"),
+        (("--history", 21), "less than or equal to 20"),
+        (("--wary",), "--require-confirmation goes with --history 1 or more"),
         (("--past", 21), "less than or equal to 20"),
     ],
 )

@@ -36,7 +36,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "sweep.ply", tmp_path / "net.onnx"
 
 
-@pytest.mark.parametrize(("method", "panels"), [("unet", 2), ("mcd", 3)])
+@pytest.mark.parametrize(("method", "panels"), [("unet", 2), ("mc_dropout", 3)])
 def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str, panels: int) -> None:
     sweep, net = files
     words = ("estimate", sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
@@ -60,7 +60,7 @@ def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> Non
     sweep, net = files
     found = []
     for number, more in enumerate([(), ("--seed", 0), ("--seed", 1), ("--passes", 5)]):
-        words = ("estimate", sweep, "--method", "mcd", "--weights", net, "--grid", "64x16", *more)
+        words = ("estimate", sweep, "--method", "mc_dropout", "--weights", net, "--grid", "64x16", *more)
         assert run(*words, "--out", tmp_path / str(number))[0] == 0
         std = read_npz(tmp_path / str(number) / "sweep.npz").std
         assert std is not None
@@ -75,10 +75,10 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
     export_onnx(net, card(SHAPE, BevGrid(64, 16.0), threshold=0.45), drawn(SHAPE))
     words = ("estimate", sweep, "--method", "unet", "--weights", net, "--grid", "64x16", "--height", 1.8)
     found = []
-    for sure, decision_threshold in ((0.5, 0.45), (0.55, 0.55)):
-        code, out, _ = run(*words, "--sure", sure, "--out", tmp_path / str(sure))
-        found.append(read_npz(tmp_path / str(sure) / "sweep.npz"))
-        assert (code, f"visible {found[-1].area_m2(decision_threshold):.0f} m²" in out) == (0, True)
+    for below, threshold in ((0.5, 0.45), (0.55, 0.55)):
+        code, out, _ = run(*words, "--abstain-below", below, "--out", tmp_path / str(below))
+        found.append(read_npz(tmp_path / str(below) / "sweep.npz"))
+        assert (code, f"visible {found[-1].area_m2(threshold):.0f} m²" in out) == (0, True)
     every, sure_ones = found
     doubtful = (every.visible_prob < 0.55) & (every.visible_prob > np.float32(1 - 0.55))
     assert (every.state[doubtful] != CellState.UNKNOWN).any()
@@ -91,13 +91,16 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
     ("words", "message"),
     [
         (
-            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--sure", "0.9", "--threshold", "0.8"),
-            "--threshold must be at least --sure 0.9, got 0.8; leave one of them out",
+            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--abstain-below", "0.9", "--threshold", "0.8"),
+            "--threshold must be at least --abstain-below 0.9, got 0.8; leave one of them out",
         ),
-        (("--method", "vote", "--sure", "0.9"), "--sure goes with --method unet, mcd or viewnet, got method 'vote'"),
         (
-            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--sure", "0.3"),
-            "sure must lie in [0.5, 1], got 0.3",
+            ("--method", "majority_vote", "--abstain-below", "0.9"),
+            "abstention must be asked of a network, got 0.9 for majority_vote",
+        ),
+        (
+            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--abstain-below", "0.3"),
+            "abstain_below must lie in [0.5, 1], got 0.3",
         ),
         (("--method", "unet", "--weights", "NET"), "grid must be 64x16 for the network made, got 256x64; ask for that"),
         (
@@ -109,12 +112,21 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
             ("--method", "unet", "--weights", "SWEEP"),
             "must be a network that viewshed exported, got a file that is cut",
         ),
-        (("--method", "mcd", "--grid", "65x7"), "method mcd needs weights, and this version ships none for a car on"),
+        (
+            ("--method", "mc_dropout", "--grid", "65x7"),
+            "method mc_dropout needs weights, and this version ships none for a car on",
+        ),
         (("--method", "unet", "--weights", "NET", "--grid", "64x16", "--passes", "4"), "passes must be 1 for unet"),
-        (("--seed", "3", "--method", "vote"), "--weights, --passes, --seed and --device go with --method unet"),
-        (("--device", "cuda", "--method", "vote"), "--weights, --passes, --seed and --device go with --method unet"),
+        (
+            ("--seed", "3", "--method", "majority_vote"),
+            "seed must be left out for majority_vote, which is no network",
+        ),
+        (
+            ("--device", "cuda", "--method", "majority_vote"),
+            "device must be left out for majority_vote, which is no network",
+        ),
         (("--device", "tpu"), "device must be one of cpu, cuda, got 'tpu'"),
-        (("--method", "oracle"), "vote, unet, mcd, viewnet, got 'oracle'"),
+        (("--method", "oracle"), "paper_delaunay, viewnet, unet, mc_dropout, got 'oracle'"),
     ],
 )
 def test_what_cannot_be_done_costs_one_line(
@@ -134,11 +146,11 @@ def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Pa
     code, out, err = run("compare", *words, "--methods", "shadow_map,unet,mcd", "--passes", 3)
     assert (code, err) == (0, "")
     assert [line.split("|")[1].strip() for line in out.splitlines() if line.startswith("|")][2:] == [
-        "shadow_map", "unet", "mcd",
+        "shadow_map", "unet", "mc_dropout",
     ]  # fmt: skip
-    code, _, err = run("compare", *words, "--methods", "shadow_map,vote")
+    code, _, err = run("compare", *words, "--methods", "shadow_map,majority_vote")
     assert (code, err.count("\n")) == (2, 1)
-    assert "--weights, --passes, --seed and --device go with unet, mcd or viewnet, got methods shadow_map,vote" in err
+    assert "--device go with viewnet, unet, mc_dropout, got methods shadow_map,majority_vote" in err
 
 
 def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -160,7 +172,10 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
     assert 0.1 < float(rows["unet"][0]) <= 1.0
     assert rows["unet"] != rows["first_blocker"]
     code, _, err = run(*evaluate, "--methods", "first_blocker")
-    assert (code, "--weights goes with unet, mcd or viewnet among --methods, got first_blocker" in err) == (2, True)
+    assert (code, "--weights goes with viewnet, unet, mc_dropout among --methods, got first_blocker" in err) == (
+        2,
+        True,
+    )
 
 
 def test_where_no_method_is_asked_for_it_is_ours_if_shipped_for_grid_and_target(tmp_path: Path) -> None:

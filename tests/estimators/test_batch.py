@@ -12,16 +12,21 @@ import pytest
 from numpy.typing import NDArray
 from tests.networks.made import card, drawn
 
-from viewshed import ESTIMATORS, BevGrid, Sweep
+from viewshed import BevGrid, Sweep
+from viewshed.estimators import CLASSICAL
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.batch import estimate_all
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import TemporalEstimator
 from viewshed.estimators.unet import UnetEstimator
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, Target
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.runtime import OnnxRunner
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 
 GRID = BevGrid(32, 16.0)
 SHAPES = {"one head": UNetShape(4, 2, 0.3, 3), "two heads": UNetShape(4, 2, 0.3, 3, 2, doubt=True)}
@@ -61,20 +66,23 @@ def test_a_batch_says_what_its_sweeps_say_one_by_one(heads: str, passes: int, ba
     assert np.ptp([each.visible_prob.mean() for each in found]) > 0.01
 
 
-@pytest.mark.parametrize("name", list(ESTIMATORS))
+@pytest.mark.parametrize("name", list(CLASSICAL))
 def test_without_a_network_it_is_the_same_to_the_bit(name: str) -> None:
-    estimator = ESTIMATORS[name](GRID)
+    estimator = CLASSICAL[name](GRID)
     for each, sweep in zip(estimate_all(estimator, SWEEPS, 4, threads=3), SWEEPS, strict=True):
         same(each, estimator.estimate(sweep))
 
 
 @dataclass(slots=True)
-class Asked:
+class CountingRunner:
     """A network that remembers how many inputs it was given, and says NaN of one with ``unknown`` returns."""
 
     card: NetworkCard = field(default_factory=lambda: card(UNetShape(4, 2, 0.3), GRID))
     inputs: list[int] = field(default_factory=list)
     unknown: int = -1
+
+    def single_threaded(self) -> None:
+        return
 
     def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         self.inputs.append(len(inputs))
@@ -88,13 +96,13 @@ class Asked:
 
 
 def test_a_network_is_run_once_for_a_batch_and_for_no_sweep_without_returns() -> None:
-    network = Asked()
+    network = CountingRunner()
     assert len(list(estimate_all(UnetEstimator(network), SWEEPS, 4))) == 10
     assert network.inputs == [3, 3, 2]
-    several = Asked()
+    several = CountingRunner()
     assert len(list(estimate_all(UnetEstimator(several, passes=3), SWEEPS, 4))) == 10
     assert several.inputs == [1] * 8
-    nothing = Asked()
+    nothing = CountingRunner()
     assert len(list(estimate_all(UnetEstimator(nothing), [SWEEPS[3]] * 5, 4))) == 5
     assert nothing.inputs == []
     assert list(estimate_all(UnetEstimator(nothing), [])) == []
@@ -105,7 +113,11 @@ def test_on_a_processor_each_thread_does_whole_sweeps_by_itself(
 ) -> None:
     shape = SHAPES["two heads"]
     export_onnx(tmp_path / "net.onnx", card(shape, GRID), drawn(shape))
-    estimator, inside, run = UnetEstimator(OnnxRunner(tmp_path / "net.onnx"), sure=0.7), [], OnnxRunner.run_with_doubt
+    estimator, inside, run = (
+        UnetEstimator(OnnxRunner(tmp_path / "net.onnx"), abstain_below=0.7),
+        [],
+        OnnxRunner.run_with_doubt,
+    )
     meeting = threading.Barrier(2, timeout=30)
 
     def ran(runner: OnnxRunner, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
@@ -131,7 +143,7 @@ def test_sweeps_are_taken_as_they_are_needed() -> None:
         for taken in count(1):
             yield SWEEPS[taken % 3]
 
-    found = estimate_all(UnetEstimator(Asked()), endless(), batch=4)
+    found = estimate_all(UnetEstimator(CountingRunner()), endless(), batch=4)
     assert taken == 0
     for number in range(20):
         next(found)
@@ -141,16 +153,19 @@ def test_sweeps_are_taken_as_they_are_needed() -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Picky:
+class Picky(ClassicalEstimator):
     """An estimator that cannot take some sweeps."""
 
     bad: tuple[int, ...]
     grid: BevGrid = GRID
+    target: Target = CAR
+    name: str = "picky"
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        if sweep.t_ns in self.bad:
-            raise ValueError(f"no sweep {sweep.t_ns}")
-        return FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8), t_ns=sweep.t_ns)
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+        t_ns = leveled.sweep.t_ns
+        if t_ns in self.bad:
+            raise ValueError(f"no sweep {t_ns}")
+        return FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8), t_ns=t_ns)
 
 
 @pytest.mark.parametrize("batch", [1, 4, 16])
@@ -169,7 +184,7 @@ def test_a_sweep_that_fails_does_so_where_its_estimate_would_have_come(batch: in
 
 def test_what_a_network_says_of_one_sweep_does_not_spoil_the_others() -> None:
     told: list[Exception] = []
-    found = estimate_all(UnetEstimator(Asked(unknown=2305)), SWEEPS, 8, on_error=told.append)
+    found = estimate_all(UnetEstimator(CountingRunner(unknown=2305)), SWEEPS, 8, on_error=told.append)
     assert [each.t_ns for each in found] == [0, 1, 2, 3, 4, 6, 7, 8, 9]
     assert [str(each) for each in told] == ["visible_prob must lie in [0, 1] and not be NaN"]
 

@@ -20,7 +20,7 @@ MakeLevel = Callable[..., LeveledSweep]
 GRID = BevGrid(80, 20.0)
 WALL = (10.0, 10.5, -2.0, 6.0, 6.0)
 CAR = (3.0, 5.0, 6.5, 8.5, 1.5)
-RAYS = ["continuous", "quantized", "first_blocker", "first_blocker_median", "shadow_map", "vote"]
+RAYS = ["continuous", "quantized", "first_blocker", "first_blocker_median", "shadow_map", "majority_vote"]
 
 
 def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
@@ -71,7 +71,7 @@ def test_farthest_calls_the_hole_behind_a_low_car_visible(cast: CastScene) -> No
     states = {name: _at(ESTIMATORS[name](GRID).estimate(sweep), *hole) for name in RAYS}
     assert states == {
         "continuous": CellState.FREE, "quantized": CellState.FREE, "first_blocker": CellState.HIDDEN,
-        "first_blocker_median": CellState.HIDDEN, "shadow_map": CellState.HIDDEN, "vote": CellState.HIDDEN,
+        "first_blocker_median": CellState.HIDDEN, "shadow_map": CellState.HIDDEN, "majority_vote": CellState.HIDDEN,
     }  # fmt: skip
     for mirrored in ((6.5, -12.5), (12.5, 6.5), (-6.5, 12.5)):
         assert _at(ESTIMATORS["first_blocker"](GRID).estimate(sweep), *mirrored) == CellState.FREE
@@ -95,7 +95,7 @@ def test_one_spoofed_point_opens_farthest_but_not_the_others(cast: CastScene) ->
     }
     assert seen == {
         "continuous": True, "quantized": True, "first_blocker": False, "first_blocker_median": False,
-        "shadow_map": False, "vote": False, "trimmed": False,
+        "shadow_map": False, "majority_vote": False, "trimmed": False,
     }  # fmt: skip
 
 
@@ -112,14 +112,14 @@ def test_one_spoofed_near_point_blocks_first_blocker_but_not_rank_two_nor_the_me
 
 def test_hull_and_polygon_fit_follow_the_returns(cast: CastScene) -> None:
     sweep = cast([WALL], reach_m=14.0)
-    for name in ("concave_hull", "polygon_fit"):
+    for name in ("concave_hull", "delaunay"):
         estimate = ESTIMATORS[name](GRID).estimate(sweep)
         assert _at(estimate, -9.0, -6.0) == CellState.FREE, name
         assert _at(estimate, 16.0, 2.0) == CellState.UNKNOWN, name
         assert _at(estimate, -17.0, -6.0) == CellState.UNKNOWN, name
         assert _at(estimate, 9.0, 3.0) in (CellState.FREE, CellState.SURFACE), name
     assert (
-        ESTIMATORS["polygon_fit"](GRID).estimate(sweep).area_m2()
+        ESTIMATORS["delaunay"](GRID).estimate(sweep).area_m2()
         < ESTIMATORS["concave_hull"](GRID).estimate(sweep).area_m2()
     )
 
@@ -128,7 +128,7 @@ def test_polygon_fit_breaks_up_where_rings_lie_apart(make_level: MakeLevel) -> N
     azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     rings = [np.stack([r * np.cos(azimuth), r * np.sin(azimuth), 0 * azimuth], axis=1) for r in (4, 6, 8, 15)]
     leveled = make_level(np.concatenate(rings))
-    fit = ESTIMATORS["polygon_fit"](GRID).estimate_level(leveled)  # type: ignore[attr-defined]
+    fit = ESTIMATORS["delaunay"](GRID).estimate(leveled)
     seen = {r: float(fit.at(np.array([0.3, r]))) for r in (5.0, 7.0, 11.0)}
     assert seen == {5.0: 1.0, 7.0: 1.0, 11.0: 0.0}
 
@@ -136,10 +136,10 @@ def test_polygon_fit_breaks_up_where_rings_lie_apart(make_level: MakeLevel) -> N
 def test_range_bins_round_up_to_the_end_of_the_bin(make_level: MakeLevel) -> None:
     # 20 m in 10 bins: a return at 9.1 m is in the bin from 8 to 10 m; centers before 10 m are visible, 10.25 is not.
     leveled = make_level(np.array([[0.2, 9.1, 0.0]]))
-    estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=20.0).estimate_level(leveled)
+    estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=20.0).estimate(leveled)
     assert [float(estimate.at(np.array([0.3, y]))) for y in (9.6, 9.8, 10.1)] == [1.0, 1.0, 0.0]
     far = make_level(np.array([[0.2, 90.0, 0.0]]))
-    estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=12.0).estimate_level(far)
+    estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=12.0).estimate(far)
     assert [float(estimate.at(np.array([0.3, y]))) for y in (11.8, 12.2)] == [1.0, 0.0]
 
 
@@ -149,7 +149,7 @@ def test_trimmed_drops_exactly_the_farthest(make_level: MakeLevel) -> None:
     grid = BevGrid(65, 16.25)
     assert grid.cell_m == 0.5
     for trim, last in ((0, 11.5), (3, 8.5), (9, 2.5), (10, None)):
-        estimate = TrimmedRayTrace(grid, trim=trim, azimuth_bins=36).estimate_level(leveled)
+        estimate = TrimmedRayTrace(grid, trim=trim, azimuth_bins=36).estimate(leveled)
         seen = [float(r) for r in np.arange(0.5, 14.0, 0.5) if estimate.at(np.array([0.0, r])) == 1.0]
         assert (max(seen) if seen else None) == last
 
@@ -157,7 +157,7 @@ def test_trimmed_drops_exactly_the_farthest(make_level: MakeLevel) -> None:
 def test_first_blocker_without_farthest_limit_sees_to_the_model_range(make_level: MakeLevel) -> None:
     leveled = make_level(np.array([[0.1, 5.0, 0.0], [9.0, 0.1, 0.0], [-12.0, -0.1, 0.0]]))
     limited, open_ = (
-        FirstBlocker(GRID, azimuth_bins=36, limit_farthest=limit).estimate_level(leveled) for limit in (True, False)
+        FirstBlocker(GRID, azimuth_bins=36, limit_farthest=limit).estimate(leveled) for limit in (True, False)
     )
     assert [float(e.at(np.array([0.3, 9.0]))) for e in (limited, open_)] == [0.0, 1.0]
     assert [float(e.at(np.array([0.3, 13.0]))) for e in (limited, open_)] == [0.0, 0.0]
@@ -166,7 +166,7 @@ def test_first_blocker_without_farthest_limit_sees_to_the_model_range(make_level
 
 def test_low_and_high_returns_do_not_block(make_level: MakeLevel) -> None:
     points = np.array([[0.1, 5.0, 0.2], [0.1, 6.0, 3.5], [0.1, 9.0, 1.0], [0.1, 15.0, 0.0]])
-    estimate = FirstBlocker(GRID, azimuth_bins=36).estimate_level(make_level(points))
+    estimate = FirstBlocker(GRID, azimuth_bins=36).estimate(make_level(points))
     assert [_at(estimate, 0.2, y) for y in (7.0, 9.1, 12.0, 18.0)] == [
         CellState.FREE, CellState.SURFACE, CellState.HIDDEN, CellState.UNKNOWN,
     ]  # fmt: skip
@@ -175,7 +175,7 @@ def test_low_and_high_returns_do_not_block(make_level: MakeLevel) -> None:
 def test_beyond_the_farthest_return_is_hidden_by_an_obstacle_and_unknown_on_ground(make_level: MakeLevel) -> None:
     points = np.array([[0.1, 6.0, 1.0], [6.0, 0.1, 0.0], [-15.0, 0.1, 0.0]])
     for estimator in (QuantizedRayTrace(GRID, azimuth_bins=36), ESTIMATORS["continuous"](GRID)):
-        estimate = estimator.estimate_level(make_level(points))  # type: ignore[attr-defined]
+        estimate = estimator.estimate(make_level(points))
         assert _at(estimate, 0.2, 11.8) == CellState.HIDDEN
         assert _at(estimate, 11.8, 0.2) == CellState.UNKNOWN
         assert _at(estimate, -0.2, 19.9 - 4) == CellState.UNKNOWN
@@ -197,12 +197,12 @@ def test_the_window_reaches_across_the_back(make_level: MakeLevel) -> None:
         azimuth = np.arctan2(cell[1], cell[0]) + turn
         leveled = make_level(np.array([[12 * np.cos(azimuth), 12 * np.sin(azimuth), 0.0]]))
         assert leveled.azimuth[0] < -3
-        assert float(ContinuousRayTrace(GRID, window=0.05).estimate_level(leveled).at(cell)) == seen
+        assert float(ContinuousRayTrace(GRID, window=0.05).estimate(leveled).at(cell)) == seen
 
 
 def test_the_median_leaves_out_azimuths_without_returns(make_level: MakeLevel) -> None:
     leveled = make_level(np.array([[0.2, 5.0, 1.0], [0.2, 12.0, 0.0]]))
-    estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate_level(leveled)
+    estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate(leveled)
     assert [_at(estimate, 0.2, y) for y in (4.0, 9.0)] == [CellState.FREE, CellState.HIDDEN]
 
 

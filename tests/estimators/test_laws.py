@@ -53,7 +53,7 @@ def _points(seed: int, count: int = 3000) -> NDArray[np.float32]:
 def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> None:
     points = _points(seed)
     turned = points[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32)
-    before, after = (POLAR[name].estimate_level(make_level(p)) for p in (points, turned))
+    before, after = (POLAR[name].estimate(make_level(p)) for p in (points, turned))
     assert before.visible().any()
     assert (np.rot90(before.visible_prob) != after.visible_prob).mean() <= 0.002  # a range may equal a cell's
     assert (np.rot90(before.state) != after.state).mean() <= (0.05 if name == "continuous" else 0.002)
@@ -67,7 +67,7 @@ def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> No
 def test_turns_with_the_scene_but_for_slivers(make_level: MakeLevel, estimator: Any, seed: int) -> None:
     points = _points(seed, 20_000)
     turned = points[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32)
-    before, after = (estimator.estimate_level(make_level(p)).visible() for p in (points, turned))
+    before, after = (estimator.estimate(make_level(p)).visible() for p in (points, turned))
     assert before.any()
     assert (np.rot90(before) != after).mean() < 0.02
 
@@ -79,7 +79,7 @@ def test_more_returns_never_remove_visibility_of_farthest(
     make_level: MakeLevel, name: str, seed: int, more: int
 ) -> None:
     points = _points(seed)
-    fewer, all_ = (POLAR[name].estimate_level(make_level(p)).visible() for p in (points[:-more], points))
+    fewer, all_ = (POLAR[name].estimate(make_level(p)).visible() for p in (points[:-more], points))
     assert not (fewer & ~all_).any()
     assert fewer.any()
 
@@ -107,7 +107,7 @@ def test_more_occluders_never_add_visibility(make_level: MakeLevel, street: Swee
     points = street.points + np.array([0, 0, 1.8], np.float32)
     before = make_level(points)
     after = _with_occluder(before, seed)
-    open_, blocked = (estimator.estimate_level(leveled).visible() for leveled in (before, after))
+    open_, blocked = (estimator.estimate(leveled).visible() for leveled in (before, after))
     assert not (blocked & ~open_).any()
     assert open_.any()
 
@@ -119,7 +119,7 @@ def test_an_azimuth_without_returns_is_unknown(make_level: MakeLevel, name: str,
     points = _points(seed)
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     empty = (azimuth > 0.5) & (azimuth < 1.5)
-    estimate: FovEstimate = POLAR[name].estimate_level(make_level(points[~empty]))
+    estimate: FovEstimate = POLAR[name].estimate(make_level(points[~empty]))
     x, y = GRID.centers[..., 0], GRID.centers[..., 1]
     inside = (np.arctan2(y, x) > 0.56) & (np.arctan2(y, x) < 1.44)
     assert (estimate.state[inside] == CellState.UNKNOWN).all()
@@ -130,7 +130,7 @@ def test_an_azimuth_without_returns_is_unknown(make_level: MakeLevel, name: str,
 @given(seed=seeds, window=st.sampled_from([0.004, 0.05, 0.3, 1.5]))
 def test_continuous_agrees_with_its_definition_cell_by_cell(make_level: MakeLevel, seed: int, window: float) -> None:
     points, grid = _points(seed, 200).astype(np.float64), BevGrid(16, 12.0, (1.0, -2.0))
-    got = ContinuousRayTrace(grid, window=window, margin_m=0.0).estimate_level(make_level(points)).visible()
+    got = ContinuousRayTrace(grid, window=window, margin_m=0.0).estimate(make_level(points)).visible()
     x, y = grid.centers[..., 0, None], grid.centers[..., 1, None]
     away = np.abs(np.angle(np.exp(1j * (np.arctan2(points[:, 1], points[:, 0]) - np.arctan2(y, x)))))
     farther = np.hypot(points[:, 0], points[:, 1]) - np.hypot(x, y)
@@ -151,7 +151,7 @@ def test_hull_and_polygon_masks_agree_with_shapely(make_level: MakeLevel, seed: 
     ]  # fmt: skip
     for estimator, outline in outlines:
         want = shapely.contains_xy(outline, GRID.centers[..., 0], GRID.centers[..., 1])
-        assert np.array_equal(estimator.estimate_level(leveled).visible(), want)
+        assert np.array_equal(estimator.estimate(leveled).visible(), want)
 
 
 @settings(max_examples=10, deadline=None)
@@ -159,7 +159,7 @@ def test_hull_and_polygon_masks_agree_with_shapely(make_level: MakeLevel, seed: 
 def test_first_blocker_is_the_nearest_of_rank(make_level: MakeLevel, seed: int, rank: int) -> None:
     points = _points(seed)
     leveled = make_level(points)
-    got = FirstBlocker(GRID, azimuth_bins=BINS, rank=rank).estimate_level(leveled)
+    got = FirstBlocker(GRID, azimuth_bins=BINS, rank=rank).estimate(leveled)
     bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi) * BINS).astype(int)
     x, y = GRID.centers[..., 0], GRID.centers[..., 1]
     of_cell = np.floor((np.arctan2(y, x) + np.pi) / (2 * np.pi) * BINS).astype(int)

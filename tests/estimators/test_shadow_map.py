@@ -95,9 +95,9 @@ def test_what_a_missing_return_means_is_the_stated_rule() -> None:
     behind = np.array([[20.0, 3.0]])
     prob = {rule: ShadowMap(GRID, no_return=rule).estimate(sweep).at(behind)[0] for rule in NO_RETURN_RULES}
     assert prob["unknown"] < 0.5
-    assert prob["explained"] < 0.5
+    assert prob["inferred"] < 0.5
     assert prob["max_range"] > 0.9
-    assert ShadowMap(GRID).no_return == "explained"
+    assert ShadowMap(GRID).no_return == "inferred"
 
 
 @pytest.mark.parametrize("glass", [0.3, 0.6, 0.9])
@@ -111,20 +111,20 @@ def test_a_front_of_glass_opens_no_corridor(glass: float) -> None:
         for rule in NO_RETURN_RULES
     }
     assert claimed["max_range"] > 0.9
-    assert claimed["explained"] <= claimed["unknown"] + 0.01 < 0.02
+    assert claimed["inferred"] <= claimed["unknown"] + 0.01 < 0.02
 
 
 def test_a_dead_ring_adds_nothing_to_what_returned() -> None:
     sweep = cast(MODEL, SCENE, HEIGHT_M)
     assert sweep.ring is not None
     dead = sweep.select(sweep.ring != 20)
-    explained, unknown = (ShadowMap(GRID, CAR, rule).estimate(dead) for rule in ("explained", "unknown"))
+    explained, unknown = (ShadowMap(GRID, CAR, rule).estimate(dead) for rule in ("inferred", "unknown"))
     assert np.abs(explained.visible_prob - unknown.visible_prob).max() < 0.05
 
 
 def test_explained_beams_see_far_more_of_simulated_streets_than_returns_alone() -> None:
     preset = replace(preset_named("nuscenes-small"), conditions=("clear",), condition_weights=(1.0,), seed=4)
-    tally = {rule: np.zeros(3) for rule in ("explained", "unknown")}
+    tally = {rule: np.zeros(3) for rule in ("inferred", "unknown")}
     for scene in range(4):
         frame = simulate_frame(ScenePlan(preset, 0, scene), 3)
         true, known = frame.truth.visible("car"), frame.known
@@ -132,9 +132,9 @@ def test_explained_beams_see_far_more_of_simulated_streets_than_returns_alone() 
             claimed = ShadowMap(frame.truth.grid, CAR, rule).estimate(frame.sweep).visible()  # type: ignore[arg-type]
             sums += [(claimed & true & known).sum(), (claimed & ~true & known).sum(), (~claimed & true & known).sum()]
     f1 = {rule: 2 * both / (2 * both + over + under) for rule, (both, over, under) in tally.items()}
-    assert f1["explained"] > f1["unknown"] + 0.04
-    assert f1["explained"] > 0.88
-    assert tally["explained"][0] / tally["explained"][:2].sum() > 0.93
+    assert f1["inferred"] > f1["unknown"] + 0.04
+    assert f1["inferred"] > 0.88
+    assert tally["inferred"][0] / tally["inferred"][:2].sum() > 0.93
 
 
 def test_fill_takes_the_nearer_neighbor() -> None:
@@ -156,7 +156,7 @@ def test_an_obstacle_on_a_beam_never_adds_visibility() -> None:
     factor = np.where(rng.random(len(sweep)) < 0.2, rng.uniform(0.3, 1.0, len(sweep)), 1.0)
     leveled = level(sweep, GRID)
     nearer = sweep.replace(points=sweep.points * factor[:, None].astype(np.float32))
-    before, after = (ShadowMap(GRID).estimate_level(_with_ground(level(s, GRID), leveled)) for s in (sweep, nearer))
+    before, after = (ShadowMap(GRID).estimate(_with_ground(level(s, GRID), leveled)) for s in (sweep, nearer))
     assert (after.visible_prob <= before.visible_prob + 0.02).all()
     assert after.visible().sum() < before.visible().sum()
 
@@ -166,5 +166,5 @@ def _with_ground(leveled: LeveledSweep, reference: LeveledSweep) -> LeveledSweep
 
 
 def test_unknown_rules_are_refused() -> None:
-    with pytest.raises(ValueError, match="no_return must be one of explained, unknown, max_range, fill, got 'open'"):
+    with pytest.raises(ValueError, match="no_return must be one of inferred, unknown, max_range, fill, got 'open'"):
         ShadowMap(GRID, no_return="open")  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed import CAR, GRIDS, PEDESTRIAN, Target, read_sweep
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.estimators.unet import learned
+from viewshed.estimators.unet import load_network
 from viewshed.geometry import Rigid
 from viewshed.networks.weights import manifest
 
@@ -25,7 +25,7 @@ def agreement(one: Mask, two: Mask) -> float:
 def test_each_method_is_shipped_once_for_what_it_is_said_to_be() -> None:
     places = [(line.half_extent_m, line.target, method) for line in manifest().values() for method in line.methods]
     published, both = [(64.0, "car"), (16.0, "pedestrian")], [(64.0, "pedestrian"), (16.0, "car")]
-    expected = [(*place, method) for place in published for method in ("unet", "mcd", "viewnet")]
+    expected = [(*place, method) for place in published for method in ("unet", "mc_dropout", "viewnet")]
     assert sorted(places) == sorted(expected + [(*place, "viewnet") for place in both])
 
 
@@ -39,7 +39,7 @@ def test_real_roads_look_as_the_shadow_map_sees_them(
     found = []
     for path in sorted(path for pattern in FILES for path in real_data.glob(pattern)):
         sweep = read_sweep(path)
-        mask = learned(method, ROAD, target.name).estimate(sweep).visible()
+        mask = load_network(method, ROAD, target).estimate(sweep).visible()
         other = ShadowMap(ROAD, target).estimate(sweep).visible()
         found.append([agreement(mask, each) for each in (other, other[::-1], other[:, ::-1], other.T)])
     same, *wrong = np.mean(found, axis=0)
@@ -52,16 +52,16 @@ def test_a_turned_sweep_has_a_turned_view(real_data: Path) -> None:
     """A quarter turn of the sensor turns the view: x ahead becomes y at the left."""
     sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0]).replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
     turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
-    estimator = learned("unet", ROAD)
+    estimator = load_network("unet", ROAD)
     straight, left = estimator.estimate(sweep).visible(), estimator.estimate(turned).visible()
     assert agreement(np.rot90(straight), left) > 0.8
     assert agreement(np.rot90(straight), left) > agreement(straight, left) + 0.1
 
 
-@pytest.mark.parametrize("method", ["mcd", "viewnet"])
+@pytest.mark.parametrize("method", ["mc_dropout", "viewnet"])
 def test_doubt_is_where_the_view_ends(real_data: Path, method: str) -> None:
     sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0])
-    found = learned(method, ROAD).estimate(sweep)
+    found = load_network(method, ROAD).estimate(sweep)
     assert found.std is not None
     assert np.isfinite(found.std).all()
     doubtful = (found.visible_prob > 0.2) & (found.visible_prob < 0.8)
@@ -73,18 +73,18 @@ def test_a_graphics_card_is_asked_for_the_network_in_float32(monkeypatch: pytest
     """Where there is none, that is what the error says; the network in bytes is refused for being in bytes."""
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
     with pytest.raises(ImportError, match="engine cuda needs an ONNX Runtime with CUDA"):
-        learned("viewnet", ROAD, engine="cuda")
+        load_network("viewnet", ROAD, device="cuda")
     with pytest.raises(
         ValueError, match="engine must be onnxruntime for viewnet_road_int8, a network in bytes, got cuda"
     ):
-        learned("viewnet", ROAD, weights="viewnet_road_int8", engine="cuda")
-    with pytest.raises(ValueError, match="engine must be one of onnxruntime, openvino, cuda, got 'abacus'"):
-        learned("viewnet", ROAD, engine="abacus")
+        load_network("viewnet", ROAD, weights="viewnet_road_int8", device="cuda")
+    with pytest.raises(ValueError, match="device must be one of cpu, cuda, got 'abacus'"):
+        load_network("viewnet", ROAD, device="abacus")
 
 
 def test_our_network_in_bytes_sees_what_it_sees_in_float32(real_data: Path) -> None:
-    assert learned("viewnet", ROAD).card.precision == "int8"
-    estimators = [learned("viewnet", ROAD, weights=name) for name in ("viewnet_road", "viewnet_road_int8")]
+    assert load_network("viewnet", ROAD).card.precision == "int8"
+    estimators = [load_network("viewnet", ROAD, weights=name) for name in ("viewnet_road", "viewnet_road_int8")]
     assert [each.card.precision for each in estimators] == ["f32", "int8"]
     for pattern in FILES:
         sweep = read_sweep(min(real_data.glob(pattern)))

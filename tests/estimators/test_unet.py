@@ -24,8 +24,10 @@ from tests.estimators.test_contracts import (  # noqa: F401 - they run here with
 from tests.networks.made import card, drawn, nearby
 
 from viewshed.estimators import EstimatorFactory
-from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator, learned
-from viewshed.fov.estimate import CellState, FovEstimator
+from viewshed.estimators.base import Estimator
+from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator, load_network
+from viewshed.fov.estimate import CellState
+from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
@@ -41,8 +43,9 @@ SHAPE = UNetShape(4, 2, 0.3)
 def named(request: pytest.FixtureRequest) -> tuple[str, EstimatorFactory]:
     name: str = request.param
 
-    def make(grid: BevGrid) -> FovEstimator:
-        return LEARNED[name](TorchRunner(card(SHAPE, grid), nearby(SHAPE)))
+    def make(grid: BevGrid, target: Target = CAR) -> Estimator:
+        passes = PASSES if name == "mc_dropout" else 1
+        return UnetEstimator(TorchRunner(card(SHAPE, grid), nearby(SHAPE)), passes, name=name)
 
     return name, make
 
@@ -88,7 +91,7 @@ def test_mcd_has_a_deviation_and_mle_has_none(street: Sweep) -> None:
     assert several.std is not None
     assert np.isnan(once.std).all()
     assert (several.std > 0).mean() > 0.9
-    assert (once.method, several.method) == ("unet", "mcd")
+    assert (once.method, several.method) == ("unet", "mc_dropout")
     assert np.abs(once.visible_prob - several.visible_prob).max() > 1e-3
 
 
@@ -155,10 +158,10 @@ def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: flo
     assert np.array_equal(plain.with_abstention(0.5).estimate(street).state, every.state)
 
 
-@pytest.mark.parametrize("sure", [0.49, 1.01, float("nan")])
-def test_to_be_less_sure_than_even_is_refused(sure: float) -> None:
-    with pytest.raises(ValueError, match=r"sure must lie in \[0.5, 1\], got"):
-        UnetEstimator(TorchRunner(card(SHAPE), drawn(SHAPE)), sure=sure)
+@pytest.mark.parametrize("below", [0.49, 1.01, float("nan")])
+def test_abstention_below_one_half_is_refused(below: float) -> None:
+    with pytest.raises(ValueError, match=r"abstain_below must lie in \[0.5, 1\], got"):
+        UnetEstimator(TorchRunner(card(SHAPE), drawn(SHAPE)), abstain_below=below)
 
 
 @pytest.mark.parametrize(
@@ -178,22 +181,22 @@ def test_passes_that_make_no_sense_are_refused(passes: int, dropout: float, mess
 def test_a_file_makes_an_estimator_for_its_grid_and_target_only(tmp_path: Path, street: Sweep) -> None:
     path = tmp_path / "net.onnx"
     export_onnx(path, card(SHAPE, GRID), nearby(SHAPE))
-    found = learned("mcd", GRID, "car", path, passes=3)
+    found = load_network("mc_dropout", GRID, weights=path, passes=3)
     assert (found.passes, found.grid, found.target.name) == (3, GRID, "car")
     assert found.estimate(street).visible().any()
     with pytest.raises(
         ValueError, match="grid must be 64x16 for the network made, got 64x8; ask for that grid, or train"
     ):
-        learned("unet", BevGrid(64, 8.0), "car", path)
+        load_network("unet", BevGrid(64, 8.0), weights=path)
     with pytest.raises(ValueError, match="target must be car for the network made, got pedestrian; train a network"):
-        learned("unet", GRID, "pedestrian", path)
-    with pytest.raises(ValueError, match="method must be one of unet, mcd, viewnet, got 'vote'"):
-        learned("vote", GRID, "car", path)
-    with pytest.raises(ValueError, match="passes must be 1 for unet; use mcd, got 5"):
-        learned("unet", GRID, "car", path, passes=5)
-    with pytest.raises(ValueError, match="passes must be at least 2 for mcd; use unet for one pass, got 1"):
-        learned("mcd", GRID, "car", path, passes=1)
+        load_network("unet", GRID, PEDESTRIAN, weights=path)
+    with pytest.raises(ValueError, match="method must be one of viewnet, unet, mc_dropout, got 'majority_vote'"):
+        load_network("majority_vote", GRID, weights=path)
+    with pytest.raises(ValueError, match="passes must be 1 for unet; use mc_dropout, got 5"):
+        load_network("unet", GRID, weights=path, passes=5)
+    with pytest.raises(ValueError, match="passes must be at least 2 for mc_dropout; use unet for one pass, got 1"):
+        load_network("mc_dropout", GRID, weights=path, passes=1)
     with pytest.raises(
-        ValueError, match=r"method mcd needs weights, .* on a grid of 64x16, but for: .*; give --weights"
+        ValueError, match=r"method mc_dropout needs weights, .* on a grid of 64x16, but for: .*; give --weights"
     ):
-        learned("mcd", GRID)
+        load_network("mc_dropout", GRID)

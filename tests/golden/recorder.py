@@ -23,7 +23,8 @@ from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named, preset_names
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import paper_estimators
-from viewshed.estimators.unet import learned
+from viewshed.estimators.unet import LEARNED as NETWORKS
+from viewshed.fov.visibility import TARGETS
 from viewshed.io import read_index, read_indexed, write_sweep
 from viewshed.threats.attacks import ATTACKS, Knowledge
 
@@ -118,13 +119,13 @@ SIMULATED = tuple(_simulated())
 SWEEPS = REAL + SIMULATED
 SHORT = frozenset(map(str, (*REAL[::3], *SIMULATED[::6], *SIMULATED[1::10])))
 """The sweeps of the default suite."""
-ROAD_ONLY = frozenset({"unet", "mcd"})
+ROAD_ONLY = frozenset({"unet", "mc_dropout"})
 CLASSICAL = (
-    "continuous", "quantized", "concave_hull", "polygon_fit", "first_blocker", "first_blocker_median", "trimmed",
-    "shadow_map", "vote",
+    "continuous", "quantized", "concave_hull", "delaunay", "first_blocker", "first_blocker_median", "trimmed",
+    "shadow_map", "majority_vote",
 )  # fmt: skip
-LEARNED = ("viewnet", "unet", "mcd")
-PAPER_METHODS = ("paper_label", "paper_quantized", "paper_continuous", "paper_concave_hull", "paper_polygon_fit")
+LEARNED = ("viewnet", "unet", "mc_dropout")
+PAPER_METHODS = ("paper_label", "paper_quantized", "paper_continuous", "paper_concave_hull", "paper_delaunay")
 METHODS = CLASSICAL + LEARNED + PAPER_METHODS
 PAPER_SWEEPS = frozenset(map(str, (*REAL[::5], *SIMULATED[::10])))
 """The sweeps on which the estimators run with the paper's settings."""
@@ -180,7 +181,7 @@ def _estimator(method: str, grid_name: str) -> FovEstimator:
         return ESTIMATORS[method](grid)
     if method in PAPER_METHODS:
         return paper_estimators(_PAPER_RANGE_M[grid_name])[method](grid)
-    return learned(method, grid, _TARGETS[grid_name], passes=PASSES if method == "mcd" else None)
+    return NETWORKS[method](grid, TARGETS[_TARGETS[grid_name]], passes=PASSES if method == "mc_dropout" else None)
 
 
 def estimate(method: str, name: SweepName, sweep: Sweep) -> Arrays:
@@ -253,7 +254,7 @@ def config() -> dict[str, Any]:
         "paper_max_range_m": _PAPER_RANGE_M,
         "preset_seeds": {name: preset_named(name).seed for name in ("roads", "rooms")},
         "networks": {
-            f"{method} {grid}": learned(method, GRIDS[grid], _TARGETS[grid]).card.name
+            f"{method} {grid}": NETWORKS[method](GRIDS[grid], TARGETS[_TARGETS[grid]]).card.name
             for method in LEARNED
             for grid in _TARGETS
         },

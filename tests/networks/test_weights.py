@@ -16,17 +16,19 @@ main = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "ship_
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     export_onnx(tmp_path / "net.onnx", card(), drawn())
-    main([str(tmp_path / "net.onnx"), "--name", "yard", "--methods", "mcd", "--folder", str(tmp_path / "weights")])
+    main(
+        [str(tmp_path / "net.onnx"), "--name", "yard", "--methods", "mc_dropout", "--folder", str(tmp_path / "weights")]
+    )
     return tmp_path / "weights"
 
 
 def test_weights_are_found_by_name_grid_target_and_method(folder: Path) -> None:
     assert shipped_names(folder) == ("yard",)
-    assert default_name("mcd", GRID, "car", folder) == "yard"
+    assert default_name("mc_dropout", GRID, "car", folder) == "yard"
     assert OnnxRunner.of_content(shipped_content("yard", folder), "yard", 1).card == card()
     for method, grid, target in (
-        ("unet", GRID, "car"), ("mcd", BevGrid(32, 8.0), "car"), ("mcd", GRID, "pedestrian"),
-        ("mcd", BevGrid(32, 16.0, (1.0, 0.0)), "car"),
+        ("unet", GRID, "car"), ("mc_dropout", BevGrid(32, 8.0), "car"), ("mc_dropout", GRID, "pedestrian"),
+        ("mc_dropout", BevGrid(32, 16.0, (1.0, 0.0)), "car"),
     ):  # fmt: skip
         with pytest.raises(
             ValueError, match=f"method {method} needs weights, and this version ships none for a {target}"
@@ -39,7 +41,7 @@ def test_shipping_a_name_again_replaces_it(folder: Path) -> None:
     before = shipped_content("yard", folder)
     main([str(folder.parent / "net.onnx"), "--name", "yard", "--folder", str(folder)])
     assert shipped_names(folder) == ("yard",)
-    assert manifest(folder)["yard"].methods == ("unet", "mcd")
+    assert manifest(folder)["yard"].methods == ("unet", "mc_dropout")
     assert shipped_content("yard", folder) != before
 
 

@@ -151,7 +151,10 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
 def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
     stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
     lie = seen([FAR], at(0, 0), 10.0)
-    estimator, trusting = TemporalEstimator(ShadowMap(GRID), wary=True), TemporalEstimator(ShadowMap(GRID))
+    estimator, trusting = (
+        TemporalEstimator(ShadowMap(GRID), require_confirmation=True),
+        TemporalEstimator(ShadowMap(GRID)),
+    )
     first = estimator.estimate(stream[0])
     assert not first.visible().any()
     assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
@@ -195,7 +198,7 @@ def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
     sweep = seen([WALL], at(0, 0))
     for bare in (sweep.replace(world_from_sensor=None), sweep.replace(t_ns=None)):
         assert np.array_equal(estimator.estimate(bare).visible(), claimed(bare))
-    assert not any(estimator.memory._kept.values())
+    assert not any(estimator.buffer._kept.values())
 
 
 def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:

@@ -119,7 +119,7 @@ def test_a_second_return_behind_a_wall_counts_for_no_rule() -> None:
     assert STREET.ring is not None
     points = np.concatenate([STREET.points, STREET.points[again] * np.float32(1.8)])
     both = STREET.replace(points=points, ring=np.concatenate([STREET.ring, STREET.ring[again]]), azimuth=None)
-    rules: tuple[NoReturn, ...] = ("explained", "unknown")
+    rules: tuple[NoReturn, ...] = ("inferred", "unknown")
     for rule in rules:
         before = ShadowMap(GRID, no_return=rule).estimate(STREET).visible()
         after = ShadowMap(GRID, no_return=rule).estimate(both).visible()

@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
 from viewshed.datasets import Sample
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
+from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.studies.cases import BENIGN, Case
 from viewshed.studies.robustness.plan import study_named
 from viewshed.studies.robustness.results import Key, Results, f1, precision, recall
@@ -79,15 +83,15 @@ def test_counts_add_up() -> None:
     )
 
 
-class _OneCell:
+class _OneCell(ClassicalEstimator):
     """Claims the cell one step ahead and one to the left of the sensor."""
 
-    grid = GRID
+    grid, target, name = GRID, CAR, "one"
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         prob = np.zeros(GRID.shape, np.float32)
         prob[2, 2] = 1.0
-        return FovEstimate(GRID, prob, np.zeros(GRID.shape, np.uint8), world_from_level=sweep.world_from_sensor)
+        return FovEstimate(GRID, prob, np.zeros(GRID.shape, np.uint8), world_from_level=leveled.sweep.world_from_sensor)
 
 
 def _field(pose: Rigid | None) -> Contestants:
@@ -132,8 +136,8 @@ def _results(tmp_path: Path) -> Results:
     store = ResultStore.open(tmp_path, study)
     attacked = Case("attack", "ghost_wall", "full")
     for number, values in ((2, [3, 1, 1, 5, 1, 0, 1, 0, 0.5]), (0, [1, 1, 3, 5, 0, 0, 1, 1, None])):
-        cases = [{"case": ["benign", "", "", ""], "scores": {"vote": [8, 0, 0, 2, 0, 0, 0, 0, 1.0]}},
-                 {"case": ["attack", "ghost_wall", "full", ""], "scores": {"vote": values}},
+        cases = [{"case": ["benign", "", "", ""], "scores": {"majority_vote": [8, 0, 0, 2, 0, 0, 0, 0, 1.0]}},
+                 {"case": ["attack", "ghost_wall", "full", ""], "scores": {"majority_vote": values}},
                  {"case": ["attack", "replay", "full", ""], "refused": "no earlier sweep"},
                  {"case": ["attack", "ghost_wall", "full", "radius"], "defense": [None, 1, 2, 3, 4]}]  # fmt: skip
         store.append({"job": ["ugv", number, "attacks"], "about": {"cell_m2": 0.25}, "cases": cases})
@@ -144,7 +148,7 @@ def _results(tmp_path: Path) -> Results:
 
 
 def test_samples_are_pooled_whatever_the_order_of_the_lines(tmp_path: Path) -> None:
-    found, key = _results(tmp_path), Key("ugv", "strict", Case("attack", "ghost_wall", "full"), "vote")
+    found, key = _results(tmp_path), Key("ugv", "strict", Case("attack", "ghost_wall", "full"), "majority_vote")
     tally = found.tally(key)
     assert (tally.both, tally.over, tally.under, tally.neither) == (4, 2, 4, 10)
     assert (tally.area_m2, tally.samples, tally.over_m2) == (5.0, 2, 0.25)
@@ -159,7 +163,7 @@ def test_samples_are_pooled_whatever_the_order_of_the_lines(tmp_path: Path) -> N
 
 def test_an_interval_spans_what_redrawn_samples_give(tmp_path: Path) -> None:
     """Two samples with F1 of 1/3 and 3/4: redrawn, one of them alone has a chance of 1/4 each."""
-    found, key = _results(tmp_path), Key("ugv", "strict", Case("attack", "ghost_wall", "full"), "vote")
+    found, key = _results(tmp_path), Key("ugv", "strict", Case("attack", "ghost_wall", "full"), "majority_vote")
     assert found.interval([key], f1) == pytest.approx((1 / 3, 3 / 4))
     benign = replace(key, case=BENIGN)
     assert found.interval([benign], f1) == (1.0, 1.0)

@@ -79,8 +79,9 @@ def main(arguments: list[str] | None = None) -> None:
     Args:
         arguments: the command and its options; None takes those of the process.
     """
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        sys.exit(app(arguments, standalone_mode=False))
+        sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
     except _Refused as error:
         _complain(cast(typer.BadParameter, error).format_message())
     except BAD_INPUTS as error:
@@ -91,6 +92,20 @@ def main(arguments: list[str] | None = None) -> None:
         if not _from_interrupt(error):
             raise
         sys.exit(INTERRUPTED)
+
+
+_FORMER_OPTIONS = {"--past": "--history", "--wary": "--require-confirmation", "--sure": "--abstain-below"}
+"""Options of version 0.3, taken as well for one version."""
+
+
+def _current_option(word: str) -> str:
+    """Return a word of the command line with the current name of an option.
+
+    >>> _current_option("--past=5"), _current_option("sweep.bin")
+    ('--history=5', 'sweep.bin')
+    """
+    option, equals, value = word.partition("=")
+    return _FORMER_OPTIONS.get(option, option) + equals + value
 
 
 def _from_interrupt(error: BaseException | None) -> bool:

@@ -5,7 +5,6 @@ Options of the estimators that are networks.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from viewshed.estimators import EstimatorFactory
-    from viewshed.fov.estimate import FovEstimate, FovEstimator
+    from viewshed.estimators import Estimator
     from viewshed.fov.visibility import Target
     from viewshed.grid import BevGrid
     from viewshed.io import IndexEntry
@@ -47,7 +45,7 @@ AUTO = "auto"
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 """What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 
-_ROOM_M = 20.0
+PROFILES = ("sound", "paper")
 
 _BAGS = (".bag", ".mcap", ".db3")
 
@@ -72,10 +70,7 @@ class Reading:
 
         model = None if self.sensor in {AUTO, "none"} else lidar_model(self.sensor)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            if model is not None:
-                yield sweep.replace(model=model)
-            else:
-                yield with_inferred_sensor(sweep) if self.sensor == AUTO else sweep
+            yield sweep if model is None else sweep.replace(model=model)
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
@@ -120,14 +115,6 @@ class Reading:
 def _told(problems: list[str], line: str) -> None:
     problems.append(line)
     typer.echo(f"viewshed: {line}", err=True)
-
-
-def with_inferred_sensor(sweep: Sweep) -> Sweep:
-    """Return the sweep with the beam table that explains it, or as it is where none does."""
-    from viewshed.preprocess.sensor_identification import identify_sensor
-
-    model = identify_sensor(sweep).model
-    return sweep if model is sweep.model else sweep.replace(model=model)
 
 
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
@@ -176,49 +163,6 @@ def parse_target(name: str) -> Target:
     return TARGETS[name]
 
 
-def make_estimator(method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
-    """Return the estimator called ``method`` in a profile, for a target; None is the profile's main one."""
-    from dataclasses import replace
-
-    table = estimators_of(profile, grid)
-    main = "shadow_map" if profile == "sound" else "label"
-    name = main if method is None else method
-    name = name if name in table else f"{profile}_{name}"
-    if name not in table:
-        raise ValueError(f"method must be one of {', '.join(table)}, got {method!r}")
-    return replace(table[name](grid), target=parse_target(target))  # type: ignore[type-var]
-
-
-def estimators_of(profile: str, grid: BevGrid) -> dict[str, EstimatorFactory]:
-    """Return the estimators of a profile; the paper's own depend on whether the grid is a room's or a road's."""
-    from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
-
-    papers = PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _ROOM_M else PAPER_ESTIMATORS
-    tables = {"sound": ESTIMATORS, "paper": papers}
-    if profile not in tables:
-        raise ValueError(f"profile must be sound or paper, got {profile!r}")
-    return tables[profile]
-
-
-def parse_threshold(threshold: float | None, profile: str) -> float:
-    """Return the probability from which a cell counts as visible; None is the profile's own."""
-    from viewshed.estimators import PAPER_THRESHOLD
-    from viewshed.fov.estimate import THRESHOLD
-
-    if threshold is None:
-        return THRESHOLD if profile == "sound" else PAPER_THRESHOLD
-    if not 0 < threshold <= 1:
-        raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
-    return threshold
-
-
-def timed(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:
-    """Return the estimate and the milliseconds that it took."""
-    start = time.perf_counter()
-    estimate = estimator.estimate(sweep)
-    return estimate, 1e3 * (time.perf_counter() - start)
-
-
 def one_line(error: BaseException) -> str:
     r"""Return an error's message without line breaks.
 
@@ -246,114 +190,77 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
         yield file, entries[file.resolve()]
 
 
-Weights = Annotated[
-    str | None,
-    typer.Option("--weights", help="Network of unet, mcd and viewnet: a file, or the name of shipped weights."),
-]
+Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]
 
-Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mcd; 20 if not given.")]
+Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
 
-Seed = Annotated[int | None, typer.Option("--seed", help="Seed of mcd's dropout masks; 0 if not given.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
 
-PastSweeps = Annotated[
+HistorySweeps = Annotated[
     int,
     typer.Option(
-        "--past", min=0, max=20,
+        "--history", min=0, max=20,
         help="Earlier sweeps of a recording that help viewnet and shadow_map, a second or more apart; 5 do well.",
     ),
 ]  # fmt: skip
 
-Wary = Annotated[
+RequireConfirmation = Annotated[
     bool,
-    typer.Option("--wary", help="With --past: claim only what an earlier sweep would have seen as well."),
+    typer.Option(
+        "--require-confirmation", help="With --history: claim only what an earlier sweep would have seen as well."
+    ),
 ]
 
-Device = Annotated[str, typer.Option("--device", help="Where unet, mcd and viewnet run: cpu or cuda.")]
+Device = Annotated[str, typer.Option("--device", help="Where networks run: cpu or cuda.")]
 
-Sure = Annotated[
+AbstainBelow = Annotated[
     float | None,
     typer.Option(
-        "--sure",
-        help="Of unet, mcd and viewnet: claim from this probability, deny up to 1 less it, leave the rest unknown.",
+        "--abstain-below",
+        help="Of a network: claim from this probability, deny up to 1 less it, leave the rest unknown.",
     ),
 ]
 
 
-_ENGINES = {"cpu": "onnxruntime", "cuda": "cuda"}
-
-OURS = "viewnet"
-"""The method that is taken where none is asked for and weights for it are shipped."""
-
-
-def _is_shipped(method: str, grid: BevGrid, target: str) -> bool:
-    from viewshed.networks.weights import default_name
-
-    try:
-        return bool(default_name(method, grid, target))
-    except ValueError:
-        return False
-
-
 @dataclass(frozen=True, slots=True)
-class Network:
-    """What the options say about the network."""
+class NetworkOptions:
+    """What the options say about a network; other estimators take none of them."""
 
     weights: str | None = None
     passes: int | None = None
     seed: int | None = None
-    sure: float | None = None
+    abstain_below: float | None = None
     device: str = "cpu"
 
-    def __post_init__(self) -> None:
-        if self.device not in _ENGINES:
-            raise ValueError(f"device must be one of {', '.join(_ENGINES)}, got {self.device!r}")
+    def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> Estimator:
+        """Return the estimator called ``method``; None is the best that is shipped, or the paper's label.
 
-    def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> FovEstimator:
-        """Return the estimator called ``method``, a network or not; None is the best that there is for a profile.
-
-        That is our network on the grids and for the targets that it is shipped for, else the profile's own.
+        In the profile ``paper`` its estimators may be named without ``paper_``.
         """
-        from viewshed.estimators.unet import LEARNED, learned
+        from viewshed.estimators import load_estimator, paper_estimators_on
 
-        if method is None and profile == "sound" and _is_shipped(OURS, grid, target):
-            method = OURS
-        if method in LEARNED:
-            engine = _ENGINES[self.device]
-            made = learned(method, grid, target, self.weights, self.passes, self.seed or 0, engine=engine)
-            return made if self.sure is None else made.with_abstention(self.sure)
-        if self.sure is not None:
-            raise ValueError(f"--sure goes with --method unet, mcd or viewnet, got method {method!r}")
-        if self != Network():
+        if profile not in PROFILES:
+            raise ValueError(f"profile must be {' or '.join(PROFILES)}, got {profile!r}")
+        if profile == "paper":
+            known = paper_estimators_on(grid)
+            method = "paper_label" if method is None else method
+            method = f"paper_{method}" if f"paper_{method}" in known else method
+        return load_estimator(
+            method, grid=grid, target=target, device=self.device, weights=self.weights, passes=self.passes,
+            seed=self.seed, abstain_below=self.abstain_below,
+        )  # fmt: skip
+
+    def threshold(self, given: float | None, estimator: Estimator, profile: str = "sound") -> float:
+        """Return the probability from which a cell counts as visible; None is the estimator's own, or the paper's."""
+        from viewshed.estimators import PAPER_THRESHOLD
+
+        if given is None:
+            return PAPER_THRESHOLD if profile == "paper" else estimator.threshold
+        if not 0 < given <= 1:
+            raise ValueError(f"threshold must lie in (0, 1], got {given}")
+        if self.abstain_below is not None and given < self.abstain_below:
             raise ValueError(
-                f"--weights, --passes, --seed and --device go with --method unet, mcd or viewnet, got method {method!r}"
+                f"--threshold must be at least --abstain-below {self.abstain_below:g}, got {given:g}; leave one of"
+                " them out"
             )
-        table = estimators_of(profile, grid)
-        if method is not None and not {method, f"{profile}_{method}"} & set(table):
-            raise ValueError(f"method must be one of {', '.join([*table, *LEARNED])}, got {method!r}")
-        return make_estimator(method, grid, target, profile)
-
-    def remembering(self, estimator: FovEstimator, sweeps: int, wary: bool = False) -> FovEstimator:
-        """Return the estimator with so many earlier sweeps to help it, wary or not; as it is for none.
-
-        Raises:
-            ValueError: earlier sweeps do not help it.
-        """
-        from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
-        from viewshed.estimators.unet import uses_history
-
-        if sweeps == 0 and wary:
-            raise ValueError("--wary goes with --past 1 or more: it claims what earlier sweeps support")
-        if sweeps == 0:
-            return estimator
-        if uses_history(estimator):
-            return TemporalEstimator(estimator, SweepBuffer(sweeps), wary)
-        raise ValueError("--past goes with --method viewnet or shadow_map, whose estimates earlier sweeps help")
-
-    def threshold(self, given: float | None, estimator: FovEstimator, profile: str) -> float:
-        """Return the probability from which a cell counts as visible; a network has its own."""
-        from viewshed.estimators.unet import UnetEstimator
-
-        if given is not None and self.sure is not None and given < self.sure:
-            raise ValueError(f"--threshold must be at least --sure {self.sure:g}, got {given:g}; leave one of them out")
-        own = estimator.decision_threshold if given is None and isinstance(estimator, UnetEstimator) else given
-        return parse_threshold(own, profile)
+        return given

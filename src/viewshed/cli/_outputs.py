@@ -5,19 +5,21 @@ What ``viewshed estimate`` does with its sweeps, one by one or in batches, and t
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from viewshed.cli._options import BAD_INPUTS, one_line, timed
+from viewshed.cli._options import BAD_INPUTS, one_line
 
 if TYPE_CHECKING:
-    from viewshed.fov.estimate import FovEstimate, FovEstimator
+    from viewshed.estimators import Estimator
+    from viewshed.fov.estimate import FovEstimate
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
@@ -46,11 +48,11 @@ def parse_results(text: str) -> tuple[str, ...]:
     >>> parse_results("npz,png")
     ('png', 'npz')
     """
-    asked = text.split(",")
-    for each in asked:
-        if each not in RESULTS:
+    wanted = text.split(",")
+    for name in wanted:
+        if name not in RESULTS:
             raise ValueError(f"results must be some of {','.join(RESULTS)}, with commas, got {text!r}")
-    return tuple(each for each in RESULTS if each in asked)
+    return tuple(name for name in RESULTS if name in wanted)
 
 
 def output_names(files: Sequence[Path]) -> list[str]:
@@ -103,12 +105,12 @@ class Named(NamedTuple):
 
 @dataclass(slots=True)
 class Failures:
-    """Tells each failure in a line on standard error, and counts them."""
+    """Reports each failure in a line on standard error, and counts them."""
 
     count: int = 0
 
-    def tell(self, file: Path, error: Exception) -> None:
-        """Tell what went wrong with a file; an error that is no fault of the input is raised."""
+    def report(self, file: Path, error: Exception) -> None:
+        """Say what went wrong with a file; an error that is no fault of the input is raised."""
         if not isinstance(error, BAD_INPUTS):
             raise error
         self.count += 1
@@ -127,29 +129,42 @@ class Run:
         results: which of ``RESULTS`` are written.
     """
 
-    estimator: FovEstimator
+    estimator: Estimator
     threshold: float
     out: Path
     results: tuple[str, ...] = RESULTS
-    _warm: bool = field(default=False, init=False)
+    _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
         """Yield the summary line of each sweep, one by one and timed, or so many of them together."""
-        return self._each(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
+        return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
 
-    def _each(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[str]:
-        for one in sweeps:
+    def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[str]:
+        for named in sweeps:
             try:
-                yield self.one(one.sweep, one.name)
+                yield self.one(named.sweep, named.name)[1]
             except BAD_INPUTS as error:
-                failures.tell(one.file, error)
+                failures.report(named.file, error)
 
-    def one(self, sweep: Sweep, name: str) -> str:
-        """Write the results of one sweep and return its summary line."""
-        if not self._warm:  # the first call loads compiled code, which is no time of the estimator
-            self.estimator.estimate(sweep)
-            self._warm = True
-        return self.write(sweep, name, *timed(self.estimator, sweep))
+    def one(self, sweep: Sweep, name: str) -> tuple[FovEstimate, str]:
+        """Level one sweep, estimate, write the results, and return the estimate and its summary line."""
+        from viewshed.preprocess.leveling import level
+
+        self._warm_up()
+        start = time.perf_counter()
+        leveled = level(sweep, self.estimator.grid)
+        estimate = self.estimator.estimate(leveled)
+        elapsed_ms = 1e3 * (time.perf_counter() - start)
+        return estimate, self.write(leveled, name, estimate, elapsed_ms)
+
+    def _warm_up(self) -> None:
+        """Load compiled code on a sweep of no other use: the time that is printed is that of the estimator."""
+        from viewshed.io import read_sweep
+        from viewshed.io.samples import junction_path
+
+        if not self._is_warm:
+            warm_up(self.estimator, read_sweep(junction_path()))
+            self._is_warm = True
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
         """Estimate in batches and write in threads."""
@@ -158,12 +173,12 @@ class Run:
 
         threads = 1 if "png" in self.results else cores()  # matplotlib is for one thread
         with closing(in_order(self._written, self._estimated(sweeps, failures, batch), batch, threads)) as written:
-            for each in written:
-                file, told = each.result()
-                if isinstance(told, str):
-                    yield told
+            for done in written:
+                file, line = done.result()
+                if isinstance(line, str):
+                    yield line
                 else:
-                    failures.tell(file, told)
+                    failures.report(file, line)
 
     def _estimated(
         self, sweeps: Iterable[Named], failures: Failures, batch: int
@@ -173,72 +188,65 @@ class Run:
         taken: deque[Named] = deque()
 
         def taking() -> Iterator[Sweep]:
-            for each in sweeps:
-                taken.append(each)
-                yield each.sweep
+            for named in sweeps:
+                taken.append(named)
+                yield named.sweep
 
-        def failed(error: Exception) -> None:
-            failures.tell(taken.popleft().file, error)
+        def on_error(error: Exception) -> None:
+            failures.report(taken.popleft().file, error)
 
-        for found in estimate_all(self.estimator, taking(), batch, on_error=failed):
-            yield taken.popleft(), found
+        for estimate in estimate_all(self.estimator, taking(), batch, on_error=on_error):
+            yield taken.popleft(), estimate
 
     def _written(self, estimated: tuple[Named, FovEstimate]) -> tuple[Path, str | Exception]:
-        (sweep, name, file), found = estimated
-        try:
-            return file, self.write(sweep, name, found)
-        except BAD_INPUTS as error:
-            return file, error
-
-    def write(self, sweep: Sweep, name: str, found: FovEstimate, elapsed_ms: float | None = None) -> str:
-        """Write the results of an estimate and return its summary line; without a time it tells none."""
-        from viewshed._files import write_atomic
         from viewshed.preprocess.leveling import level
 
-        leveled = level(sweep, self.estimator.grid)
-        summary = summary_line(found, self.threshold, elapsed_ms)
-        title = f"{name}\n{summary}"
-        content = {kind: self._content(kind, found, leveled, title) for kind in self.results}
-        for kind, made in content.items():
-            write_atomic(self.out / f"{name}.{kind}", made)
-        return f"{name}: {summary}{_doubt(sweep, leveled)} → {self.out / name}.{self.results[0]}"
+        named, estimate = estimated
+        try:
+            return named.file, self.write(level(named.sweep, self.estimator.grid), named.name, estimate)
+        except BAD_INPUTS as error:
+            return named.file, error
 
-    def _content(self, kind: str, found: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
-        from viewshed.io.export import to_geojson, to_npz
+    def write(self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
+        """Write the results of an estimate and return its summary line, with the time if there is one."""
+        from viewshed._files import write_atomic
 
-        if kind == "npz":
-            return to_npz(found)
-        if kind == "geojson":
-            return _json(to_geojson(found, self.threshold))
-        from viewshed.estimators.unet import LEARNED
-        from viewshed.plot import Panel, maps_picture, picture
-
-        drawn = maps_picture if found.method in LEARNED else picture
-        return drawn(Panel(found, title, leveled, self.threshold))
+        estimate = replace(estimate, threshold=self.threshold)
+        summary = summary_line(estimate, elapsed_ms)
+        for kind in self.results:
+            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
+        return f"{name}: {summary}{_ground_remark(leveled)} → {self.out / name}.{self.results[0]}"
 
 
-def summary_line(found: FovEstimate, threshold: float, elapsed_ms: float | None = None) -> str:
+def warm_up(estimator: Estimator, sweep: Sweep) -> None:
+    """Estimate once, so that compiled code is loaded before anything is timed."""
+    estimator.estimate(sweep)
+
+
+def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
+    """Return the content of a result's file."""
+    from viewshed.io.export import EXPORTERS
+
+    return estimate.plot(leveled, title) if kind == "png" else EXPORTERS[kind].encode(estimate)
+
+
+def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
     """Return visible area, shares of hidden and unknown cells, method and time if any, in one line."""
     from viewshed.fov.estimate import CellState
 
-    hidden, unknown = found.share(CellState.HIDDEN), found.share(CellState.UNKNOWN)
-    time = "" if elapsed_ms is None else f", {elapsed_ms:.1f} ms"
+    hidden, unknown = estimate.share(CellState.HIDDEN), estimate.share(CellState.UNKNOWN)
+    elapsed = "" if elapsed_ms is None else f", {elapsed_ms:.1f} ms"
     return (
-        f"visible {found.area_m2(threshold):.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%} "
-        f"({found.method}, {found.target.name}{time})"
+        f"visible {estimate.area_m2():.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%} "
+        f"({estimate.method}, {estimate.target.name}{elapsed})"
     )
 
 
-def _doubt(sweep: Sweep, leveled: LeveledSweep) -> str:
+def _ground_remark(leveled: LeveledSweep) -> str:
+    """Return what a reader must know of the ground: that there is no return, or that its height was assumed."""
     if len(leveled.points) == 0:
-        return f"; no usable return among {len(sweep)} points: nothing is known"
-    if leveled.ground.support == 0 and sweep.sensor_height_m is None:
+        return f"; no usable return among {len(leveled.sweep)} points: nothing is known"
+    if leveled.ground.support == 0 and leveled.sweep.sensor_height_m is None:
         assumed = f"; ground not seen, sensor taken to be {leveled.sensor_height_m:.2f} m above it"
         return f"{assumed} (give --height, or --file-frame if the file's z points down)"
     return ""
-
-
-def _json(content: object) -> bytes:
-    import json
-
-    return json.dumps(content, allow_nan=False).encode()

@@ -75,7 +75,7 @@ def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str 
             raise ValueError(f"--victim goes with {', '.join(ADAPTIVE)}, got {attack}")
         return AttackPlan(attack, returns, mode, half_m)
     name = victim or "shadow_map"
-    return AttackPlan(attack, returns, mode, half_m, name, options.make_estimator(name, grid, "car"))
+    return AttackPlan(attack, returns, mode, half_m, name, options.NetworkOptions().estimator(name, grid, "car"))
 
 
 def corrupt(

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, Network, Passes, Reading, Seed, Weights, timed
+from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs
 
 if TYPE_CHECKING:
-    from viewshed.fov.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.estimators import Estimator
+    from viewshed.fov.estimate import CellState, FovEstimate
     from viewshed.grid import BevGrid
-    from viewshed.sweep import Sweep
+    from viewshed.preprocess.leveling import LeveledSweep
 
 
-_HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "time ms")
+_HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "time ms, leveled")
 
 
 def compare(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     methods: Annotated[
         str, typer.Option(help="Estimators, with commas; 'all' for every one but the networks.")
-    ] = "shadow_map,vote,first_blocker",
+    ] = "shadow_map,majority_vote,first_blocker",
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002
@@ -50,40 +52,53 @@ def compare(
     from viewshed.preprocess.leveling import level
 
     cells = options.parse_grid(grid)
-    names = list(options.estimators_of(profile, cells)) if methods == "all" else methods.split(",")
-    estimators = _estimators(names, cells, target, profile, Network(weights, passes, seed, device=device))
+    names = _all_names(profile, cells) if methods == "all" else _current_names(methods)
+    estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
     [(path, entry)] = options.chosen([file], index)
     refuse_inputs([out], [file])
     sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
-    leveled = level(sweep, cells)
-    found = {name: _second(estimator, sweep) for name, estimator in estimators.items()}
-    rows = [_row(name, estimate, elapsed_ms, found[names[0]][0]) for name, (estimate, elapsed_ms) in found.items()]
-    write_atomic(
-        out, comparison([Panel(estimate, name, leveled) for name, (estimate, _) in found.items()], rows, _HEADER)
-    )
+    leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
+    results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
+    first = results[names[0]][0]
+    rows = [_row(name, estimate, elapsed_ms, first) for name, (estimate, elapsed_ms) in results.items()]
+    panels = [Panel(estimate, name, leveled) for name, (estimate, _) in results.items()]
+    write_atomic(out, comparison(panels, rows, _HEADER))
     typer.echo(table(_HEADER, rows))
     typer.echo(f"→ {out}")
 
 
+def _all_names(profile: str, grid: BevGrid) -> list[str]:
+    from viewshed.estimators import CLASSICAL, paper_estimators_on
+
+    return list(paper_estimators_on(grid) if profile == "paper" else CLASSICAL)
+
+
+def _current_names(methods: str) -> list[str]:
+    from viewshed.estimators import FORMER_NAMES
+
+    return [FORMER_NAMES.get(name, name) for name in methods.split(",")]
+
+
 def _estimators(
-    names: list[str], grid: BevGrid, target: str, profile: str, network: Network
-) -> dict[str, FovEstimator]:
-    """Return the estimators by name; what is said about the network goes to those that are networks."""
-    from viewshed.estimators.unet import LEARNED
+    names: list[str], grid: BevGrid, target: str, profile: str, network: NetworkOptions
+) -> dict[str, Estimator]:
+    """Return the estimators by name; of the options of a network, each takes those that it knows."""
+    from viewshed.estimators import LEARNED
 
-    if network != Network() and not set(names) & set(LEARNED):
+    if network != NetworkOptions() and not set(names) & set(LEARNED):
         raise ValueError(
-            f"--weights, --passes, --seed and --device go with unet, mcd or viewnet, got methods {','.join(names)}"
+            f"--weights, --passes, --seed and --device go with {', '.join(LEARNED)}, got methods {','.join(names)}"
         )
-    one = Network(network.weights, device=network.device)
-    rules = {"unet": one, "mcd": network, "viewnet": one}
-    return {name: rules.get(name, Network()).estimator(name, grid, target, profile) for name in names}
+    one_pass = NetworkOptions(network.weights, device=network.device)
+    takes = dict.fromkeys(LEARNED, one_pass) | {"mc_dropout": network}
+    return {name: takes.get(name, NetworkOptions()).estimator(name, grid, target, profile) for name in names}
 
 
-def _second(estimator: FovEstimator, sweep: Sweep) -> tuple[FovEstimate, float]:
+def _timed(estimator: Estimator, leveled: LeveledSweep) -> tuple[FovEstimate, float]:
     """Return the estimate and the milliseconds of a second call; the first one loads compiled code."""
-    timed(estimator, sweep)
-    return timed(estimator, sweep)
+    estimator.estimate(leveled)
+    start = time.perf_counter()
+    return estimator.estimate(leveled), 1e3 * (time.perf_counter() - start)
 
 
 def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate) -> list[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import Network
+from viewshed.cli._options import NetworkOptions
 from viewshed.cli._outputs import Run
 
 if TYPE_CHECKING:
@@ -34,11 +34,12 @@ def demo(
 
     out.mkdir(parents=True, exist_ok=True)
     grid = options.parse_grid("road")
-    estimator = Network().estimator(None, grid, "car")
+    estimator = NetworkOptions().estimator(None, grid, "car")
     seen = _junction(seed, grid)
     sweep = seen.image.sweep()
-    typer.echo(Run(estimator, Network().threshold(None, estimator, "sound"), out).one(sweep, "demo"))
-    picture, line = _beside_truth(estimator.estimate(sweep), seen)
+    estimate, summary = Run(estimator, estimator.threshold, out).one(sweep, "demo")
+    typer.echo(summary)
+    picture, line = _beside_truth(estimate, seen)
     write_atomic(out / "demo_truth.png", picture)
     typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")
     typer.echo(f"Look at {(out / 'demo.png').resolve()}")

@@ -13,14 +13,14 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import (
     AUTO,
     BAD_INPUTS,
+    AbstainBelow,
     Device,
-    Network,
+    HistorySweeps,
+    NetworkOptions,
     Passes,
-    PastSweeps,
     Reading,
+    RequireConfirmation,
     Seed,
-    Sure,
-    Wary,
     Weights,
 )
 from viewshed.cli._outputs import Failures, Named, Run, free_name, output_names, parse_results, refuse_inputs
@@ -38,12 +38,12 @@ Files = Annotated[
 
 Method = Annotated[
     str | None,
-    typer.Option(help="Estimator, also unet or mcd; if not given viewnet, or shadow_map on grids of your own."),
+    typer.Option(help="Estimator; if not given viewnet, or shadow_map on grids of your own."),
 ]
 
 Threshold = Annotated[
     float | None,
-    typer.Option(help="Probability from which a cell counts as visible; 0.5, or the network's, if not given."),
+    typer.Option(help="Probability from which a cell counts as visible; the estimator's own if not given."),
 ]
 
 Batch = Annotated[
@@ -71,11 +71,11 @@ def estimate(
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
-    sure: Sure = None,
+    abstain_below: AbstainBelow = None,
     device: Device = "cpu",
     threshold: Threshold = None,
-    past: PastSweeps = 0,
-    wary: Wary = False,
+    history: HistorySweeps = 0,
+    require_confirmation: RequireConfirmation = False,
     batch: Batch = 1,
     results: Results = "png,geojson,npz",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
@@ -86,16 +86,22 @@ def estimate(
 
     Example: viewshed estimate sweep.pcd.bin --out out
     """
-    if past and batch > 1:
-        raise ValueError("--past goes with --batch 1: a sweep is remembered before the next one is estimated")
-    chosen = parse_results(results)
+    from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+
+    if history and batch > 1:
+        raise ValueError("--history goes with --batch 1: a sweep is remembered before the next one is estimated")
+    if require_confirmation and not history:
+        raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
+    kinds = parse_results(results)
     reading = Reading(sensor, format, file_frame, height, attitude)
-    network = Network(weights, passes, seed, sure, device)
+    network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
-    run = Run(network.remembering(estimator, past, wary), network.threshold(threshold, estimator, profile), out, chosen)
+    if history:
+        estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
-    refuse_inputs((out / f"{name}.{kind}" for name in names for kind in chosen), (file for file, _ in jobs))
+    refuse_inputs((out / f"{name}.{kind}" for name in names for kind in kinds), (file for file, _ in jobs))
     out.mkdir(parents=True, exist_ok=True)
     failures = Failures()
     for line in run.lines(_sweeps(reading, jobs, names, failures), failures, batch):
@@ -111,7 +117,7 @@ def _sweeps(reading: Reading, jobs: list[Job], names: list[str], failures: Failu
         try:
             yield from (Named(sweep, own, file) for sweep, own in _named(reading.sweeps(file, entry), name, taken))
         except BAD_INPUTS as error:
-            failures.tell(file, error)
+            failures.report(file, error)
 
 
 def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:

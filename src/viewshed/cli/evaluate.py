@@ -66,20 +66,18 @@ def _opened(path: str, split: str | None) -> Archive:
 
 
 def _makers(methods: str, target: Target, weights: str | None) -> Mapping[str, Callable[[BevGrid], FovEstimator]]:
-    from viewshed.cli._options import make_estimator
-    from viewshed.estimators import ESTIMATORS
+    from viewshed.estimators import CLASSICAL, LEARNED
     from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
-    from viewshed.estimators.unet import LEARNED, learned
 
     known: dict[str, Callable[[BevGrid], FovEstimator]] = {
-        name: partial(make_estimator, name, target=target.name) for name in ESTIMATORS
+        name: partial(make, target=target) for name, make in CLASSICAL.items()
     }
     for rule in NO_RETURN_RULES[1:]:
         known[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
     names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
     if weights is not None and not set(names) & set(LEARNED):
-        raise ValueError(f"--weights goes with unet, mcd or viewnet among --methods, got {methods}")
-    known |= {name: partial(learned, name, target=target.name, weights=weights) for name in LEARNED}
+        raise ValueError(f"--weights goes with {', '.join(LEARNED)} among --methods, got {methods}")
+    known |= {name: partial(make, target=target, weights=weights) for name, make in LEARNED.items()}
     for name in names:
         if name not in known:
             raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
@@ -114,20 +112,19 @@ def crossview(
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:
-    from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
+    from viewshed.estimators import CLASSICAL, LEARNED, PAPER_ESTIMATORS
     from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
-    from viewshed.estimators.unet import LEARNED, learned
     from viewshed.fov.visibility import CAR
     from viewshed.grid import GRIDS
 
     road, published = GRIDS["road"], GRIDS["paper"]
-    known: dict[str, Callable[[], FovEstimator]] = {name: partial(make, road) for name, make in ESTIMATORS.items()}
+    known: dict[str, Callable[[], FovEstimator]] = {name: partial(make, road) for name, make in CLASSICAL.items()}
     for rule in NO_RETURN_RULES[1:]:
         known[f"shadow_map, no return {rule}"] = partial(ShadowMap, road, CAR, rule)
     for name, make in PAPER_ESTIMATORS.items():
         known[f"paper: {name.removeprefix('paper_')}"] = partial(make, published)
     names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
-    known |= {name: partial(learned, name, road) for name in LEARNED}
+    known |= {name: partial(make, road) for name, make in LEARNED.items()}
     for name in names:
         if name not in known:
             raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, Network, Passes, Reading, Seed, Weights
+from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, stem_of
 
 
@@ -16,7 +16,9 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
     to: Annotated[str, typer.Option(help="geojson, occupancy_grid, grid_map, osi, cpm or npz.")] = "geojson",
     sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,
-    method: Annotated[str, typer.Option(help="Estimator, where FILE is a sweep.")] = "shadow_map",
+    method: Annotated[
+        str | None, typer.Option(help="Estimator, where FILE is a sweep; as for estimate if not given.")
+    ] = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     format: options.FormatName = AUTO,  # noqa: A002
@@ -48,7 +50,9 @@ def export(
         found = read_npz(file)
     else:
         [(path, entry)] = options.chosen([file], index)
-        estimator = Network(weights, passes, seed, device=device).estimator(method, options.parse_grid(grid), target)
+        estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
+            method, options.parse_grid(grid), target
+        )
         found = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
     content = json.dumps(to_cpm(found, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(found)
     name = stem_of(file.name) + EXPORTERS[to].suffix

@@ -55,13 +55,16 @@ def fit(
 
     Example: viewshed monitor fit benign --out monitor.npz
     """
-    from viewshed.estimators.unet import PASSES, learned
+    from viewshed.estimators.unet import PASSES, load_network
     from viewshed.integrity import DeviationMonitor, Rule, save_monitor
     from viewshed.integrity.roc import require_sweeps
 
     rule, sweeps = Rule(sigmas=sigmas), _Source(tuple(sources), split, sensor)
     refuse_inputs((out,), map(Path, sources))
-    estimator = learned("mcd", options.parse_grid(grid), target, weights, passes, seed or 0)
+    estimator = load_network(
+        "mc_dropout", options.parse_grid(grid), options.parse_target(target), weights=weights, passes=passes,
+        seed=seed or 0,
+    )  # fmt: skip
     count = sum(1 for _ in sweeps)
     require_sweeps(count - count // 2, false_alarm_rate)
     estimates = (estimator.estimate(sweep) for _, sweep in _with_bar(sweeps, count))
@@ -151,14 +154,17 @@ class _Run:
     @classmethod
     def of(cls, monitor: DeviationMonitor, weights: str | None, out: Path | None) -> _Run:
         """Return the run of a monitor with the network that it was fitted on."""
-        from viewshed.estimators.unet import learned
+        from viewshed.estimators.unet import load_network
 
         if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
             raise ValueError(
                 "monitor must name its network, passes and seed, got none; fit it with viewshed monitor fit"
             )
         facts = monitor.facts
-        estimator = learned("mcd", monitor.grid, facts["target"], weights, int(facts["passes"]), int(facts["seed"]))
+        estimator = load_network(
+            "mc_dropout", monitor.grid, options.parse_target(facts["target"]), weights=weights,
+            passes=int(facts["passes"]), seed=int(facts["seed"]),
+        )  # fmt: skip
         if _identity(estimator) != facts["network"]:
             raise ValueError(
                 f"weights must be those of the monitor, {facts['network']}, got {_identity(estimator)}; give --weights,"

@@ -1,34 +1,58 @@
-"""The estimators by name: ``ESTIMATORS[name](grid)`` makes one with sound parameters."""
+"""The estimators by name, classical and learned: ``ESTIMATORS[name](grid, target)``, or :func:`load_estimator`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Protocol
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from viewshed.estimators.base import EarlierSweeps, Estimator
 from viewshed.estimators.concave_hull import ConcaveHull
 from viewshed.estimators.delaunay import Delaunay
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.estimate import FovEstimator
-from viewshed.grid import BevGrid
+from viewshed.estimators.unet import LEARNED, load_network
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, TARGETS, Target
+from viewshed.grid import GRIDS, BevGrid
+from viewshed.networks.runtime import load_runner
+from viewshed.networks.weights import default_name
 from viewshed.preprocess.azimuth_bins import Crop
+from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.sweep import Sweep
 
-EstimatorFactory = Callable[[BevGrid], FovEstimator]
 
-ESTIMATORS: dict[str, EstimatorFactory] = {
+class EstimatorFactory(Protocol):
+    """Makes an estimator on a grid."""
+
+    def __call__(self, grid: BevGrid, target: Target = CAR) -> Estimator:
+        """Return the estimator of ``target`` on ``grid``, with sound parameters."""
+        ...
+
+
+CLASSICAL: dict[str, EstimatorFactory] = {
     "continuous": ContinuousRayTrace,
     "quantized": QuantizedRayTrace,
     "concave_hull": ConcaveHull,
-    "polygon_fit": Delaunay,
+    "delaunay": Delaunay,
     "first_blocker": FirstBlocker,
     "first_blocker_median": partial(FirstBlocker, median_bins=5, name="first_blocker_median"),
     "trimmed": TrimmedRayTrace,
     "shadow_map": ShadowMap,
-    "vote": MajorityVote,
+    "majority_vote": MajorityVote,
 }
-"""Ours: rays start at the sensor, bins follow the measured azimuth step, no return means UNKNOWN."""
+"""The classical ones. Rays start at the sensor, bins follow the measured azimuth step, no return means UNKNOWN."""
+
+ESTIMATORS: dict[str, EstimatorFactory] = {**CLASSICAL, **LEARNED}
+"""All of them. A network is made for the grids and targets that weights are shipped for."""
+
+FORMER_NAMES = {"vote": "majority_vote", "polygon_fit": "delaunay", "mcd": "mc_dropout"}
+"""Names of version 0.3, taken as well for one version."""
 
 
 def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
@@ -47,7 +71,7 @@ def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
         "paper_concave_hull": partial(
             ConcaveHull, concavity=1.0, length_threshold_m=4.0, crop=crop, name="paper_concave_hull"
         ),
-        "paper_polygon_fit": partial(Delaunay, crop=crop, name="paper_polygon_fit"),
+        "paper_delaunay": partial(Delaunay, crop=crop, name="paper_delaunay"),
     }
 
 
@@ -59,3 +83,134 @@ PAPER_ESTIMATORS: dict[str, EstimatorFactory] = paper_estimators(100.0)
 
 PAPER_INDOOR_ESTIMATORS: dict[str, EstimatorFactory] = paper_estimators(20.0)
 """The paper's, for its indoor robot."""
+
+_ROOM_M = 20.0
+"""Grids that reach no farther than this are a room's."""
+
+
+def paper_estimators_on(grid: BevGrid) -> dict[str, EstimatorFactory]:
+    """Return the paper's estimators for a grid: those of its indoor robot on the grid of a room."""
+    return PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _ROOM_M else PAPER_ESTIMATORS
+
+
+def default_estimator(grid: BevGrid, target: Target) -> str:
+    """Return the best method's name: ``viewnet`` where weights are shipped for grid and target, else ``shadow_map``."""
+    try:
+        default_name("viewnet", grid, target.name)
+    except ValueError:
+        return "shadow_map"
+    return "viewnet"
+
+
+def load_estimator(
+    name: str | Path | None = None,
+    *,
+    grid: str | BevGrid = "road",
+    target: str | Target = "car",
+    device: str = "cpu",
+    weights: str | Path | None = None,
+    passes: int | None = None,
+    seed: int | None = None,
+    abstain_below: float | None = None,
+) -> Estimator:
+    """Return an estimator, ready to use.
+
+    Args:
+        name: of :data:`ESTIMATORS` or of the paper's estimators; a network's file; None is the best shipped method for
+            grid and target, or the network that ``weights`` name.
+        grid: a name of :data:`GRIDS`, or a grid.
+        target: a name of :data:`TARGETS`, or a target.
+        device: of a network, ``cpu`` or ``cuda``.
+        weights: of a network: a file, or a name of shipped weights.
+        passes: of ``mc_dropout``, at least 2.
+        seed: of the dropout masks of ``mc_dropout``.
+        abstain_below: of a network: cells of which it is less sure than this are UNKNOWN, in [.5, 1].
+
+    Raises:
+        ValueError: a name is unknown, or an option is given that the estimator does not take; the message says which.
+        ImportError: what runs networks on the device is not installed.
+
+    >>> load_estimator("shadow_map", grid="indoor", target="pedestrian").name
+    'shadow_map'
+    """
+    cells, thing = grid_named(grid), target_named(target)
+    if isinstance(name, Path) or (name is not None and str(name).endswith(".onnx")):
+        if weights is not None:
+            raise ValueError(f"weights must be left out where a file is named, got {name} and {weights}; name one")
+        name, weights = None, name
+    if name is None:
+        name = default_estimator(cells, thing) if weights is None else load_runner(weights).card.kind
+    method = FORMER_NAMES.get(str(name), str(name)).replace("paper_polygon_fit", "paper_delaunay")
+    options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
+    given = {option: value for option, value in options.items() if value is not None}
+    if method in LEARNED:
+        estimator: Estimator = load_network(
+            method, cells, thing, weights=weights, passes=passes, seed=seed or 0, device=device
+        )
+    else:
+        known = {**CLASSICAL, **paper_estimators_on(cells)}
+        if method not in known:
+            raise ValueError(f"method must be one of {', '.join([*known, *LEARNED])}, got {method!r}")
+        if given:
+            raise ValueError(f"{', '.join(given)} must be left out for {method}, which is no network; use viewnet")
+        estimator = known[method](cells, thing)
+    return estimator if abstain_below is None else estimator.with_abstention(abstain_below)
+
+
+def estimate(
+    sweep: Sweep | LeveledSweep | ArrayLike,
+    *,
+    method: str | Path | None = None,
+    grid: str | BevGrid = "road",
+    target: str | Target = "car",
+    history: EarlierSweeps = None,
+    device: str = "cpu",
+) -> FovEstimate:
+    """Return the field of view of one sweep by the best shipped method, or by ``method``.
+
+    The estimator is loaded once and kept; for options of networks take :func:`load_estimator`.
+
+    Args:
+        sweep: a Sweep; or points (N, 3) in meters, x forward, y left, z up, the sensor at the origin.
+        method: as ``name`` of :func:`load_estimator`.
+        grid: a name of :data:`GRIDS`, or a grid.
+        target: a name of :data:`TARGETS`, or a target.
+        history: earlier sweeps of the sensor with poses, for a method that uses them.
+        device: of a network, ``cpu`` or ``cuda``.
+
+    Raises:
+        ValueError: the points are no sweep, or a name is unknown.
+    """
+    estimator = _loaded(method, grid_named(grid), target_named(target), device)
+    measured = sweep if isinstance(sweep, Sweep | LeveledSweep) else Sweep(np.asarray(sweep))
+    return estimator.estimate(measured, history)
+
+
+@lru_cache(maxsize=4)
+def _loaded(method: str | Path | None, grid: BevGrid, target: Target, device: str) -> Estimator:
+    return load_estimator(method, grid=grid, target=target, device=device)
+
+
+def grid_named(grid: str | BevGrid) -> BevGrid:
+    """Return a grid by its name in :data:`GRIDS`, or the grid itself."""
+    if isinstance(grid, BevGrid):
+        return grid
+    if grid not in GRIDS:
+        raise ValueError(f"grid must be one of {', '.join(GRIDS)}, got {grid!r}")
+    return GRIDS[grid]
+
+
+def target_named(target: str | Target) -> Target:
+    """Return a target by its name in :data:`TARGETS`, or the target itself."""
+    if isinstance(target, Target):
+        return target
+    if target not in TARGETS:
+        raise ValueError(f"target must be one of {', '.join(TARGETS)}, got {target!r}")
+    return TARGETS[target]
+
+
+__all__ = [
+    "CLASSICAL", "ESTIMATORS", "FORMER_NAMES", "LEARNED", "PAPER_ESTIMATORS", "PAPER_INDOOR_ESTIMATORS",
+    "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "default_estimator", "estimate", "grid_named",
+    "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
+]  # fmt: skip

@@ -6,15 +6,12 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
 
 from viewshed._jobs import cores
-from viewshed.estimators.temporal import TemporalEstimator
-from viewshed.estimators.unet import UnetEstimator
-from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.preprocess.leveling import level
+from viewshed.estimators.base import BatchSteps, Estimator
+from viewshed.fov.estimate import FovEstimate
 from viewshed.sweep import Sweep
 
 BATCH = 16
@@ -32,7 +29,7 @@ Failed = Callable[[Exception], None]
 
 
 def estimate_all(
-    estimator: FovEstimator,
+    estimator: Estimator,
     sweeps: Iterable[Sweep],
     batch: int = BATCH,
     threads: int | None = None,
@@ -60,9 +57,7 @@ def estimate_all(
         raise ValueError(f"batch must lie in [1, {MOST}], got {batch}")
     if threads is not None and threads < 1:
         raise ValueError(f"threads must be at least 1, got {threads}")
-    if isinstance(estimator, TemporalEstimator):
-        raise ValueError("an estimator that remembers takes sweeps one after the other; call its estimate")
-    return _estimates(_stages_of(estimator), sweeps, batch, threads or cores(), on_error or _raised)
+    return _estimates(estimator.batch_steps(), sweeps, batch, threads or cores(), on_error or _raised)
 
 
 def in_order(work: Callable[[T], R], items: Iterable[T], ahead: int, threads: int) -> Generator[Future[R], None, None]:
@@ -83,32 +78,14 @@ def in_order(work: Callable[[T], R], items: Iterable[T], ahead: int, threads: in
         pool.shutdown(cancel_futures=True)
 
 
-@dataclass(frozen=True, slots=True)
-class _Stages:
-    """How an estimator works: many ``prepare``, one ``ask`` for all that are prepared, and ``finish``."""
-
-    prepare: Callable[[Sweep], Any]
-    ask: Callable[[list[Any]], list[Any]]
-    finish: Callable[[Any, Any], FovEstimate]
-
-
-def _stages_of(estimator: FovEstimator) -> _Stages:
-    if isinstance(estimator, UnetEstimator):
-        network, grid, alone = estimator, estimator.grid, estimator.side_by_side()
-        if alone is None:
-            return _Stages(lambda sweep: network.asked(level(sweep, grid)), network.told, network.answer)
-        estimator = alone
-    return _Stages(estimator.estimate, lambda found: found, lambda found, _: found)
-
-
 def _estimates(
-    stages: _Stages, sweeps: Iterable[Sweep], batch: int, threads: int, on_error: Failed
+    steps: BatchSteps, sweeps: Iterable[Sweep], batch: int, threads: int, on_error: Failed
 ) -> Iterator[FovEstimate]:
-    with closing(in_order(stages.prepare, sweeps, batch, threads)) as prepared:
+    with closing(in_order(steps.prepare, sweeps, batch, threads)) as prepared:
         while part := [_tried(each.result) for each in islice(prepared, batch)]:
-            told = iter(stages.ask([each for each in part if not isinstance(each, Exception)]))
+            results = iter(steps.infer([each for each in part if not isinstance(each, Exception)]))
             for each in part:
-                found = each if isinstance(each, Exception) else _tried(stages.finish, each, next(told))
+                found = each if isinstance(each, Exception) else _tried(steps.finish, each, next(results))
                 if isinstance(found, Exception):
                     on_error(found)
                 else:

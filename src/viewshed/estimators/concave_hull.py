@@ -9,12 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
-from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.sweep import Sweep
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 
 MAX_LATTICE = 1024
 """Most cells per side of the lattice on which the returns are thinned out."""
@@ -26,7 +27,7 @@ _SCATTER, _TURN = np.uint64(2654435761), np.uint64(2**32)
 
 
 @dataclass(frozen=True, slots=True)
-class ConcaveHull:
+class ConcaveHull(ClassicalEstimator):
     """Visible inside the concave hull of the returns. Source: arXiv 2503.07375; Park and Oh 2012 (concaveman).
 
     The returns are thinned out to the farthest one in each cell of a lattice as fine as the grid (coarser if they
@@ -46,8 +47,9 @@ class ConcaveHull:
         name: goes into the estimate's ``method``.
 
     >>> import numpy as np
+    >>> import viewshed
     >>> corners = np.array([[6.0, -6.0, -1.7], [6.0, 6.0, -1.7], [-6.0, 0.0, -1.7]])
-    >>> estimate = ConcaveHull(BevGrid(32, 16.0)).estimate(Sweep(corners, sensor_height_m=1.7))
+    >>> estimate = ConcaveHull(BevGrid(32, 16.0)).estimate(viewshed.Sweep(corners, sensor_height_m=1.7))
     >>> estimate.at(np.array([[4.5, 3.5], [-4.5, 3.5]])).tolist()
     [1.0, 0.0]
     """
@@ -63,12 +65,8 @@ class ConcaveHull:
         require("concavity", self.concavity, 0.1, 1e6)
         require("length_threshold_m", self.length_threshold_m, 0.0, 1e6)
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Estimate what the sensor sees: the inside of the hull of its returns."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Estimate from a sweep already leveled."""
         leveled = self.crop.apply(leveled)
         points = thinned(leveled, self.grid)
         visible = fill(self._edges(points), self.grid) if spans_area(points) else np.zeros(self.grid.shape, np.bool_)

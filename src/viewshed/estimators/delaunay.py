@@ -7,17 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.concave_hull import fill, spans_area, thinned
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
-from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.sweep import Sweep
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 
 
 @dataclass(frozen=True, slots=True)
-class Delaunay:
+class Delaunay(ClassicalEstimator):
     """Visible inside the triangles of the returns' Delaunay triangulation that have no edge above ``max_edge_m``.
 
     Source: Castagno and Atkins 2020 (PolyLidar), named in arXiv 2503.07375; there the edge filter is called ``lmax``.
@@ -35,8 +36,9 @@ class Delaunay:
         crop: which returns count at all.
         name: goes into the estimate's ``method``.
 
+    >>> import viewshed
     >>> corners = np.array([[3.0, -2.0, -1.7], [3.0, 2.0, -1.7], [6.0, 0.0, -1.7], [-9.0, 0.0, -1.7]])
-    >>> estimate = PolygonFit(BevGrid(32, 16.0)).estimate(Sweep(corners, sensor_height_m=1.7))
+    >>> estimate = Delaunay(BevGrid(32, 16.0)).estimate(viewshed.Sweep(corners, sensor_height_m=1.7))
     >>> estimate.at(np.array([[4.5, 0.5], [-4.5, 0.5]])).tolist()
     [1.0, 0.0]
     """
@@ -45,30 +47,26 @@ class Delaunay:
     target: Target = CAR
     max_edge_m: float = 4.0
     crop: Crop = ALL_RETURNS
-    name: str = "polygon_fit"
+    name: str = "delaunay"
 
     def __post_init__(self) -> None:
         require("max_edge_m", self.max_edge_m, 0.01, 1e6)
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Estimate what the sensor sees: the union of the small triangles between its returns."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Estimate from a sweep already leveled."""
         leveled = self.crop.apply(leveled)
         visible = fill(self._edges(thinned(leveled, self.grid)), self.grid)
         return fov_of_state(leveled, self.grid, state_of_mask(leveled, self.grid, visible), self.name, self.target)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""
-        from scipy.spatial import Delaunay, QhullError
+        from scipy import spatial
 
         if not spans_area(points):
             return np.zeros((0, 4))
         try:
-            corners = points[Delaunay(points).simplices]
-        except QhullError:
+            corners = points[spatial.Delaunay(points).simplices]
+        except spatial.QhullError:
             return np.zeros((0, 4))
         sides = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2)
         length_m = np.hypot(sides[..., 2] - sides[..., 0], sides[..., 3] - sides[..., 1])

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
@@ -23,12 +24,12 @@ from viewshed.preprocess.azimuth_bins import (
     state_of_limits,
     with_margin,
 )
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
-from viewshed.sweep import Sweep
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 
 
 @dataclass(frozen=True, slots=True)
-class FirstBlocker:
+class FirstBlocker(ClassicalEstimator):
     """Visible before the ``rank``-th nearest obstacle return of the azimuth bin.
 
     Source: the occlusion test of Hu et al. (CVPR 2020, "What You See is What You Get") and of AdvCollaborative-
@@ -53,6 +54,7 @@ class FirstBlocker:
         name: goes into the estimate's ``method``.
 
     >>> import numpy as np
+    >>> from viewshed import Sweep
     >>> sweep = Sweep(np.array([[5.0, 0.5, -0.7], [9.0, 0.9, -1.7]]), sensor_height_m=1.7)
     >>> FirstBlocker(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[5.4, 0.6], [8.5, 0.6]])).tolist()
     [1.0, 0.0]
@@ -76,12 +78,8 @@ class FirstBlocker:
         if not self.obstacle_height_m[0] < self.obstacle_height_m[1]:
             raise ValueError(f"obstacle_height_m must be (low, high) with low < high, got {self.obstacle_height_m}")
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Estimate what the sensor sees: everything before the first obstacle of each azimuth bin."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Estimate from a sweep already leveled."""
         bins = self.azimuth_bins or measured_azimuth_bins(leveled.azimuth)
         farthest_m = farthest_in_bins(leveled, bins)
         blocker_m = nearest_obstacle_in_bins(leveled, bins, self.rank, self.obstacle_height_m)

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.sweep import Sweep
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 
 MAJORITY = 3
 
@@ -23,7 +24,7 @@ VOTE_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
 
 
 @dataclass(frozen=True, slots=True)
-class MajorityVote:
+class MajorityVote(ClassicalEstimator):
     """Visible where at least three of five masks agree.
 
     The five: the shadow map with a missing return as unknown, as maximum range and filled from its neighbors; the
@@ -35,24 +36,20 @@ class MajorityVote:
 
     grid: BevGrid
     target: Target = CAR
+    name: str = "majority_vote"
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate for one sweep; see the class for what it means."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Return the estimate for a sweep that is already leveled."""
-        shadow = [ShadowMap(self.grid, self.target, rule).estimate_level(leveled) for rule in VOTE_RULES]
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+        """Count the votes of five masks for each cell."""
+        shadow = [ShadowMap(self.grid, self.target, rule).estimate(leveled) for rule in VOTE_RULES]
         blockers = [
-            FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate_level(leveled)
-            for limit in (True, False)
+            FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate(leveled) for limit in (True, False)
         ]
         votes: NDArray[Any] = np.sum([voter.visible() for voter in (*shadow, *blockers)], axis=0)
         visible = votes >= MAJORITY
-        sound = shadow[0].state
-        state = np.where(sound == CellState.HIDDEN, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
+        # HIDDEN only where the most careful shadow map says so; whom it alone would call visible stays UNKNOWN.
+        state = np.where(shadow[0].state == CellState.HIDDEN, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
         state[~visible & shadow[0].visible()] = CellState.UNKNOWN
         state[visible] = CellState.FREE
         state[visible & leveled.obstacle_cells(self.grid)] = CellState.SURFACE
         prob = (votes / np.float32(5.0)).astype(np.float32)
-        return replace(shadow[0], visible_prob=prob, state=state, method="vote")
+        return replace(shadow[0], visible_prob=prob, state=state, method=self.name)

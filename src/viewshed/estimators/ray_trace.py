@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import polar
@@ -33,15 +34,15 @@ from viewshed.preprocess.azimuth_bins import (
     state_of_mask,
     with_margin,
 )
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
-from viewshed.sweep import Sweep
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 
 _SLICES = 8
 """Fine bins in a window's half width; only cells in doubt look at single returns."""
 
 
 @dataclass(frozen=True, slots=True)
-class QuantizedRayTrace:
+class QuantizedRayTrace(ClassicalEstimator):
     """Visible up to the farthest return of the azimuth bin. Source: arXiv 2503.07375, section on classical estimators.
 
     A cell belongs to the bin of its center's azimuth from the sensor and is visible if its center's range is at most
@@ -63,6 +64,7 @@ class QuantizedRayTrace:
         name: goes into the estimate's ``method``.
 
     >>> import numpy as np
+    >>> from viewshed import Sweep
     >>> sweep = Sweep(np.array([[9.0, 0.5, -1.7]]), sensor_height_m=1.7)
     >>> QuantizedRayTrace(BevGrid(32, 16.0)).estimate(sweep).at(np.array([[9.0, 0.6], [-9.0, 0.6]])).tolist()
     [1.0, 0.0]
@@ -88,12 +90,8 @@ class QuantizedRayTrace:
         if self.about_centroid and self.azimuth_bins is None:
             raise ValueError("azimuth_bins must be given with about_centroid; the sensor's step says nothing there")
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Estimate what the sensor sees: the farthest return of each azimuth bin."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Estimate from a sweep already leveled."""
         leveled = self.crop.apply(leveled)
         state = self._state_about_centroid(leveled) if self.about_centroid else self._state(leveled)
         return fov_of_state(leveled, self.grid, state, self.name, self.target)
@@ -127,7 +125,7 @@ class QuantizedRayTrace:
 
 
 @dataclass(frozen=True, slots=True)
-class ContinuousRayTrace:
+class ContinuousRayTrace(ClassicalEstimator):
     """Visible up to the farthest return within ± ``window`` of the cell's azimuth. Source: arXiv 2503.07375.
 
     A cell is visible if its center's range is at most the farthest return whose azimuth differs from the center's by
@@ -162,12 +160,8 @@ class ContinuousRayTrace:
         if self.margin_m is not None:
             require("margin_m", self.margin_m, 0.0, 100.0)
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Estimate what the sensor sees: the farthest return near each cell's azimuth."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Estimate from a sweep already leveled."""
         leveled = self.crop.apply(leveled)
         bins = int(np.ceil(2.0 * np.pi * _SLICES / self.window))
         margin_m = self.grid.cell_m if self.margin_m is None else self.margin_m
@@ -255,7 +249,7 @@ def _sliding_maximum(values: Any, reach: Any) -> Any:  # pragma: no cover - comp
 
 
 @dataclass(frozen=True, slots=True)
-class TrimmedRayTrace:
+class TrimmedRayTrace(ClassicalEstimator):
     """Visible up to the farthest return of the azimuth bin but ``trim``. Source: the trimmed maximum of statistics.
 
     As :class:`~viewshed.estimators.ray_trace.QuantizedRayTrace`, but the ``trim`` farthest returns of each bin are
@@ -287,12 +281,8 @@ class TrimmedRayTrace:
         require("trim", self.trim, 0, 1000)
         require_bins(self.azimuth_bins)
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Estimate what the sensor sees: the farthest return of each azimuth bin but the few farthest."""
-        return self.estimate_level(level(sweep, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Estimate from a sweep already leveled."""
         bins = self.azimuth_bins or min(measured_azimuth_bins(leveled.azimuth), FALLBACK_BINS)
         limit_m = farthest_in_bins(leveled, bins, drop=self.trim)
         hidden_m = np.where(ends_on_obstacle(leveled, limit_m), reach_of(leveled), -1.0).astype(np.float32)

@@ -2,72 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
 from viewshed.grid import BevGrid
-from viewshed.preprocess.history import History, history_of
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.no_return import measured_and_inferred_beams, no_return_beams
-from viewshed.sweep import Sweep
 
-NoReturn = Literal["explained", "unknown", "max_range", "fill"]
+NoReturn = Literal["inferred", "unknown", "max_range", "fill"]
 
-NO_RETURN_RULES: tuple[NoReturn, ...] = ("explained", "unknown", "max_range", "fill")
+NO_RETURN_RULES: tuple[NoReturn, ...] = ("inferred", "unknown", "max_range", "fill")
 """The default first."""
 
 
 @dataclass(frozen=True, slots=True)
-class ShadowMap:
+class ShadowMap(ClassicalEstimator):
     """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as the lamp).
 
     Counts the beams that would have met a target in the cell and whose depth reaches it. The probability is that of
     at least ``min_returns`` returns when their number is Poisson with that mean.
 
-    ``no_return`` says what a beam without a return means: ``explained`` (it went as far as its surroundings tell, and
+    ``no_return`` says what a beam without a return means: ``inferred`` (it went as far as its surroundings say, and
     does not count where they do not, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (it does not count),
     ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
     went as far as the nearer of its neighbors in the ring).
 
-    Limits: trusts each measured depth, with ``explained`` each that another beam confirms
+    Limits: trusts each measured depth, with ``inferred`` each that another beam confirms
     (:mod:`viewshed.preprocess.isolated_returns`), so that removed or many far-spoofed returns open false corridors;
-    needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is explained;
-    with ``explained`` the share of ground that returns is learned from the whole sweep, and obstacles elsewhere
+    needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is inferred;
+    with ``inferred`` the share of ground that returns is learned from the whole sweep, and obstacles elsewhere
     change it.
     """
 
     grid: BevGrid
     target: Target = CAR
-    no_return: NoReturn = "explained"
+    no_return: NoReturn = "inferred"
+    name: str = "shadow_map"
 
     def __post_init__(self) -> None:
         if self.no_return not in NO_RETURN_RULES:
             raise ValueError(f"no_return must be one of {', '.join(NO_RETURN_RULES)}, got {self.no_return!r}")
 
-    def estimate(self, sweep: Sweep, earlier: Sequence[Sweep] = ()) -> FovEstimate:
-        """Return the estimate for one sweep; see the class for what it means.
+    @property
+    def uses_history(self) -> bool:
+        """Beams end at the obstacles that earlier sweeps saw (:mod:`viewshed.preprocess.history`)."""
+        return True
 
-        Args:
-            sweep: what the sensor measured.
-            earlier: sweeps that it measured before, all with poses in the same map; beams end at the obstacles that
-                they saw (:mod:`viewshed.preprocess.history`), whatever the sweep says.
-
-        Raises:
-            ValueError: there are earlier sweeps, and a pose is missing.
-        """
-        leveled = level(sweep, self.grid)
-        return self.estimate_level(leveled, history_of(leveled, earlier, self.grid))
-
-    def estimate_level(self, leveled: LeveledSweep, past: History | None = None) -> FovEstimate:
-        """Return the estimate for a sweep that is already leveled, and what earlier ones tell of it."""
-        beams = _with_missing(leveled, self.no_return, self.target)
-        beams = beams if past is None else past.within(beams)
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+        """Count the beams that would have met a target in each cell, and those that aim at it."""
+        beams = _beams(leveled, self.no_return, self.target)
+        beams = beams if history is None else history.within(beams)
         returns, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
         prob = probability_of_visible(returns, self.target.min_returns)
         state = _state(prob, probability_of_visible(aimed, self.target.min_returns), leveled.obstacle_cells(self.grid))
@@ -75,7 +66,7 @@ class ShadowMap:
             grid=self.grid,
             visible_prob=prob,
             state=state,
-            method="shadow_map",
+            method=self.name,
             target=self.target,
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
@@ -83,8 +74,8 @@ class ShadowMap:
         )
 
 
-def _with_missing(leveled: LeveledSweep, rule: NoReturn, target: Target) -> Beams:
-    if rule == "explained" and len(leveled.sweep):
+def _beams(leveled: LeveledSweep, rule: NoReturn, target: Target) -> Beams:
+    if rule == "inferred" and len(leveled.sweep):
         return measured_and_inferred_beams(leveled, target.height_m)
     beams = _without_behind(leveled)
     if rule == "unknown" or len(leveled.sweep) == 0:

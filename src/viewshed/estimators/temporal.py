@@ -1,18 +1,23 @@
-"""A stream of sweeps: what is remembered of the earlier ones helps the estimate now, and claims can rest on two."""
+"""A stream of sweeps: what earlier sweeps saw helps the estimate now, and claims can rest on two sweeps."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
+
+if TYPE_CHECKING:
+    from viewshed.estimators.base import BatchSteps, EarlierSweeps, Estimator
 
 
 @dataclass(slots=True)
@@ -37,14 +42,13 @@ class SweepBuffer:
                 f"{self.sweeps}, {self.every_s} and {self.forget_s}"
             )
 
-    def past(self, leveled: LeveledSweep) -> History | None:
+    def history(self, leveled: LeveledSweep) -> History | None:
         """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
         now_ns, kept = leveled.sweep.t_ns, self._kept.get(leveled.sweep.agent, ())
         if now_ns is None or leveled.world_from_level is None:
             return None
-        return History.of(
-            leveled, [each for each in kept if 0 < now_ns - (each.sweep.t_ns or 0) <= self.forget_s * 1e9]
-        )
+        recent = [sweep for sweep in kept if 0 < now_ns - (sweep.sweep.t_ns or 0) <= self.forget_s * 1e9]
+        return History.of(leveled, recent)
 
     def add(self, leveled: LeveledSweep) -> None:
         """Keep a sweep, if it has a pose and a time at least ``every_s`` after the last one that was kept.
@@ -60,19 +64,6 @@ class SweepBuffer:
             kept.append(leveled)
 
 
-class PastEstimator(Protocol):
-    """An estimator that earlier sweeps help."""
-
-    @property
-    def grid(self) -> BevGrid:
-        """The grid of every estimate that comes back."""
-        ...
-
-    def estimate_level(self, leveled: LeveledSweep, past: History | None = None) -> FovEstimate:
-        """Return the estimate for a sweep that is already leveled, and what earlier ones tell of it."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class TemporalEstimator:
     """An estimator for a stream: each estimate uses what the agent's earlier sweeps saw.
@@ -80,42 +71,108 @@ class TemporalEstimator:
     Sweeps without a pose or a time are estimated by themselves.
 
     Attributes:
-        inner: what estimates.
-        memory: what it is told of the past.
-        wary: claim only what an earlier sweep would have seen as well, see :func:`where_confirmed`; without earlier
-            sweeps that is nothing.
+        inner: what estimates; one that uses history.
+        buffer: the earlier sweeps that it is given.
+        require_confirmation: claim only what an earlier sweep would have seen as well, see :func:`where_confirmed`;
+            without earlier sweeps that is nothing.
+
+    Raises:
+        ValueError: the estimator uses no history.
     """
 
-    inner: PastEstimator
-    memory: SweepBuffer = field(default_factory=SweepBuffer)
-    wary: bool = False
+    inner: Estimator
+    buffer: SweepBuffer = field(default_factory=SweepBuffer)
+    require_confirmation: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.inner.uses_history:
+            raise ValueError(f"history helps viewnet and shadow_map, got {self.inner.name}, which looks at one sweep")
+
+    @property
+    def name(self) -> str:
+        """Name of the estimator inside."""
+        return self.inner.name
 
     @property
     def grid(self) -> BevGrid:
         """Grid of the estimates."""
         return self.inner.grid
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    @property
+    def target(self) -> Target:
+        """What would have to be seen."""
+        return self.inner.target
+
+    @property
+    def threshold(self) -> float:
+        """Probability from which a cell counts as visible."""
+        return self.inner.threshold
+
+    @property
+    def uses_history(self) -> bool:
+        """It brings its own."""
+        return True
+
+    def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the estimate for the next sweep of the stream, and remember the sweep."""
-        leveled = level(sweep, self.grid)
-        past = self.memory.past(leveled)
-        found = self.inner.estimate_level(leveled, past)
-        self.memory.add(leveled)
-        return where_confirmed(found, past) if self.wary else found
+        if history is not None:
+            raise ValueError("history must be left out: a TemporalEstimator remembers its own stream")
+        leveled = leveled_on(sweep, self.grid)
+        seen = self.buffer.history(leveled)
+        estimate = self.inner.estimate(leveled, seen)
+        self.buffer.add(leveled)
+        return where_confirmed(estimate, seen) if self.require_confirmation else estimate
+
+    def with_abstention(self, below: float) -> TemporalEstimator:
+        """Return the same estimator of the same stream that abstains below another probability."""
+        return replace(self, inner=self.inner.with_abstention(below))
+
+    def stream(
+        self, sweeps: Iterable[Sweep], history: int = 0, *, require_confirmation: bool = False
+    ) -> Iterator[FovEstimate]:
+        """Yield the estimate of each sweep of a stream, with the history that this estimator keeps."""
+        if history or require_confirmation:
+            raise ValueError("history must be left out: a TemporalEstimator remembers its own stream")
+        return map(self.estimate, sweeps)
+
+    def batch_steps(self) -> BatchSteps:
+        """Refuse: sweeps of a stream are taken one after the other."""
+        raise ValueError("an estimator that remembers takes sweeps one after the other; call its estimate")
 
 
-def where_confirmed(estimate: FovEstimate, past: History | None) -> FovEstimate:
+def stream(
+    estimator: Estimator, sweeps: Iterable[Sweep], history: int = 0, *, require_confirmation: bool = False
+) -> Iterator[FovEstimate]:
+    """Yield the estimate of each sweep of a stream, in order.
+
+    Args:
+        estimator: what estimates.
+        sweeps: a recording, or any sweeps in the order in which they were measured.
+        history: how many earlier sweeps help each estimate, where poses are known; 0 takes each sweep by itself.
+        require_confirmation: claim only what an earlier sweep would have seen as well.
+
+    Raises:
+        ValueError: the estimator uses no history, or confirmation is asked for without any.
+    """
+    if history == 0 and require_confirmation:
+        raise ValueError("require_confirmation goes with a history of 1 or more: it claims what earlier sweeps saw")
+    if history:
+        estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
+    return map(estimator.estimate, sweeps)
+
+
+def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstimate:
     """Return an estimate whose claims each rest on two sweeps: this one, and an earlier one that saw the cell as well.
 
     Elsewhere its probability is 0, and what was claimed is UNKNOWN. Who opens a view by spoofed returns must have begun
     before the earlier sweeps; what comes into view for the first time waits for the next one.
     """
-    supported = np.zeros(estimate.grid.shape, np.bool_)
-    if past is not None:
-        supported = past.support(estimate.grid, estimate.target) > 0
+    confirmed = np.zeros(estimate.grid.shape, np.bool_)
+    if history is not None:
+        confirmed = history.support(estimate.grid, estimate.target) > 0
     claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
     return replace(
         estimate,
-        visible_prob=np.where(supported, estimate.visible_prob, np.float32(0.0)),
-        state=np.where(claimed & ~supported, np.uint8(CellState.UNKNOWN), estimate.state),
+        visible_prob=np.where(confirmed, estimate.visible_prob, np.float32(0.0)),
+        state=np.where(claimed & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state),
     )

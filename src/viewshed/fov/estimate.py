@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from importlib import import_module  # pictures and formats know this module: it looks them up when it is asked
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed._files import write_atomic
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
 from viewshed.grid import BevGrid
@@ -16,6 +19,8 @@ from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
     from shapely import MultiPolygon
+
+    from viewshed.preprocess.leveling import LeveledSweep
 
 
 THRESHOLD = 0.5
@@ -48,6 +53,7 @@ class FovEstimate:
         state: (cells, cells) uint8 of :class:`CellState`.
         method: name of the estimator.
         target: what would have to be seen.
+        threshold: probability in (0, 1] from which the estimator calls a cell visible.
         world_from_level: pose of the ``level`` frame in the map, or None.
         t_ns: time of the sweep, or None.
         agent: whose sensor it was.
@@ -62,11 +68,14 @@ class FovEstimate:
     std: NDArray[np.float32] | None = None
     method: str = ""
     target: Target = CAR
+    threshold: float = THRESHOLD
     world_from_level: Rigid | None = None
     t_ns: int | None = None
     agent: str = "ego"
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.threshold <= 1.0:
+            raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
         self._store("visible_prob", self.visible_prob, np.float32)
         std: Any = np.full(self.grid.shape, np.nan, np.float32) if self.std is None else self.std
         self._store("std", std, np.float32)
@@ -86,14 +95,15 @@ class FovEstimate:
         array.setflags(write=False)
         object.__setattr__(self, name, array)
 
-    def visible(self, threshold: float = THRESHOLD) -> NDArray[np.bool_]:
-        """Return the mask (cells, cells) of cells visible with probability ≥ ``threshold``."""
+    def visible(self, threshold: float | None = None) -> NDArray[np.bool_]:
+        """Return the mask (cells, cells) of cells with probability ≥ ``threshold``; None is the estimate's own."""
+        threshold = self.threshold if threshold is None else threshold
         if not 0.0 < threshold <= 1.0:
             raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
         mask: NDArray[np.bool_] = self.visible_prob >= np.float32(threshold)
         return mask
 
-    def area_m2(self, threshold: float = THRESHOLD) -> float:
+    def area_m2(self, threshold: float | None = None) -> float:
         """Return the visible area in square meters."""
         return float(self.visible(threshold).sum()) * self.grid.cell_area_m2
 
@@ -110,17 +120,45 @@ class FovEstimate:
         prob = self.visible_prob[cells[..., 0], cells[..., 1]]
         return np.where(inside, prob, np.float32(np.nan)).astype(np.float32)
 
-    def polygon(self, threshold: float = THRESHOLD) -> MultiPolygon:
+    def polygon(self, threshold: float | None = None) -> MultiPolygon:
         """Return the visible cells as a valid polygon with holes, exact to the cells' edges, meters in ``level``."""
         from viewshed.fov.polygons import polygon_of_mask
 
         return polygon_of_mask(self.visible(threshold), self.grid)
 
-    def inner_polygon(self, max_vertices: int, threshold: float = THRESHOLD) -> MultiPolygon:
+    def inner_polygon(self, max_vertices: int, threshold: float | None = None) -> MultiPolygon:
         """Return a simpler polygon of at most ``max_vertices`` vertices that never claims a cell the mask does not."""
         from viewshed.fov.polygons import inner_polygon_of_mask
 
         return inner_polygon_of_mask(self.visible(threshold), self.grid, max_vertices)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the estimate to ``path`` and return it; the suffix chooses the format.
+
+        ``.png`` is the picture of :meth:`plot`, ``.npz`` all arrays, ``.geojson`` polygons, ``.cpm.json`` an ETSI
+        perception region; ``viewshed.io.export.EXPORTERS`` has all formats.
+
+        Raises:
+            ValueError: no format has this suffix.
+        """
+        path = Path(path)
+        if path.suffix == ".png":
+            write_atomic(path, self.plot())
+        else:
+            export = import_module("viewshed.io.export")
+            export.write_export(self, export.format_of_path(path), path)
+        return path
+
+    def plot(self, leveled: LeveledSweep | None = None, title: str | None = None) -> bytes:
+        """Return a PNG of the states, with probability and deviation beside them where there is more than a mask.
+
+        Args:
+            leveled: the sweep that the estimate was made from, to draw its returns as well.
+            title: above the picture; None is method and target.
+        """
+        plot = import_module("viewshed.plot")
+        heading = f"{self.method}, {self.target.name}" if title is None else title
+        return cast(bytes, plot.draw(plot.Panel(self, heading, leveled, self.threshold)))
 
 
 class FovEstimator(Protocol):

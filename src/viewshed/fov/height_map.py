@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import FloatArray
 
 NODES = 64
-"""Lattice nodes per side."""
+"""BeamLattice nodes per side."""
 
 
 class Places(NamedTuple):

@@ -126,6 +126,11 @@ class NetworkCard:
         return FeatureContext(leveled, self.grid, TARGETS[self.target], counts, past)
 
     @property
+    def kind(self) -> str:
+        """Kind of network: ``unet`` where it is shown counts alone, as published, else ``viewnet``."""
+        return "unet" if self.inputs == ("counts",) else "viewnet"
+
+    @property
     def uses_history(self) -> bool:
         """Whether earlier sweeps change what the network is shown."""
         return not set(HISTORY_FEATURES).isdisjoint(self.inputs)
@@ -267,7 +272,9 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
 def require_doubt(card: NetworkCard) -> None:
     """Raise a ValueError unless the network has a head for the deviation."""
     if not card.shape.doubt:
-        raise ValueError(f"doubt in one pass needs a network with a head for it, and {card.name} has none; use mcd")
+        raise ValueError(
+            f"doubt in one pass needs a network with a head for it, and {card.name} has none; use mc_dropout"
+        )
 
 
 class Runner(Protocol):
@@ -285,6 +292,10 @@ class Runner(Protocol):
 
         One input with N masks is as good as N copies of it, and faster: what no mask touches is computed once.
         """
+        ...
+
+    def single_threaded(self) -> Runner | None:
+        """Return a runner of the same network that runs in the calling thread alone; None if there is none."""
         ...
 
     def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -24,7 +24,7 @@ def mean_and_std(runner: Runner, inputs: Floats, passes: int, rng: np.random.Gen
 def mean_and_deviation(probability: Floats) -> tuple[Floats, Floats]:
     """Return mean and standard deviation (…) of probabilities (passes, …) over the first axis.
 
-    >>> mean, std = moments(np.array([[0.25], [0.75]], np.float32))
+    >>> mean, std = mean_and_deviation(np.array([[0.25], [0.75]], np.float32))
     >>> mean.tolist(), std.tolist()
     ([0.5], [0.25])
     """

@@ -176,7 +176,7 @@ class OnnxRunner:
         if self.engine == "cuda":
             self._call = _cuda(content)
 
-    def side_by_side(self) -> OnnxRunner | None:
+    def single_threaded(self) -> OnnxRunner | None:
         """Return the same network, each run of it in one thread, for runs in several threads at once.
 
         None where the engine gains nothing by that or runs one at a time.

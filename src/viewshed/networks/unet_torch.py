@@ -102,6 +102,10 @@ class TorchRunner:
         self.card = card
         self._module, self._device = module.to(device), torch.device(device)
 
+    def single_threaded(self) -> None:
+        """None: torch shares its threads among all runs."""
+        return
+
     def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
         with self._evaluating():

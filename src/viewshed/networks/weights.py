@@ -32,10 +32,10 @@ def with_checksum(model: bytes) -> bytes:
 
 
 def verify_checksum(content: bytes, name: str) -> None:
-    """Raise a ValueError unless ``content`` is what :func:`sealed` returned; ``name`` is the file in the message.
+    """Raise a ValueError unless ``content`` ends with its own checksum; ``name`` is the file in the message.
 
-    >>> check_seal(sealed(b"model"), "a.onnx")
-    >>> check_seal(sealed(b"model").replace(b"m", b"n", 1), "a.onnx")
+    >>> verify_checksum(with_checksum(b"model"), "a.onnx")
+    >>> verify_checksum(with_checksum(b"model").replace(b"m", b"n", 1), "a.onnx")
     Traceback (most recent call last):
     ...
     ValueError: a.onnx must have the checksum 9372c470ee…, got 6499ba3c93…: it is damaged; copy it again
@@ -70,7 +70,7 @@ class Shipped:
         cells: of the grid.
         half_extent_m: of the grid.
         target: what would have to be seen.
-        methods: estimators that take it if no weights are named: ``unet``, ``mcd``, ``viewnet``; perhaps none.
+        methods: estimators that take it if no weights are named: ``unet``, ``mc_dropout``, ``viewnet``; perhaps none.
     """
 
     name: str

@@ -106,7 +106,7 @@ def placed(
     are single ones with none around, unless in columns that hardly fired.
 
     >>> points = np.array([[-9.0, -3, 0], [-9.0, 3, 0], [3.0, 0, 0]], np.float32)
-    >>> placed(points, np.zeros(3, np.int16), (1, 8), (0.5, 100.0)).lone.tolist()
+    >>> placed(points, np.zeros(3, np.int16), (1, 8), (0.5, 100.0)).isolated.tolist()
     [False, False, True]
     """
     column, phase, counts, sizes = place(points, ring, shape[1], shape[0])

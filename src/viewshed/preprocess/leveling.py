@@ -322,6 +322,28 @@ def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     return LeveledSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground, told, placed)
 
 
+def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid) -> LeveledSweep:
+    """Return ``sweep`` leveled for ``grid``; one that is leveled already is taken as it is.
+
+    Raises:
+        TypeError: ``sweep`` is neither.
+        ValueError: it was leveled for a smaller grid.
+    """
+    if isinstance(sweep, Sweep):
+        return level(sweep, grid)
+    if not isinstance(sweep, LeveledSweep):
+        raise TypeError(
+            f"sweep must be a Sweep or a LeveledSweep, got {type(sweep).__name__}; make one with viewshed.Sweep(points)"
+        )
+    extent_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
+    if sweep.ground.half_extent_m < extent_m:
+        raise ValueError(
+            f"a leveled sweep must have ground out to {extent_m:g} m for this grid, got"
+            f" {sweep.ground.half_extent_m:g} m; level it on the estimator's grid"
+        )
+    return sweep
+
+
 def range_limits(sweep: Sweep) -> tuple[float, float]:
     """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
     if sweep.model is None:

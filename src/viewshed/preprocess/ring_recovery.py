@@ -260,7 +260,7 @@ def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignme
     else from bins of elevation. All but the second do not depend on the order of the points.
 
     >>> points = np.array([[10.0, 1.0, -1.0], [0.0, 10.0, 1.0]])
-    >>> recover_beams(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
+    >>> recover_rings(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
     [0, 1]
     """
     model = sweep.model if model is None else model

@@ -7,13 +7,18 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
 from itertools import chain
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS, PAPER_THRESHOLD, EstimatorFactory
+from viewshed.estimators import (
+    CLASSICAL,
+    PAPER_THRESHOLD,
+    Estimator,
+    EstimatorFactory,
+    paper_estimators_on,
+)
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
+from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.studies.cases import ROOM_M
@@ -24,11 +29,11 @@ _BESIDE: dict[str, dict[str, EstimatorFactory]] = {
 }
 """By the estimator after which they stand."""
 
-CLASSICAL: dict[str, EstimatorFactory] = dict(
-    chain.from_iterable([(name, make), *_BESIDE.get(name, {}).items()] for name, make in ESTIMATORS.items())
+TESTED: dict[str, EstimatorFactory] = dict(
+    chain.from_iterable([(name, make), *_BESIDE.get(name, {}).items()] for name, make in CLASSICAL.items())
 )
-"""By name, in the order of the tables. ``shadow_map_unknown`` counts only beams that returned, the geometric reading
-of a missing return; the bar is the better of the two shadow maps."""
+"""The classical estimators by name, in the order of the tables. ``shadow_map_unknown`` counts only beams that
+returned, the geometric reading of a missing return; the bar is the better of the two shadow maps."""
 
 LABEL = "paper_label"
 
@@ -37,20 +42,6 @@ _RECENT = 8
 that drops nothing, leaves the same sweep again."""
 
 Estimates = dict[str, FovEstimate]
-
-
-@runtime_checkable
-class OfLevel(Protocol):
-    """An estimator that takes a sweep already leveled: several share one leveling."""
-
-    def estimate_level(self, leveled: LeveledSweep) -> FovEstimate:
-        """Return the estimate."""
-        ...
-
-
-def estimate_of(estimator: FovEstimator, leveled: LeveledSweep) -> FovEstimate:
-    """Return the estimate for a sweep, whose leveling is used by those who take one."""
-    return estimator.estimate_level(leveled) if isinstance(estimator, OfLevel) else estimator.estimate(leveled.sweep)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +56,7 @@ class EstimatorSuite:
 
     grid: BevGrid
     threshold: float
-    estimators: Mapping[str, FovEstimator]
+    estimators: Mapping[str, Estimator]
     _recent: dict[bytes, Estimates] = field(init=False, repr=False, default_factory=dict)
 
     def only(self, name: str) -> EstimatorSuite:
@@ -76,7 +67,7 @@ class EstimatorSuite:
         """Return the estimate of each for a sweep leveled on their grid; the first and the last ones are kept."""
         key = _fingerprint(leveled.sweep)
         if key not in self._recent:
-            self._recent[key] = {name: estimate_of(each, leveled) for name, each in self.estimators.items()}
+            self._recent[key] = {name: one.estimate(leveled) for name, one in self.estimators.items()}
             if len(self._recent) > _RECENT:
                 del self._recent[list(self._recent)[1]]
         return self._recent[key]
@@ -84,20 +75,14 @@ class EstimatorSuite:
 
 def strict_suite(grid: BevGrid, names: Sequence[str] = ()) -> EstimatorSuite:
     """Return the classical estimators (or those named) on a grid of exact truth."""
-    return EstimatorSuite(grid, THRESHOLD, {name: CLASSICAL[name](grid) for name in names or CLASSICAL})
+    return EstimatorSuite(grid, THRESHOLD, {name: TESTED[name](grid) for name in names or TESTED})
 
 
 def paper_suite(half_extent_m: float) -> EstimatorSuite:
     """Return the paper's estimators and ours on the paper's grid, for truth that reaches so far."""
-    indoor = half_extent_m < ROOM_M
-    grid = GRIDS["paper_indoor" if indoor else "paper"]
-    table = {**paper_estimators(indoor=indoor), **ESTIMATORS}
+    grid = GRIDS["paper_indoor" if half_extent_m < ROOM_M else "paper"]
+    table = {**paper_estimators_on(grid), **CLASSICAL}
     return EstimatorSuite(grid, PAPER_THRESHOLD, {name: make(grid) for name, make in table.items()})
-
-
-def paper_estimators(*, indoor: bool) -> Mapping[str, EstimatorFactory]:
-    """Return the paper's estimators by name, its label among them."""
-    return PAPER_INDOOR_ESTIMATORS if indoor else PAPER_ESTIMATORS
 
 
 def _fingerprint(sweep: Sweep) -> bytes:

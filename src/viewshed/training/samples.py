@@ -172,7 +172,8 @@ class TrainingSample:
     def turned(self, turn: int) -> TrainingSample:
         """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
 
-        >>> Drawn(np.array([[[1, 2], [3, 4]]]), np.eye(2, dtype=bool), np.eye(2, dtype=bool)).turned(5).maps.tolist()
+        >>> mask = np.eye(2, dtype=bool)
+        >>> TrainingSample(np.array([[[1, 2], [3, 4]]]), mask, mask).turned(5).maps.tolist()
         [[[3, 4], [1, 2]]]
         """
         return TrainingSample(_turned(self.maps, turn), _turned(self.visible, turn), _turned(self.known, turn))

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.grid import BevGrid
 from viewshed.metrics import Scores
 from viewshed.networks.weights import manifest
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.studies.ablation.contest import BARE, BENIGN, CASES, CLEAR, Enveloped, Said, parts_of, score, shots_of
 from viewshed.studies.ablation.jobs import STEPS, run_steps
 from viewshed.studies.ablation.page import page_of
@@ -21,21 +24,20 @@ from viewshed.studies.ablation.plan import WHOLE, AblationPlan, ablation_named
 from viewshed.studies.ablation.results import OURS, Results, sure_from
 from viewshed.studies.paper.store import JobStore
 from viewshed.studies.suite import Subject
-from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig, read_config
 
 GRID = BevGrid(32, 64.0)
 
 
-class Fixed:
+class Fixed(ClassicalEstimator):
     """An estimator that says the same of every sweep."""
 
-    grid = GRID
+    grid, target, name = GRID, CAR, "fixed"
 
     def __init__(self, prob: NDArray[np.float32]) -> None:
         self.prob = prob
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         return FovEstimate(GRID, self.prob, np.full(GRID.shape, CellState.FREE, np.uint8))
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from viewshed.estimators import Estimator
 from viewshed.estimators.ray_trace import ContinuousRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.studies.ablation.contest import UNTOUCHED, Said, attack_on, duels
 from viewshed.studies.suite import Subject
@@ -13,7 +13,7 @@ GRID = BevGrid(32, 64.0)
 
 
 def test_points_are_chosen_in_one_wedge_and_make_their_victim_claim_more(subject: Subject) -> None:
-    victims: dict[str, FovEstimator] = {"shadow_map": ShadowMap(GRID), "continuous": ContinuousRayTrace(GRID)}
+    victims: dict[str, Estimator] = {"shadow_map": ShadowMap(GRID), "continuous": ContinuousRayTrace(GRID)}
     told = duels(subject, victims, {"shadow_map": (12, 6), "continuous": (12,)}, (5, 0))
     said = {name: {case: Said.from_json(each) for case, each in cases.items()} for name, cases in told.items()}
     assert [list(cases) for cases in said.values()] == [[UNTOUCHED, "12", "6"], [UNTOUCHED, "12"]]

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from viewshed.estimators import Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import level
 from viewshed.studies.ablation.contest import (
@@ -57,7 +57,7 @@ def test_the_past_is_honest_or_attacked_as_well(subject: Subject) -> None:
 
 
 def test_only_those_whom_the_past_helps_are_told_of_it(subject: Subject) -> None:
-    estimators: dict[str, FovEstimator] = {"shadow_map": SM, "first_blocker": FirstBlocker(GRID)}
+    estimators: dict[str, Estimator] = {"shadow_map": SM, "first_blocker": FirstBlocker(GRID)}
     found = score({1: subject}, estimators, 5, remembering=("shadow_map", "first_blocker", "nobody"))
     kinds = ALONE, HONEST, f"{WARY}{HONEST}", ATTACKED, f"{WARY}{ATTACKED}"
     assert list(found) == ["shadow_map", "first_blocker", *(f"shadow_map, {kind}" for kind in kinds)]
@@ -86,9 +86,15 @@ def test_the_page_has_them_apart_and_nothing_where_nothing_was_said() -> None:
     right.view.add(np.array([0.9]), np.array([True]))
     cases = dict.fromkeys(ATTACKS, right)
     both = {BENIGN: right, BARE: right, **cases}
-    said = {"whole": both, "viewnet": both, f"viewnet, {HONEST}": both, f"viewnet, {ATTACKED}": cases, "vote": both}
+    said = {
+        "whole": both,
+        "viewnet": both,
+        f"viewnet, {HONEST}": both,
+        f"viewnet, {ATTACKED}": cases,
+        "majority_vote": both,
+    }
     results = Results(ablation_named("small"), "viewnet_road", said)
-    assert results.alone == ["whole", "viewnet", "vote"]
+    assert results.alone == ["whole", "viewnet", "majority_vote"]
     names = results.remembering("viewnet")
     assert names == [f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]
     table = views_table(results, names)

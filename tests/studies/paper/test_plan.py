@@ -86,7 +86,7 @@ def test_settings_of_the_paper_are_its_own() -> None:
     strict = setting_of(TINY, "strict", "ugv")
     assert (strict.grid.half_extent_m, strict.grid.cells, strict.truth, strict.threshold) == (16.0, 32, "probe", 0.5)
     assert "paper_label" not in road.classical()
-    assert {"paper_quantized", "vote"} <= set(road.classical())
+    assert {"paper_quantized", "majority_vote"} <= set(road.classical())
     assert "paper_quantized" not in strict.classical()
 
 

@@ -123,8 +123,11 @@ def test_measured_survives_its_plain_values() -> None:
 def _strict(folder: Path) -> Results:
     """A vote that a far wall does not move, and a network that claims all of its wedge."""
     store, calm = JobStore.open(folder, plan_named("tiny")), [8, 2, 2, 8]
-    benign = {name: [80, 20, 20, 80, 0, 0, 0, 0, 0.8, 0, 0, 0, 0] for name in ("mle-benign", "vote")}
-    walled = {"mle-benign": [82, 28, 18, 72, 10, 10, 0, 0, 0.7, *calm], "vote": [80, 20, 20, 80, *calm, 0.8, *calm]}
+    benign = {name: [80, 20, 20, 80, 0, 0, 0, 0, 0.8, 0, 0, 0, 0] for name in ("mle-benign", "majority_vote")}
+    walled = {
+        "mle-benign": [82, 28, 18, 72, 10, 10, 0, 0, 0.7, *calm],
+        "majority_vote": [80, 20, 20, 80, *calm, 0.8, *calm],
+    }
     cases = [{"case": ["benign", "", ""], "scores": benign},
              {"case": ["attack", "far_wall", "default"], "scores": walled},
              {"case": ["attack", "replay", "default"], "refused": "replay needs an earlier sweep"}]  # fmt: skip
@@ -136,7 +139,7 @@ def _strict(folder: Path) -> Results:
 def test_the_wedge_stands_above_itself_untouched(tmp_path: Path) -> None:
     found = _strict(tmp_path)
     table = strict_tables.wedge_table(found, "ugv")
-    assert list(table.header) == ["attack (family)", "mle-benign", "vote"]
+    assert list(table.header) == ["attack (family)", "mle-benign", "majority_vote"]
     assert [list(row) for row in table.rows] == [
         ["far_wall (7)", ".500 / 1.000 / .667", "**.800 / .800 / .800**"],
         ["*untouched*", "**.800 / .800 / .800**", "**.800 / .800 / .800**"],
@@ -147,7 +150,7 @@ def test_the_wedge_stands_above_itself_untouched(tmp_path: Path) -> None:
 def test_the_winner_is_whoever_wins(tmp_path: Path) -> None:
     found = _strict(tmp_path)
     rows = [list(row) for row in strict_tables.winner_table(found, "ugv").rows]
-    assert rows[0] == ["*benign*", "view", "**.800**", "**.800**", "mle-benign", "vote", ".800"]
-    assert rows[2] == ["far_wall (7)", "wedge", ".667", "**.800**", "mle-benign", "vote", ".800"]
+    assert rows[0] == ["*benign*", "view", "**.800**", "**.800**", "mle-benign", "majority_vote", ".800"]
+    assert rows[2] == ["far_wall (7)", "wedge", ".667", "**.800**", "mle-benign", "majority_vote", ".800"]
     assert strict_tables.view_table(found, "ugv").rows[0] == ["*benign*", "**.800 ±.000**", "**.800 ±.000**"]
-    assert found.under(StrictKey("ugv", UNTOUCHED, "vote"), f1) == pytest.approx(0.8)
+    assert found.under(StrictKey("ugv", UNTOUCHED, "majority_vote"), f1) == pytest.approx(0.8)

@@ -132,6 +132,9 @@ class _Echo:
         found[:, 0, 0] = masks.mean(axis=1) / 2
         return found
 
+    def single_threaded(self) -> None:
+        return
+
     def run_with_doubt(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise NotImplementedError
 

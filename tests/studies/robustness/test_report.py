@@ -43,7 +43,7 @@ WEDGE = [8, 2, 2, 8]
 
 
 def _scores(view: list[int], wedge: list[int]) -> dict[str, list[float]]:
-    return {"vote": [*view, *wedge, 0.75], "quantized": [*BENIGN, *(WEDGE if any(wedge) else wedge), 0.5]}
+    return {"majority_vote": [*view, *wedge, 0.75], "quantized": [*BENIGN, *(WEDGE if any(wedge) else wedge), 0.5]}
 
 
 def _results(tmp_path: Path, worst: list[int], wedge: list[int]) -> Results:
@@ -77,15 +77,15 @@ def _results(tmp_path: Path, worst: list[int], wedge: list[int]) -> Results:
 
 def test_who_loses_nothing_withstands(tmp_path: Path) -> None:
     found = _results(tmp_path, BENIGN, WEDGE)
-    for estimator in ("vote", "quantized"):
+    for estimator in ("majority_vote", "quantized"):
         assert verdict_of(found, "ugv", "ghost_wall", estimator) == Verdict(0.0, 0.0, 0.0)
-    assert verdict_of(found, "ugv", "ghost_wall", "vote").words() == "yes"
+    assert verdict_of(found, "ugv", "ghost_wall", "majority_vote").words() == "yes"
 
 
 def test_a_wedge_called_visible_is_found_although_the_view_hardly_changes(tmp_path: Path) -> None:
     """Precision in the wedge falls from 8/10 to 10/20; F1 of the view from .8 to 164/(164+26+18) = .788."""
     found = _results(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
-    verdict = verdict_of(found, "ugv", "ghost_wall", "vote")
+    verdict = verdict_of(found, "ugv", "ghost_wall", "majority_vote")
     assert verdict.precision == pytest.approx(0.3)
     assert verdict.recall == 0.0  # it rises at the full budget; at 150 nothing changes
     assert verdict.f1 == pytest.approx(0.8 - 164 / 208)
@@ -94,21 +94,21 @@ def test_a_wedge_called_visible_is_found_although_the_view_hardly_changes(tmp_pa
 
 def test_without_a_wedge_the_view_counts(tmp_path: Path) -> None:
     found = _results(tmp_path, BENIGN, WEDGE)
-    verdict = verdict_of(found, "ugv", "uniform", "vote")
+    verdict = verdict_of(found, "ugv", "uniform", "majority_vote")
     assert verdict.precision == pytest.approx(80 / 100 - 80 / 140)
     assert verdict.words() == "over .23"
 
 
 def test_who_claims_nothing_any_more_loses_all_recall(tmp_path: Path) -> None:
     found = _results(tmp_path, [72, 18, 28, 82], [0, 0, 10, 10])
-    verdict = verdict_of(found, "ugv", "ghost_wall", "vote")
+    verdict = verdict_of(found, "ugv", "ghost_wall", "majority_vote")
     assert (verdict.precision, verdict.recall) == pytest.approx((0.0, 0.8))
 
 
 def test_tables_say_what_was_counted(tmp_path: Path) -> None:
     found = _results(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
     clean = tables.benign_table(found, "ugv").rows
-    assert clean[1] == ["vote", ".800", ".800", ".800 [.800, .800]", ".667", "5", "5", ".750"]
+    assert clean[1] == ["majority_vote", ".800", ".800", ".800 [.800, .800]", ".667", "5", "5", ".750"]
     means = {row[0]: row[1:] for row in tables.budget_table(found, "ugv").rows}
     assert means["ghost_wall (6)"] == ["**.800 ±.000**", ".794 ±.000"]  # (.800 + .788) / 2
     wedge = tables.wedge_table(found, "ugv").rows
@@ -132,7 +132,7 @@ def _asked(tmp_path: Path) -> Results:
     """Three samples, the first of which meets attackers who ask: they open half of the wedge of vote."""
     study = replace(
         named("tiny"), samples=(3,), attacks=("far_wall",), budgets=("0", "150"), defenses=("radius",),
-        adaptive=("adaptive_over_claim",), adaptive_defended=("vote",),
+        adaptive=("adaptive_over_claim",), adaptive_defended=("majority_vote",),
     )  # fmt: skip
     store = ResultStore.open(tmp_path, study)
     calm, opened = _scores(BENIGN, WEDGE), _scores([82, 26, 18, 74], [10, 10, 0, 0])
@@ -144,9 +144,18 @@ def _asked(tmp_path: Path) -> Results:
     asked: list[dict[str, Any]] = [
         {"case": ["adaptive", "adaptive_over_claim", "0", ""], "scores": calm},
         {"case": ["adaptive", "adaptive_over_claim", "150", ""], "scores": opened},
-        {"case": ["adaptive", "adaptive_over_claim", "0", "radius"], "scores": {"vote": calm["vote"]}},
-        {"case": ["unaware", "adaptive_over_claim", "150", "radius"], "scores": {"vote": little["vote"]}},
-        {"case": ["adaptive", "adaptive_over_claim", "150", "radius"], "scores": {"vote": half["vote"]}},
+        {
+            "case": ["adaptive", "adaptive_over_claim", "0", "radius"],
+            "scores": {"majority_vote": calm["majority_vote"]},
+        },
+        {
+            "case": ["unaware", "adaptive_over_claim", "150", "radius"],
+            "scores": {"majority_vote": little["majority_vote"]},
+        },
+        {
+            "case": ["adaptive", "adaptive_over_claim", "150", "radius"],
+            "scores": {"majority_vote": half["majority_vote"]},
+        },
     ]
     about = {"scene": "s", "returns": 1, "cell_m2": 0.25}
     for number in range(3):
@@ -162,9 +171,9 @@ def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path)
     found = _asked(tmp_path)
     assert tables_adaptive.adaptive_table(found, "ugv").rows == [
         ["quantized", "far_wall +0 m² (.000)", "far_wall +0 m² (.000)", "+0 m² (.000)"],
-        ["vote", "far_wall +0 m² (.133)", "far_wall +0 m² (.000)", "+2 m² (.300)"],
+        ["majority_vote", "far_wall +0 m² (.133)", "far_wall +0 m² (.000)", "+2 m² (.300)"],
     ]  # over: 22 - 20 and 26 - 20 cells of .25 m²
-    verdict = adaptive_verdict(found, "ugv", "adaptive_over_claim", "vote")
+    verdict = adaptive_verdict(found, "ugv", "adaptive_over_claim", "majority_vote")
     assert (verdict.precision, verdict.recall) == pytest.approx((0.3, -0.2))
     assert verdict.f1 == pytest.approx(0.8 - 164 / 208)
     assert tables_short.summary_table(found, "ugv").rows[1][-1] == "0 of 1"

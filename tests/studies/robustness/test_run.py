@@ -54,7 +54,7 @@ def test_a_defended_estimate_is_one_of_what_the_defense_leaves(subject: Subject)
 def test_an_attack_with_nothing_to_spend_scores_as_none() -> None:
     entries = _entries("attacks")
     clean = entries["benign", "", "", ""]["scores"]
-    assert list(clean)[7:] == ["shadow_map", "shadow_map_unknown", "vote"]
+    assert list(clean)[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
     assert set(clean) == {*ESTIMATORS, "shadow_map_unknown"}
     for name, values in entries["attack", "uniform", "0", ""]["scores"].items():
         assert values == clean[name]
@@ -164,4 +164,4 @@ def test_a_job_tells_nothing_of_the_machine() -> None:
     assert set(line["about"]) == {"scene", "returns", "cell_m2", "commits"}
     assert line["about"]["cell_m2"] == pytest.approx((32 / 256) ** 2)
     fog = {tuple(entry["case"]): entry for entry in line["cases"]}["corruption", "fog", "3", ""]["scores"]
-    assert all(np.sum(values[:4]) == np.sum(fog["vote"][:4]) for values in fog.values())
+    assert all(np.sum(values[:4]) == np.sum(fog["majority_vote"][:4]) for values in fog.values())

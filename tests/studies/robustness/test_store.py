@@ -69,7 +69,7 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
     [
         b"7", b"[1]", b'{"job":3}', b'{"job":["ugv",2,"paper"],"about":{},"cases":[]}',
         b'{"job":["moon",0,"paper"],"about":{},"cases":[]}', b'{"job":["ugv",0,"paper"],"cases":[]}',
-        b'{"job":["ugv",0,"paper"],"about":{},"cases":[{"case":["benign"],"scores":{"vote":[1]}}]}',
+        b'{"job":["ugv",0,"paper"],"about":{},"cases":[{"case":["benign"],"scores":{"majority_vote":[1]}}]}',
         b'{"job":["ugv",0,"paper"],"about":{},"cases":[{"case":["nonsense"]}]}', b"\xff\xfe",
     ],
 )  # fmt: skip

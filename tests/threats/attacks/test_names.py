@@ -31,5 +31,5 @@ def test_the_names_are_those_of_their_modules() -> None:
     assert attacks.WhiteBox is gradient.WhiteBox
     assert attacks.Evade is objectives.Evade
     assert not attacks.ADAPTIVE.keys() & attacks.ATTACKS.keys()
-    with pytest.raises(AttributeError, match=r"module .viewshed\.attacks. has no attribute 'BlackBocks'"):
+    with pytest.raises(AttributeError, match=r"module .viewshed\.threats\.attacks. has no attribute 'BlackBocks'"):
         _ = attacks.BlackBocks

@@ -61,7 +61,7 @@ class Storage:
     def of(cls, place: str | os.PathLike[str]) -> Storage:
         """Return the store at a folder (made when it is first written to) or at a URI with one of :data:`SCHEMES`.
 
-        >>> Store.of("s3://bucket/sweeps?region=eu-central-1").place
+        >>> Storage.of("s3://bucket/sweeps?region=eu-central-1").place
         's3://bucket/sweeps'
 
         Raises:

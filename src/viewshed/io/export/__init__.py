@@ -28,9 +28,9 @@ from viewshed.io.export.ros import (
 )
 
 __all__ = [
-    "EXPORTERS", "Exporter", "claimed_by_cpm", "fov_from_geojson", "fov_from_grid_map", "fov_from_occupancy_grid",
-    "polygons_of_osi", "read_npz", "to_cpm", "to_geojson", "to_grid_map", "to_npz", "to_occupancy_grid",
-    "to_occupancy_grids", "to_osi", "write_export", "write_npz",
+    "EXPORTERS", "Exporter", "claimed_by_cpm", "format_of_path", "fov_from_geojson", "fov_from_grid_map",
+    "fov_from_occupancy_grid", "polygons_of_osi", "read_npz", "to_cpm", "to_geojson", "to_grid_map", "to_npz",
+    "to_occupancy_grid", "to_occupancy_grids", "to_osi", "write_export", "write_npz",
 ]  # fmt: skip
 
 
@@ -63,6 +63,22 @@ EXPORTERS: dict[str, Exporter] = {
     "npz": Exporter(to_npz, ".npz", archive.STATES),
 }
 """The formats by name."""
+
+
+def format_of_path(path: str | Path) -> str:
+    """Return the name of the format whose suffix a file's name has; ``.json`` alone is none.
+
+    >>> format_of_path("a/sweep.cpm.json"), format_of_path("fov.geojson")
+    ('cpm', 'geojson')
+
+    Raises:
+        ValueError: no format has it; the message lists those that exist.
+    """
+    for name, exporter in EXPORTERS.items():
+        if Path(path).name.endswith(exporter.suffix):
+            return name
+    suffixes = ", ".join(exporter.suffix for exporter in EXPORTERS.values())
+    raise ValueError(f"{path} must end in {suffixes}, or .png for a picture; the suffix chooses the format")
 
 
 def write_export(estimate: FovEstimate, name: str, path: str | Path) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from viewshed.fov._star_polygons import free_ranges, star_vertices
-from viewshed.fov.estimate import THRESHOLD, FovEstimate
+from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.polygons import (
     BINS,
     MAX_SECTORS,
@@ -53,7 +53,7 @@ def to_cpm(
     sectors: int = 16,
     shape: str = "sectors",
     *,
-    threshold: float = THRESHOLD,
+    threshold: float | None = None,
     footprint_m: float = 0.0,
     whole_cells: bool = True,
 ) -> dict[str, Any]:
@@ -68,13 +68,14 @@ def to_cpm(
         estimate: what to export.
         sectors: how many radial shapes or polygon nodes in all regions together.
         shape: ``sectors`` (radialShapes) or ``polygon`` (polygonal).
-        threshold: probability from which a cell counts as visible.
+        threshold: probability from which a cell counts as visible; None is the estimate's own.
         footprint_m: cells with their center nearer to the sensor than this count as visible (its own vehicle).
         whole_cells: cover no part of a cell that is not visible; otherwise not its center, which keeps more area.
 
     Raises:
         ValueError: ``sectors`` outside 4…4096, another shape, or a grid beyond ±327 m.
     """
+    threshold = estimate.threshold if threshold is None else threshold
     if not 4 <= sectors <= 4096:
         raise ValueError(f"sectors must lie in [4, 4096], got {sectors}")
     if shape not in ("sectors", "polygon"):

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from shapely.affinity import affine_transform
 
-from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.polygons import mask_of_polygon, polygon_of_mask
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
@@ -18,13 +18,14 @@ STATES = (
 )
 
 
-def to_geojson(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str, Any]:
+def to_geojson(estimate: FovEstimate, threshold: float | None = None) -> dict[str, Any]:
     """Return a GeoJSON FeatureCollection (dict) of five MultiPolygons: ``visible`` and the four cell states.
 
     Coordinates are meters, **not** the WGS84 degrees of RFC 7946: of the ``world`` frame where the estimate has a pose
     (its x, y and yaw; ``level`` is upright, so nothing else is left), else of ``level``. The member ``viewshed:frame``
     says which. The four states tile the grid; ``visible`` overlaps them.
     """
+    threshold = estimate.threshold if threshold is None else threshold
     pose = estimate.world_from_level
     masks = {"visible": estimate.visible(threshold)}
     masks |= {state.name.lower(): estimate.state == state for state in CellState}

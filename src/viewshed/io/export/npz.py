@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from viewshed._files import write_atomic
-from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.fov.visibility import Target
 from viewshed.geometry import Rigid
 from viewshed.grid import MAX_CELLS, BevGrid
@@ -51,6 +51,7 @@ def to_npz(estimate: FovEstimate) -> bytes:
         "world_from_level": None if pose is None else pose.as_matrix().tolist(),
         "t_ns": estimate.t_ns,
         "agent": estimate.agent,
+        "threshold": estimate.threshold,
     }
     arrays: dict[str, Any] = {name: getattr(estimate, name) for name in _ARRAYS}
     file = io.BytesIO()
@@ -96,4 +97,5 @@ def _estimate(about: dict[str, Any], arrays: dict[str, Any]) -> FovEstimate:
         world_from_level=None if matrix is None else Rigid.from_matrix(matrix),
         t_ns=about["t_ns"],
         agent=about["agent"],
+        threshold=about.get("threshold", THRESHOLD),
     )

@@ -12,13 +12,13 @@ import numpy as np
 import shapely
 from shapely import MultiPolygon, Polygon
 
-from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.polygons import polygon_of_mask
 
 STATES = "`visible`: FREE and SURFACE, by the threshold; `hidden`: HIDDEN; `unknown`: UNKNOWN"
 
 
-def to_osi(estimate: FovEstimate, threshold: float = THRESHOLD) -> dict[str, Any]:
+def to_osi(estimate: FovEstimate, threshold: float | None = None) -> dict[str, Any]:
     """Return OSI-style polygons (dict): one entry a polygon, with its layer, outer ring and inner rings.
 
     Rings are lists of {x, y, z} in meters of ``level``, z = 0 (the ground below the sensor), not closed; outer ones

@@ -15,9 +15,10 @@ from itertools import chain, pairwise
 import numpy as np
 
 from viewshed.datasets.simulated import simulate_frame
+from viewshed.estimators import Estimator
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.temporal import where_confirmed
-from viewshed.estimators.unet import uses_history
-from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
+from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import Mask
@@ -71,7 +72,7 @@ def parts_of(sample: StudySample, target: Target) -> Iterator[tuple[str, Mask]]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EarlierSweeps:
+class PriorSweeps:
     """What a sensor measured before a sweep.
 
     Attributes:
@@ -85,7 +86,7 @@ class EarlierSweeps:
     grid: BevGrid
 
     @classmethod
-    def of(cls, sample: StudySample) -> EarlierSweeps:
+    def of(cls, sample: StudySample) -> PriorSweeps:
         """Return the five sweeps before a sample, or as many as its scene has; a recorded one's own."""
         grid, sweeps = sample.truth.grid, sample.earlier
         if sample.frame is not None:
@@ -121,20 +122,20 @@ class EarlierSweeps:
 
 
 def with_histories(
-    estimators: Mapping[str, FovEstimator], leveled: LeveledSweep, histories: Mapping[str, History | None]
+    estimators: Mapping[str, Estimator], leveled: LeveledSweep, histories: Mapping[str, History | None]
 ) -> Iterator[tuple[str, FovEstimate]]:
     """Yield what those of the estimators that earlier sweeps help say with each history, confirmed or not, by name."""
     for name, estimator in estimators.items():
-        if uses_history(estimator):
+        if estimator.uses_history:
             for kind, history in histories.items():
-                estimate = estimator.estimate_level(leveled, history)
+                estimate = estimator.estimate(leveled, history)
                 yield f"{name}, {kind}", estimate
                 if history is not None:
                     yield f"{name}, {CONFIRMED}{kind}", where_confirmed(estimate, history)
 
 
 def evaluation_of(
-    sample: StudySample, estimators: Mapping[str, FovEstimator], setting: str, number: int, seed: int, target: Target
+    sample: StudySample, estimators: Mapping[str, Estimator], setting: str, number: int, seed: int, target: Target
 ) -> Evaluation:
     """Return a sample with those who are tried on it, against exact truth of a target."""
     grid = sample.truth.grid
@@ -149,7 +150,7 @@ def evaluation_of(
 
 def evaluate(
     samples: Mapping[int, StudySample],
-    estimators: Mapping[str, FovEstimator],
+    estimators: Mapping[str, Estimator],
     setting: str,
     seed: int,
     target: Target = CAR,
@@ -175,12 +176,12 @@ def evaluate(
 
 
 def evaluate_sample(
-    evaluation: Evaluation, target: Target, seed: int, helped: Mapping[str, FovEstimator]
+    evaluation: Evaluation, target: Target, seed: int, helped: Mapping[str, Estimator]
 ) -> Iterator[Record]:
     """Yield the scores of one sample in every case; attacks that its sweep does not allow are left out."""
     sample, grid = evaluation.sample, evaluation.suite.grid
     parts = dict(parts_of(sample, target))
-    earlier = EarlierSweeps.of(sample) if helped else None
+    earlier = PriorSweeps.of(sample) if helped else None
     for case in CASES:
         try:
             tampered = evaluation.tampered(case)
@@ -209,7 +210,7 @@ def _struck(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | Non
 
 
 @dataclass(frozen=True, slots=True)
-class Enveloped:
+class Enveloped(ClassicalEstimator):
     """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim.
 
     Attributes:
@@ -217,19 +218,31 @@ class Enveloped:
         bound: the first blocker, not limited by the farthest return.
     """
 
-    inner: FovEstimator
-    bound: FovEstimator
+    inner: Estimator
+    bound: Estimator
+    name: str = "enveloped"
 
     @property
-    def grid(self) -> BevGrid:
+    def grid(self) -> BevGrid:  # type: ignore[override]
         """Grid of both."""
         return self.inner.grid
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
+    @property
+    def target(self) -> Target:  # type: ignore[override]
+        """What would have to be seen."""
+        return self.inner.target
+
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
         """Return the inner estimate within the bound."""
-        inner, bound = self.inner.estimate(sweep), self.bound.estimate(sweep)
+        inner, bound = self.inner.estimate(leveled), self.bound.estimate(leveled)
         prob = np.where(bound.visible(), inner.visible_prob, np.float32(0.0))
-        return FovEstimate(self.grid, prob, np.where(bound.visible(), inner.state, bound.state), method="enveloped")
+        return replace(
+            inner,
+            visible_prob=prob,
+            state=np.where(bound.visible(), inner.state, bound.state),
+            std=None,
+            method=self.name,
+        )
 
 
 UNTOUCHED = Case("adaptive", "over_claim_free", "0")
@@ -249,7 +262,7 @@ def asked(questions: int) -> Case:
     return replace(UNTOUCHED, level=str(questions))
 
 
-def attack_on(victim: FovEstimator, questions: int) -> BlackBox:
+def attack_on(victim: Estimator, questions: int) -> BlackBox:
     """Return the attacker who wants a victim to claim what it did not claim before, by free points in one wedge.
 
     The victim's own answers are searched, as its channels count returns and have no gradient: weights and channels are

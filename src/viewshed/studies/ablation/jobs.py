@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.presets import preset_named
-from viewshed.estimators import ESTIMATORS
+from viewshed.estimators import CLASSICAL, Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator
-from viewshed.fov.estimate import FovEstimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner, load_runner
@@ -117,24 +115,24 @@ def sample_in(plan: AblationPlan, split: str, setting: str, number: int) -> Stud
     return sample_of_preset(preset, number, plan.count(split, setting), plan.seed_of(split))
 
 
-def _variants(plan: AblationPlan, folder: Path) -> dict[str, FovEstimator]:
-    networks: dict[str, FovEstimator] = {
+def _variants(plan: AblationPlan, folder: Path) -> dict[str, Estimator]:
+    networks: dict[str, Estimator] = {
         name: UnetEstimator(OnnxRunner(weights_of(folder, name), threads=1), name=name) for name in plan.variants
     }
     bound = FirstBlocker(plan.config_of(WHOLE).grid, limit_farthest=False)
     return networks | {ENVELOPED: Enveloped(networks[WHOLE], bound)}
 
 
-def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
+def _shipped(config: TrainConfig) -> dict[str, Estimator]:
     """Return the learned estimators with the weights that are shipped for the grid and the target of a config."""
-    found: dict[str, FovEstimator] = {}
-    for method, make in LEARNED.items():
+    found: dict[str, Estimator] = {}
+    for method in LEARNED:
         try:
             name = default_name(method, config.grid, config.target)
         except ValueError:  # none is shipped for this grid and target
             continue
         runner = load_runner(name, threads=1)
-        found[method] = make(runner)
+        found[method] = UnetEstimator(runner, PASSES if method == "mc_dropout" else 1, name=method)
         if method == OURS and runner.card.precision == INT8:
             found[FLOAT] = UnetEstimator(load_runner(in_float32(name), threads=1), name=FLOAT)
         if method == OURS and runner.card.shape.dropout:
@@ -142,7 +140,6 @@ def _shipped(config: TrainConfig) -> dict[str, FovEstimator]:
     return found
 
 
-def _classical(config: TrainConfig) -> dict[str, FovEstimator]:
+def _classical(config: TrainConfig) -> dict[str, Estimator]:
     target = TARGETS[config.target]
-    made = {name: make(config.grid) for name, make in ESTIMATORS.items()}
-    return {name: replace(estimator, target=target) for name, estimator in made.items()}  # type: ignore[type-var]
+    return {name: make(config.grid, target) for name, make in CLASSICAL.items()}

@@ -207,7 +207,7 @@ def sure_from(scores: Scores, precision: float) -> float:
     return 1.0
 
 
-OURS, FLOAT, SEVERAL, RIVAL = "viewnet", "viewnet, float32", "viewnet, 20 passes", "vote"
+OURS, FLOAT, SEVERAL, RIVAL = "viewnet", "viewnet, float32", "viewnet, 20 passes", "majority_vote"
 """Our network in bytes, in float32 and with dropout passes, and the classical estimator that it must beat."""
 
 SHADOW_MAP = "shadow_map"

@@ -153,7 +153,7 @@ def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
 
 
 def _floor(estimators: Mapping[str, FovEstimator], seed: int, on_step: OnStep) -> Iterator[str]:
-    few = {name: estimator for name, estimator in estimators.items() if name in ("shadow_map", "vote", "first_blocker")}
+    few = {name: estimators[name] for name in estimators if name in ("shadow_map", "majority_vote", "first_blocker")}
     steps = {"As first defined": FIRST_RULES, "and as wide as the target": CrossViewRules(foot_m=None),
              "and standing on the ground": CrossViewRules()}  # fmt: skip
     for name, rules in steps.items():

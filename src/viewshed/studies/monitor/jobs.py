@@ -9,8 +9,9 @@ from functools import lru_cache
 import numpy as np
 
 from viewshed._jobs import Engine, LocalEngine
-from viewshed.estimators.unet import UnetEstimator, learned
+from viewshed.estimators.unet import UnetEstimator, load_network
 from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.visibility import TARGETS
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity.monitor import RULE, DeviationMonitor, load_monitor, save_monitor
 from viewshed.metrics import Mask
@@ -27,7 +28,7 @@ from viewshed.threats.attacks.base import Tampered
 
 MONITOR = "monitor.npz"
 
-METHOD = "mcd"
+METHOD = "mc_dropout"
 """The network whose deviation is watched."""
 
 
@@ -150,7 +151,8 @@ def do_job(job: Job[MonitorPlan]) -> JobResult:
 
 @lru_cache(maxsize=1)
 def _estimator(plan: MonitorPlan) -> UnetEstimator:
-    return learned(METHOD, _sample(plan, 0, 0).truth.grid, plan.target, None, plan.passes, plan.seed)
+    grid, target = _sample(plan, 0, 0).truth.grid, TARGETS[plan.target]
+    return load_network(METHOD, grid, target, passes=plan.passes, seed=plan.seed)
 
 
 def _sample(plan: MonitorPlan, part: int, number: int) -> StudySample:

@@ -13,12 +13,13 @@ from viewshed._jobs import Engine
 from viewshed.datasets import Archive, Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import simulate
+from viewshed.estimators import paper_estimators_on
 from viewshed.studies.cases import case_generator
 from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.paper.plan import PaperPlan
 from viewshed.studies.paper.protocols import Setting
 from viewshed.studies.samples import BEFORE_S, StudySample
-from viewshed.studies.suite import LABEL, EstimatorSuite, paper_estimators
+from viewshed.studies.suite import LABEL, EstimatorSuite
 
 SPLITS = ("train", "test")
 
@@ -97,5 +98,5 @@ def reference_of(setting: Setting, sample: StudySample) -> Reference:
     """Return the truth of the clean sweep and where it counts."""
     if setting.truth != LABEL:
         return Reference.of(sample, sample.truth.visible(), sample.known, setting.grid)
-    label = paper_estimators(indoor=setting.indoor)[LABEL](setting.grid).estimate(sample.sweep)
+    label = paper_estimators_on(setting.grid)[LABEL](setting.grid).estimate(sample.sweep)
     return Reference.of(sample, label.visible(setting.threshold), np.ones(setting.grid.shape, np.bool_), setting.grid)

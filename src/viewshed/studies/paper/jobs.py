@@ -10,8 +10,8 @@ from pathlib import Path
 from statistics import median
 
 from viewshed._jobs import Engine, LocalEngine
+from viewshed.estimators import Estimator
 from viewshed.estimators.unet import UnetEstimator
-from viewshed.fov.estimate import FovEstimator
 from viewshed.networks.card import Runner
 from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import DEFAULT, apply, generator, strength_cases
@@ -74,7 +74,7 @@ def _train(job: Job[PaperPlan]) -> JobResult:
 def _pair(job: Job[PaperPlan]) -> JobResult:
     _, protocol, name, domain = job.key
     setting = setting_of(job.plan, protocol, domain)
-    estimators: dict[str, FovEstimator] = {
+    estimators: dict[str, Estimator] = {
         name: network_of(job.plan, job.folder, job.plan.model(protocol, name), setting, job.device)
     } if name != CLASSICAL else {name: make(setting.grid) for name, make in setting.classical().items()}  # fmt: skip
     return JobResult(pair_records(job.plan, job.folder, setting, setting.suite(estimators)))
@@ -116,9 +116,9 @@ def _strict(job: Job[PaperPlan]) -> JobResult:
     return JobResult(list(evaluation.records(strict_cases(job.plan), untouched=True)))
 
 
-def strict_estimators(plan: PaperPlan, setting: Setting, runners: dict[Model, Runner]) -> dict[str, FovEstimator]:
+def strict_estimators(plan: PaperPlan, setting: Setting, runners: dict[Model, Runner]) -> dict[str, Estimator]:
     """Return the estimators that face every attack by name: networks of the domain, then the classical ones."""
-    networks: dict[str, FovEstimator] = {
+    networks: dict[str, Estimator] = {
         model.short_name: UnetEstimator(runner, passes_of(plan, model), plan.test_seed, model.short_name)
         for model, runner in runners.items()
     }

@@ -9,15 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import TARGETS, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard, Runner
 from viewshed.networks.mc_dropout import mean_and_std
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.studies.cases import generator
 from viewshed.studies.paper.data import archive_path
 from viewshed.studies.paper.plan import Model, PaperPlan
 from viewshed.studies.paper.protocols import Setting, setting_of
-from viewshed.sweep import Sweep
 from viewshed.training.config import PAPER, TrainConfig
 from viewshed.training.log import plain
 
@@ -53,7 +56,7 @@ def passes_of(plan: PaperPlan, model: Model) -> int:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NetworkAlone:
+class NetworkAlone(ClassicalEstimator):
     """A network as the published study tries it: its probabilities as they are, on the grid of the setting.
 
     Attributes:
@@ -67,15 +70,21 @@ class NetworkAlone:
     card: NetworkCard
     passes: int
     seed: int
+    name: str = "network"
 
     @property
-    def grid(self) -> BevGrid:
+    def grid(self) -> BevGrid:  # type: ignore[override]
         """The grid of the setting."""
         return self.card.grid
 
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return one pass, or mean and deviation of several; states are not told."""
-        inputs, state = self.card.input_of(sweep), np.zeros(self.grid.shape, np.uint8)
+    @property
+    def target(self) -> Target:  # type: ignore[override]
+        """The target that the network was trained for."""
+        return TARGETS[self.card.target]
+
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+        """Return one pass, or mean and deviation of several; no state is given."""
+        inputs, state = self.card.input_of(leveled.sweep), np.zeros(self.grid.shape, np.uint8)
         if self.passes == 1:
             return FovEstimate(self.grid, self.runner.run(inputs[None], self.card.shape.no_masks(1))[0], state)
         mean, std = mean_and_std(self.runner, inputs, self.passes, generator(self.seed, "masks"))

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from viewshed.datasets.presets import preset_named
-from viewshed.estimators import ESTIMATORS, PAPER_THRESHOLD, EstimatorFactory
-from viewshed.fov.estimate import THRESHOLD, FovEstimator
+from viewshed.estimators import CLASSICAL, PAPER_THRESHOLD, Estimator, EstimatorFactory, paper_estimators_on
+from viewshed.fov.estimate import THRESHOLD
 from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard
 from viewshed.studies.cases import DEFAULT, MIXTURE, ROOM_M, TOUCHING
 from viewshed.studies.paper.plan import PaperPlan
 from viewshed.studies.records import PAPER, STRICT, Case
-from viewshed.studies.suite import LABEL, EstimatorSuite, paper_estimators
+from viewshed.studies.suite import LABEL, EstimatorSuite
 
 PAPER_EXTENT_M, PAPER_INDOOR_EXTENT_M = 80.0, 18.0
 
@@ -55,9 +55,9 @@ class Setting:
     def classical(self) -> dict[str, EstimatorFactory]:
         """Return the classical estimators by name; in the paper's protocol its own first, but its label."""
         if self.protocol == STRICT:
-            return dict(ESTIMATORS)
-        papers = paper_estimators(indoor=self.indoor)
-        return {name: make for name, make in papers.items() if name != LABEL} | ESTIMATORS
+            return dict(CLASSICAL)
+        papers = paper_estimators_on(self.grid)
+        return {name: make for name, make in papers.items() if name != LABEL} | CLASSICAL
 
     def attack(self, number: int) -> Case:
         """Return the attack that the held-out sweep ``number`` faces.
@@ -66,7 +66,7 @@ class Setting:
         """
         return MIXTURE if self.protocol == PAPER else Case("attack", TOUCHING[number % len(TOUCHING)], DEFAULT)
 
-    def suite(self, estimators: Mapping[str, FovEstimator]) -> EstimatorSuite:
+    def suite(self, estimators: Mapping[str, Estimator]) -> EstimatorSuite:
         """Return estimators as they are tried here."""
         return EstimatorSuite(self.grid, self.threshold, estimators)
 

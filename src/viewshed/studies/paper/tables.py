@@ -226,11 +226,11 @@ def winner_table(results: PaperResults, domain: str) -> Table:
             if region == VIEW or has_wedge(results, domain, case):
                 one, other = (_leader(results, [Series(domain, name, case, region) for name in group])
                               for group in groups)  # fmt: skip
-                vote = format_rate(results.strict.rate(Series(domain, "vote", case, region), f1))
+                vote = format_rate(results.strict.rate(Series(domain, "majority_vote", case, region), f1))
                 best = best_of_row(["", one[1], other[1]])[1:]
                 rows.append([_labeled(results, case), region, *best, one[0], other[0], vote])
     header = ["attack (family)", "where", "best network's F1", "best classical F1", "which network", "which classical",
-              "vote"]  # fmt: skip
+              "majority_vote"]  # fmt: skip
     return Table(header, rows)
 
 

@@ -20,10 +20,10 @@ from viewshed.studies.robustness.verdicts import MAX_F1_LOSS, MAX_WEDGE_LOSS, MO
 from viewshed.studies.runner import Job
 from viewshed.studies.statistics import Floats, precision
 from viewshed.studies.store import ResultStore
-from viewshed.studies.suite import CLASSICAL, strict_suite
+from viewshed.studies.suite import TESTED, strict_suite
 from viewshed.threats.attacks import ATTACKS, FAMILY
 
-DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "vote")
+DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "majority_vote")
 """Estimators in the pictures of single sweeps."""
 
 
@@ -326,7 +326,7 @@ def _extent(results: Results[RobustnessPlan], failed: Sequence[str]) -> str:
 def _summary(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -> str:
     """Return a list of what each estimator withstands in every domain, and what none does."""
     lines, by_any = [], set[str]()
-    for name in CLASSICAL:
+    for name in TESTED:
         held = [attack for attack in attacks if withstands(attack, name)]
         by_any.update(held)
         lines.append(f"- **{name}** withstands {len(held)} of {len(attacks)} in every domain: {_listed(held)}.")

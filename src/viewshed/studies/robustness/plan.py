@@ -19,7 +19,7 @@ from viewshed.studies.cases import (
 )
 from viewshed.studies.plan import JobKey, check_names, check_seed
 from viewshed.studies.records import BENIGN, Case
-from viewshed.studies.suite import CLASSICAL
+from viewshed.studies.suite import TESTED
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.attacks.adaptive import ADAPTIVE
 from viewshed.threats.attacks.points import MOST_FREE
@@ -209,6 +209,6 @@ class RobustnessPlan:
 
 
 _NAMES: dict[str, Iterable[str]] = {
-    "attacks": ATTACKS, "corruptions": CORRUPTIONS, "defenses": DEFENSES, "defended": CLASSICAL,
-    "adaptive": ADAPTIVE, "adaptive_defended": CLASSICAL, "adaptive_against_defenses": ADAPTIVE,
+    "attacks": ATTACKS, "corruptions": CORRUPTIONS, "defenses": DEFENSES, "defended": TESTED,
+    "adaptive": ADAPTIVE, "adaptive_defended": TESTED, "adaptive_against_defenses": ADAPTIVE,
 }  # fmt: skip

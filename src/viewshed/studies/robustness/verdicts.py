@@ -10,7 +10,7 @@ from viewshed.metrics import ConfusionCounts
 from viewshed.studies.formatting import format_rate
 from viewshed.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Results, Series
 from viewshed.studies.robustness.plan import RobustnessPlan
-from viewshed.studies.suite import CLASSICAL
+from viewshed.studies.suite import TESTED
 from viewshed.threats.attacks import ATTACKS
 
 MODEST = 200
@@ -76,12 +76,12 @@ class Domain:
     def methods(self) -> list[str]:
         """Estimators of the strict protocol that there are results of, in the order of their table."""
         found = self.results.methods(self.name)
-        return [name for name in CLASSICAL if name in found]
+        return [name for name in TESTED if name in found]
 
     @cached_property
     def paper_methods(self) -> list[str]:
         """Estimators of the paper's protocol that there are results of, the paper's first."""
-        order = list(CLASSICAL)
+        order = list(TESTED)
         found = self.results.methods(self.name, PAPER)
         return sorted(found, key=lambda name: (name in order, order.index(name) if name in order else 0))
 

@@ -1,0 +1,63 @@
+"""A recording as the sweeps in it: a data set's folder, a bag, an archive of ours, or a file of several sweeps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from viewshed.datasets.archive.archive import ArchiveSource, is_archive
+from viewshed.datasets.recordings import open_source
+from viewshed.datasets.recordings.source import each_sweep
+from viewshed.io import read_sweeps
+from viewshed.sweep import Sweep
+
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """The sweeps of a recording, read anew each time that it is iterated over, scene by scene and in time order.
+
+    Attributes:
+        path: where it is.
+        sweeps: begins to read.
+    """
+
+    path: Path
+    sweeps: Callable[[], Iterator[Sweep]]
+
+    def __iter__(self) -> Iterator[Sweep]:
+        """Yield the sweeps; each is in memory only while it is used.
+
+        Raises:
+            ValueError: something is damaged; the message names the file.
+        """
+        return self.sweeps()
+
+
+def is_recording(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a folder or a bag; anything else is a file of sweeps."""
+    place = Path(path)
+    return place.is_dir() or place.suffix.lower() in BAG_SUFFIXES
+
+
+def open_recording(path: str | os.PathLike[str]) -> Recording:
+    """Return the recording at ``path``.
+
+    Args:
+        path: a folder of nuScenes, KITTI, CARLA, OPV2V or an archive of ours as its makers hand it out; a ROS bag or
+            MCAP file; or a file of one or more sweeps in a format of :func:`viewshed.read_sweep`.
+
+    Raises:
+        ValueError: nothing that is known is there.
+        OSError: it cannot be read.
+    """
+    place = Path(path)
+    if not is_recording(place):
+        if not place.is_file():
+            raise FileNotFoundError(f"{place}: no such file or folder")
+        return Recording(place, lambda: read_sweeps(place))
+    source = ArchiveSource.open(place) if is_archive(place) else open_source(place)
+    return Recording(place, lambda: (sweep for _, sweep in each_sweep(source)))

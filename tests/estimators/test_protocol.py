@@ -1,0 +1,214 @@
+"""The one way to call an estimator, over the whole table: classical ones and networks alike."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.networks.made import card, nearby
+
+import viewshed
+from viewshed import GRIDS, PEDESTRIAN, BevGrid, FovEstimate, Sweep, Target
+from viewshed.estimators import (
+    CLASSICAL,
+    ESTIMATORS,
+    FORMER_NAMES,
+    LEARNED,
+    Estimator,
+    default_estimator,
+    load_estimator,
+)
+from viewshed.geometry import Rigid
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.onnx_export import export_onnx
+from viewshed.preprocess.leveling import level
+
+ROAD, ROOM = GRIDS["road"], GRIDS["indoor"]
+
+
+@pytest.fixture(scope="module", params=list(ESTIMATORS))
+def estimator(request: pytest.FixtureRequest) -> Estimator:
+    return ESTIMATORS[request.param](ROAD)
+
+
+def _same(a: FovEstimate, b: FovEstimate) -> bool:
+    return all(
+        np.array_equal(getattr(a, k), getattr(b, k), equal_nan=k == "std") for k in ("visible_prob", "std", "state")
+    )
+
+
+def _at(sweep: Sweep, x_m: float, seconds: float) -> Sweep:
+    return sweep.replace(t_ns=int(1e9 * seconds), world_from_sensor=Rigid(np.eye(3), np.array([x_m, 0.0, 1.8])))
+
+
+def test_the_table_holds_classical_and_learned_estimators_under_their_own_names(estimator: Estimator) -> None:
+    assert set(ESTIMATORS) == set(CLASSICAL) | set(LEARNED)
+    assert ESTIMATORS[estimator.name](ROAD).name == estimator.name
+    assert (estimator.grid, estimator.target.name) == (ROAD, "car")
+    assert 0.0 < estimator.threshold < 1.0
+
+
+def test_a_sweep_and_the_leveled_sweep_give_one_estimate(estimator: Estimator, street: Sweep) -> None:
+    estimate = estimator.estimate(street)
+    assert _same(estimate, estimator.estimate(level(street, ROAD)))
+    assert (estimate.method, estimate.threshold) == (estimator.name, estimator.threshold)
+    assert np.array_equal(estimate.visible(), estimate.visible_prob >= np.float32(estimator.threshold))
+
+
+def test_a_leveled_sweep_is_not_leveled_again(
+    estimator: Estimator, street: Sweep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leveled = level(street, ROAD)
+
+    def refuse(sweep: Sweep, grid: BevGrid) -> None:
+        raise AssertionError("leveled a second time")
+
+    monkeypatch.setattr("viewshed.preprocess.leveling.level", refuse)
+    estimator.estimate(leveled)
+
+
+def test_a_sweep_leveled_for_a_smaller_grid_is_refused(estimator: Estimator, street: Sweep) -> None:
+    with pytest.raises(ValueError, match=r"must have ground out to 64 m for this grid, got 16 m; level it on"):
+        estimator.estimate(level(street, BevGrid(64, 16.0)))
+
+
+def test_an_array_is_no_sweep(estimator: Estimator, street: Sweep) -> None:
+    with pytest.raises(TypeError, match=r"must be a Sweep or a LeveledSweep, got ndarray; make one with viewshed\.Sw"):
+        estimator.estimate(street.points)  # type: ignore[arg-type]
+
+
+def test_history_changes_estimates_where_it_is_used_and_is_refused_elsewhere(
+    estimator: Estimator, street: Sweep
+) -> None:
+    earlier = [_at(street, -1.0, 0.0), _at(street, -0.5, 1.0)]
+    now = _at(street.select(street.points[:, 0] < 9.0), 0.0, 2.0)  # the wall ahead is gone
+    assert _same(estimator.estimate(now), estimator.estimate(now, []))
+    if estimator.uses_history:
+        assert estimator.estimate(now, earlier).visible().sum() < estimator.estimate(now).visible().sum()
+        with pytest.raises(ValueError, match="pose"):
+            estimator.estimate(now, [earlier[0].replace(world_from_sensor=None)])
+    else:
+        with pytest.raises(ValueError, match=f"history must be left out for {estimator.name}, which looks at one"):
+            estimator.estimate(now, earlier)
+        with pytest.raises(ValueError, match=f"history helps viewnet and shadow_map, got {estimator.name}"):
+            estimator.stream([now], history=2)
+
+
+def test_the_table_knows_who_uses_history() -> None:
+    assert [name for name in CLASSICAL if CLASSICAL[name](ROAD).uses_history] == ["shadow_map"]
+
+
+def test_a_network_abstains_and_a_classical_mask_cannot(estimator: Estimator, street: Sweep) -> None:
+    if estimator.name in LEARNED:
+        sure = estimator.with_abstention(0.9)
+        assert (sure.name, sure.grid, sure.threshold) == (estimator.name, ROAD, 0.9)
+        doubtful = np.abs(estimator.estimate(street).visible_prob - 0.5) < 0.3
+        assert doubtful.any()
+        assert (sure.estimate(street).state[doubtful] == viewshed.CellState.UNKNOWN).all()
+    else:
+        with pytest.raises(ValueError, match=f"must be asked of a network, got 0.9 for {estimator.name}"):
+            estimator.with_abstention(0.9)
+
+
+def test_the_steps_of_a_batch_give_the_estimates(estimator: Estimator, street: Sweep) -> None:
+    steps = estimator.batch_steps()
+    prepared = [steps.prepare(street), steps.prepare(street)]
+    results = steps.infer(prepared)
+    first, second = (steps.finish(*pair) for pair in zip(prepared, results, strict=True))
+    assert _same(first, second)
+    assert np.allclose(first.visible_prob, estimator.estimate(street).visible_prob, atol=1e-6)
+
+
+def test_a_stream_gives_an_estimate_for_each_sweep_as_it_is_read(estimator: Estimator, street: Sweep) -> None:
+    read = 0
+
+    def sweeps() -> Iterator[Sweep]:
+        nonlocal read
+        for number in range(3):
+            read += 1
+            yield _at(street, float(number), float(number))
+
+    estimates = estimator.stream(sweeps())
+    assert next(estimates).t_ns == 0
+    assert read == 1
+    assert [estimate.t_ns for estimate in estimates] == [10**9, 2 * 10**9]
+
+
+def test_load_estimator_takes_names_and_values() -> None:
+    by_name = load_estimator("shadow_map", grid="indoor", target="pedestrian")
+    by_value = load_estimator("shadow_map", grid=ROOM, target=PEDESTRIAN)
+    assert by_name == by_value
+    own = Target("pallet", 1.2, 0.8, 0.3, 4)
+    assert load_estimator("first_blocker", target=own).target is own
+    for former, name in FORMER_NAMES.items():
+        assert load_estimator(former).name == name
+    assert load_estimator("paper_polygon_fit").name == "paper_delaunay"
+
+
+def test_the_default_is_our_network_where_it_is_shipped() -> None:
+    assert default_estimator(ROAD, viewshed.CAR) == "viewnet"
+    assert default_estimator(BevGrid(64, 16.0), viewshed.CAR) == "shadow_map"
+    assert load_estimator(grid=BevGrid(64, 16.0)).name == "shadow_map"
+    assert load_estimator().name == "viewnet"
+
+
+def test_weights_alone_say_which_network_they_are() -> None:
+    assert load_estimator(weights="road").name == "unet"
+    assert load_estimator(weights="viewnet_road").name == "viewnet"
+    with pytest.raises(
+        ValueError, match=r"weights must be of a network for viewnet, got road, which is a unet; ask for"
+    ):
+        load_estimator("viewnet", weights="road")
+    with pytest.raises(
+        ValueError, match=r"weights must be of a network for unet, got viewnet_road, which is a viewnet"
+    ):
+        load_estimator("unet", weights="viewnet_road")
+
+
+def test_a_file_of_weights_is_an_estimator(tmp_path: Path, street: Sweep) -> None:
+    grid, shape, path = BevGrid(64, 16.0), UNetShape(4, 2, 0.3), tmp_path / "net.onnx"
+    export_onnx(path, card(shape, grid), nearby(shape))
+    assert load_estimator(path, grid=grid).name == "unet"
+    assert viewshed.estimate(street, method=path, grid=grid).visible().any()
+    with pytest.raises(ValueError, match="weights must be left out where a file is named"):
+        load_estimator(path, grid=grid, weights="road")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": "oracle"}, "method must be one of continuous, .*, mc_dropout, got 'oracle'"),
+        ({"grid": "moon"}, "grid must be one of .*, got 'moon'"),
+        ({"target": "tank"}, "target must be one of car, pedestrian, got 'tank'"),
+        ({"name": "shadow_map", "seed": 3}, "seed must be left out for shadow_map, which is no network"),
+        ({"name": "shadow_map", "weights": "road"}, "weights must be left out for shadow_map"),
+        ({"name": "viewnet", "device": "tpu"}, "device must be one of cpu, cuda, got 'tpu'"),
+        ({"name": "viewnet", "abstain_below": 0.2}, r"abstain_below must lie in \[0.5, 1\], got 0.2"),
+    ],
+)
+def test_options_that_do_not_fit_are_named(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_estimator(**options)  # type: ignore[arg-type]
+
+
+def test_estimate_takes_a_sweep_or_its_points(street: Sweep) -> None:
+    estimate = viewshed.estimate(street, method="shadow_map", target=PEDESTRIAN)
+    assert (estimate.method, estimate.target) == ("shadow_map", PEDESTRIAN)
+    bare = viewshed.estimate(street.points, method="shadow_map")
+    assert np.array_equal(bare.state, viewshed.estimate(Sweep(street.points), method="shadow_map").state)
+    with pytest.raises(ValueError, match=r"points must have shape \(N, 3\), got \(3,\)"):
+        viewshed.estimate([1.0, 2.0, 3.0])
+
+
+def test_a_saved_estimate_keeps_its_threshold(street: Sweep, tmp_path: Path) -> None:
+    from viewshed.io.export import read_npz
+
+    estimate = replace(viewshed.estimate(street, method="shadow_map"), threshold=0.9)
+    found = read_npz(estimate.save(tmp_path / "fov.npz"))
+    assert found.threshold == 0.9
+    assert np.array_equal(found.visible(), estimate.visible_prob >= np.float32(0.9))
+    assert estimate.save(str(tmp_path / "fov.geojson")).stat().st_size > 1000
+    assert estimate.save(tmp_path / "fov.png").read_bytes() == estimate.plot()
+    with pytest.raises(ValueError, match=r"must end in .geojson, .*, or .png for a picture; the suffix chooses"):
+        estimate.save(tmp_path / "fov.tiff")
