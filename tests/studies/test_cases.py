@@ -33,7 +33,7 @@ def test_the_small_study_has_every_member_of_every_table() -> None:
     assert levels == {"0", "50", "100", "150", "200", "1000", "full"}
     assert all(len(set(each)) == len(each) for each in cases.values())
     asked = sum(study.adaptive_samples)
-    assert len(study.keys()) == sum(study.samples) * (len(PARTS) - 1) + asked == len(set(study.keys()))
+    assert len(study.job_keys()) == sum(study.samples) * (len(PARTS) - 1) + asked == len(set(study.job_keys()))
     assert {(c.name, c.defense) for c in cases["adaptive"] if c.level == "150"} >= {
         ("adaptive_under_claim", ""), *(("adaptive_over_claim", defense) for defense in DEFENSES)
     }  # fmt: skip
@@ -41,9 +41,9 @@ def test_the_small_study_has_every_member_of_every_table() -> None:
 
 def test_few_samples_meet_attackers_who_ask_and_they_are_spread_evenly() -> None:
     study = replace(TINY, samples=(12,), adaptive_samples=(3,))
-    assert [number for part, _, number in study.keys() if part == "adaptive"] == ["0", "4", "8"]
+    assert [number for part, _, number in study.job_keys() if part == "adaptive"] == ["0", "4", "8"]
     none = replace(TINY, adaptive_samples=(0,))
-    assert {part for part, _, _ in none.keys()} == set(PARTS) - {"adaptive"}
+    assert {part for part, _, _ in none.job_keys()} == set(PARTS) - {"adaptive"}
 
 
 @pytest.mark.parametrize(
@@ -143,4 +143,4 @@ def test_earlier_sweeps_are_of_the_same_sensor_and_before() -> None:
 
 def test_adding_a_sample_keeps_the_seed_of_the_others() -> None:
     more = replace(TINY, samples=(3,))
-    assert set(TINY.keys()) < set(more.keys())
+    assert set(TINY.job_keys()) < set(more.job_keys())

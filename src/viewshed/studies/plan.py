@@ -23,7 +23,7 @@ class Plan(Protocol):
         """Return the plan as plain values."""
         ...
 
-    def keys(self) -> list[JobKey]:
+    def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs, in the order in which they are done."""
         ...
 

@@ -109,7 +109,7 @@ class ResultStore(Generic[P]):
         return results
 
     def _jobs(self) -> Iterator[tuple[int, JobKey, dict[str, Any]]]:
-        lines, known = self._lines(), set(self.plan.keys())
+        lines, known = self._lines(), set(self.plan.job_keys())
         next(lines)
         for number, line in lines:
             if not _is_of_a_job(line) or (key := tuple(line["job"])) not in known:

@@ -67,8 +67,11 @@ def _sets(more: Sequence[int]) -> list[list[StudySample]]:
 def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Trials) -> list[Record]:
     fit, calibrate, report = sets
     monitor = fit_monitor(estimator, fit, calibrate, trials)
-    return [record for number, sample in enumerate(report)
-            for record in watch(monitor, estimator, sample, ("ugv", "mcd", number), trials)]  # fmt: skip
+    return [
+        record
+        for number, sample in enumerate(report)
+        for record in watch(monitor, estimator, sample, trials, domain="ugv", method="mcd", number=number)
+    ]
 
 
 def _rows(records: Iterable[Record]) -> list[Row]:
@@ -146,7 +149,7 @@ def test_too_few_sweeps_and_wrong_names() -> None:
 def test_a_plan_survives_its_plain_values(name: str) -> None:
     plan = MonitorPlan.load(name)
     assert MonitorPlan.from_json(plan.to_json()) == plan
-    assert len(plan.keys()) == plan.frames + 1
+    assert len(plan.job_keys()) == plan.frames + 1
 
 
 @pytest.mark.parametrize(

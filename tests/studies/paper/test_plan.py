@@ -57,9 +57,9 @@ def test_there_are_72_pairs_of_12_models_in_each_protocol() -> None:
     for protocol in PROTOCOLS:
         models = TINY.models([protocol])
         assert len(models) == len({model.name for model in models}) == 12
-        keys = [key for key in TINY.keys_of("pairs", [protocol]) if key[2] != "classical"]
+        keys = [key for key in TINY.job_keys_of("pairs", [protocol]) if key[2] != "classical"]
         assert 2 * len(keys) == 2 * len(set(keys)) == 72
-    assert len(TINY.keys_of("models")) == 24
+    assert len(TINY.job_keys_of("models")) == 24
 
 
 def test_a_pair_waits_for_its_model_and_nothing_else() -> None:

@@ -44,7 +44,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ResultStor
 
 def test_every_job_is_there_and_none_is_done_twice(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
     store, seen = study
-    assert store.keys() == set(PLAN.keys())
+    assert store.keys() == set(PLAN.job_keys())
     assert [step for step in seen if step[0] == "models"][-1] == ("models", 8, 8)
     size = store.path.stat().st_size
     assert list(run_study(store, Scope(workers=1), ignore_progress)) == []

@@ -199,7 +199,7 @@ def test_two_workers_and_one_find_the_same(tmp_path: Path) -> None:
 
 def test_what_is_there_is_not_done_again(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, SMALLEST)
-    for key in SMALLEST.keys():
+    for key in SMALLEST.job_keys():
         store.append(key, JobResult())
     before = (tmp_path / FILE).read_bytes()
     seen: list[tuple[str, int, int]] = []

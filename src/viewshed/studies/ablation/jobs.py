@@ -53,10 +53,10 @@ def run_study(
     for step in steps:
         if step not in STEPS:
             raise ValueError(f"only must be among {', '.join(STEPS)}, got {step!r}")
-    models = set(store.plan.keys_of("models"))
+    models = set(store.plan.job_keys_of("models"))
     for step in STEPS[:-1]:
         if step in steps:
-            keys, done = store.plan.keys_of(step), store.keys()
+            keys, done = store.plan.job_keys_of(step), store.keys()
             if step == "models" and not models <= done:
                 # Most variants share the frames of the whole network: these are made with all cores.
                 prepare(store.plan.config_of(WHOLE), cache_of(store.folder), told=on_progress)

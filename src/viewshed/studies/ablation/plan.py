@@ -158,11 +158,11 @@ class AblationPlan:
         """
         return cls.from_json(_config.load_preset(_FOLDER, name))
 
-    def keys(self) -> list[JobKey]:
+    def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs, step after step."""
-        return [key for step in STEPS for key in self.keys_of(step)]
+        return [key for step in STEPS for key in self.job_keys_of(step)]
 
-    def keys_of(self, step: str) -> list[JobKey]:
+    def job_keys_of(self, step: str) -> list[JobKey]:
         """Return the names of all jobs of a step, in the order in which they are done."""
         if step == "page":
             return []

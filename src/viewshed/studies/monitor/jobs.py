@@ -46,7 +46,14 @@ def fit_monitor(
 
 
 def watch(
-    monitor: DeviationMonitor, estimator: FovEstimator, sample: StudySample, place: tuple[str, str, int], trials: Trials
+    monitor: DeviationMonitor,
+    estimator: FovEstimator,
+    sample: StudySample,
+    trials: Trials,
+    *,
+    domain: str,
+    method: str,
+    number: int,
 ) -> Iterator[Record]:
     """Yield what the monitor says of one sweep, clean, attacked and corrupted.
 
@@ -54,10 +61,11 @@ def watch(
         monitor: calibrated, for this estimator.
         estimator: with standard deviations.
         sample: a benign sweep that the monitor was neither fitted nor calibrated on.
-        place: domain and method of the records, and number of the sweep.
         trials: what is done.
+        domain: of the records.
+        method: of the records.
+        number: of the sweep in the domain.
     """
-    domain, method, number = place
     bench = _Bench(monitor, estimator, sample, estimator.estimate(sample.sweep))
     for case in trials.cases():
         record = Record(Series(domain, method, case), sample.sample.scene, number)
@@ -126,7 +134,7 @@ def run_study(
     store: ResultStore[MonitorPlan], engine: Engine, on_progress: Progress = ignore_progress
 ) -> Iterator[str]:
     """Fit and calibrate the monitor, then report on each sweep; yield one line for each job that failed."""
-    fit, *watching = store.plan.keys()
+    fit, *watching = store.plan.job_keys()
     yield from run_jobs(store, do_job, [fit], LocalEngine(1), on_progress, step="fit")
     yield from run_jobs(store, do_job, watching, engine, on_progress, step="watch", missing=_missing)
 
@@ -144,8 +152,10 @@ def do_job(job: Job[MonitorPlan]) -> JobResult:
         save_monitor(monitor, path)
         return JobResult(facts={"limit": monitor.limit})
     number = int(job.key[1])
-    place = plan.domain, METHOD, number
-    records = watch(load_monitor(path), _estimator(plan), _sample(plan, 2, number), place, plan.trials)
+    records = watch(
+        load_monitor(path), _estimator(plan), _sample(plan, 2, number), plan.trials,
+        domain=plan.domain, method=METHOD, number=number,
+    )  # fmt: skip
     return JobResult(list(records))
 
 

@@ -122,6 +122,6 @@ class MonitorPlan:
         """
         return cls.from_json(_config.load_preset(_FOLDER, name))
 
-    def keys(self) -> list[JobKey]:
+    def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs: one that fits, then one for each reported sweep."""
         return [("fit",), *(("watch", str(number)) for number in range(self.frames))]

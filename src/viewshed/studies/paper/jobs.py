@@ -184,7 +184,9 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
     records = [
         record
         for number, sample in enumerate(report)
-        for record in watch(monitor, estimator, sample, (plan.monitor_domain, job.key[1], number), trials)
+        for record in watch(
+            monitor, estimator, sample, trials, domain=plan.monitor_domain, method=job.key[1], number=number
+        )
     ]
     return JobResult(records, {"limit": monitor.limit})
 
@@ -243,7 +245,7 @@ def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress
     if steps:
         _check_data(store)
     for step in steps:
-        keys, engine = store.plan.keys_of(step, scope.protocols), scope.engine(step, store.plan)
+        keys, engine = store.plan.job_keys_of(step, scope.protocols), scope.engine(step, store.plan)
         yield from run_jobs(
             store, do_job, keys, engine, on_progress, step=step, device=scope.device,
             missing=partial(missing_models, store.plan),

@@ -230,7 +230,7 @@ def _unfinished(results: PaperResults, protocol: str) -> Text | None:
     """Return which steps are not finished."""
     done, words = results.store.keys(), []
     for step in STEPS:
-        keys = results.plan.keys_of(step, [protocol])
+        keys = results.plan.job_keys_of(step, [protocol])
         count = sum(key in done for key in keys)
         if count < len(keys):
             words.append(f"{step} {count} of {len(keys)}")

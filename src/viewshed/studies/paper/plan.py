@@ -230,11 +230,11 @@ class PaperPlan:
         """
         return cls.from_json(_config.load_preset(_FOLDER, name))
 
-    def keys(self) -> list[JobKey]:
+    def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs, step after step."""
-        return [key for step in STEPS for key in self.keys_of(step)]
+        return [key for step in STEPS for key in self.job_keys_of(step)]
 
-    def keys_of(self, step: str, protocols: Sequence[str] = PROTOCOLS) -> list[JobKey]:
+    def job_keys_of(self, step: str, protocols: Sequence[str] = PROTOCOLS) -> list[JobKey]:
         """Return the names of all jobs of a step in some protocols, in the order in which they are done."""
         makers = {"models": self._models, "pairs": self._pairs, "strict": self._strict, "trade": self._trade,
                   "monitor": self._monitor}  # fmt: skip

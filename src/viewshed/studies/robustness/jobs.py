@@ -22,7 +22,7 @@ def run_study(
     store: ResultStore[RobustnessPlan], engine: Engine, on_progress: Progress = ignore_progress
 ) -> Iterator[str]:
     """Run what is not in the store yet, and yield one line for each job that failed."""
-    return run_jobs(store, do_job, store.plan.keys(), engine, on_progress, step=store.plan.name)
+    return run_jobs(store, do_job, store.plan.job_keys(), engine, on_progress, step=store.plan.name)
 
 
 def do_job(job: Job[RobustnessPlan]) -> JobResult:

@@ -310,12 +310,12 @@ def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
         "samples": counts or "none",
         "target": "car",
         "commits of the run": ", ".join(sorted(commit[:7] for commit in results.commits)) or "unknown",
-        "jobs": f"{len(results.facts)} of {len(results.plan.keys())}",
+        "jobs": f"{len(results.facts)} of {len(results.plan.job_keys())}",
     }
 
 
 def _extent(results: Results[RobustnessPlan], failed: Sequence[str]) -> str:
-    plan, done, jobs = results.plan, len(results.facts), len(results.plan.keys())
+    plan, done, jobs = results.plan, len(results.facts), len(results.plan.job_keys())
     words = f"{sum(results.sweeps(domain.name) for domain in domains_of(results))} sweeps with {len(plan.attacks)} "
     words += f"attacks, {len(plan.corruptions)} corruptions and {len(plan.defenses)} defenses."
     if done < jobs:

@@ -140,17 +140,17 @@ class RobustnessPlan:
         """
         return cls.from_json(_config.load_preset(_FOLDER, name))
 
-    def keys(self) -> list[JobKey]:
+    def job_keys(self) -> list[JobKey]:
         """Return part, domain and number of each job, sample after sample and domain after domain in turn."""
         numbers = sorted(
-            (number / count, place, number)
-            for place, count in enumerate(self.samples)
+            (number / count, position, number)
+            for position, count in enumerate(self.samples)
             for number in range(count)
         )  # fmt: skip
         return [
-            (part, self.domains[place], str(number))
-            for _, place, number in numbers
-            for part in self.parts(self.domains[place], number)
+            (part, self.domains[position], str(number))
+            for _, position, number in numbers
+            for part in self.parts(self.domains[position], number)
         ]
 
     def parts(self, domain: str, number: int) -> tuple[str, ...]:
