@@ -28,9 +28,9 @@ from viewshed.studies.preview import (
     plan_view,
     points_view,
     preview_png,
+    preview_sample,
     row_of,
     sheet,
-    preview_sample,
     state_view,
 )
 from viewshed.sweep import Sweep
