@@ -60,7 +60,8 @@ def _counted(sample: StudySample, method: str, sweep: Sweep, wedge: Wedge | None
     x, y = np.moveaxis(grid.centers, -1, 0)
     cells = cells if wedge is None else cells & wedge.holds(np.arctan2(y, x))
     masks = (claimed & true, claimed & ~true, ~claimed & true, ~claimed & ~true)
-    return ConfusionCounts(*(int((mask & cells).sum()) for mask in masks), area_m2=cells.sum() * grid.cell_area_m2)
+    both, over, under, neither = (int((mask & cells).sum()) for mask in masks)
+    return ConfusionCounts(both, over, under, neither, int(cells.sum()) * grid.cell_area_m2)
 
 
 def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySample) -> None:
