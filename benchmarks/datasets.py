@@ -24,8 +24,8 @@ from viewshed._page import facts, page, table
 from viewshed.datasets import Archive, Storage
 from viewshed.datasets.archive import shard as shards
 from viewshed.datasets.archive.archive import ArchiveFrames
-from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate, simulate_frame
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results" / "datasets.md"
@@ -76,14 +76,18 @@ def _reading(archive: Archive) -> Iterator[list[str]]:
     rng = np.random.default_rng(SEED)
     where = rng.integers(0, len(archive), 2000)
     for name, job in (
-        ("random read of a sample, whole", lambda index: archive[index]),
-        ("random read, points not made", archive.frame),
+        ("random read of a sample, whole", lambda index: archive[index].sweep),
+        ("random read, points not made", archive.__getitem__),
         ("random frame for training (`ArchiveFrames`)", ArchiveFrames(archive).__getitem__),
     ):
         low, median, high = _milliseconds(job, where)
         yield [f"{name}, one process", f"{median:.2f} ms ({low:.2f} to {high:.2f})", "≤ 1 ms"]
     some = archive.of_scenes(archive.scenes[:60])
-    yield ["samples in order, one process", f"{_rate(lambda: sum(1 for _ in some), len(some)):.0f} /s", ""]
+    yield [
+        "samples in order, one process",
+        f"{_rate(lambda: sum(len(sample.sweep) for sample in some), len(some)):.0f} /s",
+        "",
+    ]
     yield [f"samples in order, {WORKERS} processes", f"{_parallel(some):.0f} /s", "≥ 1,000 /s"]
     if importlib.util.find_spec("torch") is not None:
         yield [f"torch's `DataLoader`, batches of 16, shuffled, {WORKERS} workers", f"{_torch(some):.0f} /s", ""]
@@ -108,7 +112,7 @@ def _rate(job: Callable[[], object], count: int) -> float:
 
 
 def _counted(archive: Archive) -> int:
-    return sum(1 for _ in archive)
+    return sum(len(sample.sweep) for sample in archive)
 
 
 def _parallel(archive: Archive) -> float:
@@ -140,16 +144,16 @@ def _compression(preset: Preset, folder: Path) -> str:
         write_ms = min(_written_ms(folder, frames) for _ in range(5))
         size = (folder / "a.parquet").stat().st_size
         shard = shards.Shard(Storage.of(folder), "a.parquet")
-        _, read_ms, _ = _milliseconds(lambda index, of=shard: of.frame(index), np.arange(len(frames)))  # type: ignore[misc]
+        _, read_ms, _ = _milliseconds(lambda index, of=shard: of.sample(index), np.arange(len(frames)))  # type: ignore[misc]
         mark = " (used)" if level == used else ""
         rows.append([f"{level}{mark}", f"{size / len(frames) / 1e3:.1f}", f"{write_ms:.2f}", f"{read_ms:.2f}"])
     setattr(shards, "ZSTD_LEVEL", used)  # noqa: B010 - see above
     return table(["zstd level", "kB a frame", "ms to encode and write", "ms to read, points not made"], rows)
 
 
-def _written_ms(folder: Path, frames: list[Frame]) -> float:
+def _written_ms(folder: Path, frames: list[Sample]) -> float:
     start_s = time.perf_counter()
-    shards.write_frames(Storage.of(folder), "a.parquet", ("s", "train"), frames)
+    shards.write_shard(Storage.of(folder), "a.parquet", frames)
     return 1e3 * (time.perf_counter() - start_s) / len(frames)
 
 

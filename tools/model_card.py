@@ -10,7 +10,7 @@ from viewshed._page import facts, page, table
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.runtime import load_runner
-from viewshed.networks.weights import WEIGHTS, in_float32, manifest
+from viewshed.networks.weights import WEIGHTS, float32_name, manifest
 from viewshed.studies.cases import TOUCHING
 from viewshed.training.config import PAPER, read_config
 
@@ -64,7 +64,7 @@ def main(words: Sequence[str] | None = None) -> None:
 def card_page() -> str:
     """Return the page."""
     cards = {name: load_runner(name, 1).card for name in manifest()}
-    own = {name: card for name, card in cards.items() if in_float32(name) == name}
+    own = {name: card for name, card in cards.items() if float32_name(name) == name}
     presets = dict.fromkeys(name for card in own.values() for name in card.trained["data"].split(", "))
     return page(
         "Model card of the shipped weights", facts(), _ABOUT,

@@ -12,7 +12,7 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
 from viewshed.sim.assets.shapes import BOX, material_index
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.world import Snapshot
 
 GAP_M = 0.05
@@ -76,7 +76,7 @@ class Probes:
         return same
 
 
-def plates(scan: Scan, snapshot: Snapshot, grid: BevGrid, target: Target, cells: NDArray[np.intp]) -> Boxes:
+def plates(scan: ExactScan, snapshot: Snapshot, grid: BevGrid, target: Target, cells: NDArray[np.intp]) -> Boxes:
     """Return the probes of the definition: as wide and high as the target, one cell deep, across the line of sight.
 
     The back of each goes through the center of its cell, its front stands one cell nearer: a beam that stops on it
@@ -91,7 +91,12 @@ def plates(scan: Scan, snapshot: Snapshot, grid: BevGrid, target: Target, cells:
 
 
 def solids(
-    scan: Scan, snapshot: Snapshot, grid: BevGrid, target: Target, cells: NDArray[np.intp], rng: np.random.Generator
+    scan: ExactScan,
+    snapshot: Snapshot,
+    grid: BevGrid,
+    target: Target,
+    cells: NDArray[np.intp],
+    rng: np.random.Generator,
 ) -> Boxes:
     """Return whole targets, centered in their cells and turned at random."""
     level, yaw = _world_of(scan, grid, cells)
@@ -101,11 +106,11 @@ def solids(
     return _boxes(cells, center, snapshot.terrain.at(center), rng.uniform(-np.pi, np.pi, len(cells)), sizes)
 
 
-def _sensor(scan: Scan) -> Floats:
+def _sensor(scan: ExactScan) -> Floats:
     return scan.world_from_sensor.translation[:2]
 
 
-def _world_of(scan: Scan, grid: BevGrid, cells: NDArray[np.intp]) -> tuple[Floats, float]:
+def _world_of(scan: ExactScan, grid: BevGrid, cells: NDArray[np.intp]) -> tuple[Floats, float]:
     """Return centers (N, 2) in the ``level`` frame, and that frame's heading in the world."""
     return grid.centers[cells[:, 0], cells[:, 1]], scan.world_from_sensor.yaw
 
@@ -141,7 +146,7 @@ def _extent(half_m: Floats, angle: Floats) -> Floats:
     return np.asarray(half_m[..., 0] * np.abs(np.cos(angle)) + half_m[..., 1] * np.abs(np.sin(angle)))
 
 
-def apart(scan: Scan, boxes: Boxes, most: int) -> NDArray[np.intp]:
+def apart(scan: ExactScan, boxes: Boxes, most: int) -> NDArray[np.intp]:
     """Return rows of boxes, ``most`` at the most and the first ones first, of which no beam can meet two."""
     middle, half = _seen(scan, boxes)
     chosen: list[int] = []
@@ -154,7 +159,7 @@ def apart(scan: Scan, boxes: Boxes, most: int) -> NDArray[np.intp]:
     return np.array(chosen, np.intp)
 
 
-def _seen(scan: Scan, boxes: Boxes) -> tuple[Floats, Floats]:
+def _seen(scan: ExactScan, boxes: Boxes) -> tuple[Floats, Floats]:
     """Return azimuth (N,) of each box and half the azimuths (N,) that it may cover, from wherever the sensor goes."""
     offset = boxes.center_m[:, :2] - _sensor(scan)
     moved = float(np.hypot(scan.origin_m[..., 0], scan.origin_m[..., 1]).max())
@@ -187,7 +192,7 @@ class Setting:
     """Where probes are placed: solids at one time, what was cast among them and with which seed, and its truth."""
 
     snapshot: Snapshot
-    scan: Scan
+    scan: ExactScan
     seed: int
     truth: Truth
     known: NDArray[np.bool_]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from viewshed.networks.runtime import OnnxRunner
-from viewshed.networks.weights import WEIGHTS, Shipped, ship
+from viewshed.networks.weights import WEIGHTS, ShippedWeights, add_shipped
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -34,8 +34,9 @@ def main(words: Sequence[str] | None = None) -> None:
     if grid.offset_m != (0.0, 0.0):
         raise ValueError(f"shipped weights must have a grid about the sensor, got offset {grid.offset_m}")
     methods = tuple(filter(None, chosen.methods.split(",")))
-    line = Shipped(chosen.name, f"{chosen.name}.onnx", digest, grid.cells, grid.half_extent_m, card.target, methods)
-    ship(content, line, chosen.folder)
+    extent_m = grid.half_extent_m
+    line = ShippedWeights(chosen.name, f"{chosen.name}.onnx", digest, grid.cells, extent_m, card.target, methods)
+    add_shipped(content, line, chosen.folder)
     print(f"{line.file}: {len(content)} bytes, {digest[:10]}…, for {', '.join(methods)}")
 
 

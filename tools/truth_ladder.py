@@ -18,7 +18,7 @@ from viewshed._page import facts, page, table
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, world_of
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.height_map import NODES, Ground
+from viewshed.fov.height_map import NODES, HeightMap
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, Beams, expected_returns
 from viewshed.geometry import Rigid
@@ -31,7 +31,7 @@ from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import motion_of
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, World
 from viewshed.sweep import Sweep
@@ -48,7 +48,7 @@ on this kernel can pass. *Clear* leaves out the cells next to the target's numbe
 class Shot:
     """One revolution and all that is known about it."""
 
-    scan: Scan
+    scan: ExactScan
     world: World
     agent: Agent
     truth: Truth
@@ -70,14 +70,14 @@ class Shot:
             points, ring=ring.astype(np.int16), model=scan.model, sensor_height_m=self.height_m, world_from_sensor=pose
         )
 
-    def ground(self, half_m: float) -> Ground:
+    def ground(self, half_m: float) -> HeightMap:
         """Return the exact ground on the lattice that estimators use."""
         pose = self.scan.world_from_sensor
         steps = (np.arange(NODES) + 0.5) * 2 * half_m / NODES - half_m
         nodes = np.stack([*np.meshgrid(steps, steps, indexing="ij"), np.zeros((NODES, NODES))], axis=-1)
         z = self.world.terrain.at(Rigid.from_yaw(pose.yaw, pose.translation) @ nodes)
         heights = (z - self.world.terrain.at(pose.translation[None])[0]).astype(np.float32)
-        return Ground(heights, half_m, np.ones((NODES, NODES), np.bool_))
+        return HeightMap(heights, half_m, np.ones((NODES, NODES), np.bool_))
 
     def beams(self) -> Beams:
         """Return every beam but those on the own vehicle, up to its stop or its maximum range, seen from the sensor."""

@@ -1,7 +1,4 @@
-"""Journals: files of JSON lines that are only added to, so that what is there survives what stops the rest.
-
-Files that are either whole or not there.
-"""
+"""Files that survive a kill: written whole or not at all, or JSON lines that are only appended."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ def write_atomic(path: str | Path, content: bytes) -> None:
 
 
 def append_jsonl(path: Path, line: dict[str, Any]) -> None:
-    """Add a line to a journal, on the disk when this returns.
+    """Append a line of JSON to a file; it is on the disk when this returns.
 
     Raises:
         OSError: it cannot be written.
@@ -45,7 +42,7 @@ def append_jsonl(path: Path, line: dict[str, Any]) -> None:
 
 
 def is_begun(path: Path) -> bool:
-    """Return whether a journal has a whole line; what a crash left of a line at its end is cut off."""
+    """Return whether a file of JSON lines has a whole line; cut off what a crash left of a line at its end."""
     if not path.exists():
         return False
     content = path.read_bytes()

@@ -1,13 +1,10 @@
-"""Processes of this machine.
-
-Machines of a Ray cluster.
-
-What an engine is, and what it says about a job.
-
-Engines: run one function over many jobs, on this machine or on a cluster, with the same results.
+"""Engines: run one function over many jobs, in processes of this machine or on a Ray cluster, with the same results.
 
 A job says all that its work needs (seeds, place, number), so results do not depend on the engine, on the number of
-workers or on the order. To add an engine, write a file and add a line to :data:`ENGINES`.
+workers or on the order. To add an engine, write a class and add a line to :data:`ENGINES`.
+
+The local engine is ours because a killed worker must cost one job: the pools of concurrent.futures and loky break as a
+whole, and fail every job that is not finished; that of multiprocessing waits for ever.
 """
 
 from __future__ import annotations
@@ -154,44 +151,44 @@ class _Worker:
 
 @dataclass(slots=True, eq=False)
 class _Pool:
-    """The workers of one run, and what is left to do."""
+    """The workers of one run, and the jobs that are pending."""
 
     work: bytes
     size: int
     workers: list[_Worker] = field(default_factory=list)
-    again: list[tuple[int, int]] = field(default_factory=list)  # job, tries
+    retries: list[tuple[int, int]] = field(default_factory=list)  # job, tries
     next_job: int = 0
     failed_starts: int = 0
 
     def run(self, jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         try:
             self.workers.extend(_start(self.work) for _ in range(self.size))
-            while self.again or self.next_job < len(jobs) or any(worker.index is not None for worker in self.workers):
-                for worker in self._signaled():
-                    yield from self._heard(worker, jobs)
+            while self.retries or self.next_job < len(jobs) or any(worker.index is not None for worker in self.workers):
+                for worker in self._wait_for_workers():
+                    yield from self._receive(worker, jobs)
         finally:
             _stop(self.workers)
 
-    def _signaled(self) -> list[_Worker]:
+    def _wait_for_workers(self) -> list[_Worker]:
         ready = set(wait([worker.pipe for worker in self.workers]))
         return [worker for worker in self.workers if worker.pipe in ready]
 
-    def _heard(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
-        """Take what a worker says (that it is ready, or a job done) and give it the next job."""
+    def _receive(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
+        """Receive a message of a worker (that it is ready, or a job done) and assign it the next job."""
         try:
             done: Done[R] | None = pickle.loads(worker.pipe.recv_bytes())  # noqa: S301 - from our own process
         except (EOFError, OSError):
-            yield from self._replaced(worker)
+            yield from self._replace(worker)
             return
         worker.ready, worker.index = True, None
         self.failed_starts = 0
         if done is not None:
             yield done
-        yield from self._next(worker, jobs)
+        yield from self._assign(worker, jobs)
 
-    def _next(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
-        while worker.index is None and (self.again or self.next_job < len(jobs)):
-            index, tries = self.again.pop() if self.again else (self.next_job, 0)
+    def _assign(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
+        while worker.index is None and (self.retries or self.next_job < len(jobs)):
+            index, tries = self.retries.pop() if self.retries else (self.next_job, 0)
             self.next_job = max(self.next_job, index + 1)
             try:
                 message = pickle.dumps((index, jobs[index]))
@@ -202,11 +199,11 @@ class _Pool:
             with contextlib.suppress(OSError):  # it is dead: seen when we next listen
                 worker.pipe.send_bytes(message)
 
-    def _replaced(self, worker: _Worker) -> Iterator[Done[R]]:
+    def _replace(self, worker: _Worker) -> Iterator[Done[R]]:
         worker.process.join()
         worker.pipe.close()
         self.workers.remove(worker)
-        end = _end(worker.process.exitcode)
+        end = _describe_exit(worker.process.exitcode)
         if not worker.ready:
             self.failed_starts += 1
         if self.failed_starts >= TRIES:
@@ -215,13 +212,13 @@ class _Pool:
                 ' if __name__ == "__main__":, give it more memory, or use 1 worker'
             )
         if worker.index is not None and worker.tries < TRIES:
-            self.again.append((worker.index, worker.tries))
+            self.retries.append((worker.index, worker.tries))
         elif worker.index is not None:
             yield Done(worker.index, None, f"the worker died {TRIES} times over this job, at last with {end}")
         self.workers.append(_start(self.work))
 
 
-def _end(exitcode: int | None) -> str:
+def _describe_exit(exitcode: int | None) -> str:
     if exitcode is None or exitcode >= 0:
         return f"exit status {exitcode}"
     hint = " (out of memory?)" if -exitcode == signal.SIGKILL else ""
@@ -232,7 +229,7 @@ def _start(work: bytes) -> _Worker:
     """Start a worker that never hears Ctrl-C: that is for its parent, who ends it."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+    process = context.Process(target=_run_worker, args=(theirs, work), daemon=True)
     with _without_interrupts():
         process.start()
     theirs.close()
@@ -262,7 +259,7 @@ def _stop(workers: list[_Worker]) -> None:
         worker.process.join()
 
 
-def _serve(pipe: Connection, work: bytes) -> None:
+def _run_worker(pipe: Connection, work: bytes) -> None:
     """Do jobs until there are no more, in a process of its own."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that half-written files are removed
@@ -270,11 +267,11 @@ def _serve(pipe: Connection, work: bytes) -> None:
     with contextlib.suppress(EOFError, OSError):
         pipe.send_bytes(pickle.dumps(None))
         while True:
-            pipe.send_bytes(_answer(work, pipe.recv_bytes()))
+            pipe.send_bytes(_run_job(work, pipe.recv_bytes()))
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is half-written now, and to raise while ending is noise
 
 
-def _answer(work: bytes, message: bytes) -> bytes:
+def _run_job(work: bytes, message: bytes) -> bytes:
     index = -1
     try:
         index, job = pickle.loads(message)  # noqa: S301 - from our own process
@@ -294,7 +291,7 @@ def _end_with_parent() -> None:
 
 _CONNECT_S = 10.0
 
-_QUIET = {
+_RAY_ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to anybody
     "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # print no line of another process, not even when a node dies; read at import
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # our tasks ask for no accelerator; Ray warns about that otherwise
@@ -332,7 +329,7 @@ class RayEngine:
 
 
 class _Tasks:
-    """The tasks of one run: which are under way and what is left to do."""
+    """The tasks of one run: which are under way, and which jobs are pending."""
 
     def __init__(self, work: Callable[[J], R], jobs: Sequence[J]) -> None:
         import ray
@@ -342,20 +339,20 @@ class _Tasks:
         self._work = ray.put(work)
         # We begin lost tasks again ourselves: Ray would do so without end for those that run out of memory.
         self._task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(attempt)
-        self._under_way: dict[ray.ObjectRef[Any], tuple[int, int]] = {}
+        self._running: dict[ray.ObjectRef[Any], tuple[int, int]] = {}
 
     def run(self, workers: int | None) -> Generator[Done[R], None, None]:
         indices = iter(range(len(self._jobs)))
         try:
             while True:
-                while len(self._under_way) < (workers or self._cores()) and (index := next(indices, None)) is not None:
+                while len(self._running) < (workers or self._cores()) and (index := next(indices, None)) is not None:
                     yield from self._begin(index, 1)
-                if not self._under_way:
+                if not self._running:
                     return
-                finished, _ = self._ray.wait(list(self._under_way), num_returns=1)
+                finished, _ = self._ray.wait(list(self._running), num_returns=1)
                 yield from self._finish(finished[0])
         finally:
-            for task in self._under_way:
+            for task in self._running:
                 self._ray.cancel(task, force=True)
 
     def _cores(self) -> int:
@@ -368,10 +365,10 @@ class _Tasks:
         except Exception as error:
             yield Done(index, None, f"job {index} cannot be sent to a worker: {reason(error)}")
             return
-        self._under_way[task] = index, tries
+        self._running[task] = index, tries
 
     def _finish(self, task: ray.ObjectRef[Any]) -> Iterator[Done[R]]:
-        index, tries = self._under_way.pop(task)
+        index, tries = self._running.pop(task)
         try:
             yield self._ray.get(task)
         except self._ray.exceptions.RayTaskError as error:
@@ -387,26 +384,26 @@ class _Tasks:
 @contextlib.contextmanager
 def _cluster() -> Iterator[None]:
     """Join a cluster or start one, quietly; leave what we joined."""
-    with _environment(_QUIET):
+    with _environment(_RAY_ENVIRONMENT):
         import ray
     if ray.is_initialized():
         yield
         return
     address = os.environ.get("RAY_ADDRESS", "")
     try:
-        _reach(address)
-        with _environment(_QUIET):
+        _check_address(address)
+        with _environment(_RAY_ENVIRONMENT):
             ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
-        told = f"RAY_ADDRESS must name a running Ray cluster, got {address}" if address else "Ray cannot start here"
-        raise OSError(f"{told} ({reason(error)}); start one with ray start --head, or unset RAY_ADDRESS") from error
+        problem = f"RAY_ADDRESS must name a running Ray cluster, got {address}" if address else "Ray cannot start here"
+        raise OSError(f"{problem} ({reason(error)}); start one with ray start --head, or unset RAY_ADDRESS") from error
     try:
         yield
     finally:
         ray.shutdown()
 
 
-def _reach(address: str) -> None:
+def _check_address(address: str) -> None:
     """Raise an OSError soon if nobody listens at ``host:port``; Ray would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
@@ -424,8 +421,6 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
         for name in added:
             del os.environ[name]
 
-
-__all__ = ["ENGINES", "TRIES", "Done", "Engine", "LocalEngine", "RayEngine", "engine_named"]
 
 ENGINES: dict[str, Callable[[int | None], Engine]] = {
     "local": LocalEngine,

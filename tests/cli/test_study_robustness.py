@@ -7,6 +7,8 @@ import pytest
 
 from viewshed.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as stop:
@@ -59,7 +61,7 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, caps
     assert "9/9" in progress
     assert (made / "results.jsonl").read_bytes() == before
     assert (tmp_path / "robustness_scenes.png").exists()
-    assert "### vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
+    assert "### majority_vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
 
 
 def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from viewshed.fov.truth import OTHER_DEFINITIONS, Truth
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.raycast.scan import Motion
 from viewshed.sweep import Sweep
 
@@ -60,10 +60,10 @@ def make_sample(make_truth: Callable[..., tuple[Truth, np.ndarray]], custom_mode
         steps = (rng.integers(0, 65536, shape) * (rng.random(shape) < 0.8)).astype(np.uint16)
         level = np.where(steps > 0, rng.integers(0, 256, shape), 0).astype(np.uint8)
         motion = Motion((8.1, -0.3, 0.07), 0.21, 0.1) if seed % 3 else Motion()
-        made = RangeImage(
+        made = StoredSweep(
             model, steps, level, 0.002, pose, motion, 1.73, 123_456_789_012_345_678 + seed, f"agent {seed}"
         )
-        return Sample(made.sweep(), truth, known, scene, split, made)
+        return Sample(made, truth, known, scene, split)
 
     return make
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
@@ -53,7 +53,7 @@ def _level(
         points[:, 2].copy(),
         np.arange(len(points)),
         Rigid(np.eye(3), np.array([0.0, 0.0, sensor_m])),
-        Ground.flat(100.0),
+        HeightMap.flat(100.0),
     )
 
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import (
     CAR,
     PEDESTRIAN,
@@ -37,12 +37,12 @@ def _by_hand(beams: Beams, height_m: float, cell: tuple[int, int], target: Targe
     return int((aims & (beams.depth_m >= r - GRID.cell_m)).sum()), int(aims.sum())
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([CAR, PEDESTRIAN]), st.sampled_from([0.6, 1.8, 5.0]))
 def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, target: Target, height_m: float) -> None:
     rng = np.random.default_rng(seed)
     beams = _random_beams(rng, 20_000)
-    returns, aimed = expected_returns(beams, height_m, Ground.flat(20.0), GRID, target)
+    returns, aimed = expected_returns(beams, height_m, HeightMap.flat(20.0), GRID, target)
     for cell in [(int(i), int(j)) for i, j in rng.integers(0, 32, (10, 2))]:
         reach, aim = _by_hand(beams, height_m, cell, target)
         assert abs(returns[cell] - reach) <= 1 + np.sqrt(reach)
@@ -53,9 +53,9 @@ def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, targ
 def test_kinds_of_beams_are_counted_each_alone_and_as_often_as_one_asks() -> None:
     rng = np.random.default_rng(6)
     kinds = [_random_beams(rng, 4000), _random_beams(rng, 0), _random_beams(rng, 900)]
-    found = returns_by_kind(kinds, 1.8, Ground.flat(20.0), GRID, CAR)
+    found = returns_by_kind(kinds, 1.8, HeightMap.flat(20.0), GRID, CAR)
     for _ in range(2):
-        alone = [expected_returns(beams, 1.8, Ground.flat(20.0), GRID, CAR)[0] for beams in kinds]
+        alone = [expected_returns(beams, 1.8, HeightMap.flat(20.0), GRID, CAR)[0] for beams in kinds]
         assert np.array_equal(found, np.stack(alone))
     assert found[0].max() > found[2].max() > 0
     assert not found[1].any()
@@ -64,15 +64,15 @@ def test_kinds_of_beams_are_counted_each_alone_and_as_often_as_one_asks() -> Non
 def test_beams_without_a_depth_count_nowhere() -> None:
     depth = np.array([-5.0, np.nan] * 20, np.float32)
     low = Beams(np.zeros(40, np.float32), np.full(40, -0.1, np.float32), depth)
-    assert not returns_by_kind([low], 1.8, Ground.flat(20.0), GRID, CAR).any()
+    assert not returns_by_kind([low], 1.8, HeightMap.flat(20.0), GRID, CAR).any()
 
 
 def test_a_beam_above_every_target_counts_nowhere() -> None:
     up = Beams(np.zeros(50, np.float32), np.full(50, 0.5, np.float32), np.full(50, np.inf, np.float32))
     straight = Beams(up.azimuth, np.full(50, np.inf, np.float32), up.depth_m)
-    assert not returns_by_kind([up, straight], 1.8, Ground.flat(20.0), GRID, CAR)[:, :20].any()
+    assert not returns_by_kind([up, straight], 1.8, HeightMap.flat(20.0), GRID, CAR)[:, :20].any()
     low = Beams(up.azimuth, np.full(50, -0.1, np.float32), up.depth_m)
-    assert returns_by_kind([low], 1.8, Ground.flat(20.0), GRID, CAR).any()
+    assert returns_by_kind([low], 1.8, HeightMap.flat(20.0), GRID, CAR).any()
 
 
 def test_a_wall_ahead_hides_only_what_is_behind_it() -> None:
@@ -82,7 +82,7 @@ def test_a_wall_ahead_hides_only_what_is_behind_it() -> None:
     ahead = np.abs(azimuth) < 0.3
     depth = np.where(ahead, np.minimum(8.0 / np.cos(azimuth), 1.8 / -slope), 1.8 / -slope).astype(np.float32)
     grid = BevGrid(64, 16.0)
-    returns, _ = expected_returns(Beams(azimuth, slope, depth), 1.8, Ground.flat(16.0), grid, CAR)
+    returns, _ = expected_returns(Beams(azimuth, slope, depth), 1.8, HeightMap.flat(16.0), grid, CAR)
     seen = np.where(returns >= 4.67, 1.0, 0.0)
     places = {"before": (6.0, 0.2), "behind": (11.0, 0.2), "left": (4.0, 9.0), "right": (4.0, -9.0)}
     look = {name: seen[tuple(grid.index(np.array(xy))[0])] for name, xy in places.items()}
@@ -93,7 +93,7 @@ def test_windows_wrap_behind_the_sensor() -> None:
     azimuth = np.array([np.pi - 0.01, -np.pi + 0.01, np.pi - 0.02], np.float32)
     beams = Beams(azimuth, np.full(3, -0.15, np.float32), np.full(3, 12.0, np.float32))
     grid = BevGrid(32, 16.0)
-    returns, aimed = expected_returns(beams, 1.8, Ground.flat(16.0), grid, CAR)
+    returns, aimed = expected_returns(beams, 1.8, HeightMap.flat(16.0), grid, CAR)
     behind = tuple(grid.index(np.array([-10.5, 0.2]))[0])
     assert returns[behind] == pytest.approx(3.0, abs=0.05)
     assert aimed[behind] > 1.0
@@ -114,7 +114,7 @@ def test_more_depth_never_means_fewer_returns() -> None:
     rng = np.random.default_rng(5)
     beams = _random_beams(rng, 3000)
     deeper = Beams(beams.azimuth, beams.slope, beams.depth_m + rng.uniform(0, 5, 3000).astype(np.float32))
-    ground = Ground.flat(20.0)
+    ground = HeightMap.flat(20.0)
     first, _ = expected_returns(beams, 1.8, ground, GRID, CAR)
     second, _ = expected_returns(deeper, 1.8, ground, GRID, CAR)
     assert (second >= first - 1e-3).all()

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import ESTIMATORS, GRIDS, BevGrid, FovEstimate, FovEstimator, Sweep
-from viewshed.datasets.archive.columns import Frame
-from viewshed.datasets.archive.shard import Shard, write_frames
+from viewshed.datasets.archive.shard import Shard, write_shard
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named, preset_names
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import paper_estimators
 from viewshed.estimators.unet import LEARNED as NETWORKS
@@ -208,15 +208,15 @@ def shard_digests(preset: str, folder: Path) -> dict[str, dict[str, str]]:
     scene, store = ScenePlan(made, 0, 1), Storage.of(folder)
     numbers = sorted({0, made.agents - 1, made.agents})
     frames = (simulate_frame(scene, number) for number in numbers)
-    write_frames(store, f"{preset}.parquet", (scene.name, scene.split_name), frames)
+    write_shard(store, f"{preset}.parquet", frames)
     shard = Shard(store, f"{preset}.parquet")
     try:
-        return {str(number): _digests(shard.frame(row)) for row, number in enumerate(numbers)}
+        return {str(number): _digests(shard.sample(row)) for row, number in enumerate(numbers)}
     finally:
         shard.close()
 
 
-def _digests(frame: Frame) -> dict[str, str]:
+def _digests(frame: Sample) -> dict[str, str]:
     """Integers and masks are hashed as they are, floats after rounding to a step that noise seldom crosses."""
     image, sweep, truth = frame.measured, frame.sweep, frame.truth
     if isinstance(image, Sweep):

@@ -11,7 +11,9 @@ from torch.utils.flop_counter import FlopCounterMode
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION, NetworkCard
+from viewshed.networks.runtime import load_runner
 from viewshed.networks.unet_torch import UNet
+from viewshed.networks.weights import shipped_content
 from viewshed.sweep import Sweep
 
 SHAPES = [UNetShape(8, 4), UNetShape(4, 3, channels=2), UNetShape(16, 5), UNetShape(1, 1)]
@@ -105,6 +107,24 @@ def test_a_card_that_is_not_ours_is_refused(change: dict[str, object], message: 
     text = json.dumps({**json.loads(card(grid=BevGrid(36, 16.0)).to_json()), **change})
     with pytest.raises(ValueError, match=message):
         NetworkCard.from_json(text)
+
+
+def test_a_card_of_version_0_3_has_other_names_for_its_features() -> None:
+    names = "counts", "measured", "expected", "unresolved", "confirmations"
+    new = NetworkCard("made", UNetShape(4, 2, channels=5), BevGrid(32, 16.0), inputs=names)
+    before = ["counts", "confirmed", "expected", "unexplained", "supported"]
+    text = json.dumps({**json.loads(new.to_json()), "inputs": before})
+    assert NetworkCard.from_json(text) == new
+    assert NetworkCard.from_json(text).uses_history
+
+
+@pytest.mark.parametrize("name", ["viewnet_road", "viewnet_indoor_car_int8"])
+def test_the_shipped_networks_cards_are_read(name: str) -> None:
+    """Their files have the names of version 0.3."""
+    assert b'"supported"' in shipped_content(name)
+    inputs = load_runner(name, 1).card.inputs
+    assert inputs[3:6] == ("measured", "expected", "unresolved")
+    assert inputs[-1] == "confirmations"
 
 
 def test_what_is_no_json_is_refused() -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed.datasets.archive.columns import Frame
 from viewshed.datasets.presets import preset_named
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import ESTIMATORS
 from viewshed.fov.visibility import CAR, returns_by_kind
@@ -32,7 +32,7 @@ Maps = dict[str, NDArray[np.uint8]]
 
 
 @pytest.fixture(scope="module")
-def frame() -> Frame:
+def frame() -> Sample:
     return simulate_frame(ScenePlan(preset_named("nuscenes-small"), 0, 1), 0)
 
 
@@ -44,18 +44,18 @@ def maps(sweep: Sweep) -> Maps:
     return dict(zip(FEATURES, feature_maps(tuple(FEATURES), shown(level(sweep, GRID))), strict=True))
 
 
-def test_expected_returns_are_the_shadow_maps(frame: Frame) -> None:
+def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
     found = maps(frame.sweep)
     prob = ESTIMATORS["shadow_map"](GRID).estimate(frame.sweep).visible_prob
     threshold = returns_code(np.array([CAR.min_returns], np.float32))[0]
     clear = np.abs(found["expected"].astype(int) - threshold) > 2
     assert ((prob >= 0.5) == (found["expected"] > threshold))[clear].all()
     assert clear.mean() > 0.9
-    assert (found["confirmed"] <= found["expected"]).all()
-    assert (found["confirmed"] < found["expected"]).any()
+    assert (found["measured"] <= found["expected"]).all()
+    assert (found["measured"] < found["expected"]).any()
 
 
-def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
+def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Sample) -> None:
     """Confirmed, explained and unexplained together reach each cell at least as often as with no gap filled."""
     returns = shown(level(frame.sweep, GRID)).returns
     assert returns.shape == (3, *GRID.shape)
@@ -63,12 +63,12 @@ def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Frame) -> None:
     assert (returns.max(axis=(1, 2)) > CAR.min_returns).all()
 
 
-def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Frame) -> None:
+def test_unexplained_beams_are_those_that_nothing_tells_about(frame: Sample) -> None:
     leveled = level(frame.sweep, GRID)
     beams = beams_by_evidence(leveled, CAR.height_m).unresolved
     assert np.isinf(beams.depth_m).all()
     returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, GRID, CAR)[0]
-    found = maps(frame.sweep)["unexplained"]
+    found = maps(frame.sweep)["unresolved"]
     assert np.array_equal(found, returns_code(returns))
     assert found.any()
 
@@ -83,13 +83,13 @@ def test_codes_ascend_with_the_returns() -> None:
 def test_the_code_of_a_limit_is_that_of_its_distance() -> None:
     """Tables give what the logarithm does, cell by cell, also where one code ends and the next begins."""
     rng, seen = np.random.default_rng(2), shown(level(Sweep(np.zeros((0, 3), np.float32)), GRID))
-    bins, range_m = bins_of_cells(GRID, seen.scan.bins), polar_of_cells(GRID)[0]
+    bins, range_m = bins_of_cells(GRID, seen.statistics.bins), polar_of_cells(GRID)[0]
     edges = np.expm1(np.arange(1, 254, 2) * np.log1p(FARTHEST_M) / 254)
     for limit_m in (
-        rng.uniform(-1.0, 200.0, seen.scan.bins),
-        rng.choice([-1.0, np.inf], seen.scan.bins),
-        rng.choice(range_m.reshape(-1), seen.scan.bins)
-        + rng.choice(edges, seen.scan.bins) * rng.choice([-1, 1], seen.scan.bins),
+        rng.uniform(-1.0, 200.0, seen.statistics.bins),
+        rng.choice([-1.0, np.inf], seen.statistics.bins),
+        rng.choice(range_m.reshape(-1), seen.statistics.bins)
+        + rng.choice(edges, seen.statistics.bins) * rng.choice([-1, 1], seen.statistics.bins),
     ):
         limit = limit_m.astype(np.float32)
         assert np.array_equal(seen.beyond(limit), away_code(limit[bins] - range_m))
@@ -114,11 +114,11 @@ def test_limits_are_where_their_code_crosses_the_middle() -> None:
     assert np.abs(height - 1.0).max() < 0.1
 
 
-def test_maps_turn_with_the_sensor(frame: Frame) -> None:
+def test_maps_turn_with_the_sensor(frame: Sample) -> None:
     sweep = frame.sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]))
     turned = sweep.replace(points=(sweep.points @ Rigid.from_yaw(np.pi / 2).rotation.T).astype(np.float32))
     straight, left = maps(sweep), maps(turned)
-    for name in set(FEATURES) - {"range", "supported"}:
+    for name in set(FEATURES) - {"range", "confirmations"}:
         right, wrong = (
             (np.abs(each.astype(int) - left[name]) > 8).mean() for each in (np.rot90(straight[name]), straight[name])
         )
@@ -129,11 +129,11 @@ def test_maps_turn_with_the_sensor(frame: Frame) -> None:
 
 def test_a_sweep_without_returns_is_shown_as_nothing() -> None:
     found = maps(Sweep(np.zeros((0, 3), np.float32)))
-    for name in ("counts", "lowest", "highest", "confirmed", "expected", "unexplained"):
+    for name in ("counts", "lowest", "highest", "measured", "expected", "unresolved"):
         assert not found[name].any()
 
 
-def test_a_card_shows_its_channels_in_their_order(frame: Frame) -> None:
+def test_a_card_shows_its_channels_in_their_order(frame: Sample) -> None:
     names = ("range", "expected", "counts")
     card = NetworkCard("made", UNetShape(4, 2, channels=3), GRID, inputs=names, heights_m=(-10.0, 3.0), counts="log")
     found, every = card.input_of(frame.sweep), maps(frame.sweep)

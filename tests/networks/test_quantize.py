@@ -14,7 +14,7 @@ from tests.networks.made import GRID, card, drawn
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import INT8, NetworkCard
 from viewshed.networks.onnx_export import export_onnx, onnx_model
-from viewshed.networks.quantize import _model, lean_of, mask_scale, quantized
+from viewshed.networks.quantize import _model, mask_scale, quantize_network, to_channels_last
 from viewshed.networks.runtime import OnnxRunner, values_of
 
 SHAPES = [
@@ -37,7 +37,7 @@ def made(shape: UNetShape, tmp_path: Path, counts: str = "log") -> tuple[OnnxRun
     module.encoder[0].get_parameter("conv1.weight").data /= 150.0  # drawn for counts / 1000, not for 0 to 1
     path = tmp_path / f"{counts}.onnx"
     export_onnx(path, told, module)
-    content = quantized(path.read_bytes(), "made", maps(12, shape, 2), {"calibration": "blocks"})
+    content = quantize_network(path.read_bytes(), "made", maps(12, shape, 2), {"calibration": "blocks"})
     return OnnxRunner(path, 1), OnnxRunner.of_content(content, "bytes", 1)
 
 
@@ -66,7 +66,7 @@ def test_the_lean_graph_says_what_the_file_says(shape: UNetShape, tmp_path: Path
     """Another order of the input and of the work, but the same numbers."""
     told = replace(card(shape), divisor=255.0)
     model = onnx_model(told, drawn(shape))
-    lean = lean_of(model, told)
+    lean = to_channels_last(model, told)
     names = ["probability", "deviation"][: 1 + shape.doubt]
     run = values_of(_model(lean, lean.nodes, lean.constants, names, onnx.TensorProto.FLOAT).SerializeToString())
     in_bytes = replace(told, trained={"precision": INT8})
@@ -85,7 +85,7 @@ def test_the_engine_computes_what_the_graph_says(tmp_path: Path) -> None:
     """The operators' own reference, without any optimization, rounds now and then the other way, no more."""
     shape = SHAPES[0]
     made(shape, tmp_path)
-    content = quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(6, shape, 2))
+    content = quantize_network((tmp_path / "log.onnx").read_bytes(), "made", maps(6, shape, 2))
     small, masks = OnnxRunner.of_content(content, "bytes", 1), shape.masks(3, np.random.default_rng(4))
     x = small.card.shown(np.minimum(maps(1, shape)[0], 100))[None]
     reference: Any = ReferenceEvaluator(onnx.load_from_string(content))
@@ -112,7 +112,7 @@ def test_the_card_tells_and_weights_are_bytes(tmp_path: Path) -> None:
     assert small.card.precision == INT8
     assert small.card.trained == {**whole.card.trained, "calibration": "blocks", "precision": INT8}
     assert replace(small.card, trained=whole.card.trained) == whole.card
-    content = quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
+    content = quantize_network((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
     kinds = {node.op_type for node in onnx.load_from_string(content).graph.node}
     assert {"QuantizeLinear", "DequantizeLinear"} < kinds
     weights = [each for each in onnx.load_from_string(content).graph.initializer if len(each.dims) == 4]
@@ -124,10 +124,10 @@ def test_what_cannot_be_quantized_is_refused(tmp_path: Path) -> None:
     whole, small = made(SHAPES[0], tmp_path)
     content = (tmp_path / "log.onnx").read_bytes()
     with pytest.raises(ValueError, match="frames must be at least one, got none"):
-        quantized(content, "made", [])
-    again = quantized(content, "made", maps(1, SHAPES[0]))
+        quantize_network(content, "made", [])
+    again = quantize_network(content, "made", maps(1, SHAPES[0]))
     with pytest.raises(ValueError, match="again must be a network in float32, got one in bytes; give the file that it"):
-        quantized(again, "again", maps(1, SHAPES[0]))
+        quantize_network(again, "again", maps(1, SHAPES[0]))
     frame = maps(1, SHAPES[0])[0]
     with pytest.raises(ValueError, match=r"inputs must be uint8 of shape \(N, 16, 16, 12\), got float32 of shape"):
         small.run(whole.card.shown(frame)[None], whole.card.shape.no_masks(1))
@@ -137,7 +137,9 @@ def test_what_cannot_be_quantized_is_refused(tmp_path: Path) -> None:
 
 def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
     made(SHAPES[0], tmp_path)
-    graph = onnx.load_from_string(quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))).graph
+    graph = onnx.load_from_string(
+        quantize_network((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
+    ).graph
     scales = {each.name: float(onnx.numpy_helper.to_array(each)) for each in graph.initializer if not each.dims}
     of = {name: scales.get(node.input[1]) for node in graph.node if "Linear" in node.op_type for name in node.output}
     told = {node.input[0]: scales.get(node.input[1]) for node in graph.node if node.op_type == "QuantizeLinear"}
@@ -157,9 +159,9 @@ def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
 )
 def test_engines_that_run_no_bytes_are_refused(tmp_path: Path, engine: str, why: str) -> None:
     if engine == "openvino":
-        pytest.importorskip("openvino")
+        pytest.importorskip("openvino", reason="openvino is not installed: networks do not run in it")
     made(SHAPES[0], tmp_path)
-    content = quantized((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
+    content = quantize_network((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
     line = f"engine must be onnxruntime for bytes, a network in bytes, got {engine}, which {why}"
     with pytest.raises(ValueError, match=line):
         OnnxRunner.of_content(content, "bytes", 1, engine)

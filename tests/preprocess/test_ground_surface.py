@@ -166,7 +166,7 @@ def test_a_plane_costs_only_its_slope_and_is_kept_without_low_points() -> None:
     middles = (np.arange(16) + 0.5) * 4.0 - 32.0
     x, y = np.meshgrid(middles, middles, indexing="ij")
     exact = (0.05 * x - 0.02 * y - 1.6).astype(np.float32)
-    heights, seen = smooth_ground(nothing, np.zeros((16, 16), np.float32), (exact, seen_none()), plane, 32.0)
+    heights, seen = smooth_ground(nothing, np.zeros((16, 16), np.float32), exact, seen_none(), plane, 32.0)
     assert np.allclose(heights, exact, atol=1e-4)
     assert not seen.any()
 

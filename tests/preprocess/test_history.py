@@ -13,9 +13,10 @@ from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator, where_confirmed
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.geometry import Rigid
-from viewshed.preprocess.history import GAP_ROWS, History, _fill, history_of
+from viewshed.preprocess.history import GAP_ROWS, History, _fill_gaps, _pixel, history_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -93,19 +94,64 @@ def test_depths_are_those_from_where_the_sensor_is_now() -> None:
     assert np.array_equal(past.within(beams).depth_m[left], beams.depth_m[left])
 
 
-def test_support_counts_the_earlier_sweeps_that_see_a_cell_from_where_they_were() -> None:
+def test_confirmations_count_the_earlier_sweeps_that_see_a_cell_from_where_they_were() -> None:
     now = seen([FAR], at(0, 0))
     poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
     earlier = [seen([WALL, FAR], pose) for pose in poses]
     past = history_of(level_of(now), earlier, GRID)
     assert past is not None
-    support = past.support(GRID, CAR)
-    assert (support[behind_wall()] == 2).mean() > 0.9  # the two that stood beyond the wall
-    assert np.array_equal(support, past.support(GRID, CAR))
+    confirmations = past.confirmations(GRID, CAR)
+    assert (confirmations[behind_wall()] == 2).mean() > 0.9  # the two that stood beyond the wall
+    assert np.array_equal(confirmations, past.confirmations(GRID, CAR))
     alone = History.of(level_of(now), [level_of(earlier[0])])
     assert alone is not None
-    assert (alone.support(GRID, CAR) == claimed(earlier[0])).mean() > 0.99
-    assert (alone.support(GRID, PEDESTRIAN) != alone.support(GRID, CAR)).any()
+    assert (alone.confirmations(GRID, CAR) == claimed(earlier[0])).mean() > 0.99
+    assert (alone.confirmations(GRID, PEDESTRIAN) != alone.confirmations(GRID, CAR)).any()
+
+
+def returns_at(*xyz: tuple[float, float, float], t_s: float = 0.0, agent: str = "ego") -> LeveledSweep:
+    """A leveled sweep with these returns (x, y, height above the ground) alone, on level ground."""
+    points = np.array(xyz, np.float32).reshape(-1, 3)
+    x, y, z = points.T
+    sweep = Sweep(points, world_from_sensor=at(0, 0), t_ns=int(1e9 * t_s), agent=agent)
+    ground, level_from_sensor = HeightMap.flat(32.0), Rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
+    rows = np.arange(len(points))
+    return LeveledSweep(sweep, points, np.hypot(x, y), np.arctan2(y, x), z, rows, level_from_sensor, ground)
+
+
+def remembered(earlier: Sequence[LeveledSweep], x: float, y: float, z: float) -> float:
+    """The remembered range in the direction of a point."""
+    past = History.of(returns_at(), earlier)
+    assert past is not None
+    row, column = _pixel(np.float32(np.arctan2(y, x)), np.float32((z - HEIGHT_M) / np.hypot(x, y)))
+    return float(past.obstacles()[row, column])
+
+
+@pytest.mark.parametrize("sweeps", [33, 65, 300])
+def test_an_obstacle_of_the_first_and_the_last_of_many_sweeps_is_remembered(sweeps: int) -> None:
+    obstacle, nothing = returns_at((10, 2, 1)), returns_at()
+    ends = [obstacle, *[nothing] * (sweeps - 2), obstacle]
+    assert remembered(ends, 10, 2, 1) == pytest.approx(np.hypot(10, 2))
+    assert remembered(ends[:-1], 10, 2, 1) == np.inf
+
+
+@pytest.mark.parametrize("sweeps", [255, 256, 700])
+def test_each_of_many_equal_sweeps_counts(sweeps: int) -> None:
+    one = level_of(seen([WALL], at(0, 0)))
+    past = History.of(one, [one] * sweeps)
+    alone = History.of(one, [one])
+    assert past is not None
+    assert alone is not None
+    assert alone.confirmations(GRID, CAR).any()
+    assert np.array_equal(past.confirmations(GRID, CAR), sweeps * alone.confirmations(GRID, CAR).astype(int))
+
+
+@pytest.mark.parametrize(("range_m", "known"), [(0.8, False), (1.2, True), (3.0, True), (4.9, True)])
+def test_obstacles_are_remembered_from_one_meter_on(range_m: float, known: bool) -> None:
+    """Nearer ones are the vehicle itself, and a direction to them says nothing."""
+    y = 0.6 * range_m
+    point = (float(np.sqrt(range_m**2 - y**2)), y, HEIGHT_M)
+    assert (remembered([returns_at(point)] * 2, *point) < np.inf) == known
 
 
 def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see_them_together() -> None:
@@ -119,7 +165,7 @@ def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see
 
 @given(st.lists(st.floats(0, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
 def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], sweeps: int, every_s: float) -> None:
-    memory, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
+    buffer, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
     kept: list[int] = []
     empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
     for t_s in times:
@@ -127,10 +173,38 @@ def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], swe
             empty.sweep.replace(t_ns=int(1e9 * t_s)), empty.points, empty.range_m, empty.azimuth, empty.height_m,
             empty.rows, empty.level_from_sensor, empty.ground,
         )  # fmt: skip
-        memory.add(leveled)
+        buffer.add(leveled)
         if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
             kept.append(int(1e9 * t_s))
-    assert [leveled.sweep.t_ns for leveled in memory._kept["ego"]] == kept[-sweeps:]
+    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == kept[-sweeps:]
+
+
+def test_agents_that_are_gone_are_dropped() -> None:
+    buffer = SweepBuffer(forget_s=10.0)
+    for number in range(300):
+        buffer.add(returns_at(t_s=float(number), agent=f"agent {number}"))
+        assert buffer.history(returns_at(t_s=number + 0.5, agent=f"agent {number}")) is not None
+    assert len(buffer._kept) <= 11
+    for number in range(5):
+        buffer.history(returns_at(t_s=400.0, agent=f"stranger {number}"))
+        buffer.add(level_of(NOTHING.replace(agent=f"stranger without a pose {number}", t_ns=0)))
+    assert len(buffer._kept) <= 11
+
+
+def test_of_too_many_agents_at_once_the_ones_seen_last_are_kept() -> None:
+    buffer = SweepBuffer(agents=3)
+    for number in [0, 1, 2, 0, 3, 4]:
+        buffer.add(returns_at(t_s=0.1 * number, agent=f"agent {number}"))
+    assert set(buffer._kept) == {"agent 0", "agent 3", "agent 4"}
+    with pytest.raises(ValueError, match="agents must be at least 1, got 0"):
+        SweepBuffer(agents=0)
+
+
+def test_a_slow_memory_keeps_no_more_than_every_s_of_an_agent() -> None:
+    buffer = SweepBuffer(every_s=20.0, forget_s=5.0)
+    for t_s in (0.0, 12.0, 21.0):
+        buffer.add(returns_at(t_s=t_s))
+    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == [0, int(21e9)]
 
 
 def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
@@ -163,7 +237,7 @@ def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first(
     found, other = estimator.estimate(lie), trusting.estimate(lie)
     past = history_of(level_of(lie), stream, GRID)
     assert past is not None
-    assert np.array_equal(found.visible(), other.visible() & (past.support(GRID, CAR) > 0))
+    assert np.array_equal(found.visible(), other.visible() & (past.confirmations(GRID, CAR) > 0))
     refused = other.visible() & ~found.visible()
     assert (found.state[refused] == CellState.UNKNOWN).all()
     assert refused[behind_wall()].any()
@@ -205,9 +279,9 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     image = np.full((160, 720), np.inf, np.float32)
     image[[40, 45, 100], 7] = 10.0, 11.0, 11.0
     image[[40, 45], 9] = 10.0, 30.0
-    _fill(image, GAP_ROWS, np.float32(1.25))
+    _fill_gaps(image, GAP_ROWS, np.float32(1.25))
     assert (image[41:45, 7] == 11.0).all()
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
-    assert History(1.8, (), ()).support(GRID, CAR).sum() == 0
+    assert History(1.8, (), ()).confirmations(GRID, CAR).sum() == 0

@@ -1,4 +1,4 @@
-"""Lone returns: found where nothing around is alike, and no evidence of ground, of a depth, or of a reach."""
+"""Isolated returns: found where nothing around is similar, and no evidence of ground, of a depth, or of a reach."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
-from viewshed.preprocess.isolated_returns import Placed, _least_alike, placed_by_rings
+from viewshed.preprocess.isolated_returns import _least_confirmations
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.preprocess.range_image import silent_columns
+from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor, silent_columns
 from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
@@ -29,14 +29,14 @@ def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int =
     return sweep.replace(points=points), np.asarray(lie)
 
 
-def placed_of(sweep: Sweep) -> Placed | None:
-    return placed_by_rings(sweep.points, identify_sensor(sweep), LIMITS_M)
+def image_of(sweep: Sweep) -> RangeImage:
+    image = range_image_by_sensor(sweep.points, identify_sensor(sweep), LIMITS_M)
+    assert image is not None
+    return image
 
 
-def lone_of(sweep: Sweep) -> Mask:
-    found = placed_of(sweep)
-    assert found is not None
-    return found.isolated
+def isolated_in(sweep: Sweep) -> Mask:
+    return image_of(sweep).isolated
 
 
 def level_of(sweep: Sweep) -> LeveledSweep:
@@ -47,34 +47,34 @@ def claimed(sweep: Sweep) -> Mask:
     return np.asarray(ShadowMap(GRID).estimate(sweep).visible())
 
 
-def test_few_returns_of_a_street_are_lone_and_most_of_those_moved_are() -> None:
-    assert lone_of(STREET).mean() < 0.005
+def test_few_returns_of_a_street_are_isolated_and_most_of_those_moved_are() -> None:
+    assert isolated_in(STREET).mean() < 0.005
     moved, lie = spoofed(STREET, 0.02, (1.5, 4.0))
-    isolated = lone_of(moved)
+    isolated = isolated_in(moved)
     assert isolated[lie].mean() > 0.85
     assert isolated[~lie].mean() < 0.01
 
 
-def test_a_pole_and_sparse_ground_are_not_lone() -> None:
+def test_a_pole_and_sparse_ground_are_not_isolated() -> None:
     pole = cast(MODEL, Scene((Box(8, 3, 0.1, 0.1, 6),)), 1.8)
     on_pole = np.hypot(pole.points[:, 0] - 8, pole.points[:, 1] - 3) < 0.3
     assert on_pole.sum() >= 5
-    assert not lone_of(pole)[on_pole].any()
+    assert not isolated_in(pole)[on_pole].any()
     assert STREET.ring is not None
     grazing = (STREET.ring == 10) & (STREET.points[:, 2] < -1.79)
     sparse = STREET.select(~grazing | (np.random.default_rng(3).random(len(STREET)) < 0.2))
     left = (sparse.ring == 10) & (sparse.points[:, 2] < -1.79)
     assert left.sum() > 50
-    assert lone_of(sparse)[left].mean() < 0.05
+    assert isolated_in(sparse)[left].mean() < 0.05
 
 
 def test_order_does_not_matter_and_the_image_wraps_around() -> None:
     moved, _ = spoofed(STREET, 0.02, (1.5, 4.0))
     order = np.random.default_rng(5).permutation(len(moved))
-    assert (lone_of(moved.select(order)) == lone_of(moved)[order]).all()
+    assert (isolated_in(moved.select(order)) == isolated_in(moved)[order]).all()
     half = np.array([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]], np.float32)
     turned = moved.replace(points=moved.points @ half.T)
-    assert (lone_of(turned) == lone_of(moved)).mean() > 0.999
+    assert (isolated_in(turned) == isolated_in(moved)).mean() > 0.999
 
 
 def test_points_added_to_a_few_rings_leave_the_image() -> None:
@@ -85,13 +85,11 @@ def test_points_added_to_a_few_rings_leave_the_image() -> None:
     added = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(300, slope)], axis=1) * range_m[:, None]
     points = np.concatenate([STREET.points, added.astype(np.float32)])
     ring = np.concatenate([STREET.ring, np.full(300, 11, np.int16)])
-    found = placed_of(of_model(points, ring))
-    assert found is not None
-    assert found.fits
+    image = image_of(of_model(points, ring))
+    assert image.pixels_are_beams
     twice = of_model(np.concatenate([STREET.points] * 2), np.concatenate([STREET.ring] * 2))
-    found = placed_of(twice)
-    assert found is not None
-    assert not found.fits
+    image = image_of(twice)
+    assert not image.pixels_are_beams
 
 
 def of_model(points: NDArray[np.float32], ring: NDArray[np.int16]) -> Sweep:
@@ -164,37 +162,35 @@ def jammed(sweep: Sweep, share: float = 0.3, seed: int = 5) -> tuple[Sweep, Mask
 
 def test_a_clear_sweep_has_no_clutter_and_neither_has_one_with_few_lies() -> None:
     for sweep in (STREET, spoofed(STREET, 0.01, (1.5, 4.0))[0]):
-        found = placed_of(sweep)
-        assert found is not None
-        assert found.clutter is None
+        image = image_of(sweep)
+        assert image.clutter is None
         assert len(level_of(sweep).points) == len(sweep)
 
 
 def test_most_random_returns_of_a_jammed_sweep_are_clutter_and_few_true_ones() -> None:
     sweep, lie = jammed(STREET)
-    found = placed_of(sweep)
-    assert found is not None
-    assert found.clutter is not None
+    image = image_of(sweep)
+    assert image.clutter is not None
     moved = np.linalg.norm(sweep.points - STREET.points, axis=1) > 0.3 * np.linalg.norm(STREET.points, axis=1)
-    assert found.clutter[lie & moved].mean() > 0.9
-    assert found.clutter[~lie].mean() < 0.1
-    assert found.isolated[found.clutter].all()
-    assert (found.column[found.clutter] == -1).all()
-    assert found.counts.sum() == (~found.clutter).sum()
+    assert image.clutter[lie & moved].mean() > 0.9
+    assert image.clutter[~lie].mean() < 0.1
+    assert image.isolated[image.clutter].all()
+    assert (image.column[image.clutter] == -1).all()
+    assert image.counts.sum() == (~image.clutter).sum()
 
 
 def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_view() -> None:
     sweep, _ = jammed(STREET)
     leveled, clear = level_of(sweep), level_of(STREET)
-    assert leveled.placed is not None
-    assert leveled.placed.clutter is not None
-    assert set(leveled.rows) == set(np.flatnonzero(~leveled.placed.clutter))
+    assert leveled.range_image is not None
+    assert leveled.range_image.clutter is not None
+    assert set(leveled.rows) == set(np.flatnonzero(~leveled.range_image.clutter))
     assert np.abs(leveled.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8].max() < 0.3
     assert (claimed(sweep) == claimed(STREET)).mean() > 0.96
 
 
 def test_so_many_confirm_by_chance_as_a_poisson_variable_tells() -> None:
-    least = _least_alike(np.array([0.0, 0.1, 1.0, 3.0]))
+    least = _least_confirmations(np.array([0.0, 0.1, 1.0, 3.0]))
     numbers = np.random.default_rng(0).poisson([0.0, 0.1, 1.0, 3.0], (200_000, 4))
     assert least.tolist() == [2, 2, 5, 9]
     assert ((numbers >= least).mean(axis=0) <= 0.011).all()
@@ -206,7 +202,7 @@ def test_a_bare_jammed_cloud_is_cleared_by_the_rings_that_its_sensor_tells() -> 
     sweep, lie = jammed(clear)
     order = np.random.default_rng(1).permutation(len(sweep))
     leveled = level_of(sweep.select(order).replace(ring=None, model=None))
-    assert leveled.placed is not None
-    assert leveled.placed.clutter is not None
-    assert leveled.placed.clutter[lie[order]].mean() > 0.85
-    assert leveled.placed.clutter[~lie[order]].mean() < 0.1
+    assert leveled.range_image is not None
+    assert leveled.range_image.clutter is not None
+    assert leveled.range_image.clutter[lie[order]].mean() > 0.85
+    assert leveled.range_image.clutter[~lie[order]].mean() < 0.1

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, Sweep
 from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import level
-from viewshed.preprocess.no_return import inferred_beams, no_return_beams
-from viewshed.preprocess.range_image import place
+from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
+from viewshed.preprocess.range_image import assign_pixels
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -60,7 +60,7 @@ def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> No
     jitter[0], jitter[-1] = -0.3, 0.3
     azimuth = -np.pi + (np.arange(360) + phase + jitter) * (2 * np.pi / 360)
     points = np.column_stack([10 * np.cos(azimuth), 10 * np.sin(azimuth), np.zeros(360)]).astype(np.float32)
-    column, _, counts, _ = place(points, np.zeros(360, np.int32), 360, 1)
+    column, _, counts, _ = assign_pixels(points, np.zeros(360, np.int32), 360, 1)
     assert np.array_equal(column, np.arange(360))
     assert (counts == 1).all()
 
@@ -84,7 +84,7 @@ def _azimuth(sweep: Sweep) -> NDArray[np.float32]:
 
 
 def _explained(sweep: Sweep) -> Beams:
-    return inferred_beams(level(sweep, GRID), 1.5)
+    return beams_by_evidence(level(sweep, GRID), 1.5).inferred
 
 
 def _of(beams: Beams, ring: int) -> Mask:
@@ -192,7 +192,7 @@ def test_without_rings_the_beam_table_tells_and_without_both_nothing_does() -> N
 
 def test_targets_that_beams_pass_above_need_no_beams() -> None:
     leveled = level(_without(_grazing(), FULL), GRID)
-    low, tall = (inferred_beams(leveled, top_m) for top_m in (0.1, 1.5))
+    low, tall = (beams_by_evidence(leveled, top_m).inferred for top_m in (0.1, 1.5))
     assert len(low.slope) <= len(tall.slope)
     assert tall.slope.max() < 0
 

@@ -5,6 +5,7 @@ import pytest
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.preprocess.leveling import level
 from viewshed.preprocess.sensor_identification import SAMPLE, identify_sensor, infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
@@ -20,19 +21,19 @@ def bare(sweep: Sweep, seed: int = 1) -> Sweep:
 
 
 def test_a_sweep_that_knows_its_beams_is_taken_at_its_word() -> None:
-    told = identify_sensor(KNOWN)
-    assert told.ring is KNOWN.ring
-    assert told.model is KNOWN.model
+    sensor_id = identify_sensor(KNOWN)
+    assert sensor_id.ring is KNOWN.ring
+    assert sensor_id.model is KNOWN.model
 
 
 def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
     assert len(KNOWN) > SAMPLE
     order = np.random.default_rng(1).permutation(len(KNOWN))
-    told = identify_sensor(bare(KNOWN))
-    assert told.model is KNOWN.model
-    assert told.ring is not None
+    sensor_id = identify_sensor(bare(KNOWN))
+    assert sensor_id.model is KNOWN.model
+    assert sensor_id.ring is not None
     assert KNOWN.ring is not None
-    assert (told.ring == KNOWN.ring[order]).mean() > 0.99
+    assert (sensor_id.ring == KNOWN.ring[order]).mean() > 0.99
 
 
 def test_rings_without_a_sensor_tell_it() -> None:
@@ -44,10 +45,10 @@ def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> Non
     sweep = cast(model, SCENE, 1.8)
     assert sweep.ring is not None
     ordered = sweep.select(np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring)))
-    told = identify_sensor(ordered.replace(ring=None, model=None))
-    assert told.model is None
-    assert told.ring is not None
-    assert (told.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
+    sensor_id = identify_sensor(ordered.replace(ring=None, model=None))
+    assert sensor_id.model is None
+    assert sensor_id.ring is not None
+    assert (sensor_id.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
     nothing = identify_sensor(bare(ordered))
     assert nothing.ring is None
     assert nothing.model is None
@@ -84,5 +85,35 @@ def test_a_bare_cloud_is_seen_as_well_as_one_with_rings() -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.full((50, 3), 1e-9)])
 def test_almost_nothing_tells_nothing(points: np.ndarray) -> None:
-    told = identify_sensor(Sweep(points))
-    assert told.model is None
+    sensor_id = identify_sensor(Sweep(points))
+    assert sensor_id.model is None
+
+
+@pytest.mark.parametrize("with_rings", [True, False])
+def test_no_sensor_is_inferred_where_there_is_said_to_be_none(with_rings: bool) -> None:
+    """The beams of an HDL-32E explain the points, but the sweep says that no table does."""
+    sweep = KNOWN.replace(model=None) if with_rings else bare(KNOWN)
+    none = sweep.replace(infer_sensor=False)
+    assert identify_sensor(sweep).model is KNOWN.model
+    sensor_id = identify_sensor(none)
+    assert sensor_id.model is None
+    assert sensor_id.ring is none.ring
+    leveled = level(none.select(np.arange(len(none))), GRID)
+    assert leveled.sensor_id.model is None
+    assert (leveled.range_image is None) != with_rings
+
+
+def test_the_order_of_the_points_tells_rings_where_there_is_no_sensor() -> None:
+    assert KNOWN.ring is not None
+    ordered = KNOWN.select(np.lexsort((np.arctan2(KNOWN.points[:, 1], KNOWN.points[:, 0]), KNOWN.ring)))
+    ordered = ordered.replace(ring=None, model=None)
+    inferred, none = identify_sensor(ordered), identify_sensor(ordered.replace(infer_sensor=False))
+    assert inferred.model is not None
+    assert none.model is None
+    assert none.ring is not None
+    assert len(np.unique(none.ring)) > 16
+
+
+def test_a_sensor_that_is_given_counts_whatever_may_be_inferred() -> None:
+    assert identify_sensor(KNOWN.replace(infer_sensor=False)).model is KNOWN.model
+    assert identify_sensor(KNOWN.replace(ring=None, infer_sensor=False)).model is KNOWN.model

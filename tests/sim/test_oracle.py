@@ -11,9 +11,11 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.assets.shapes import PER_M, Box, Cylinder, Ellipsoid, Shape
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import STILL, Motion, Scan
+from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Snapshot, Thing, Track, World
+
+pytestmark = pytest.mark.slow
 
 TOLERANCE_M = 1e-3
 SILHOUETTE_M = 2e-3
@@ -86,7 +88,7 @@ def _world(materials: tuple[str, ...], count: int, seed: int) -> World:
     return World("random", _terrain(), tuple(things))
 
 
-def _cast(view: View, snapshot: Snapshot, seed: int = 0) -> Scan:
+def _cast(view: View, snapshot: Snapshot, seed: int = 0) -> ExactScan:
     c, s = np.cos(view.pitch), np.sin(view.pitch)
     pitch = Rigid(np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]), np.zeros(3))
     return cast_world(snapshot, view.model, Rigid.from_yaw(view.yaw, view.at_m) @ pitch, view.motion, seed)
@@ -112,7 +114,7 @@ def test_a_million_beams_stop_where_brute_force_says() -> None:
     assert otherwise <= 1e-5 * rays
 
 
-def _all_graze(snapshot: Snapshot, scan: Scan, which: NDArray[np.bool_]) -> bool:
+def _all_graze(snapshot: Snapshot, scan: ExactScan, which: NDArray[np.bool_]) -> bool:
     """Whether turning each of these beams by a hair (2 mm at 60 m) makes brute force agree with the caster."""
     rng = np.random.default_rng(0)
     origin, direction, times = (array[which] for array in rays_of(scan))

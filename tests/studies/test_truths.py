@@ -9,7 +9,7 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import STILL, Scan
+from viewshed.sim.raycast.scan import STILL, ExactScan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Thing, World
@@ -24,19 +24,19 @@ LEFT_WALL = World("test", FLAT, (Thing("wall", (Box(0, 0, 20, 0.5, 5),), 5, 8, 0
 GRID = BevGrid(64, 32.0)
 
 
-def _scan() -> Scan:
+def _scan() -> ExactScan:
     """Three rings at -20°, -10° and -5°, 2 m above the ground."""
     model = LidarModel("three", np.deg2rad([-20.0, -10.0, -5.0]), 3600, max_range_m=40.0)
     return cast_world(LEFT_WALL.snapshot(0.0), model, Rigid(np.eye(3), np.array([0.0, 0.0, 2.0])), STILL, seed=0)
 
 
-def _seen(scan: Scan, x: float, y: float) -> tuple[int, bool]:
+def _seen(scan: ExactScan, x: float, y: float) -> tuple[int, bool]:
     truth = exact_truth(scan, LEFT_WALL, GRID, (CAR,))[0]
     i, j = int(np.floor(x + 32)), int(np.floor(y + 32))  # cells of 1 m
     return int(truth.expected_returns["car"][i, j]), bool(truth.visible(CAR)[i, j])
 
 
-def _counts(scan: Scan) -> NDArray[np.int64]:
+def _counts(scan: ExactScan) -> NDArray[np.int64]:
     return exact_truth(scan, LEFT_WALL, GRID, (CAR,))[0].expected_returns["car"].astype(np.int64)
 
 

@@ -12,12 +12,14 @@ from viewshed._jobs import Done, LocalEngine
 from viewshed.cli import main
 from viewshed.datasets import write_archive
 from viewshed.training import Fold, TrainConfig
-from viewshed.training.data import Frames, prepare, processes_for
-from viewshed.training.sources import Archived
+from viewshed.training.data import TrainingData, prepare, processes_for
+from viewshed.training.sources import ArchivedSamples
+
+pytestmark = pytest.mark.slow
 
 
-def _scenes(frames: Frames) -> tuple[set[str], set[str]]:
-    sources = (cast(Archived, part.source) for part in (frames.train, frames.validation))
+def _scenes(frames: TrainingData) -> tuple[set[str], set[str]]:
+    sources = (cast(ArchivedSamples, part.source) for part in (frames.train, frames.validation))
     train, validation = ({scene for archive in source.archives for scene in archive.scenes} for source in sources)
     return train, validation
 
@@ -78,7 +80,7 @@ def test_tampered_sweeps_have_no_label(config: TrainConfig, archive: Path, tmp_p
 
 def test_an_archive_without_truth_for_the_target_is_refused(config: TrainConfig, tmp_path: Path) -> None:
     samples = list(Archive.open(config.data[0]).split("train"))
-    bare = [replace(one, truth=replace(one.truth, expected_returns={}, state={}), image=None) for one in samples]
+    bare = [replace(sample, truth=replace(sample.truth, expected_returns={}, state={})) for sample in samples]
     write_archive(tmp_path / "bare", bare, {})
     _refused(replace(config, data=(str(tmp_path / "bare"),)), tmp_path, "has no truth for target 'car', it has none")
 

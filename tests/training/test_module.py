@@ -11,6 +11,8 @@ from viewshed.networks.runtime import OnnxRunner
 from viewshed.training import TrainConfig, train
 from viewshed.training.data import prepare
 
+pytestmark = pytest.mark.slow
+
 
 def test_it_learns_where_the_passes_differ_and_nothing_else_changes(
     config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -22,7 +24,7 @@ def test_it_learns_where_the_passes_differ_and_nothing_else_changes(
     plain = train(config, tmp_path / "plain", cache=tmp_path / "cache")
     doubting = replace(config, doubt_frames=1200)
     taught = train(
-        doubting, tmp_path / "doubt", cache=tmp_path / "cache", progress=lambda step: told.append(step.stage)
+        doubting, tmp_path / "doubt", cache=tmp_path / "cache", on_progress=lambda step: told.append(step.stage)
     )
     before, after = OnnxRunner(plain.weights, 1), OnnxRunner(taught.weights, 1)
     frames = prepare(config, tmp_path / "cache").validation

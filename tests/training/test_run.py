@@ -25,8 +25,10 @@ from viewshed.training import TrainConfig, Trained, train
 from viewshed.training.cross_validation import toml_of
 from viewshed.training.data import prepare
 from viewshed.training.fit import read_checkpoint
-from viewshed.training.log import TIMES, Epoch, is_over, scores_of
+from viewshed.training.log import TIMES, Epoch, is_finished, scores_of
 from viewshed.training.module import Learner, Step
+
+pytestmark = pytest.mark.slow
 
 KILLED_AT = 3
 
@@ -116,7 +118,7 @@ def kill(step):
     if step.epoch == 3 and step.stage == "validate":
         os.kill(os.getpid(), signal.SIGKILL)
 torch.set_num_threads(1)
-train(read_config(sys.argv[1]), sys.argv[2], progress=kill)
+train(read_config(sys.argv[1]), sys.argv[2], on_progress=kill)
 """
 
 
@@ -130,7 +132,7 @@ def test_a_killed_training_ends_like_one_that_was_not(
     assert len(read_checkpoint(tmp_path / "out" / "last.ckpt")["viewshed"]["history"]) == 2
     assert not (tmp_path / "out" / "network.onnx").exists()
     seen: list[Step] = []
-    done = train(config, tmp_path / "out", progress=seen.append)
+    done = train(config, tmp_path / "out", on_progress=seen.append)
     assert {step.epoch for step in seen} == {3}
     assert _repeatable(done.history) == _repeatable(trained(config).history)
     assert _same_weights(done, trained(config))
@@ -140,7 +142,7 @@ def test_a_finished_training_is_not_repeated(config: TrainConfig, trained: Calla
     done = trained(config)
     before = done.weights.stat().st_mtime_ns
     seen: list[Step] = []
-    assert train(config, done.weights.parent, progress=seen.append) == done
+    assert train(config, done.weights.parent, on_progress=seen.append) == done
     assert (seen, done.weights.stat().st_mtime_ns) == ([], before)
 
 
@@ -179,7 +181,7 @@ def test_a_full_disk_leaves_the_epoch_before(
 
 def test_a_loss_that_is_not_finite_is_told(config: TrainConfig, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="tiny: the loss of epoch 1 is not finite; choose a smaller learning_rate"):
-        train(replace(config, heights_m=(-3.0, 3.0)), tmp_path, progress=_Poison())
+        train(replace(config, heights_m=(-3.0, 3.0)), tmp_path, on_progress=_Poison())
 
 
 class _Poison:
@@ -200,7 +202,7 @@ def test_what_a_worker_meets_is_one_line(config: TrainConfig, archive: Path, tmp
     with pytest.raises(ValueError, match=r"^\S+/train-\S+.parquet is damaged: [^\n]*run the command that made the"):
         train(damaged, tmp_path / "out")
     with pytest.raises(OSError, match="a worker ended early; it may have run out of memory: use fewer workers"):
-        train(replace(config, workers=1), tmp_path / "killed", progress=_end_workers)
+        train(replace(config, workers=1), tmp_path / "killed", on_progress=_end_workers)
 
 
 def _end_workers(step: Step) -> None:
@@ -308,8 +310,8 @@ def test_training_is_over_after_its_epochs_or_its_patience(config: TrainConfig) 
         return [Epoch(k, 0, loss, 0, 0, 0, 0, 0, 0, 1, 1, 1) for k, loss in enumerate(losses, 1)]
 
     patient = replace(config, epochs=9, patience=2)
-    assert not is_over([], patient)
-    assert not is_over(history(3, 2, 2.5), patient)
-    assert is_over(history(3, 2, 2.5, 2), patient)
-    assert is_over(history(*range(9, 0, -1)), patient)
+    assert not is_finished([], patient)
+    assert not is_finished(history(3, 2, 2.5), patient)
+    assert is_finished(history(3, 2, 2.5, 2), patient)
+    assert is_finished(history(*range(9, 0, -1)), patient)
     assert scores_of([0, 0, 0, 0])["f1"] == 0.0

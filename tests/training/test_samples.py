@@ -23,8 +23,10 @@ from viewshed.sweep import unorganized_no_sensor
 from viewshed.threats.attacks.removal import PhysicalRemoval
 from viewshed.training import TrainConfig
 from viewshed.training.data import prepare
-from viewshed.training.samples import BLANK, Share, Struck, TrainingFrames, TrainingOrder, ValidationOrder
-from viewshed.training.sources import Archived, OnlineSimulation
+from viewshed.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
+from viewshed.training.sources import ArchivedSamples, OnlineSimulation
+
+pytestmark = pytest.mark.slow
 
 
 def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
@@ -226,7 +228,7 @@ def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainC
         frames=(16,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
     )  # fmt: skip
     simulate(pair, Storage.of(tmp_path / "pair"), LocalEngine(1))
-    archived = Archived((Archive.open(tmp_path / "pair"),), config)
+    archived = ArchivedSamples((Archive.open(tmp_path / "pair"),), config)
     for source in (archived, OnlineSimulation(replace(config, data=("roads",)), 16)):
         longest, agents = 0, set()
         for index in range(len(source)):
@@ -249,13 +251,13 @@ def test_an_attack_that_lasted_struck_the_same_place_before() -> None:
     now = then.replace(points=turned, world_from_sensor=Rigid.from_yaw(0.5, (0, 0, 1.8)))
     attack, rng = PhysicalRemoval(azimuth=-0.5), np.random.default_rng(0)
     found = attack.apply(now, rng)
-    struck = Struck(found.sweep, attack, found.wedge)
-    (before,) = struck.before([then], rng)
+    attacked = AttackedSweep(found.sweep, attack, found.wedge)
+    (before,) = attacked.attack_history([then], rng)
     gone = ~np.isin(then.points.view("f4,f4,f4"), before.points.view("f4,f4,f4")).ravel()
     azimuth = np.arctan2(then.points[gone, 1], then.points[gone, 0])
     assert gone.sum() > 100
     assert np.abs(azimuth).max() < np.deg2rad(16)
-    assert Struck(now).before([then], rng) == (then,)
+    assert AttackedSweep(now).attack_history([then], rng) == (then,)
 
 
 def _turned(array: NDArray[np.float32], quarters: int, mirrored: bool) -> NDArray[np.float32]:

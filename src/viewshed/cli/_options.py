@@ -5,6 +5,7 @@ Options of the estimators that are networks.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +43,9 @@ Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the pu
 
 AUTO = "auto"
 
+NO_SENSOR = "none"
+"""No sensor is known, and none is inferred from the points."""
+
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 """What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 
@@ -68,9 +72,12 @@ class Reading:
         """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
         from viewshed.sensors import lidar_model
 
-        model = None if self.sensor in {AUTO, "none"} else lidar_model(self.sensor)
+        model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            yield sweep if model is None else sweep.replace(model=model)
+            if self.sensor == AUTO:
+                yield sweep
+            else:
+                yield sweep.replace(model=model, infer_sensor=False)
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
@@ -91,13 +98,13 @@ class Reading:
         if self.file_frame is not None:
             raise ValueError("--file-frame does not go with a recording, which knows its own axes")
         problems: list[str] = []
-        found = 0
+        count = 0
         source = ArchiveSource.open(path) if is_archive(path) else open_source(path)
-        for _, sweep in each_sweep(source, on_damage=lambda scene, line: _told(problems, line)):
-            found += 1
+        for _, sweep in each_sweep(source, on_damage=lambda scene, line: _report(problems, line)):
+            count += 1
             yield self._overridden(sweep)
-        if problems or not found:
-            raise ValueError(f"{path}: {found} sweeps read, {len(problems)} problems")
+        if problems or not count:
+            raise ValueError(f"{path}: {count} sweeps read, {len(problems)} problems")
 
     def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
         from viewshed.io import read_indexed
@@ -112,7 +119,7 @@ class Reading:
         return sweep.replace(**{name: value for name, value in given.items() if value is not None})
 
 
-def _told(problems: list[str], line: str) -> None:
+def _report(problems: list[str], line: str) -> None:
     problems.append(line)
     typer.echo(f"viewshed: {line}", err=True)
 
@@ -185,9 +192,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
     if not files:
         yield from ((file, entry) for file, entry in entries.items() if entry.points)
     for file in files:
-        if file.resolve() not in entries:
+        entry = entries.get(Path(os.path.realpath(file)))
+        if entry is None:
             raise ValueError(f"{file} is not in the index {index}")
-        yield file, entries[file.resolve()]
+        yield file, entry
 
 
 Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]

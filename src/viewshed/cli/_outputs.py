@@ -1,10 +1,11 @@
 """Where results go: one name for each sweep, and never over an input.
 
-What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it tells.
+What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it prints.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -89,9 +90,9 @@ def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
     Raises:
         ValueError: one would.
     """
-    read = {file.resolve() for file in inputs}
+    read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises where links lead in a circle
     for place in places:
-        if place.resolve() in read:
+        if os.path.realpath(place) in read:
             raise ValueError(f"{place} is an input and would be replaced; choose another --out")
 
 

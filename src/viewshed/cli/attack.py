@@ -15,7 +15,7 @@ from viewshed.cli._outputs import refuse_inputs
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
     from viewshed.datasets.archive.build import ShardResult
-    from viewshed.datasets.tampered import AttackPlan, Spoiling, Sweeps
+    from viewshed.datasets.tampered import AttackPlan, Sweeps, TamperPlan
     from viewshed.grid import BevGrid
 
 
@@ -62,7 +62,7 @@ def attack(
     _attack_plan(attack, budget, mode, victim, options.parse_grid(grid))  # refuses what cannot be before SRC is read
     sweeps = _opened(sources, split, grid, sensor)
     plan = _attack_plan(attack, budget, mode, victim, sweeps.layout.grid)
-    _run(sweeps, plan, _Where(sources, out, seed), engine, workers)
+    _run(sweeps, plan, _Output(sources, out, seed), engine, workers)
 
 
 def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str | None, grid: BevGrid) -> AttackPlan:
@@ -97,10 +97,10 @@ def corrupt(
     from viewshed.datasets.tampered import CorruptionPlan
 
     plan = CorruptionPlan(corruption, severity)
-    _run(_opened(sources, split, grid, sensor), plan, _Where(sources, out, seed), engine, workers)
+    _run(_opened(sources, split, grid, sensor), plan, _Output(sources, out, seed), engine, workers)
 
 
-class _Where:
+class _Output:
     """From where, to where, with which seed."""
 
     def __init__(self, sources: Sequence[str], out: str, seed: int) -> None:
@@ -138,73 +138,73 @@ def _budget(text: str | None, attack: str) -> int | None:
 
 def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -> Sweeps:
     from viewshed.datasets import Archive
-    from viewshed.datasets.tampered import of_archive, of_files, of_recording
+    from viewshed.datasets.tampered import sweeps_of_archive, sweeps_of_files, sweeps_of_recording
 
     first, wanted = Path(sources[0]), options.parse_grid(grid)
     if len(sources) == 1 and ("://" in sources[0] or (first / _MANIFEST).is_file()):
-        return of_archive(Archive.open(sources[0]), split)
+        return sweeps_of_archive(Archive.open(sources[0]), split)
     if split is not None:
         raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")
     if len(sources) == 1 and (first.is_dir() or first.suffix.lower() in _BAGS):
-        return of_recording(str(first.absolute()), wanted)
+        return sweeps_of_recording(str(first.absolute()), wanted)
     for path in map(Path, sources):
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such file; name one data set, one recording, or files")
-    return of_files([Path(source) for source in sources], Reading(sensor).sweeps, wanted)
+    return sweeps_of_files([Path(source) for source in sources], Reading(sensor).sweeps, wanted)
 
 
-def _run(sweeps: Sweeps, plan: Spoiling, where: _Where, engine: str, workers: int | None) -> None:
+def _run(sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None) -> None:
     failed = list(sweeps.problems)
     for problem in failed:
         typer.echo(f"viewshed: {problem}", err=True)
-    if where.file is not None:
-        _to_file(sweeps, plan, where)
+    if output.file is not None:
+        _to_file(sweeps, plan, output)
     else:
-        typer.echo(_summary(_to_archive(sweeps, plan, where, (engine, workers), failed), sweeps.count))
+        typer.echo(_summary(_to_archive(sweeps, plan, output, engine, workers, failed), sweeps.count))
     if failed:
         raise typer.Exit(2)
 
 
 def _to_archive(
-    sweeps: Sweeps, plan: Spoiling, where: _Where, runs_on: tuple[str, int | None], failed: list[str]
+    sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None, failed: list[str]
 ) -> Archive:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from viewshed._jobs import engine_named
     from viewshed.datasets.archive.storage import Storage
-    from viewshed.datasets.tampered import spoil
+    from viewshed.datasets.tampered import tamper
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
                TimeRemainingColumn())  # fmt: skip
-    runner = engine_named(*runs_on)
+    runner = engine_named(engine, workers)
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(plan.name, total=sweeps.count)
 
-        def tell(made: ShardResult) -> None:
-            bar.advance(task, 0 if made.facts is None else made.facts.frames)
-            failed.extend(made.problems)
+        def report(result: ShardResult) -> None:
+            bar.advance(task, 0 if result.facts is None else result.facts.frames)
+            failed.extend(result.problems)
 
-        archive = spoil(sweeps, plan, Storage.of(where.out), runner, where.seed, tell)
+        archive = tamper(sweeps, plan, Storage.of(output.out), runner, output.seed, report)
     for problem in failed[len(sweeps.problems) :]:
         typer.echo(f"viewshed: {problem}", err=True)
     return archive
 
 
-def _to_file(sweeps: Sweeps, plan: Spoiling, where: _Where) -> None:
+def _to_file(sweeps: Sweeps, plan: TamperPlan, output: _Output) -> None:
     from viewshed._files import write_atomic
-    from viewshed.datasets.tampered import spoiled_sweep
+    from viewshed.datasets.tampered import tampered_sweep
     from viewshed.io import write_sweep
 
-    if where.file is None or sweeps.count != 1:
-        raise ValueError(f"{where.out} holds one sweep, the source has {sweeps.count}; name a folder as --out")
-    record = where.file.with_name(f"{where.file.name}.touched.json")
-    refuse_inputs((where.file, record), where.inputs)
-    sweep, told = spoiled_sweep(sweeps, plan, where.seed)
-    where.file.parent.mkdir(parents=True, exist_ok=True)
-    write_sweep(sweep, where.file)
-    write_atomic(record, told.encode())
-    typer.echo(f"{where.file}: {len(sweep)} returns; what was touched is in {record.name}")
+    if output.file is None or sweeps.count != 1:
+        raise ValueError(f"{output.out} holds one sweep, the source has {sweeps.count}; name a folder as --out")
+    record = output.file.with_name(f"{output.file.name}.touched.json")
+    refuse_inputs((output.file, record), output.inputs)
+    sweep, about = tampered_sweep(sweeps, plan, output.seed)
+    output.file.parent.mkdir(parents=True, exist_ok=True)
+    write_sweep(sweep, output.file)
+    write_atomic(record, about.encode())
+    typer.echo(f"{output.file}: {len(sweep)} returns; what was touched is in {record.name}")
 
 
 def _summary(archive: Archive, count: int) -> str:

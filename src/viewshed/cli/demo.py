@@ -56,7 +56,7 @@ def _junction(seed: int, grid: BevGrid) -> Observation:
     return observe(world, world.agents[0], TIME_S, Setting(grid), np.random.SeedSequence(seed))
 
 
-def _beside_truth(found: FovEstimate, seen: Observation) -> tuple[bytes, str]:
+def _beside_truth(estimate: FovEstimate, seen: Observation) -> tuple[bytes, str]:
     """Return a PNG of estimate and truth, and precision and recall of the estimate in one line."""
     import numpy as np
 
@@ -64,12 +64,15 @@ def _beside_truth(found: FovEstimate, seen: Observation) -> tuple[bytes, str]:
     from viewshed.metrics import ConfusionCounts
     from viewshed.plot import Panel, comparison
 
-    name, true = found.target.name, seen.truth.visible(found.target)
-    exact = FovEstimate(found.grid, true.astype(np.float32), seen.truth.state[name], method="exact truth")
-    tally = ConfusionCounts.of(found.visible(), true, seen.known, found.grid.cell_area_m2)
-    scores = [f"{value:.3f}" for value in (tally.precision, tally.recall, tally.f1)]
-    panels = [Panel(found, found.method), Panel(exact, "exact truth")]
-    rows = [[found.method, f"{found.area_m2():.0f}", *scores], ["exact truth", f"{exact.area_m2():.0f}", "", "", ""]]
+    name, true = estimate.target.name, seen.truth.visible(estimate.target)
+    exact = FovEstimate(estimate.grid, true.astype(np.float32), seen.truth.state[name], method="exact truth")
+    counts = ConfusionCounts.of(estimate.visible(), true, seen.known, estimate.grid.cell_area_m2)
+    scores = [f"{value:.3f}" for value in (counts.precision, counts.recall, counts.f1)]
+    panels = [Panel(estimate, estimate.method), Panel(exact, "exact truth")]
+    rows = [
+        [estimate.method, f"{estimate.area_m2():.0f}", *scores],
+        ["exact truth", f"{exact.area_m2():.0f}", "", "", ""],
+    ]
     header = ["", "visible, m²", "precision", "recall", "F1"]
     line = "against the exact truth: precision {}, recall {}, F1 {}".format(*scores)
     return comparison(panels, rows, header), line

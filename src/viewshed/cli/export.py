@@ -47,19 +47,19 @@ def export(
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
     if _is_estimate(file):
-        found = read_npz(file)
+        estimate = read_npz(file)
     else:
         [(path, entry)] = options.chosen([file], index)
         estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
             method, options.parse_grid(grid), target
         )
-        found = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
-    content = json.dumps(to_cpm(found, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(found)
+        estimate = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
+    content = json.dumps(to_cpm(estimate, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(estimate)
     name = stem_of(file.name) + EXPORTERS[to].suffix
-    place = Path(name) if out is None else out / name if out.is_dir() else out
-    refuse_inputs([place], [file])
-    write_atomic(place, content)
-    typer.echo(f"{place}: {len(content)} bytes. {EXPORTERS[to].states}")
+    path_out = Path(name) if out is None else out / name if out.is_dir() else out
+    refuse_inputs([path_out], [file])
+    write_atomic(path_out, content)
+    typer.echo(f"{path_out}: {len(content)} bytes. {EXPORTERS[to].states}")
 
 
 def _is_estimate(file: Path) -> bool:

@@ -74,8 +74,8 @@ def _ground(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
     import numpy as np
 
     tilt = np.rad2deg(np.arccos(min(leveled.level_from_sensor.rotation[2, 2], 1.0)))
-    told = "given" if sweep.known_attitude is not None else "estimated"
-    yield "tilt", f"{tilt:.1f}° ({told})"
+    source = "given" if sweep.known_attitude is not None else "estimated"
+    yield "tilt", f"{tilt:.1f}° ({source})"
     ground = leveled.ground
     source = (
         "given" if sweep.sensor_height_m is not None else "estimated" if ground.support else "assumed: no ground seen"

@@ -90,12 +90,12 @@ def _labeled(origin: Origin, rules: Rules, out: str, engine: str, workers: int |
 
     problems: list[str] = []
 
-    def told(made: ShardResult) -> None:
-        problems.extend(made.problems)
-        for problem in made.problems:
+    def report(result: ShardResult) -> None:
+        problems.extend(result.problems)
+        for problem in result.problems:
             typer.echo(f"viewshed: {problem}", err=True)
-        bar.advance(task, made.facts.frames if made.facts else 0)
+        bar.advance(task, result.facts.frames if result.facts else 0)
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("sweeps", total=None)
-        return run(origin, rules, Storage.of(out), engine_named(engine, workers), told), problems
+        return run(origin, rules, Storage.of(out), engine_named(engine, workers), report), problems

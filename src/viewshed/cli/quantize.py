@@ -22,8 +22,8 @@ def quantize(
     from viewshed.training import read_config
     from viewshed.training.calibrate_int8 import quantize as run
 
-    found = run(read_config(config), network, out, frames)
+    cost = run(read_config(config), network, out, frames)
     typer.echo(
-        f"{out}: F1 {found.f1_bytes:.4f} in bytes, {found.f1:.4f} in float32; probabilities {found.away:.4f} apart, "
-        f"{found.flipped:.2%} of the cells flipped"
+        f"{out}: F1 {cost.f1_int8:.4f} in bytes, {cost.f1:.4f} in float32; probabilities {cost.mean_difference:.4f} "
+        f"apart, {cost.flipped_share:.2%} of the cells flipped"
     )

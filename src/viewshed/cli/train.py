@@ -43,7 +43,7 @@ def train(
     wanted = read_config(config)
     bar = _Bar(wanted.name)
     try:
-        done = run(wanted, out, device=device, devices=devices, nodes=nodes, progress=bar, cache=cache)
+        done = run(wanted, out, device=device, devices=devices, nodes=nodes, on_progress=bar, cache=cache)
     finally:
         bar.close()
     typer.echo(_summary(done))
@@ -68,14 +68,14 @@ def crossval(
     wanted = read_config(config)
     bar = _Bar(wanted.name)
     try:
-        found = run(
+        validated = run(
             wanted, out, search=Search(sampler, trials, folds), device=device,
-            progress=bar.show,
+            on_progress=bar.show,
         )  # fmt: skip
     finally:
         bar.close()
-    mean = mean_f1(found.scores[found.chosen])
-    typer.echo(f"{found.chosen.name}: mean F1 {mean:.4f} over {folds} folds; read {out}/{PAGE}")
+    mean = mean_f1(validated.scores[validated.chosen])
+    typer.echo(f"{validated.chosen.name}: mean F1 {mean:.4f} over {folds} folds; read {out}/{PAGE}")
 
 
 def _summary(done: Trained) -> str:
@@ -88,7 +88,7 @@ def _summary(done: Trained) -> str:
 
 @dataclass(slots=True)
 class _Bar:
-    """A progress bar that begins when it is first told something, in the process that tells it."""
+    """A progress bar that begins with the first report, in the process that reports."""
 
     name: str
     bar: Progress | None = None

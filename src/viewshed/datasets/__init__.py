@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from viewshed.datasets.archive.archive import Archive
 from viewshed.datasets.archive.build import ArchiveWriter, write_archive
-from viewshed.datasets.archive.manifest import Manifest
-from viewshed.datasets.archive.shard import SCHEMA_VERSION, ShardFacts, write_shard
+from viewshed.datasets.archive.schema import SCHEMA_VERSION, Manifest, ShardFacts
+from viewshed.datasets.archive.shard import write_shard
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.sample import Sample
 

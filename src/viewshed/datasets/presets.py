@@ -160,9 +160,9 @@ class Preset:
 def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
     """Return whole numbers that add up to ``total`` in the ratio of ``weights``, none of them 0."""
     rest, counts = total, []
-    for place, weight in enumerate(weights):
-        after = len(weights) - place - 1
-        share = round(rest * weight / sum(weights[place:]))
+    for index, weight in enumerate(weights):
+        after = len(weights) - index - 1
+        share = round(rest * weight / sum(weights[index:]))
         counts.append(min(max(share, 1), rest - after))
         rest -= counts[-1]
     return counts

@@ -1,6 +1,6 @@
-"""Simulated frames: everything that is random comes from the seed and the place of the frame in the data set.
+"""Simulated data sets: everything random in a frame follows from the seed and the frame's place in the data set.
 
-A simulated data set from start to end: what is there already is kept, the rest is made by an engine.
+So frames can be simulated in any order, on any machine, and a run that was stopped resumes to the same bytes.
 """
 
 from __future__ import annotations
@@ -15,20 +15,17 @@ import numpy as np
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import BuildPlan, ShardResult, make_archive, write_beside
-from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import ShardFacts, write_frames
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset
+from viewshed.datasets.sample import Sample
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import TARGETS
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import Observation, Setting, observe
 from viewshed.sim.world import World
 from viewshed.sim.worlds import WORLDS
-
-FRAMES_PER_SHARD = 48
 
 _GOLDEN = (5**0.5 - 1) / 2
 
@@ -37,7 +34,7 @@ _SILVER = 2**0.5 - 1
 _BRONZE = (13**0.5 - 3) / 2
 
 
-class _Purpose(IntEnum):
+class _SeedPurpose(IntEnum):
     WORLD = 0
     OBSERVATION = 1
     WORLD_KIND = 2
@@ -83,17 +80,17 @@ class ScenePlan:
     @property
     def world_kind(self) -> str:
         """What kind of place it is."""
-        return self.preset.worlds[self._turn(_Purpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
+        return self.preset.worlds[self._turn(_SeedPurpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
 
     @property
     def conditions(self) -> str:
         """Weather and faults."""
-        return self.preset.conditions[self._turn(_Purpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
+        return self.preset.conditions[self._turn(_SeedPurpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
 
     @property
     def sensor(self) -> int:
         """Which of the preset's sensors the moving agents have."""
-        return self._turn(_Purpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
+        return self._turn(_SeedPurpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
 
     def chunks(self) -> Iterator[tuple[int, int]]:
         """Yield the first frame of each shard and the one after its last: whole times, 48 frames if they fit."""
@@ -144,20 +141,20 @@ def jobs_of(preset: Preset, store: Storage) -> list[ShardJob]:
     ]
 
 
-def simulate_shard(job: ShardJob) -> ShardFacts:
-    """Return the facts of the shard of ``job``, which is written with a file beside it that tells them.
+def simulate_shard(job: ShardJob) -> ShardResult:
+    """Return what became of the shard of ``job``, which is written with a file beside it.
 
     Raises:
         OSError: a file cannot be written.
     """
-    frames = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
-    return write_beside(job.store, write_frames(job.store, job.name, (job.scene.name, job.scene.split_name), frames))
+    samples = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
+    return build_shard(job.store, job.name, samples)
 
 
-def simulate_frame(scene: ScenePlan, frame: int) -> Frame:
+def simulate_frame(scene: ScenePlan, frame: int) -> Sample:
     """Return one frame of a scene: range image, truth and where it is known."""
     seen = observe_frame(scene, frame)
-    return Frame(seen.image, seen.truth, seen.known)
+    return Sample(seen.image, seen.truth, seen.known, scene.name, scene.split_name)
 
 
 def observe_frame(scene: ScenePlan, frame: int) -> Observation:
@@ -165,7 +162,7 @@ def observe_frame(scene: ScenePlan, frame: int) -> Observation:
     preset, world = scene.preset, world_of(scene)
     time, number = divmod(frame, preset.agents)
     setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
-    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_Purpose.OBSERVATION, frame)
+    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_SeedPurpose.OBSERVATION, frame)
     return observe(world, world.agents[number], t_s, setting, seed)
 
 
@@ -176,7 +173,7 @@ def world_of(scene: ScenePlan) -> World:
     Raises:
         ValueError: it does not have the agents of the preset.
     """
-    rng = np.random.Generator(np.random.PCG64(scene.seed(_Purpose.WORLD)))
+    rng = np.random.Generator(np.random.PCG64(scene.seed(_SeedPurpose.WORLD)))
     world = WORLDS[scene.world_kind](rng, scene.preset.plan(scene.sensor, scene.duration_s))
     if len(world.agents) != scene.preset.agents:
         raise ValueError(f"{scene.name} must have {scene.preset.agents} agents, got {len(world.agents)}")
@@ -184,7 +181,7 @@ def world_of(scene: ScenePlan) -> World:
 
 
 def simulate(
-    preset: Preset, store: Storage, engine: Engine, progress: Callable[[ShardFacts], None] | None = None
+    preset: Preset, store: Storage, engine: Engine, on_progress: Callable[[ShardResult], None] | None = None
 ) -> Archive:
     """Return the archive of a preset, simulated into ``store``; its bytes do not depend on the engine.
 
@@ -194,15 +191,15 @@ def simulate(
         preset: what is simulated.
         store: where it goes.
         engine: makes the shards.
-        progress: is told of each shard that is there.
+        on_progress: is called with each shard that is finished, also of an earlier run.
 
     Raises:
         ValueError: the place holds something else.
         OSError: a shard could not be made or written; those that are finished stay.
     """
     layout = Layout(preset.grid, tuple(sorted(TARGETS)), tuple(sorted(OTHER_DEFINITIONS)))
-    task = BuildPlan(recipe_of(preset), layout, jobs_of(preset, store), _made)
-    return make_archive(task, store, engine, None if progress is None else lambda made: _tell(progress, made))
+    plan = BuildPlan(recipe_of(preset), layout, jobs_of(preset, store), simulate_shard)
+    return build_archive(plan, store, engine, on_progress)
 
 
 def recipe_of(preset: Preset) -> dict[str, object]:
@@ -210,12 +207,3 @@ def recipe_of(preset: Preset) -> dict[str, object]:
     targets = {name: asdict(target) for name, target in TARGETS.items()}
     about = {"command": "simulate", "preset": preset.name, "seed": preset.seed}
     return about | {"config": preset.to_json(), "targets": targets}
-
-
-def _made(job: ShardJob) -> ShardResult:
-    return ShardResult(simulate_shard(job))
-
-
-def _tell(progress: Callable[[ShardFacts], None], made: ShardResult) -> None:
-    if made.facts is not None:
-        progress(made.facts)

@@ -2,7 +2,7 @@
 
 The frames of one scene, wherever they lie: in an archive, in a recording, in a file.
 
-What spoils the sweeps of a data set: an attack or a corruption, by name and with a seed.
+A plan says what is done to each sweep: an attack or a corruption, by name.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
-from itertools import chain, groupby
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,19 +20,19 @@ import numpy as np
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, make_archive, write_beside
-from viewshed.datasets.archive.columns import Frame, Touched
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import write_frames
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import SweepRef, SweepSource
+from viewshed.datasets.sample import Sample
 from viewshed.fov.estimate import FovEstimator
 from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, EARLIER, PAPER_ATTACK, PAPER_INDOOR_ATTACK, Attack, Knowledge
 from viewshed.threats.attacks.adaptive import ADAPTIVE
+from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.corruptions import CORRUPTIONS
 
 ReadFile = Callable[[Path], Iterator[Sweep]]
@@ -49,7 +49,7 @@ class SceneFrames(Protocol):
         """Return who measured a frame; errors as :meth:`frame`."""
         ...
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one frame.
 
         Raises:
@@ -82,9 +82,9 @@ class ArchiveScene:
         """Return who measured a frame."""
         return self.frame(index).measured.agent
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one frame, as it is stored."""
-        return self.archive.frame(index)[0]
+        return self.archive[index]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +110,9 @@ class RecordingScene:
         """Return who measured a frame."""
         return self._refs()[index].agent
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one sweep as a frame whose truth is nowhere known."""
-        return without_truth(opened(self.place, self.kind).read(self._refs()[index]), self.grid)
+        return without_truth(opened(self.place, self.kind).read(self._refs()[index]), self.grid, self.scene)
 
     def _refs(self) -> tuple[SweepRef, ...]:
         return _refs(self.place, self.kind, self.scene)
@@ -141,14 +141,14 @@ class FileScene:
         """Return who measured a frame."""
         return self.frame(index).measured.agent
 
-    def frame(self, index: int) -> Frame:
+    def frame(self, index: int) -> Sample:
         """Return one sweep as a frame whose truth is nowhere known."""
-        return without_truth(_cursor(self.path, self.read).at(index), self.grid)
+        return without_truth(_cursor(self.path, self.read).at(index), self.grid, self.path.name)
 
 
-def without_truth(sweep: Sweep, grid: BevGrid) -> Frame:
-    """Return a sweep as a frame whose truth is nowhere known."""
-    return Frame(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_))
+def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
+    """Return a sweep as a sample whose truth is nowhere known."""
+    return Sample(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_), scene)
 
 
 @lru_cache(maxsize=2)
@@ -186,7 +186,7 @@ def _cursor(path: Path, read: ReadFile) -> _Cursor:
     return _Cursor(path, read)
 
 
-History = Callable[[], tuple[Sweep, ...]]
+ReadEarlier = Callable[[], tuple[Sweep, ...]]
 """Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
 
 PAPER = "paper"
@@ -198,11 +198,16 @@ _FACTORIES = ATTACKS | ADAPTIVE
 _ROOM_M = 20.0
 
 
-class Spoiling(Protocol):
+class TamperPlan(Protocol):
     """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
 
-    def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
-        """Return the changed sweep, and what was touched where that is known.
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample with its sweep changed; its truth stays.
+
+        Args:
+            sample: the clean one, not modified.
+            history: returns earlier sweeps; called only where they are needed.
+            rng: all that is random.
 
         Raises:
             ValueError: it cannot be done to this sweep.
@@ -252,15 +257,13 @@ class AttackPlan:
             raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
         self._made((Sweep(np.zeros((0, 3), np.float32)),))
 
-    def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
-        """Return the attacked sweep and what was touched. Before anything was seen, nothing can be replayed."""
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample under attack. Before anything was seen, nothing can be replayed: it stays as it is."""
         earlier = history() if self.attack in _LASTING else ()
         if not earlier and self.attack in EARLIER:
-            none = np.zeros(len(sweep), np.bool_)
-            return sweep, Touched(none, none)
-        done = self._made(earlier or (sweep,)).apply(sweep, rng)
-        wedge = None if done.wedge is None else (done.wedge.azimuth, done.wedge.width)
-        return done.sweep, Touched(done.added, done.removed, wedge)
+            none = np.zeros(len(sample.sweep), np.bool_)
+            return replace(sample, tampered=Tampered(sample.sweep, none, none), clean=None)
+        return sample.attacked(self._made(earlier or (sample.sweep,)).apply(sample.sweep, rng))
 
     @property
     def command(self) -> str:
@@ -309,9 +312,9 @@ class CorruptionPlan:
             raise ValueError(f"corruption must be one of {', '.join(CORRUPTIONS)}, got {self.corruption!r}")
         CORRUPTIONS[self.corruption](self.severity)
 
-    def apply(self, sweep: Sweep, history: History, rng: np.random.Generator) -> tuple[Sweep, Touched | None]:
-        """Return the spoilt sweep; nobody says which returns moved."""
-        return CORRUPTIONS[self.corruption](self.severity).apply(sweep, rng), None
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample with a corrupted sweep; nobody says which returns moved."""
+        return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
 
     @property
     def command(self) -> str:
@@ -374,19 +377,19 @@ class Sweeps:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpoilJob:
+class TamperJob:
     """What a worker must know to make one shard.
 
     Attributes:
         store: where the shard goes.
         part: what it is made from.
-        spoiling: what is done.
+        plan: what is done.
         seed: of all that is random.
     """
 
     store: Storage
     part: Part
-    spoiling: Spoiling
+    plan: TamperPlan
     seed: int
 
     @property
@@ -395,7 +398,7 @@ class SpoilJob:
         return self.part.name
 
 
-def of_archive(archive: Archive, split: str | None = None) -> Sweeps:
+def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     """Return the sweeps of an archive, or of one of its splits; a sweep has the same seed in both.
 
     Raises:
@@ -415,7 +418,7 @@ def of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     return Sweeps(archive.manifest.layout, tuple(parts), lineage)
 
 
-def of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
+def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
     """Return the sweeps of a recording, which has no truth: it is nowhere known.
 
     Raises:
@@ -424,19 +427,19 @@ def of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
     """
     source = opened(place, kind)
     parts: list[Part] = []
-    told, problems = [], list(source.damage())
+    listing, problems = [], list(source.damage())
     for number, scene in enumerate(source.scenes()):
         try:
             refs = source.refs(scene)
         except (ValueError, OSError) as error:
             problems.append(str(error))
             continue
-        told.append([[ref.scene, ref.index, Path(ref.file).name, ref.t_ns, ref.key] for ref in refs])
-        parts += _chunks(RecordingScene(place, kind, scene, grid), len(refs), scene, number)
-    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(told)}, tuple(problems))
+        listing.append([[ref.scene, ref.index, Path(ref.file).name, ref.t_ns, ref.key] for ref in refs])
+        parts += _split_into_parts(RecordingScene(place, kind, scene, grid), len(refs), scene, number)
+    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(listing)}, tuple(problems))
 
 
-def of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
+def sweeps_of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
     """Return the sweeps of files, each a scene of its own; they have no truth.
 
     Args:
@@ -445,7 +448,7 @@ def of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
         grid: of the truth that is not there.
     """
     parts: list[Part] = []
-    told, problems = [], []
+    listing, problems = [], []
     for number, file in enumerate(files):
         count = 0
         try:
@@ -453,18 +456,18 @@ def of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
                 count += 1
         except (ValueError, OSError) as error:
             problems.append(str(error))
-        told.append([file.name, count, file.stat().st_size if file.is_file() else 0])
-        parts += _chunks(FileScene(file.absolute(), count, read, grid), count, file.name, number)
-    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(told)}, tuple(problems))
+        listing.append([file.name, count, file.stat().st_size if file.is_file() else 0])
+        parts += _split_into_parts(FileScene(file.absolute(), count, read, grid), count, file.name, number)
+    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(listing)}, tuple(problems))
 
 
-def spoil(
+def tamper(
     sweeps: Sweeps,
-    spoiling: Spoiling,
+    plan: TamperPlan,
     store: Storage,
     engine: Engine,
     seed: int = 0,
-    progress: Callable[[ShardResult], None] | None = None,
+    on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
     """Return the archive of attacked (or corrupted) sweeps, made into ``store``; its bytes do not depend on the engine.
 
@@ -472,12 +475,12 @@ def spoil(
     number of its scene and its number there. A run that was stopped goes on where it was.
 
     Args:
-        sweeps: from :func:`of_archive`, :func:`of_recording` or :func:`of_files`.
-        spoiling: what is done to each.
+        sweeps: from :func:`sweeps_of_archive`, :func:`sweeps_of_recording` or :func:`sweeps_of_files`.
+        plan: what is done to each.
         store: where the archive goes.
         engine: makes the shards.
         seed: of all that is random.
-        progress: is told of each shard that is there, and of the sweeps that had to be left out.
+        on_progress: is called with each shard that is done, and of the sweeps that had to be left out.
 
     Raises:
         ValueError: the place holds something else, or the seed is negative.
@@ -485,13 +488,13 @@ def spoil(
     """
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed}")
-    config = spoiling.config() | {"source": sweeps.lineage}
-    recipe = {"command": spoiling.command, "name": spoiling.name, "seed": seed, "config": config}
-    jobs = [SpoilJob(store, part, spoiling, seed) for part in sweeps.parts]
-    return make_archive(BuildPlan(recipe, sweeps.layout, jobs, spoil_shard), store, engine, progress)
+    config = plan.config() | {"source": sweeps.lineage}
+    recipe = {"command": plan.command, "name": plan.name, "seed": seed, "config": config}
+    jobs = [TamperJob(store, part, plan, seed) for part in sweeps.parts]
+    return build_archive(BuildPlan(recipe, sweeps.layout, jobs, tamper_shard), store, engine, on_progress)
 
 
-def spoiled_sweep(sweeps: Sweeps, spoiling: Spoiling, seed: int = 0) -> tuple[Sweep, str]:
+def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Sweep, str]:
     """Return the first of some sweeps, attacked or corrupted, and what was done to it as JSON.
 
     The rows added are those of the new sweep, the rows removed those of the old one.
@@ -500,51 +503,47 @@ def spoiled_sweep(sweeps: Sweeps, spoiling: Spoiling, seed: int = 0) -> tuple[Sw
         ValueError: it cannot be done to this sweep.
         OSError: the sweep cannot be read.
     """
-    job = SpoilJob(Storage.of("."), sweeps.parts[0], spoiling, seed)
-    frame = _one(job, 0, _Earlier(job.part))
-    about = {"command": spoiling.command, "name": spoiling.name, "seed": seed, "config": spoiling.config()}
-    touched = frame.touched
-    if touched is not None:
-        about |= {"wedge": touched.wedge, "added_rows": np.flatnonzero(touched.added).tolist()}
-        about |= {"removed_rows": np.flatnonzero(touched.removed).tolist()}
+    job = TamperJob(Storage.of("."), sweeps.parts[0], plan, seed)
+    frame = _tampered_sample(job, 0, _EarlierSweeps(job.part))
+    about = {"command": plan.command, "name": plan.name, "seed": seed, "config": plan.config()}
+    tampered = frame.tampered
+    if tampered is not None:
+        wedge = None if tampered.wedge is None else (tampered.wedge.azimuth, tampered.wedge.width)
+        about |= {"wedge": wedge, "added_rows": np.flatnonzero(tampered.added).tolist()}
+        about |= {"removed_rows": np.flatnonzero(tampered.removed).tolist()}
     return frame.sweep, json.dumps(about) + "\n"
 
 
-def spoil_shard(job: SpoilJob) -> ShardResult:
+def tamper_shard(job: TamperJob) -> ShardResult:
     """Return what became of one shard: it is written with a file beside it; sweeps that cannot be used are left out.
 
     Raises:
         OSError: the source cannot be read now (a file that is not there is damage), or the shard cannot be written.
     """
     problems: list[tuple[int, str]] = []
-    frames = _spoiled(job, problems)
-    first = next(frames, None)
-    if first is None:
-        return ShardResult(None, _folded(job.part, problems))
-    facts = write_frames(job.store, job.name, (job.part.scene, job.part.split), chain([first], frames))
-    lines = _folded(job.part, problems)
-    return ShardResult(write_beside(job.store, facts, lines), lines)
+    frames = _tampered_samples(job, problems)
+    return build_shard(job.store, job.name, frames, lambda: _problem_lines(job.part, problems))
 
 
-def _spoiled(job: SpoilJob, problems: list[tuple[int, str]]) -> Iterator[Frame]:
-    earlier = _Earlier(job.part)
+def _tampered_samples(job: TamperJob, problems: list[tuple[int, str]]) -> Iterator[Sample]:
+    earlier = _EarlierSweeps(job.part)
     for index in range(job.part.first, job.part.last):
         try:
-            yield _one(job, index, earlier)
+            yield _tampered_sample(job, index, earlier)
         except (ValueError, FileNotFoundError) as error:
             problems.append((index, " ".join(str(error).split())))
 
 
-def _one(job: SpoilJob, index: int, earlier: _Earlier) -> Frame:
+def _tampered_sample(job: TamperJob, index: int, earlier: _EarlierSweeps) -> Sample:
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([job.seed, job.part.number, index])))
     frame = job.part.frames.frame(index)
     sweep = frame.sweep
-    done, touched = job.spoiling.apply(sweep, lambda: earlier.of(sweep, index), rng)
+    done = job.plan.apply(frame, lambda: earlier.of(sweep, index), rng)
     earlier.note(sweep)
-    return replace(frame, touched=touched, clean=None) if done is sweep else frame.attacked(done, touched)
+    return done
 
 
-class _Earlier:
+class _EarlierSweeps:
     """The first sweep of each agent of a scene and the last before a frame; remembers what has passed."""
 
     def __init__(self, part: Part) -> None:
@@ -558,16 +557,16 @@ class _Earlier:
     def of(self, sweep: Sweep, index: int) -> tuple[Sweep, ...]:
         agent = sweep.agent
         if agent not in self._last:
-            before = self._found(agent, range(self._part.first - 1, -1, -1))
+            before = self._first_of(agent, range(self._part.first - 1, -1, -1))
             if before is None:
                 self._first[agent] = sweep
                 return ()
             self._last[agent] = before
         if agent not in self._first:
-            self._first[agent] = self._found(agent, range(index)) or self._last[agent]
+            self._first[agent] = self._first_of(agent, range(index)) or self._last[agent]
         return self._first[agent], self._last[agent]
 
-    def _found(self, agent: str, indices: Iterable[int]) -> Sweep | None:
+    def _first_of(self, agent: str, indices: Iterable[int]) -> Sweep | None:
         """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
         for index in indices:
             try:
@@ -578,7 +577,7 @@ class _Earlier:
         return None
 
 
-def _folded(part: Part, problems: list[tuple[int, str]]) -> tuple[str, ...]:
+def _problem_lines(part: Part, problems: list[tuple[int, str]]) -> tuple[str, ...]:
     """Return one line for each run of sweeps with one problem."""
     lines = []
     for message, group in groupby(problems, lambda problem: problem[1]):
@@ -588,7 +587,7 @@ def _folded(part: Part, problems: list[tuple[int, str]]) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _chunks(frames: SceneFrames, count: int, scene: str, number: int) -> Iterator[Part]:
+def _split_into_parts(frames: SceneFrames, count: int, scene: str, number: int) -> Iterator[Part]:
     for chunk, first in enumerate(range(0, count, FRAMES_PER_SHARD)):
         last = min(first + FRAMES_PER_SHARD, count)
         yield Part(f"scene-{number:05d}-{chunk:03d}.parquet", frames, scene, "", number, first, last)

@@ -24,8 +24,8 @@ T = TypeVar("T")
 
 R = TypeVar("R")
 
-Failed = Callable[[Exception], None]
-"""Is told why there is no estimate of a sweep, when it would have come."""
+OnError = Callable[[Exception], None]
+"""Called with the error of a sweep that has no estimate, when the estimate would have come."""
 
 
 def estimate_all(
@@ -33,21 +33,21 @@ def estimate_all(
     sweeps: Iterable[Sweep],
     batch: int = BATCH,
     threads: int | None = None,
-    on_error: Failed | None = None,
+    on_error: OnError | None = None,
 ) -> Iterator[FovEstimate]:
     """Return the estimates of many sweeps in their order, each as ``estimator.estimate(sweep)`` makes it.
 
     Sweeps are taken as they are needed, at most ``2 · batch`` ahead of the estimate that comes next, so that they may
     be more than fit into memory. On a processor each thread does whole sweeps, with a network that runs in it alone:
-    batches are slower there, as what a layer tells of many sweeps does not stay in the cache. On a graphics card, and
-    with OpenVINO, channels are made in threads, those of the next batch while the network is run for this one.
+    batches are slower there, as the activations of many sweeps do not stay in the cache. On a graphics card, and
+    with OpenVINO, features are computed in threads, those of the next batch while the network is run for this one.
 
     Args:
         estimator: any that takes each sweep by itself.
         sweeps: what the sensors measured; iterated once, in this thread.
         batch: sweeps that are taken at once, and that a graphics card runs the network for at once, in [1, 1024].
         threads: threads beside this one; None is one for each core.
-        on_error: is told why a sweep has no estimate, which is then left out; without it the error is raised. Both
+        on_error: called with the error of a sweep, which is then skipped; without it the error is raised. Both
             happen where the estimate would have come. After an error of ``sweeps`` itself there is none.
 
     Raises:
@@ -68,8 +68,8 @@ def in_order(work: Callable[[T], R], items: Iterable[T], ahead: int, threads: in
     waiting: deque[Future[R]] = deque()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="viewshed")
     try:
-        for each in _begun(pool, work, items):
-            waiting.append(each)
+        for future in _submitted(pool, work, items):
+            waiting.append(future)
             if len(waiting) > ahead:
                 yield waiting.popleft()
         while waiting:
@@ -79,31 +79,33 @@ def in_order(work: Callable[[T], R], items: Iterable[T], ahead: int, threads: in
 
 
 def _estimates(
-    steps: BatchSteps, sweeps: Iterable[Sweep], batch: int, threads: int, on_error: Failed
+    steps: BatchSteps, sweeps: Iterable[Sweep], batch: int, threads: int, on_error: OnError
 ) -> Iterator[FovEstimate]:
     with closing(in_order(steps.prepare, sweeps, batch, threads)) as prepared:
-        while part := [_tried(each.result) for each in islice(prepared, batch)]:
-            results = iter(steps.infer([each for each in part if not isinstance(each, Exception)]))
-            for each in part:
-                found = each if isinstance(each, Exception) else _tried(steps.finish, each, next(results))
-                if isinstance(found, Exception):
-                    on_error(found)
+        # An error takes the place of what it prevented, so that it is reported in its turn.
+        while chunk := [_result_or_error(future.result) for future in islice(prepared, batch)]:
+            results = iter(steps.infer([item for item in chunk if not isinstance(item, Exception)]))
+            for item in chunk:
+                failed = isinstance(item, Exception)
+                estimate = item if failed else _result_or_error(steps.finish, item, next(results))
+                if isinstance(estimate, Exception):
+                    on_error(estimate)
                 else:
-                    yield found
+                    yield estimate
 
 
-def _begun(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Iterable[T]) -> Iterator[Future[R]]:
+def _submitted(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Iterable[T]) -> Iterator[Future[R]]:
     try:
-        for each in items:
-            yield pool.submit(work, each)
+        for item in items:
+            yield pool.submit(work, item)
     except Exception as error:
         failed: Future[R] = Future()
         failed.set_exception(error)
         yield failed
 
 
-def _tried(work: Callable[..., Any], *arguments: Any) -> Any:
-    """Return what ``work`` returns, or the error that it raises."""
+def _result_or_error(work: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of ``work``, or the error that it raises."""
     try:
         return work(*arguments)
     except Exception as error:

@@ -168,10 +168,18 @@ class ContinuousRayTrace(ClassicalEstimator):
         range_m, azimuth = polar_of_cells(self.grid)
         state = np.empty(self.grid.shape, np.uint8)
         _trace(
-            (leveled.azimuth, leveled.range_m, leveled.height_m),
-            (bins_of_cells(self.grid, bins), range_m, azimuth, leveled.obstacle_cells(self.grid)),
-            np.array([self.window, margin_m, reach_of(leveled), *OBSTACLE_HEIGHTS_M]),
+            leveled.azimuth,
+            leveled.range_m,
+            leveled.height_m,
             azimuth_bins_of(leveled.azimuth, bins),
+            bins_of_cells(self.grid, bins),
+            range_m,
+            azimuth,
+            leveled.obstacle_cells(self.grid),
+            self.window,
+            margin_m,
+            reach_of(leveled),
+            np.array(OBSTACLE_HEIGHTS_M),
             bins,
             state,
         )
@@ -179,21 +187,32 @@ class ContinuousRayTrace(ClassicalEstimator):
 
 
 @njit(cache=True, nogil=True)
-def _trace(
-    returns: Any, cells: Any, numbers: Any, slices: Any, bins: Any, state: Any
-) -> None:  # pragma: no cover - compiled
+def _trace(  # pragma: no cover - compiled
+    azimuth: Any,  # (M,) of the returns
+    range_m: Any,  # (M,)
+    height_m: Any,  # (M,) above local ground
+    slices: Any,  # (M,) fine azimuth bin of each return
+    cell_slice: Any,  # (cells, cells) fine azimuth bin of each cell
+    cell_range_m: Any,  # (cells, cells)
+    cell_azimuth: Any,  # (cells, cells)
+    surface: Any,  # (cells, cells) bool, the cell holds an obstacle return
+    window: Any,  # half width in radians
+    margin_m: Any,  # how far beyond the farthest return a cell is still visible
+    reach_m: Any,  # nothing is HIDDEN beyond
+    obstacle_heights_m: Any,  # lowest and highest obstacle
+    bins: Any,  # fine azimuth bins
+    state: Any,  # (cells, cells), written
+) -> None:
     """Decide by whole slices where they agree; look at single returns only where the window's ends matter."""
-    azimuth, range_m, height = returns
-    bins_of, cell_range_m, cell_azimuth, surface = cells
-    window, margin_m, reach_m = numbers[0], numbers[1], numbers[2]
-    farthest, obstacle = _slice_maxima(slices, range_m, height, numbers[3:5], bins)
+    farthest, obstacle = _slice_maxima(slices, range_m, height_m, obstacle_heights_m, bins)
     start, order = _slice_order(slices, bins)
     whole = int(window / (2.0 * np.pi / bins))
+    # Every return of the inner slices lies within the window, none beyond the outer ones does.
     inner = _sliding_maximum(farthest, whole - 1)
     outer, outer_obstacle = _sliding_maximum(farthest, whole + 2), _sliding_maximum(obstacle, whole + 2)
     for i in range(state.shape[0]):
         for j in range(state.shape[1]):
-            b, need = bins_of[i, j], cell_range_m[i, j] - margin_m
+            b, need = cell_slice[i, j], cell_range_m[i, j] - margin_m
             seen = inner[b] >= 0.0 and need <= inner[b]
             if not seen and outer[b] >= 0.0 and need <= outer[b]:
                 for offset in range(-whole - 2, whole + 3):

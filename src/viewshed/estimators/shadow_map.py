@@ -84,8 +84,8 @@ def _beams(leveled: LeveledSweep, rule: NoReturn, target: Target) -> Beams:
 
 
 def _without_behind(leveled: LeveledSweep) -> Beams:
-    """Return the beams of all returns but lone ones behind another of their pixel: that beam had ended before."""
-    return leveled.beams(None if leveled.placed is None else leveled.placed.behind)
+    """Return the beams of all returns but isolated ones behind another of their pixel: that beam had ended before."""
+    return leveled.beams(None if leveled.range_image is None else leveled.range_image.behind)
 
 
 def _state(

@@ -24,15 +24,19 @@ if TYPE_CHECKING:
 class SweepBuffer:
     """The last sweeps of each agent of a stream, as many and as far apart as a :class:`History` is made of.
 
+    The times of all agents are those of one clock.
+
     Attributes:
         sweeps: how many are kept of an agent.
         every_s: least time in seconds between two of them.
-        forget_s: those from longer before are not used any more.
+        forget_s: those from longer before are not used any more; agents not seen for so long are dropped.
+        agents: how many agents are kept; of more the one that was seen longest ago is dropped.
     """
 
     sweeps: int = HISTORY_SWEEPS
     every_s: float = 1.0
     forget_s: float = 10.0
+    agents: int = 64
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -41,6 +45,8 @@ class SweepBuffer:
                 "sweeps must be at least 1, every_s at least 0 and forget_s above 0, got "
                 f"{self.sweeps}, {self.every_s} and {self.forget_s}"
             )
+        if self.agents < 1:
+            raise ValueError(f"agents must be at least 1, got {self.agents}")
 
     def history(self, leveled: LeveledSweep) -> History | None:
         """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
@@ -55,13 +61,25 @@ class SweepBuffer:
 
         One from before it begins a new stream.
         """
-        t_ns, kept = leveled.sweep.t_ns, self._kept.setdefault(leveled.sweep.agent, deque(maxlen=self.sweeps))
+        t_ns = leveled.sweep.t_ns
         if t_ns is None or leveled.world_from_level is None:
             return
+        # Taken out and put back last: the first agent is the one that was seen longest ago.
+        kept = self._kept.pop(leveled.sweep.agent, None) or deque(maxlen=self.sweeps)
         if kept and t_ns < (kept[-1].sweep.t_ns or 0):
             kept.clear()
         if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
             kept.append(leveled)
+        self._kept[leveled.sweep.agent] = kept
+        self._drop_agents(t_ns)
+
+    def _drop_agents(self, now_ns: int) -> None:
+        """Drop the agents whose sweeps are all too old to be used, and those that are too many."""
+        oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
+        for agent in [name for name, kept in self._kept.items() if (kept[-1].sweep.t_ns or 0) < oldest_ns]:
+            del self._kept[agent]
+        while len(self._kept) > self.agents:
+            del self._kept[next(iter(self._kept))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +187,7 @@ def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstima
     """
     confirmed = np.zeros(estimate.grid.shape, np.bool_)
     if history is not None:
-        confirmed = history.support(estimate.grid, estimate.target) > 0
+        confirmed = history.confirmations(estimate.grid, estimate.target) > 0
     claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
     return replace(
         estimate,

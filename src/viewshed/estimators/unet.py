@@ -22,7 +22,7 @@ from viewshed.networks.card import NetworkCard, Runner
 from viewshed.networks.features import EVIDENCE_BINS, FeatureContext, feature_maps
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, load_runner
-from viewshed.networks.weights import default_name, in_float32
+from viewshed.networks.weights import default_name, float32_name
 from viewshed.preprocess.azimuth_bins import Crop, bins_of_cells, reach_of
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
@@ -211,15 +211,15 @@ class UnetEstimator:
         state: NDArray[np.uint8],
     ) -> None:
         """Fill in probability and state (cells, cells), which hold 0 and UNKNOWN, from the network's probability."""
-        scan = context.scan
+        statistics = context.statistics
         _claim_cells(
             network_prob,
             polar_of_cells(self.grid)[0],
-            scan.obstacle,
-            bins_of_cells(self.grid, scan.bins),
+            statistics.obstacle,
+            bins_of_cells(self.grid, statistics.bins),
             bins_of_cells(self.grid, EVIDENCE_BINS),
-            scan.blocker_m,
-            _evidence(scan.returns, self.target),
+            statistics.blocker_m,
+            _evidence(statistics.returns, self.target),
             np.float32(self.card.max_range_m),
             np.float32(min(reach_of(context.leveled), self.card.max_range_m)),
             np.float32(self.threshold),
@@ -267,7 +267,7 @@ def load_network(
     engine = DEVICES[device]
     if weights is None:
         weights = default_name(method, grid, target.name)
-        weights = weights if engine == IN_BYTES else in_float32(weights)
+        weights = weights if engine == IN_BYTES else float32_name(weights)
     runner = load_runner(weights, engine=engine)
     runner.card.require(grid, target.name)
     if (method == "viewnet") != (runner.card.kind == "viewnet"):

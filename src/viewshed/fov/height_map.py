@@ -12,29 +12,29 @@ from numpy.typing import NDArray
 from viewshed.geometry import FloatArray
 
 NODES = 64
-"""BeamLattice nodes per side."""
+"""Lattice nodes per side."""
 
 
-class Places(NamedTuple):
-    """Where points lie on the lattice: the node (…,) before each, and how far beyond it (…,) in i and in j."""
+class LatticePositions(NamedTuple):
+    """Positions of points on the lattice: the node (…,) before each, and how far beyond it (…,) in i and in j."""
 
     node: NDArray[np.int32]
     down: NDArray[np.float64]
     right: NDArray[np.float64]
 
 
-def places_of(xy: FloatArray, half_extent_m: float, nodes: int) -> Places:
-    """Return the places of points (…, 2+) of ``level`` on a lattice of so many nodes a side."""
+def lattice_positions(xy: FloatArray, half_extent_m: float, nodes: int) -> LatticePositions:
+    """Return the positions of points (…, 2+) of ``level`` on a lattice of so many nodes a side."""
     xy = np.ascontiguousarray(xy, dtype=np.float32)
     shape = xy.shape[:-1]
-    found = Places(np.empty(shape, np.int32), np.empty(shape), np.empty(shape))
-    node, down, right = (each.reshape(-1) for each in found)
-    _place(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), node, down, right)
-    return found
+    positions = LatticePositions(np.empty(shape, np.int32), np.empty(shape), np.empty(shape))
+    node, down, right = (array.reshape(-1) for array in positions)
+    _locate(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), node, down, right)
+    return positions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class HeightMap:
     """Ground height z (meters, ``level`` frame) on a square lattice about the sensor, bilinear in between.
 
     Attributes:
@@ -52,7 +52,7 @@ class Ground:
     support: float = 0.0
 
     @classmethod
-    def flat(cls, half_extent_m: float, z_m: float = 0.0) -> Ground:
+    def flat(cls, half_extent_m: float, z_m: float = 0.0) -> HeightMap:
         """Return level ground at ``z_m``, not seen anywhere."""
         heights = np.full((NODES, NODES), z_m, np.float32)
         return cls(heights, half_extent_m, np.zeros((NODES, NODES), bool), (0.0, 0.0, z_m))
@@ -60,37 +60,39 @@ class Ground:
     def at(self, xy: FloatArray) -> NDArray[np.float32]:
         """Return ground z (…,) in meters below points (…, 2+) of ``level``.
 
-        >>> Ground.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
+        >>> HeightMap.flat(64.0, -1.5).at(np.array([[3.0, 4.0]])).tolist()
         [-1.5]
         """
-        return self.on(places_of(xy, self.half_extent_m, len(self.heights_m)))
+        return self.at_positions(lattice_positions(xy, self.half_extent_m, len(self.heights_m)))
 
-    def on(self, places: Places) -> NDArray[np.float32]:
-        """Return ground z (…,) in meters at places found before, on a lattice like this one."""
-        heights = np.empty(places.node.shape, np.float32)
-        node, down, right = (each.reshape(-1) for each in places)
+    def at_positions(self, positions: LatticePositions) -> NDArray[np.float32]:
+        """Return ground z (…,) in meters at positions on a lattice like this one: faster for points that recur."""
+        heights = np.empty(positions.node.shape, np.float32)
+        node, down, right = (array.reshape(-1) for array in positions)
         _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
         return heights
 
-    def raised(self, by_m: float) -> Ground:
-        """Return the same ground with ``by_m`` meters added to every height."""
+    def raised(self, delta_m: float) -> HeightMap:
+        """Return the same ground with ``delta_m`` meters added to every height."""
         a, b, c = self.plane
-        heights = self.heights_m + np.float32(by_m)
-        return Ground(heights, self.half_extent_m, self.seen, (a, b, c + by_m), self.support)
+        heights = self.heights_m + np.float32(delta_m)
+        return HeightMap(heights, self.half_extent_m, self.seen, (a, b, c + delta_m), self.support)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _place(half: Any, n: int, xy: Any, node: Any, down: Any, right: Any) -> None:  # pragma: no cover - compiled
-    per_m = n / (2.0 * half)
+def _locate(half_m: Any, n: int, xy: Any, node: Any, down: Any, right: Any) -> None:  # pragma: no cover - compiled
+    """Write the position of each point; those beyond the edge lie on it."""
+    nodes_per_m = n / (2.0 * half_m)
     for k in range(xy.shape[0]):
-        u = min(max((xy[k, 0] + half) * per_m - 0.5, 0.0), n - 1.001)
-        v = min(max((xy[k, 1] + half) * per_m - 0.5, 0.0), n - 1.001)
+        u = min(max((xy[k, 0] + half_m) * nodes_per_m - 0.5, 0.0), n - 1.001)
+        v = min(max((xy[k, 1] + half_m) * nodes_per_m - 0.5, 0.0), n - 1.001)
         i, j = int(u), int(v)
         node[k], down[k], right[k] = i * n + j, u - i, v - j
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _interpolate(heights: Any, n: int, node: Any, down: Any, right: Any, out: Any) -> None:  # pragma: no cover
+    """Bilinear between the four nodes around each position."""
     for k in range(node.shape[0]):
         at, under, part = np.uint32(node[k]), np.uint32(node[k] + n), right[k]
         low = heights[at] * (1 - part) + heights[at + np.uint32(1)] * part

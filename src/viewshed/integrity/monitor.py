@@ -237,7 +237,7 @@ def _thresholds(moments: NDArray[np.float64], grid: BevGrid, rule: Rule) -> NDAr
     range_m, _ = polar_of_cells(grid)
     farthest = float(range_m.max()) + 1e-6
     ring = np.minimum((range_m / farthest * rule.rings).astype(np.intp), rule.rings - 1)
-    of_rings = np.stack([np.bincount(ring.ravel(), each.ravel(), rule.rings) for each in moments])[:, ring]
+    of_rings = np.stack([np.bincount(ring.ravel(), moment.ravel(), rule.rings) for moment in moments])[:, ring]
     chosen = np.where(moments[0] < rule.few, of_rings, moments)
     count = np.maximum(chosen[0], 1)
     mean = chosen[1] / count
@@ -320,12 +320,17 @@ def suspects_geojson(report: IntegrityReport) -> bytes:
     """
     from shapely.geometry import mapping
 
-    told = {"monitor": report.monitor, "score": report.score, "threshold": report.threshold, "alarm": report.alarm}
+    properties = {
+        "monitor": report.monitor,
+        "score": report.score,
+        "threshold": report.threshold,
+        "alarm": report.alarm,
+    }
     frame = {
         "name": "level",
         "coordinates": "meters in level frame, not WGS84",
         "axes": "x forward, y left of the sensor",
     }
     shape = mapping(polygon_of_mask(report.suspect, report.grid))
-    feature = {"type": "Feature", "viewshed:frame": frame, "properties": told, "geometry": shape}
+    feature = {"type": "Feature", "viewshed:frame": frame, "properties": properties, "geometry": shape}
     return json.dumps(feature, allow_nan=False).encode()

@@ -58,8 +58,8 @@ class UNetShape:
         """Return masks (passes, M) for Monte Carlo dropout: 0 with probability ``dropout``, else 1 / (1 - dropout)."""
         if passes < 1:
             raise ValueError(f"passes must be at least 1, got {passes}")
-        kept = rng.random((passes, sum(self.masked_channels)), dtype=np.float32) >= np.float32(self.dropout)
-        return kept.astype(np.float32) * np.float32(1.0 / (1.0 - self.dropout))
+        keep = rng.random((passes, sum(self.masked_channels)), dtype=np.float32) >= np.float32(self.dropout)
+        return keep.astype(np.float32) * np.float32(1.0 / (1.0 - self.dropout))
 
     def no_masks(self, count: int) -> NDArray[np.float32]:
         """Return masks (count, M) that change nothing: dropout off."""
@@ -79,7 +79,7 @@ class UNetShape:
         """Return the multiplications and additions in convolutions of one pass over (cells, cells)."""
         cells //= self.fold
         stages = [9 * (inner + outer) * outer for inner, outer in self._stages()]
-        macs = sum(each * (cells >> i) ** 2 for each, i in zip(stages, self._levels(), strict=True))
+        macs = sum(products * (cells >> i) ** 2 for products, i in zip(stages, self._levels(), strict=True))
         macs += sum(2 * w * w * (cells >> i) ** 2 for i, w in enumerate(self.widths[:-1]))
         heads = self.width * self.fold**2
         if self.doubt:

@@ -20,7 +20,7 @@ from viewshed.networks.features import (
     Bytes,
     FeatureContext,
     feature_maps,
-    folded,
+    fold_maps,
     replace_codes,
 )
 from viewshed.preprocess.history import History, history_of
@@ -44,6 +44,9 @@ MOST_DEVIATION = 0.5
 
 _LAYOUT = "viewshed network"
 
+_RENAMED_FEATURES = {"confirmed": "measured", "unexplained": "unresolved", "supported": "confirmations"}
+"""Features by the names that files of version 0.3 have for them, and their names now."""
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkCard:
@@ -61,7 +64,7 @@ class NetworkCard:
         divisor: counts are divided by it, where they are shown ``linear``.
         counts: how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip).
         threshold: probability from which a cell counts as visible.
-        inputs: names of ``CHANNELS``, what the network is shown; as many as the shape's channels.
+        inputs: names of ``FEATURES``, what the network is shown; as many as the shape's channels.
         trained: facts of the training, by name.
 
     Raises:
@@ -182,7 +185,7 @@ class NetworkCard:
         return np.array([linear if name == "counts" else 1.0 for name in self.inputs], np.float32)
 
     def _folded(self, maps: Bytes) -> Bytes:
-        blocks, size = folded(maps, self.shape.fold), self.shape.fold**2
+        blocks, size = fold_maps(maps, self.shape.fold), self.shape.fold**2
         if "counts" in self.inputs and self.counts == "log":
             begin = self.inputs.index("counts") * size
             replace_codes(
@@ -256,7 +259,7 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
         raise ValueError(f"card must have the fields {', '.join(sorted(names))}, got {', '.join(sorted(content))}")
     try:
         low, high = content.pop("heights_m")
-        grid, inputs = content.pop("grid"), tuple(content.pop("inputs"))
+        grid, inputs = content.pop("grid"), tuple(_RENAMED_FEATURES.get(name, name) for name in content.pop("inputs"))
         x, y = grid["offset_m"]
         return NetworkCard(
             shape=UNetShape(**content.pop("shape")),

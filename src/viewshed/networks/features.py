@@ -1,10 +1,8 @@
-"""Channels: what a network may be shown of a sweep, each a map of one byte a cell.
+"""Features: maps of one byte a cell, computed from a leveled sweep, that a network takes as input.
 
 ``counts`` is the input of arXiv 2503.07375. The others are measured as the classical estimators measure them, so that a
 network starts from what they know and learns what they do not: what a missing return means here, which ground to
 believe, which returns to doubt.
-
-What one pass over the returns of a sweep tells: of each cell its lowest and highest ones, and of each azimuth.
 """
 
 from __future__ import annotations
@@ -33,15 +31,15 @@ from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 from viewshed.preprocess.no_return import BeamsByEvidence, beams_by_evidence
 
 HEIGHTS_M = (-2.0, 4.0)
-"""Heights above local ground that ``lowest`` and ``highest`` tell apart."""
+"""Heights above local ground that ``lowest`` and ``highest`` resolve."""
 
 EVIDENCE_BINS = 360
 """Azimuth bins in which returns are counted."""
 
 _BINS = BINS_LADDER[0]
 
-_FOLDED = (1080, 540, 360, 180, 120)
-"""Bins that are the same whether told from an azimuth or from the narrowest bins; the edges of others are rounded."""
+_EXACT_BINS = (1080, 540, 360, 180, 120)
+"""Bins that are the same whether computed from azimuths or from the narrowest bins; edges of others are rounded."""
 
 Bytes = NDArray[np.uint8]
 
@@ -50,7 +48,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellStatistics:
-    """What the returns of a level sweep tell.
+    """Statistics of the returns of a leveled sweep, by cell and by azimuth.
 
     Attributes:
         lowest: (cells, cells) code of the lowest return of each cell: 0 for none, 1 to 255 upwards.
@@ -72,62 +70,93 @@ class CellStatistics:
 
 
 def cell_statistics(leveled: LeveledSweep, grid: BevGrid) -> CellStatistics:
-    """Return what the returns of ``level`` tell of the cells of ``grid`` and of their azimuths."""
-    lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells], np.float32)
-    heights = np.array([*HEIGHTS_M, *OBSTACLE_HEIGHTS_M], np.float32)
-    columns = leveled.points, leveled.range_m, leveled.azimuth, leveled.height_m
-    cells, obstacle, returns, ranges_m = _cell_statistics(columns, lattice, heights)
+    """Return the statistics of the returns of a leveled sweep on ``grid``, in one pass over them."""
+    x0_m, y0_m, cells_per_m = np.array([*grid.origin_m, 1.0 / grid.cell_m], np.float32)
+    low_m, high_m, obstacle_low_m, obstacle_high_m = np.array([*HEIGHTS_M, *OBSTACLE_HEIGHTS_M], np.float32)
+    # Each kernel's arrays have one cell more than the grid: the last one takes the returns outside.
+    last = grid.cells**2
+    lowest, highest = np.zeros(last + 1, np.uint8), np.zeros(last + 1, np.uint8)
+    obstacle, returns = np.zeros(last + 1, np.bool_), np.zeros(_BINS, np.int32)
+    nearest_m, farthest_m = np.full(_BINS, np.inf, np.float32), np.full(_BINS, -1.0, np.float32)
+    _cell_statistics(
+        leveled.points, leveled.range_m, leveled.azimuth, leveled.height_m, x0_m, y0_m, cells_per_m,
+        np.float32(grid.cells), low_m, high_m, obstacle_low_m, obstacle_high_m, lowest, highest, obstacle, returns,
+        nearest_m, farthest_m,
+    )  # fmt: skip
+    # From the narrowest azimuth bins to those that the returns fill.
     bins = bins_filled(returns > 0)
-    if bins in _FOLDED:
+    if bins in _EXACT_BINS:
         shape = bins, _BINS // bins
-        blocker_m, farthest_m = ranges_m[0].reshape(shape).min(axis=1), ranges_m[1].reshape(shape).max(axis=1)
+        blocker_m, farthest_m = nearest_m.reshape(shape).min(axis=1), farthest_m.reshape(shape).max(axis=1)
     else:
         blocker_m = nearest_obstacle_in_bins(leveled, bins, 1, OBSTACLE_HEIGHTS_M)
         farthest_m = farthest_in_bins(leveled, bins)
-    lowest, highest = cells[0, :-1].reshape(grid.shape), cells[1, :-1].reshape(grid.shape)
     counts = returns.reshape(EVIDENCE_BINS, -1).sum(axis=1, dtype=np.int32)
-    return CellStatistics(lowest, highest, obstacle[:-1].reshape(grid.shape), counts, bins, blocker_m, farthest_m)
+    return CellStatistics(
+        lowest[:-1].reshape(grid.shape),
+        highest[:-1].reshape(grid.shape),
+        obstacle[:-1].reshape(grid.shape),
+        counts,
+        bins,
+        blocker_m,
+        farthest_m,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cell_statistics(columns: Any, lattice: Any, heights: Any) -> Any:  # pragma: no cover - compiled
-    """Return codes of the lowest and highest return, obstacles, returns and ranges; the last cell is outside."""
-    points, range_m, azimuth, height_m = columns
-    last = np.uint32(lattice[3]) ** 2
-    cells, obstacle = np.zeros((2, last + 1), np.uint8), np.zeros(last + 1, np.bool_)
-    lowest, highest = cells[0], cells[1]
-    returns, ranges_m = np.zeros(_BINS, np.int32), np.full((2, _BINS), np.inf, np.float32)
-    nearest_m, farthest_m = ranges_m[0], ranges_m[1]
-    farthest_m[:] = -1.0
+def _cell_statistics(
+    points: Any,
+    range_m: Any,
+    azimuth: Any,
+    height_m: Any,
+    x0_m: Any,
+    y0_m: Any,
+    cells_per_m: Any,
+    side: Any,
+    low_m: Any,
+    high_m: Any,
+    obstacle_low_m: Any,
+    obstacle_high_m: Any,
+    lowest: Any,
+    highest: Any,
+    obstacle: Any,
+    returns: Any,
+    nearest_m: Any,
+    farthest_m: Any,
+) -> None:  # pragma: no cover - compiled
+    """Write codes of the lowest and highest return and obstacles by cell, returns and ranges by azimuth bin.
+
+    In blocks: what is calculated vectorizes and stays at hand, what is looked up does not.
+    """
     x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     cell, bearing, code = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32), np.empty(BLOCK, np.uint8)
     for start in range(0, points.shape[0], BLOCK):
         count = split(points, start, x, y, z)
         block = slice(start, start + count)
         ranges, highs = range_m[block], height_m[block]
-        _cells(x[:count], y[:count], lattice, cell)
-        _write_bins_and_heights(azimuth[block], highs, heights, bearing, code)
+        _write_cells(x[:count], y[:count], x0_m, y0_m, cells_per_m, side, cell)
+        _write_bins_and_heights(azimuth[block], highs, low_m, high_m, bearing, code)
         for k in range(count):
             c, b = np.uint32(cell[k]), np.uint32(bearing[k])
             highest[c] = max(highest[c], code[k])
             lowest[c] = max(lowest[c], np.uint8(-code[k]))  # 256 less the code, so that 0 is none here as well
             returns[b] += 1
             farthest_m[b] = max(farthest_m[b], ranges[k])
-            if heights[2] < highs[k] < heights[3]:
+            if obstacle_low_m < highs[k] < obstacle_high_m:
                 obstacle[c] = True
                 nearest_m[b] = min(nearest_m[b], ranges[k])
-    for k in range(last):
+    for k in range(lowest.shape[0] - 1):
         lowest[k] = np.uint8(-lowest[k])
-    return cells, obstacle, returns, ranges_m
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cells(x: Any, y: Any, lattice: Any, cell: Any) -> None:  # pragma: no cover - compiled
+def _write_cells(
+    x: Any, y: Any, x0_m: Any, y0_m: Any, cells_per_m: Any, side: Any, cell: Any
+) -> None:  # pragma: no cover - compiled
     """Write the cell of each point of a block, cells · cells outside."""
-    x0, y0, per_m, side = lattice
     none = np.float32(0.0)
     for k in range(x.shape[0]):
-        u, v = (x[k] - x0) * per_m, (y[k] - y0) * per_m
+        u, v = (x[k] - x0_m) * cells_per_m, (y[k] - y0_m) * cells_per_m
         inside = (u >= none) & (v >= none) & (u < side) & (v < side)
         i, j = np.int32(u if inside else side), np.int32(v if inside else none)
         cell[k] = i * np.int32(side) + j
@@ -135,26 +164,25 @@ def _cells(x: Any, y: Any, lattice: Any, cell: Any) -> None:  # pragma: no cover
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _write_bins_and_heights(
-    azimuth: Any, height_m: Any, heights: Any, bearing: Any, code: Any
+    azimuth: Any, height_m: Any, low_m: Any, high_m: Any, bearing: Any, code: Any
 ) -> None:  # pragma: no cover - compiled
     """Write the azimuth bin of each point of a block, and the code of its height."""
-    bottom, top = heights[0], heights[1]
-    scale = np.float32(254.0) / (top - bottom)
+    scale = np.float32(254.0) / (high_m - low_m)
     for k in range(azimuth.shape[0]):
         position = (np.float64(azimuth[k]) + np.pi) * (_BINS / (2.0 * np.pi))
         bearing[k] = min(max(np.int32(position), np.int32(0)), np.int32(_BINS - 1))
     for k in range(azimuth.shape[0]):
-        code[k] = 1 + np.int32(min(max(height_m[k] - bottom, np.float32(0.0)), top - bottom) * scale)
+        code[k] = 1 + np.int32(min(max(height_m[k] - low_m, np.float32(0.0)), high_m - low_m) * scale)
 
 
 MOST_RETURNS = 127
-"""Expected returns that the codes tell apart."""
+"""Expected returns that the codes resolve."""
 
 FARTHEST_M = 100.0
-"""Distances that ``blocker``, ``farthest`` and ``range`` tell apart."""
+"""Distances that ``blocker``, ``farthest`` and ``range`` resolve."""
 
 NO_HISTORY = 128
-"""Code of ``supported`` without earlier sweeps: neither none of them nor all."""
+"""Code of ``confirmations`` without earlier sweeps: neither none of them nor all."""
 
 _STEPS = 16
 
@@ -163,49 +191,49 @@ _STEPS_A_METER = 32
 
 @dataclass(frozen=True, eq=False)
 class FeatureContext:
-    """What the channels of one sweep are made of; each part is computed when it is first asked for.
+    """What the features of one sweep are computed from; each part is computed when it is first read.
 
     Attributes:
         leveled: the sweep.
         grid: of the maps.
         target: what would have to be seen.
         counts: (cells, cells) uint8, returns of each cell as the network's card counts them.
-        past: what earlier sweeps saw, or None where there are none.
+        history: what earlier sweeps saw, or None where there are none.
     """
 
     leveled: LeveledSweep
     grid: BevGrid
     target: Target
     counts: Bytes
-    past: History | None = None
+    history: History | None = None
 
     @cached_property
-    def scan(self) -> CellStatistics:
-        """What one pass over the returns tells."""
+    def statistics(self) -> CellStatistics:
+        """Statistics of the returns, by cell and by azimuth."""
         return cell_statistics(self.leveled, self.grid)
 
     @cached_property
-    def told(self) -> BeamsByEvidence:
-        """The beams by what is known of them."""
+    def beams(self) -> BeamsByEvidence:
+        """The beams by what is known of their depth."""
         return beams_by_evidence(self.leveled, self.target.height_m)
 
     @cached_property
     def returns(self) -> Floats:
-        """(3, cells, cells) expected returns by confirmed, explained and unexplained beams."""
-        leveled, told = self.leveled, self.told
-        kinds = told.measured, told.inferred, told.unresolved
+        """(3, cells, cells) expected returns by measured, inferred and unresolved beams."""
+        leveled, beams = self.leveled, self.beams
+        kinds = beams.measured, beams.inferred, beams.unresolved
         return returns_by_kind(kinds, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
 
     @cached_property
     def codes(self) -> Bytes:
-        """(3, cells, cells) codes of the returns expected by confirmed, by told (also explained) and by other beams."""
+        """(3, cells, cells) codes of the returns by measured, by measured and inferred, and by unresolved beams."""
         codes = np.empty(self.returns.shape, np.uint8)
         _write_beam_codes(self.returns.reshape(3, -1), _returns_table(), codes.reshape(3, -1))
         return codes
 
     def beyond(self, limit_m: Floats) -> Bytes:
         """Return the code (cells, cells) of how far a limit (bins,) lies beyond each cell; 128 where they meet."""
-        code, bins = np.empty(self.grid.shape, np.uint8), bins_of_cells(self.grid, self.scan.bins)
+        code, bins = np.empty(self.grid.shape, np.uint8), bins_of_cells(self.grid, self.statistics.bins)
         flat = bins.reshape(-1), polar_of_cells(self.grid)[0].reshape(-1)
         _beyond(limit_m, *flat, *_away_table(), code.reshape(-1))
         return code
@@ -246,7 +274,7 @@ def returns_code(returns: Floats) -> Bytes:
     [0, 94, 255]
     """
     code = np.empty(returns.shape, np.uint8)
-    _looked_up(np.ascontiguousarray(returns, np.float32).reshape(-1), _returns_table(), code.reshape(-1))
+    _look_up(np.ascontiguousarray(returns, np.float32).reshape(-1), _returns_table(), code.reshape(-1))
     return code
 
 
@@ -263,98 +291,104 @@ def _range_code(grid: BevGrid) -> Bytes:
     return code
 
 
-def _confirmed_by_history(shown: FeatureContext) -> Bytes:
+def _confirmations_code(context: FeatureContext) -> Bytes:
     """Return the code of the share of the earlier sweeps that saw each cell: 0 to 255, 128 without any."""
-    if shown.past is None:
-        return np.full(shown.grid.shape, NO_HISTORY, np.uint8)
-    share = shown.past.support(shown.grid, shown.target) * (255.0 / len(shown.past.earlier))
+    history = context.history
+    if history is None:
+        return np.full(context.grid.shape, NO_HISTORY, np.uint8)
+    share = history.confirmations(context.grid, context.target) * (255.0 / len(history.earlier))
     code: Bytes = np.round(share).astype(np.uint8)
     return code
 
 
 FEATURES: dict[str, Callable[[FeatureContext], Bytes]] = {
-    "counts": lambda shown: shown.counts,
-    "lowest": lambda shown: shown.scan.lowest,
-    "highest": lambda shown: shown.scan.highest,
-    "confirmed": lambda shown: shown.codes[0],
-    "expected": lambda shown: shown.codes[1],
-    "unexplained": lambda shown: shown.codes[2],
-    "blocker": lambda shown: shown.beyond(shown.scan.blocker_m),
-    "farthest": lambda shown: shown.beyond(shown.scan.farthest_m),
-    "range": lambda shown: _range_code(shown.grid),
-    "supported": _confirmed_by_history,
+    "counts": lambda context: context.counts,
+    "lowest": lambda context: context.statistics.lowest,
+    "highest": lambda context: context.statistics.highest,
+    "measured": lambda context: context.codes[0],
+    "expected": lambda context: context.codes[1],
+    "unresolved": lambda context: context.codes[2],
+    "blocker": lambda context: context.beyond(context.statistics.blocker_m),
+    "farthest": lambda context: context.beyond(context.statistics.farthest_m),
+    "range": lambda context: _range_code(context.grid),
+    "confirmations": _confirmations_code,
 }
-"""The channels by name. ``expected`` is what the shadow map counts, ``confirmed`` only the beams that returned and that
-another one confirms, ``unexplained`` the beams whose end nothing tells, as if nothing stopped them; ``blocker`` and
-``farthest`` tell how far the nearest obstacle and the farthest return of the azimuth lie beyond the cell.
+"""The features by name. ``measured`` counts the expected returns of beams that returned and that are not isolated;
+``expected`` those of measured and inferred beams, as the shadow map does; ``unresolved`` those of the beams whose depth
+is not known, as if nothing stopped them. ``blocker`` and ``farthest`` are how far the nearest obstacle and the farthest
+return of the azimuth lie beyond the cell. ``confirmations`` is the share of the earlier sweeps that would have seen a
+target in the cell."""
 
-One is of earlier sweeps: ``supported`` tells how many of them would have seen a target in the cell."""
-
-HISTORY_FEATURES = ("supported",)
-"""Channels that earlier sweeps change."""
+HISTORY_FEATURES = ("confirmations",)
+"""Features that earlier sweeps change."""
 
 
-def feature_maps(names: Sequence[str], shown: FeatureContext) -> Bytes:
-    """Return the maps (channels, cells, cells) of channels by their names."""
-    maps = np.empty((len(names), *shown.grid.shape), np.uint8)
-    for name, found in zip(names, maps, strict=True):
-        found[:] = FEATURES[name](shown)
+def feature_maps(names: Sequence[str], context: FeatureContext) -> Bytes:
+    """Return the maps (features, cells, cells) of features by their names."""
+    maps = np.empty((len(names), *context.grid.shape), np.uint8)
+    for name, out in zip(names, maps, strict=True):
+        out[:] = FEATURES[name](context)
     return maps
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _beyond(limit_m: Any, bins: Any, range_m: Any, table: Any, begins: Any, codes: Any) -> None:  # pragma: no cover
-    """By blocks: what is calculated vectorizes, what is looked up does not."""
+    """Write the code (cells) of how far the limit of each cell's azimuth bin lies beyond its range.
+
+    In blocks of three loops: what is calculated vectorizes, what is looked up does not.
+    """
     most, per_m = np.float32(FARTHEST_M), np.float32(_STEPS_A_METER)
     away, step = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.int32)
     for start in range(0, codes.shape[0], BLOCK):
         block = slice(start, min(start + BLOCK, codes.shape[0]))
-        some, ranges, found = bins[block], range_m[block], codes[block]
-        for k in range(found.shape[0]):
-            away[k] = limit_m[np.uint32(some[k])]
-        for k in range(found.shape[0]):
+        bin_of, ranges, out = bins[block], range_m[block], codes[block]
+        for k in range(out.shape[0]):
+            away[k] = limit_m[np.uint32(bin_of[k])]
+        for k in range(out.shape[0]):
             away[k] = min(max(away[k] - ranges[k], -most), most)
             step[k] = np.int32((away[k] + most) * per_m)
-        for k in range(found.shape[0]):
+        for k in range(out.shape[0]):
             code = np.uint32(table[np.uint32(step[k])])
-            found[k] = code + np.uint32(away[k] >= begins[code + np.uint32(1)])
+            out[k] = code + np.uint32(away[k] >= begins[code + np.uint32(1)])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _write_beam_codes(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+    """Write the codes (3, cells) of expected returns (3, cells): measured, measured and inferred, unresolved."""
     both = np.empty(BLOCK, np.float32)
     for start in range(0, returns.shape[1], BLOCK):
         block = slice(start, min(start + BLOCK, returns.shape[1]))
         measured, inferred = returns[0, block], returns[1, block]
         for k in range(measured.shape[0]):
             both[k] = measured[k] + inferred[k]
-        _looked_up(measured, table, codes[0, block])
-        _looked_up(both[: measured.shape[0]], table, codes[1, block])
-        _looked_up(returns[2, block], table, codes[2, block])
+        _look_up(measured, table, codes[0, block])
+        _look_up(both[: measured.shape[0]], table, codes[1, block])
+        _look_up(returns[2, block], table, codes[2, block])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _looked_up(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+def _look_up(returns: Any, table: Any, codes: Any) -> None:  # pragma: no cover - compiled
+    """Write the code of each number of returns: of the last step of the table below it."""
     steps, last = np.float32(_STEPS), np.float32(table.shape[0] - 1)
     for n in range(returns.shape[0]):
         codes[n] = table[np.uint32(np.int32(min(returns[n] * steps, last)))]
 
 
-def folded(maps: Bytes, fold: int) -> Bytes:
-    """Return maps (channels, cells, cells) in blocks (side, side, channels · fold²), ordered by channel, row, column.
+def fold_maps(maps: Bytes, fold: int) -> Bytes:
+    """Return maps (features, cells, cells) in blocks (side, side, features · fold²), ordered by feature, row, column.
 
-    >>> folded(np.arange(8, dtype=np.uint8).reshape(2, 2, 2), 2).tolist()
+    >>> fold_maps(np.arange(8, dtype=np.uint8).reshape(2, 2, 2), 2).tolist()
     [[[0, 1, 2, 3, 4, 5, 6, 7]]]
     """
-    channels, cells = maps.shape[:2]
+    features, cells = maps.shape[:2]
     side = cells // fold
     if fold not in (1, 2, 4, 8):
-        blocks = maps.reshape(channels, side, fold, side, fold).transpose(1, 3, 0, 2, 4)
+        blocks = maps.reshape(features, side, fold, side, fold).transpose(1, 3, 0, 2, 4)
         return np.ascontiguousarray(blocks).reshape(side, side, -1)
-    found = np.empty((side, side, channels * fold**2), np.uint8)
+    out = np.empty((side, side, features * fold**2), np.uint8)
     word = f"u{fold}"
-    _fold(np.ascontiguousarray(maps).view(word), found.view(word))
-    return found
+    _fold(np.ascontiguousarray(maps).view(word), out.view(word))
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

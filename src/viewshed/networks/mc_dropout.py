@@ -36,7 +36,11 @@ def mean_and_deviation(probability: Floats) -> tuple[Floats, Floats]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _moments(values: Any, mean: Any, std: Any) -> None:  # pragma: no cover - compiled
-    """Sums of the differences to the first pass, in blocks that stay in the cache."""
+    """Write mean and deviation (count,) of values (passes, count).
+
+    Sums are of the differences to the first pass, which are small: squares of the values would cancel in float32.
+    Blocks of 2,048 cells keep both sums in the first-level cache while the passes stream by.
+    """
     passes, count = values.shape
     block = 2048
     total, squares = np.empty(block, np.float32), np.empty(block, np.float32)
@@ -45,9 +49,9 @@ def _moments(values: Any, mean: Any, std: Any) -> None:  # pragma: no cover - co
         total[:], squares[:] = 0.0, 0.0
         for k in range(1, passes):
             for n in range(width):
-                away = values[k, start + n] - values[0, start + n]
-                total[n] += away
-                squares[n] += away * away
+                difference = values[k, start + n] - values[0, start + n]
+                total[n] += difference
+                squares[n] += difference * difference
         for n in range(width):
             shift = total[n] / np.float32(passes)
             mean[start + n] = values[0, start + n] + shift

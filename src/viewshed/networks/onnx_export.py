@@ -47,9 +47,9 @@ def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
     names = ["probability", "deviation"] if card.shape.doubt else ["probability"]
     counts = dict(zip(names, ("passes", "frames"), strict=False))
     outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [counts[name], cells, cells]) for name in names]
-    made = helper.make_graph(graph.nodes, "unet", inputs, outputs, graph.constants)
+    onnx_graph = helper.make_graph(graph.nodes, "unet", inputs, outputs, graph.constants)
     model = helper.make_model(
-        made, producer_name="viewshed", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
+        onnx_graph, producer_name="viewshed", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
     )
     helper.set_model_props(model, {CARD_KEY: card.to_json()})
     onnx.checker.check_model(model)
@@ -130,7 +130,7 @@ class _Graph:
         return self.node("Conv", [x, *self.weights(weight, bias)], kernel_shape=[3, 3], pads=[1, 1, 1, 1])
 
     def weights(self, weight: Tensor, bias: Tensor | None) -> list[str]:
-        return [self.constant(each.detach().cpu().numpy()) for each in (weight, bias) if each is not None]
+        return [self.constant(tensor.detach().cpu().numpy()) for tensor in (weight, bias) if tensor is not None]
 
     def constant(self, array: NDArray[np.float32] | NDArray[np.int64]) -> str:
         name = f"c{len(self.constants)}"

@@ -1,6 +1,6 @@
-"""Runs an exported network without torch: ONNX Runtime, or where asked for OpenVINO or a graphics card by CUDA.
+"""Runs an exported network without torch: ONNX Runtime on the processor, or on request OpenVINO or CUDA.
 
-ONNX Runtime on a graphics card, or an error that says what is missing: never on the processor instead.
+``cuda`` runs on the graphics card or raises an error that says what is missing: it never falls back to the processor.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
-from viewshed.networks.card import INT8, NetworkCard, require_doubt
-from viewshed.networks.weights import CARD_KEY, shipped_content, shipped_names, verify_checksum
+from viewshed.networks.card import INT8, require_doubt
+from viewshed.networks.inspection import inspect_network
+from viewshed.networks.weights import shipped_content, shipped_names, verify_checksum
 
 _CPU, _CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
 
@@ -33,7 +34,7 @@ Run = Callable[[Sequence[str], Mapping[str, Any]], list[Any]]
 """From names of outputs, and inputs by name, to these outputs."""
 
 
-def on_card(content: bytes) -> Run:
+def cuda_run(content: bytes) -> Run:
     """Return what runs a network, known to be sound, on the first graphics card; it raises an OSError if that fails.
 
     Raises:
@@ -44,12 +45,12 @@ def on_card(content: bytes) -> Run:
 
     def run(names: Sequence[str], inputs: Mapping[str, Any]) -> list[Any]:
         try:
-            found: list[Any] = session.run(names, inputs)
+            outputs: list[Any] = session.run(names, inputs)
         except Exception as error:  # its errors share no class but this
             raise OSError(
                 f"the graphics card failed ({_first_line(str(error))}); free its memory, {_INSTEAD}"
             ) from error
-        return found
+        return outputs
 
     return run
 
@@ -65,29 +66,29 @@ def _cuda_session(content: bytes) -> Any:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _FATAL
     onnxruntime.set_default_logger_severity(_FATAL)  # what it would say at length is said below in a line
-    why = _preloaded(onnxruntime)
+    why = _preload_cuda(onnxruntime)
     try:
         providers = [(_CUDA, _SETTINGS), _CPU]
         session = onnxruntime.InferenceSession(content, options, providers=providers, enable_fallback=False)
     except Exception as error:  # its errors share no class but this
-        raise ValueError(_no_card(_first_line(str(error)))) from error
+        raise ValueError(_no_card_message(_first_line(str(error)))) from error
     finally:
         onnxruntime.set_default_logger_severity(_WARNING)
     if _CUDA not in session.get_providers():
-        raise ValueError(_no_card(why))
+        raise ValueError(_no_card_message(why))
     return session
 
 
-def _preloaded(onnxruntime: Any) -> str:
+def _preload_cuda(onnxruntime: Any) -> str:
     """Load the libraries of CUDA that pip installed, if any, and return what is missing."""
-    preload, told = getattr(onnxruntime, "preload_dlls", None), io.StringIO()
+    preload, output = getattr(onnxruntime, "preload_dlls", None), io.StringIO()
     if preload is not None:  # it is there from 1.21 on
-        with redirect_stdout(told):
+        with redirect_stdout(output):
             preload()
-    return _first_line(told.getvalue()) or "no card or no driver"
+    return _first_line(output.getvalue()) or "no card or no driver"
 
 
-def _no_card(why: str) -> str:
+def _no_card_message(why: str) -> str:
     return (
         f"engine cuda needs a graphics card, and ONNX Runtime found none that it can use ({why}); see that nvidia-smi"
         f" shows one, and run: {_INSTALL}; {_INSTEAD}"
@@ -117,24 +118,27 @@ Call = Callable[[NDArray[Any], Floats, Sequence[str]], list[Floats]]
 
 _PROBABILITY, _DEVIATION = "probability", "deviation"
 
-_NO_BYTES = {"openvino": "which computes its masks wrong", "cuda": "which is for networks in float32"}
+_NO_INT8 = {"openvino": "which computes its masks wrong", "cuda": "which is for networks in float32"}
 
 
 class OnnxRunner:
     """Runs a network that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
 
     Args:
-        path: the file; its checksum is checked.
+        path: the file; its checksum is compared, and what it would run is bounded by its card
+            (:mod:`viewshed.networks.inspection`) before anything runs. The checksum finds damage, not forgery: take
+            networks from people whom you trust to say the truth.
         threads: threads of one run; None leaves it to the engine (one for each core).
         engine: one of ``ENGINES``.
         precision: one of ``PRECISIONS``.
 
     Raises:
-        ValueError: the file is damaged, another, or of another version; or the engine cannot do what is asked.
+        ValueError: the file is damaged, another, of another version, or asks for more than a network of ours; or the
+            engine cannot do what is asked.
         OSError: it cannot be read.
         ImportError: the engine is not installed.
 
-    With ``cuda`` a run may also raise an OSError: the graphics card failed.
+    A run raises a ValueError if the network fails, with ``cuda`` an OSError if the graphics card does.
     """
 
     _alone: OnnxRunner | None
@@ -149,28 +153,25 @@ class OnnxRunner:
         cls, content: bytes, name: str, threads: int | None = None, engine: str = "onnxruntime", precision: str = "f32"
     ) -> OnnxRunner:
         """Return the runner of a file's ``content``; ``name`` stands for it in messages."""
-        made = cls.__new__(cls)
-        made._start(content, name, threads, engine, precision)
-        return made
+        runner = cls.__new__(cls)
+        runner._start(content, name, threads, engine, precision)
+        return runner
 
     def _start(self, content: bytes, name: str, threads: int | None, engine: str, precision: str) -> None:
         self._content, self._name, self._alone = content, name, None
         verify_checksum(content, name)
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        self.engine, self.precision = _resolved(engine, precision), precision
-        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda: reads the card, proves it sound
+        self.engine, self.precision = _check_engine(engine, precision), precision
+        self.card = inspect_network(content, name)
+        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda as well: proves the file sound
         try:
-            card, self._call = start(content, threads, precision)
+            self._call = _with_file_name(start(content, threads, precision), name)
         except RuntimeError as error:
-            raise ValueError(f"{name} must be a network in ONNX, got another file ({_first(error)})") from error
-        try:
-            self.card = NetworkCard.from_json(card)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
+            raise ValueError(f"{name} must be a network in ONNX, got another file ({_short(error)})") from error
         if self.card.precision == INT8 and self.engine != IN_BYTES:
             raise ValueError(
-                f"engine must be {IN_BYTES} for {name}, a network in bytes, got {engine}, {_NO_BYTES[engine]}; give the"
+                f"engine must be {IN_BYTES} for {name}, a network in bytes, got {engine}, {_NO_INT8[engine]}; give the"
                 " network in float32"
             )
         if self.engine == "cuda":
@@ -244,7 +245,7 @@ def _choices() -> str:
     )
 
 
-def _resolved(engine: str, precision: str) -> str:
+def _check_engine(engine: str, precision: str) -> str:
     for name, value, known in (("engine", engine, ENGINES), ("precision", precision, PRECISIONS)):
         if value not in known:
             raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
@@ -253,20 +254,25 @@ def _resolved(engine: str, precision: str) -> str:
     return engine
 
 
-def _onnxruntime(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+def _with_file_name(call: Call, name: str) -> Call:
+    """Give whatever an engine raises while a network runs one line that names its file."""
+
+    def run(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
+        try:
+            return call(inputs, masks, names)
+        except Exception as error:  # engines raise whatever their parts raise
+            raise ValueError(f"{name} cannot be run ({_short(error)}); export it again with viewshed train") from error
+
+    return run
+
+
+def _onnxruntime(content: bytes, threads: int | None, precision: str) -> Call:
+    return values_of(content, threads)
+
+
+def values_of(content: bytes, threads: int | None = None) -> Call:
+    """Return what runs a model for any of its outputs; card and checksum are not asked for."""
     session = _session(content, threads)
-    card = session.get_modelmeta().custom_metadata_map.get(CARD_KEY, "")
-
-    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
-        found: list[Floats] = session.run(names, {"inputs": inputs, "masks": masks})
-        return found
-
-    return card, call
-
-
-def values_of(content: bytes) -> Call:
-    """Return what runs a model without card and checksum for any of its outputs, to look into a network."""
-    session = _session(content, None)
     return lambda inputs, masks, names: list(session.run(names, {"inputs": inputs, "masks": masks}))
 
 
@@ -291,15 +297,15 @@ def _session(content: bytes, threads: int | None) -> Any:
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class but this
-        raise RuntimeError(_first(error)) from error
+        raise RuntimeError(_short(error)) from error
 
 
 def _cuda(content: bytes) -> Call:
-    run = on_card(content)
+    run = cuda_run(content)
     return lambda inputs, masks, names: run(names, {"inputs": inputs, "masks": masks})
 
 
-def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str, Call]:
+def _openvino(content: bytes, threads: int | None, precision: str) -> Call:
     try:
         import openvino
     except ImportError as error:
@@ -310,17 +316,15 @@ def _openvino(content: bytes, threads: int | None, precision: str) -> tuple[str,
         settings["INFERENCE_NUM_THREADS"] = threads
     model = core.read_model(content)
     request = core.compile_model(model, "CPU", settings).create_infer_request()
-    place = ["framework", CARD_KEY]
-    card = model.get_rt_info(place).astype(str) if model.has_rt_info(place) else ""
 
     def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
-        found = request.infer({"inputs": inputs, "masks": masks})
-        return [found[name].copy() for name in names]
+        outputs = request.infer({"inputs": inputs, "masks": masks})
+        return [outputs[name].copy() for name in names]
 
-    return card, call
+    return call
 
 
-def _first(error: BaseException) -> str:
+def _short(error: BaseException) -> str:
     return " ".join(str(error).split())[:120]
 
 

@@ -136,8 +136,8 @@ class TorchRunner:
 
 
 def _probability(logits: Tensor) -> NDArray[np.float32]:
-    found: NDArray[np.float32] = torch.sigmoid(logits)[:, 0].float().cpu().numpy()
-    return found
+    prob: NDArray[np.float32] = torch.sigmoid(logits)[:, 0].float().cpu().numpy()
+    return prob
 
 
 def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:

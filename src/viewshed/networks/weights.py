@@ -1,6 +1,7 @@
 """Weights that travel with the package: a manifest of names, files and checksums.
 
-A checksum inside a network's file: its last entry of metadata is the SHA-256 of all bytes before it.
+A checksum inside a network's file: its last entry of metadata is the SHA-256 of all bytes before it. It finds damage,
+not forgery: anybody can compute it. :mod:`viewshed.networks.inspection` bounds what a file may make an engine do.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ def verify_checksum(content: bytes, name: str) -> None:
             f"{name} must be a network that viewshed exported, got a file that is cut short or another; copy it again,"
             " or export it with viewshed train"
         )
-    found, promised = hashlib.sha256(model).hexdigest(), end[-_DIGITS:].decode("ascii", "replace")
-    if found != promised:
+    actual, promised = hashlib.sha256(model).hexdigest(), end[-_DIGITS:].decode("ascii", "replace")
+    if actual != promised:
         raise ValueError(
-            f"{name} must have the checksum {promised[:10]}…, got {found[:10]}…: it is damaged; copy it again"
+            f"{name} must have the checksum {promised[:10]}…, got {actual[:10]}…: it is damaged; copy it again"
         )
 
 
@@ -60,7 +61,7 @@ _MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Shipped:
+class ShippedWeights:
     """One line of the manifest.
 
     Attributes:
@@ -82,13 +83,13 @@ class Shipped:
     methods: tuple[str, ...]
 
 
-def manifest(folder: Path = WEIGHTS) -> dict[str, Shipped]:
+def manifest(folder: Path = WEIGHTS) -> dict[str, ShippedWeights]:
     """Return the shipped weights by name; none where there is no manifest."""
     path = folder / _MANIFEST
     if not path.is_file():
         return {}
     lines = json.loads(path.read_text(encoding="utf-8"))
-    return {line["name"]: Shipped(**{**line, "methods": tuple(line["methods"])}) for line in lines}
+    return {line["name"]: ShippedWeights(**{**line, "methods": tuple(line["methods"])}) for line in lines}
 
 
 def shipped_names(folder: Path = WEIGHTS) -> tuple[str, ...]:
@@ -104,10 +105,10 @@ def shipped_content(name: str, folder: Path = WEIGHTS) -> bytes:
     """
     line = manifest(folder)[name]
     content = (folder / line.file).read_bytes()
-    found = hashlib.sha256(content).hexdigest()
-    if found != line.sha256:
+    actual = hashlib.sha256(content).hexdigest()
+    if actual != line.sha256:
         raise ValueError(
-            f"{line.file} must have the checksum {line.sha256[:10]}…, got {found[:10]}…: it is damaged; install"
+            f"{line.file} must have the checksum {line.sha256[:10]}…, got {actual[:10]}…: it is damaged; install"
             " viewshed again"
         )
     return content
@@ -132,19 +133,19 @@ def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS
     )
 
 
-def in_float32(name: str) -> str:
+def float32_name(name: str) -> str:
     """Return the name of the shipped network in float32 that ``name`` is, or of which it is the one in bytes.
 
-    >>> in_float32("viewnet_road_int8"), in_float32("road")
+    >>> float32_name("viewnet_road_int8"), float32_name("road")
     ('viewnet_road', 'road')
     """
     return name.removesuffix("_int8")
 
 
-def ship(content: bytes, line: Shipped, folder: Path = WEIGHTS) -> None:
+def add_shipped(content: bytes, line: ShippedWeights, folder: Path = WEIGHTS) -> None:
     """Write weights into ``folder`` and their line into its manifest; an older line of that name is replaced."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomic(folder / line.file, content)
     lines = {**manifest(folder), line.name: line}
-    text = json.dumps([asdict(each) for each in lines.values()], indent=1) + "\n"
+    text = json.dumps([asdict(entry) for entry in lines.values()], indent=1) + "\n"
     write_atomic(folder / _MANIFEST, text.encode())

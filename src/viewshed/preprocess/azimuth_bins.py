@@ -1,4 +1,4 @@
-"""Shared kernels of the geometric estimators: azimuth bins, limits in range, cell states."""
+"""Azimuth bins: what the geometric estimators share. Returns by bin, limits in range, and cell states from them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BINS_LADDER = (1080, 540, 360, 216, 180, 120)
 """Azimuth bins that :func:`measured_azimuth_bins` chooses from; each divides the first."""
 
 FALLBACK_BINS = 360
-"""Azimuth bins where the returns are too few to tell the sensor's step."""
+"""Azimuth bins where the returns are too few to measure the sensor's step."""
 
 MAX_BINS = 32_000
 
@@ -70,9 +70,16 @@ class Crop:
 
     def any_on(self, leveled: LeveledSweep, grid: BevGrid) -> bool:
         """Return whether a return that counts lies on ``grid``."""
-        limits = np.array([self.max_range_m, *self.height_m, leveled.sensor_height_m], np.float32)
-        lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, grid.cells])
-        return bool(_any_on(leveled.points, leveled.range_m, limits, lattice))
+        far_m, low_m, high_m, sensor_m = np.array(
+            [self.max_range_m, *self.height_m, leveled.sensor_height_m], np.float32
+        )
+        x0_m, y0_m = grid.origin_m
+        return bool(
+            _any_on(
+                leveled.points, leveled.range_m, far_m, low_m, high_m, sensor_m, x0_m, y0_m, 1.0 / grid.cell_m,
+                float(grid.cells),
+            )
+        )  # fmt: skip
 
 
 ALL_RETURNS = Crop()
@@ -137,17 +144,17 @@ def nearest_obstacle_in_bins(
 ) -> NDArray[np.float32]:
     """Return the range (bins,) in meters of the ``rank``-th nearest obstacle return of each bin; inf where none."""
     best = np.full((bins, rank), np.inf, np.float32)
-    _smallest(leveled.azimuth, leveled.range_m, leveled.height_m, np.array(height_m, np.float32), best)
+    low_m, high_m = np.array(height_m, np.float32)
+    _smallest(leveled.azimuth, leveled.range_m, leveled.height_m, low_m, high_m, best)
     return best[:, rank - 1]
 
 
 def ends_on_obstacle(leveled: LeveledSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return for each azimuth bin (bins,) whether an obstacle return lies exactly at ``limit_m`` (bins,)."""
-    found = np.zeros(limit_m.shape, np.bool_)
-    _at_limit(
-        leveled.azimuth, leveled.range_m, leveled.height_m, np.array(OBSTACLE_HEIGHTS_M, np.float32), limit_m, found
-    )
-    return found
+    on_obstacle = np.zeros(limit_m.shape, np.bool_)
+    low_m, high_m = np.array(OBSTACLE_HEIGHTS_M, np.float32)
+    _at_limit(leveled.azimuth, leveled.range_m, leveled.height_m, low_m, high_m, limit_m, on_obstacle)
+    return on_obstacle
 
 
 def reach_of(leveled: LeveledSweep) -> float:
@@ -199,13 +206,23 @@ def fov_of_state(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _any_on(points: Any, range_m: Any, limits: Any, lattice: Any) -> Any:  # pragma: no cover - compiled
-    far, low, high, sensor = limits
-    x0, y0, per_m, cells = lattice
+def _any_on(
+    points: Any,
+    range_m: Any,
+    far_m: Any,
+    low_m: Any,
+    high_m: Any,
+    sensor_m: Any,
+    x0_m: Any,
+    y0_m: Any,
+    cells_per_m: Any,
+    cells: Any,
+) -> Any:  # pragma: no cover - compiled
+    """Whether a point within the limits of range and of height from the sensor lies on the grid."""
     for n in range(points.shape[0]):
-        z = points[n, 2] - sensor
-        if range_m[n] <= far and low <= z <= high:
-            u, v = (points[n, 0] - x0) * per_m, (points[n, 1] - y0) * per_m
+        z = points[n, 2] - sensor_m
+        if range_m[n] <= far_m and low_m <= z <= high_m:
+            u, v = (points[n, 0] - x0_m) * cells_per_m, (points[n, 1] - y0_m) * cells_per_m
             if 0 <= u < cells and 0 <= v < cells:
                 return True
     return False
@@ -213,18 +230,21 @@ def _any_on(points: Any, range_m: Any, limits: Any, lattice: Any) -> Any:  # pra
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _bin(azimuth: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Return the azimuth bin; in float64, as :func:`azimuth_bins_of` computes that of cells."""
     position = int((np.float64(azimuth) + np.pi) * (bins / (2.0 * np.pi)))
     return min(max(position, 0), bins - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _occupy(azimuth: Any, occupied: Any) -> None:  # pragma: no cover - compiled
+    """Mark the bins (bins,) with a return."""
     for n in range(azimuth.shape[0]):
         occupied[_bin(azimuth[n], occupied.shape[0])] = True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _farthest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover - compiled
+    """Write the greatest range of each bin (bins,)."""
     for n in range(azimuth.shape[0]):
         b = _bin(azimuth[n], best.shape[0])
         best[b] = max(best[b], range_m[n])
@@ -232,6 +252,7 @@ def _farthest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cove
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _largest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover - compiled
+    """Write the greatest ranges of each bin (bins, drop + 1), descending."""
     bins, last = best.shape[0], best.shape[1] - 1
     for n in range(azimuth.shape[0]):
         b, r = _bin(azimuth[n], bins), range_m[n]
@@ -244,10 +265,13 @@ def _largest(azimuth: Any, range_m: Any, best: Any) -> None:  # pragma: no cover
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _smallest(azimuth: Any, range_m: Any, height: Any, limits: Any, best: Any) -> None:  # pragma: no cover - compiled
+def _smallest(
+    azimuth: Any, range_m: Any, height: Any, low_m: Any, high_m: Any, best: Any
+) -> None:  # pragma: no cover - compiled
+    """Write the least ranges of each bin (bins, rank), ascending, of returns between two heights."""
     bins, last = best.shape[0], best.shape[1] - 1
     for n in range(azimuth.shape[0]):
-        if not limits[0] < height[n] < limits[1]:
+        if not low_m < height[n] < high_m:
             continue
         b, r = _bin(azimuth[n], bins), range_m[n]
         if r < best[b, last]:
@@ -260,20 +284,22 @@ def _smallest(azimuth: Any, range_m: Any, height: Any, limits: Any, best: Any) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _at_limit(
-    azimuth: Any, range_m: Any, height: Any, limits: Any, limit_m: Any, found: Any
+    azimuth: Any, range_m: Any, height: Any, low_m: Any, high_m: Any, limit_m: Any, on_obstacle: Any
 ) -> None:  # pragma: no cover - compiled
+    """Mark the bins (bins,) of which a return between two heights lies exactly at the limit."""
     bins = limit_m.shape[0]
     for n in range(azimuth.shape[0]):
-        if limits[0] < height[n] < limits[1]:
+        if low_m < height[n] < high_m:
             b = _bin(azimuth[n], bins)
             if range_m[n] == limit_m[b]:
-                found[b] = True
+                on_obstacle[b] = True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _states(
     bins: Any, range_m: Any, visible_m: Any, hidden_m: Any, surface: Any, state: Any
 ) -> None:  # pragma: no cover - compiled
+    """Write each cell's state: visible up to one limit of its bin, hidden up to the other, unknown beyond."""
     for i in range(state.shape[0]):
         for j in range(state.shape[1]):
             b, r = bins[i, j], range_m[i, j]

@@ -14,12 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.preprocess.ground_plane import MIN_HEIGHT_M, near_plane
 from viewshed.preprocess.ground_surface import FLAT_M, smooth_ground
 
 ASSUMED_HEIGHT_M = 1.8
-"""Sensor height where neither the sweep nor its returns tell one."""
+"""Sensor height where neither the sweep nor its returns give one."""
 
 EVEN_M = 0.12
 """Nodes whose low points lie this near to one plane are even ground, no obstacle."""
@@ -30,14 +30,14 @@ EVEN_SLOPE = 0.3
 EVEN_STEP_M = 0.5
 """Even ground may lie this far from what the nodes nearer to the sensor predict."""
 
-SURE_STEP_M = 0.2
-"""Even ground this near to what was predicted is ground beyond doubt."""
+TRUSTED_STEP_M = 0.2
+"""Even ground this near to what was predicted is trusted whatever the smooth surface does."""
 
 BURIED_M = 0.3
 """A beam that passes this far below the ground had ended there: what it says of ground farther away is wrong."""
 
 NEAR_SHARE = 0.16
-"""Within this share of the lattice's side from the sensor, ground once taken for ground stays it."""
+"""Within this share of the lattice's side from the sensor, accepted nodes are trusted."""
 
 MIN_SUPPORT = 0.22
 """A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level."""
@@ -45,7 +45,7 @@ MIN_SUPPORT = 0.22
 
 def estimate_ground(
     lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
-) -> Ground:
+) -> HeightMap:
     """Return the ground, z from the sensor, from a low point of each node.
 
     Args:
@@ -56,16 +56,20 @@ def estimate_ground(
         sensor_height_m: known mounting height, or None.
     """
     node_m = 2.0 * half_extent_m / lows_m.shape[0]
+    # A robust plane through the near nodes.
     known = np.nan if sensor_height_m is None else float(sensor_height_m)
     plane, support = near_plane(lows_m, known)
-    walked, sure, taken = _walk(lows_m, rise_m < FLAT_M, np.float32(node_m), plane, _order(lows_m.shape[0]))
-    lows_m = _without_buried(lows_m, walked, taken, np.float32(1.0 / node_m))
-    heights, seen = smooth_ground(lows_m, rise_m, (walked, sure), plane, half_extent_m)
+    # A walk outwards that accepts only steps that ground can take; low points below accepted ground are reflections.
+    walked_m, trusted, accepted = _walk(lows_m, rise_m < FLAT_M, np.float32(node_m), plane, _order(lows_m.shape[0]))
+    lows_m = _without_buried(lows_m, walked_m, accepted, np.float32(1.0 / node_m))
+    # A smooth surface through what fits it.
+    heights, seen = smooth_ground(lows_m, rise_m, walked_m, trusted, plane, half_extent_m)
+    # No plane, or one at the sensor's own height: the ground is not seen.
     middle = lows_m.shape[0] // 2
     if support < MIN_SUPPORT or (sensor_height_m is None and heights[middle, middle] > -MIN_HEIGHT_M):
-        return Ground.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
+        return HeightMap.flat(half_extent_m, -(sensor_height_m or _lowest_m(lows_m[..., 2])))
     a, b, c = (float(value) for value in plane)
-    return Ground(heights, half_extent_m, seen, (a, b, c), float(support))
+    return HeightMap(heights, half_extent_m, seen, (a, b, c), float(support))
 
 
 def _lowest_m(lows_m: NDArray[np.float32]) -> float:
@@ -89,48 +93,51 @@ def _walk(lows: Any, flat: Any, node_m: Any, plane: Any, order: Any) -> Any:  # 
 
     The step may be larger where a node and its neighbors lie on one plane: a street that begins to climb, and not
     the side of a car. It must be smaller where the node's returns are not flat. Returns the heights, the nodes that
-    are ground beyond doubt (accepted, and even with a small step or near the sensor), and those accepted.
+    are trusted (accepted, and even with a small step or near the sensor), and those accepted.
     """
     n = lows.shape[0]
     height = np.zeros((n, n), np.float32)
     slope = np.zeros((n, n, 2), np.float32)
     weight = np.zeros((n, n), np.float32)
-    sure, taken = np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
+    trusted, accepted = np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
     even, grade = _even(lows)
     near2 = (NEAR_SHARE * n * node_m) ** 2
     for k in range(order.shape[0]):
         i, j = order[k, 0], order[k, 1]
         x, y = (i + 0.5 - n / 2) * node_m, (j + 0.5 - n / 2) * node_m
+        # Height and slope as the nodes nearer to the sensor predict them; the near plane's where there are none.
         total, z, sx, sy, mx, my = _carried(height, slope, weight, i, j, node_m)
         if total == 0.0:
             z, sx, sy, mx, my = plane[0] * x + plane[1] * y + plane[2], plane[0], plane[1], node_m, 0.0
+        # How far the low point lies above that.
         step = lows[i, j, 2] - z - sx * (lows[i, j, 0] - x) - sy * (lows[i, j, 1] - y)
         support = min(total / 3.0, 1.0)
+        # Even ground is taken as it is; another node's step is followed in part; else the prediction goes on.
         if even[i, j] and abs(step) < EVEN_STEP_M:
             a, b = grade[i, j, 0], grade[i, j, 1]
             height[i, j] = lows[i, j, 2] - a * (lows[i, j, 0] - x) - b * (lows[i, j, 1] - y)
             slope[i, j, 0], slope[i, j, 1] = 0.5 * (sx + a), 0.5 * (sy + b)
             weight[i, j] = 1.0
-            sure[i, j] = abs(step) < SURE_STEP_M or x * x + y * y < near2
+            trusted[i, j] = abs(step) < TRUSTED_STEP_M or x * x + y * y < near2
         elif abs(step) < 0.10 + (0.05 * min(node_m, 2.5) if flat[i, j] else 0.0) + 0.10 * (1.0 - support):
             length2 = mx * mx + my * my + 0.25 * node_m * node_m
             height[i, j] = z + 0.7 * step
             slope[i, j, 0] = sx + 0.25 * step * mx / length2
             slope[i, j, 1] = sy + 0.25 * step * my / length2
             weight[i, j] = 1.0
-            sure[i, j] = x * x + y * y < near2
+            trusted[i, j] = x * x + y * y < near2
         else:
             height[i, j] = z
             slope[i, j, 0] = 0.9 * sx + 0.1 * plane[0]
             slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
             weight[i, j] = max(0.8 * support, 0.05)
-        taken[i, j] = weight[i, j] == 1.0
-    return height, sure, taken
+        accepted[i, j] = weight[i, j] == 1.0
+    return height, trusted, accepted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _without_buried(lows: Any, height: Any, taken: Any, per_m: Any) -> Any:  # pragma: no cover - compiled
-    """Return the lows without those that could not be seen: on the way to them a beam would pass below taken ground."""
+def _without_buried(lows: Any, height: Any, accepted: Any, per_m: Any) -> Any:  # pragma: no cover - compiled
+    """Return the lows without those that could not be seen: on the way to them a beam would pass below ground."""
     n = lows.shape[0]
     out = lows.copy()
     deep, middle = np.float32(BURIED_M), np.float32(0.5 * n)
@@ -142,7 +149,7 @@ def _without_buried(lows: Any, height: Any, taken: Any, per_m: Any) -> Any:  # p
                 for k in range(1, steps):
                     share = np.float32(1.0) - np.float32(k) / np.float32(steps)
                     p, q = int(middle + share * u), int(middle + share * v)
-                    if taken[p, q] and share * z < height[p, q] - deep:
+                    if accepted[p, q] and share * z < height[p, q] - deep:
                         out[i, j] = np.inf
                         break
     return out

@@ -40,43 +40,47 @@ _AGREE_M = 0.3
 _LEAST_WEIGHT = 0.2
 """Low points of less weight do not count."""
 
-_LEFT_M = 0.2
-"""What the surface leaves at a node counts no more than this."""
+_MOST_RESIDUAL_M = 0.2
+"""The residual of a low point to the surface counts no more than this."""
 
-_SWEEPS = 4
+_RELAXATIONS = 4
+"""Passes over the fine cells, alternating in direction, ..."""
 
 _OVER = 1.3
+"""... each of which goes so many times as far as the cell's own optimum (over-relaxation)."""
 
 _KEEP_PLANE = 1e-5
+"""Price of leaving the near plane, so that the equations have one solution without any low point."""
 
 _VECTOR = 16
 
+Floats = NDArray[np.float32]
+
+Mask = NDArray[np.bool_]
+
 
 def smooth_ground(
-    lows_m: NDArray[np.float32],
-    rise_m: NDArray[np.float32],
-    begin: tuple[NDArray[np.float32], NDArray[np.bool_]],
-    plane: NDArray[np.float32],
-    half_extent_m: float,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    lows_m: Floats, rise_m: Floats, start_m: Floats, trusted: Mask, plane: Floats, half_extent_m: float
+) -> tuple[Floats, Mask]:
     """Return heights (n, n) of a smooth ground at the middle of each node, and whether its low point is on it (n, n).
 
     The surface minimizes Σ w (h - z)² + a |∇h|² + b |∇²h|², h being the height above ``plane`` and w the weights of
     the low points z: over n / 4 cells per side (solved exactly, twice, with weights from the surface before), then
-    over n / 2 (bettered only). What it leaves at the nodes is averaged and added.
+    over n / 2 (improved only). The residuals at the nodes are averaged and added.
 
     Args:
         lows_m: (n, n, 3) float32 a low point of each node; +inf where there is none. n is a multiple of 4.
         rise_m: (n, n) float32 from that point up to the highest return of the node.
-        begin: heights (n, n) to begin with, and whether a low point counts in full whatever the surface does (n, n).
+        start_m: (n, n) float32 heights to start from.
+        trusted: (n, n) bool, whether a low point counts in full whatever the surface does.
         plane: (a, b, c) float32 of the plane z = a x + b y + c, whose slope holds where nothing is seen.
         half_extent_m: half the side of the lattice in meters.
     """
-    heights, trusted = begin
-    frame = (np.float32(half_extent_m), plane)
-    lattice = (np.empty(trusted.shape, np.float32), np.zeros(trusted.shape, np.bool_))
-    _fit(_samples(lows_m, rise_m, trusted, frame), heights, _coarse_stiffness(trusted.shape[0] // 4), frame, lattice)
-    return lattice
+    half_m = np.float32(half_extent_m)
+    heights, on_surface = np.empty(trusted.shape, np.float32), np.zeros(trusted.shape, np.bool_)
+    samples = _samples(lows_m, rise_m, trusted, half_m, plane)
+    _fit(samples, start_m, _coarse_stiffness(trusted.shape[0] // 4), half_m, plane, heights, on_surface)
+    return heights, on_surface
 
 
 @lru_cache(maxsize=4)
@@ -94,29 +98,29 @@ def _coarse_stiffness(cells: int) -> NDArray[np.float32]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _samples(lows: Any, rise: Any, trusted: Any, frame: Any) -> Any:  # pragma: no cover - compiled
+def _samples(lows: Any, rise: Any, trusted: Any, half_m: Any, plane: Any) -> Any:  # pragma: no cover - compiled
     """Return a row for each low point: u and v in nodes, z above the plane, share of the scales, least weight, fall."""
     n = lows.shape[0]
-    half, plane = frame
-    per, last = np.float32(n / (2.0 * half)), np.float32(n - 0.001)
-    share = np.float32(0.5) + np.float32(0.25) * min(np.float32(1.0) / per, np.float32(2.0))
+    per_m, last = np.float32(n / (2.0 * half_m)), np.float32(n - 0.001)
+    # Scales are given for nodes of 2 m; smaller nodes have smaller ones.
+    share = np.float32(0.5) + np.float32(0.25) * min(np.float32(1.0) / per_m, np.float32(2.0))
     out = np.empty((n * n, 6), np.float32)
     m = 0
     for i in range(n):
         for j in range(n):
             x, y, z = lows[i, j, 0], lows[i, j, 1], lows[i, j, 2]
             if np.isfinite(z):
-                out[m, 0], out[m, 1] = min((x + half) * per, last), min((y + half) * per, last)
+                out[m, 0], out[m, 1] = min((x + half_m) * per_m, last), min((y + half_m) * per_m, last)
                 out[m, 2] = z - plane[0] * x - plane[1] * y - plane[2]
                 out[m, 3] = share if rise[i, j] < FLAT_M else share * np.float32(_NOT_FLAT)
                 out[m, 4] = trusted[i, j]
-                out[m, 5] = _FALL_M[1] if _agreed(lows, i, j) else _FALL_M[0]
+                out[m, 5] = _FALL_M[1] if _agrees(lows, i, j) else _FALL_M[0]
                 m += 1
     return out[:m]
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _agreed(lows: Any, i: Any, j: Any) -> Any:  # pragma: no cover - compiled
+def _agrees(lows: Any, i: Any, j: Any) -> Any:  # pragma: no cover - compiled
     """Whether the low points of two of the eight nodes around (i, j) are about as high as its own."""
     n, count = lows.shape[0], 0
     for p in range(max(i - 1, 0), min(i + 2, n)):
@@ -126,36 +130,40 @@ def _agreed(lows: Any, i: Any, j: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit(samples: Any, begin: Any, stiffness: Any, frame: Any, lattice: Any) -> None:  # pragma: no cover - compiled
-    n = lattice[0].shape[0]
-    surface = np.zeros((n // 4, n // 4), np.float32)
-    cells = (np.empty_like(surface), np.empty_like(surface))
+def _fit(
+    samples: Any, start: Any, stiffness: Any, half_m: Any, plane: Any, heights: Any, on_surface: Any
+) -> None:  # pragma: no cover - compiled
+    """Fit the surface to samples, and write heights (n, n) and which nodes' low points are on it (n, n)."""
+    n = heights.shape[0]
     weights = np.empty(samples.shape[0], np.float32)
-    _begin(begin, frame, surface)
+    # Coarse cells, each solved exactly: weights from the start, then from the first solution.
+    surface = np.zeros((n // 4, n // 4), np.float32)
+    weight, target = np.empty_like(surface), np.empty_like(surface)
+    _start_surface(start, half_m, plane, surface)
     for k in range(2):
         _weigh(samples, surface, n, np.float32(_SCALES_M[k]), weights)
-        _gather(samples, weights, surface, n, cells)
-        _solve(stiffness, cells[0], cells[1], surface)
+        _gather(samples, weights, surface, n, weight, target)
+        _solve(stiffness, weight, target, surface)
+    # Fine cells: the coarse solution is so near that a few passes suffice.
     surface = _finer(surface)
-    cells = (np.empty_like(surface), np.empty_like(surface))
+    weight, target = np.empty_like(surface), np.empty_like(surface)
     _weigh(samples, surface, n, np.float32(_SCALES_M[2]), weights)
-    _gather(samples, weights, surface, n, cells)
-    _relax(cells[0], cells[1], surface)
-    _lattice(samples, weights, surface, frame, lattice)
+    _gather(samples, weights, surface, n, weight, target)
+    _relax(weight, target, surface)
+    _write_nodes(samples, weights, surface, half_m, plane, heights, on_surface)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _begin(begin: Any, frame: Any, surface: Any) -> None:  # pragma: no cover - compiled
+def _start_surface(start: Any, half_m: Any, plane: Any, surface: Any) -> None:  # pragma: no cover - compiled
     """Set the surface to the mean height of the nodes of each cell above the plane."""
-    n, cells = begin.shape[0], surface.shape[0]
-    half, plane = frame
-    node, size = np.float32(2.0 * half / n), n // cells
+    n, cells = start.shape[0], surface.shape[0]
+    node_m, size = np.float32(2.0 * half_m / n), n // cells
     surface[:] = 0.0
     for i in range(n):
-        x = (np.float32(i) + np.float32(0.5)) * node - half
+        x = (np.float32(i) + np.float32(0.5)) * node_m - half_m
         for j in range(n):
-            y = (np.float32(j) + np.float32(0.5)) * node - half
-            surface[i // size, j // size] += begin[i, j] - plane[0] * x - plane[1] * y - plane[2]
+            y = (np.float32(j) + np.float32(0.5)) * node_m - half_m
+            surface[i // size, j // size] += start[i, j] - plane[0] * x - plane[1] * y - plane[2]
     surface /= np.float32(size * size)
 
 
@@ -188,9 +196,10 @@ def _weigh(samples: Any, surface: Any, n: int, scale: Any, weights: Any) -> None
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gather(samples: Any, weights: Any, surface: Any, n: int, cells: Any) -> None:  # pragma: no cover - compiled
+def _gather(
+    samples: Any, weights: Any, surface: Any, n: int, weight: Any, target: Any
+) -> None:  # pragma: no cover - compiled
     """Sum the weights of each cell, and set its target: the surface plus the mean height of its low points above it."""
-    weight, target = cells
     per, half = np.float32(surface.shape[0] / n), np.float32(0.5)
     weight[:] = 0.0
     target[:] = 0.0
@@ -217,19 +226,22 @@ def _solve(stiffness: Any, weight: Any, target: Any, surface: Any) -> None:  # p
     wide = (width + _VECTOR - 1) // _VECTOR * _VECTOR
     upper, pivot, heights = np.zeros((count, wide), np.float32), np.zeros(2 * wide, np.float32), surface.reshape(-1)
     weights, targets = weight.reshape(-1), target.reshape(-1)
+    # The matrix with the weights on its diagonal, and the right side.
     upper[:, :width] = stiffness
     for k in range(count):
         upper[k, 0] += weights[k]
         heights[k] = weights[k] * targets[k]
+    # Eliminate forwards: subtract each row from those below it that the band reaches.
     for k in range(count):
         inverse = np.float32(1.0) / upper[k, 0]
         pivot[:wide] = upper[k]
         for m in range(1, min(width, count - k)):
             factor = pivot[m] * inverse
-            row, taken = upper[k + m], pivot[m : m + wide]
+            row, above = upper[k + m], pivot[m : m + wide]
             for q in range(np.uint32(width - m + _VECTOR - 1) // np.uint32(_VECTOR) * np.uint32(_VECTOR)):
-                row[q] -= factor * taken[q]
+                row[q] -= factor * above[q]
             heights[k + m] -= factor * heights[k]
+    # Substitute backwards.
     for k in range(count - 1, -1, -1):
         height = heights[k]
         for m in range(1, min(width, count - k)):
@@ -251,16 +263,16 @@ def _finer(surface: Any) -> Any:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _relax(weight: Any, target: Any, h: Any) -> None:  # pragma: no cover - compiled
-    """Better the surface cell by cell (successive over-relaxation, there and back); the outer two cells stay."""
+    """Improve the surface cell by cell (successive over-relaxation, to and fro); the outer two cells stay."""
     slope, bend, over = np.float32(_LEVELNESS), np.float32(_STIFFNESS[1]), np.float32(_OVER)
     eight, two = np.float32(8.0), np.float32(2.0)
     own = np.float32(4.0) * slope + np.float32(20.0) * bend
     n = h.shape[0]
-    for sweep in range(_SWEEPS):
+    for turn in range(_RELAXATIONS):
         for a in range(2, n - 2):
-            i = a if sweep % 2 == 0 else n - 1 - a
+            i = a if turn % 2 == 0 else n - 1 - a
             for b in range(2, n - 2):
-                j = b if sweep % 2 == 0 else n - 1 - b
+                j = b if turn % 2 == 0 else n - 1 - b
                 near = h[i - 1, j] + h[i + 1, j] + h[i, j - 1] + h[i, j + 1]
                 corners = h[i - 1, j - 1] + h[i - 1, j + 1] + h[i + 1, j - 1] + h[i + 1, j + 1]
                 far = h[i - 2, j] + h[i + 2, j] + h[i, j - 2] + h[i, j + 2]
@@ -269,28 +281,29 @@ def _relax(weight: Any, target: Any, h: Any) -> None:  # pragma: no cover - comp
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lattice(samples: Any, weights: Any, surface: Any, frame: Any, lattice: Any) -> None:  # pragma: no cover - compiled
-    """Return to the nodes: the surface, the mean of what it leaves there (3 x 3, binomial), and the plane."""
-    heights, used = lattice
-    extent, plane = frame
+def _write_nodes(
+    samples: Any, weights: Any, surface: Any, half_m: Any, plane: Any, heights: Any, on_surface: Any
+) -> None:  # pragma: no cover - compiled
+    """Write the heights of the nodes: plane, surface, and the mean of the residuals around (3 x 3, binomial)."""
     n = heights.shape[0]
-    node = np.float32(2.0 * extent / n)
-    per, half, most = np.float32(surface.shape[0] / n), np.float32(0.5), np.float32(_LEFT_M)
-    left, sure = np.zeros((n + 2, n + 2), np.float32), np.zeros((n + 2, n + 2), np.float32)
+    node_m = np.float32(2.0 * half_m / n)
+    per, half, most = np.float32(surface.shape[0] / n), np.float32(0.5), np.float32(_MOST_RESIDUAL_M)
+    # The residual of each low point on the surface, with a rim of one node.
+    residual, counted = np.zeros((n + 2, n + 2), np.float32), np.zeros((n + 2, n + 2), np.float32)
     for k in range(samples.shape[0]):
         if weights[k] > 0:
             u, v = samples[k, 0], samples[k, 1]
             i, j = int(u), int(v)
             away = samples[k, 2] - _at(surface, u * per - half, v * per - half)
-            left[i + 1, j + 1], sure[i + 1, j + 1] = min(max(away, -most), most), 1.0
-            used[i, j] = True
+            residual[i + 1, j + 1], counted[i + 1, j + 1] = min(max(away, -most), most), 1.0
+            on_surface[i, j] = True
     for i in range(n):
         for j in range(n):
             u, v = np.float32(i) + half, np.float32(j) + half
-            total = _binomial(sure, i, j)
-            x, y = u * node - extent, v * node - extent
+            total = _binomial(counted, i, j)
+            x, y = u * node_m - half_m, v * node_m - half_m
             z = _at(surface, u * per - half, v * per - half) + plane[0] * x + plane[1] * y + plane[2]
-            heights[i, j] = z + _binomial(left, i, j) / (total + np.float32(2.0))
+            heights[i, j] = z + _binomial(residual, i, j) / (total + np.float32(2.0))
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

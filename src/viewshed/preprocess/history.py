@@ -1,7 +1,7 @@
-"""What earlier sweeps of a moving sensor tell of the one now: the obstacles that they saw, seen from where it is now.
+"""History: what earlier sweeps of a moving sensor saw, seen from where the sensor is now.
 
 A single sweep cannot tell a far return that somebody spoofed from a true one. But what stood there a moment ago and did
-not move still stands there, whatever the beams say now; and what an earlier sweep has seen as well rests on two.
+not move still stands there, whatever the beams say now; and a cell that an earlier sweep saw as well rests on two.
 """
 
 from __future__ import annotations
@@ -24,35 +24,40 @@ from viewshed.preprocess.no_return import measured_and_inferred_beams
 from viewshed.sweep import Sweep
 
 HISTORY_SWEEPS = 5
-"""Earlier sweeps that are looked at."""
+"""Earlier sweeps that are used."""
 
 COLUMNS = 720
-"""Azimuth columns in which obstacles are remembered."""
+"""Azimuth columns of the image of remembered obstacles."""
 
 SLOPES = (-0.75, 0.35)
 """Least and greatest rise over range at which obstacles are remembered, ..."""
 
 ROWS = 160
-"""... in so many steps of 0.4°."""
+"""... in so many rows of 0.4°."""
 
 GAP_ROWS, GAP_COLUMNS = 20, 4
-"""What lies at like depths at most so many rows or columns (8° or 2°) apart is one obstacle."""
+"""Obstacle pixels of similar depth at most so many rows or columns (8° or 2°) apart belong to one obstacle."""
 
-PLACE_M = 0.5
-"""Side of the places in which obstacles of several sweeps meet: one stands where two saw it in places side by side."""
+MAP_CELL_M = 0.5
+"""Side of a cell of the map of obstacles: one stands where two sweeps saw it in the same or in neighboring cells."""
 
-PLACES = 512
-"""Places along a side of the square around the sensor in which obstacles are remembered."""
+MAP_CELLS = 512
+"""Cells along a side of the map of obstacles, a square about the sensor."""
 
-_ALIKE = 1.25
+_SIMILAR = 1.25
 
 _NEAREST_M = 1.0
+"""Obstacles nearer than this are not remembered: too near for a direction, and often the vehicle itself."""
+
+_NOBODY, _SEVERAL = 0, -1
+"""In the map of obstacles: no sweep, and more than one; a single sweep stands by its number, from 1."""
 
 Floats = NDArray[np.float32]
 
 Mask = NDArray[np.bool_]
 
-_SEEN: WeakKeyDictionary[LeveledSweep, dict[tuple[BevGrid, Target], Mask]] = WeakKeyDictionary()
+_VISIBLE: WeakKeyDictionary[LeveledSweep, dict[tuple[BevGrid, Target], Mask]] = WeakKeyDictionary()
+"""What each sweep saw by itself: one sweep belongs to the history of several."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,19 +65,19 @@ class History:
     """What earlier sweeps saw, seen from the sensor now.
 
     Attributes:
-        sensor_height_m: of the sensor now.
-        earlier: the sweeps.
-        now_from_earlier: where the ``level`` frame of each lies in that of now.
+        sensor_height_m: height of the sensor now.
+        earlier: the sweeps, any number of them.
+        now_from_earlier: pose of the ``level`` frame of each in that of the sweep now.
     """
 
     sensor_height_m: float
     earlier: tuple[LeveledSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
-    _supports: dict[tuple[BevGrid, Target], NDArray[np.uint8]] = field(default_factory=dict, repr=False)
+    _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, leveled: LeveledSweep, earlier: Sequence[LeveledSweep]) -> History | None:
-        """Return what ``earlier`` sweeps tell of one, leveled on the same grid; None where there are none.
+        """Return the history of a sweep from ``earlier`` ones, leveled on the same grid; None where there are none.
 
         Raises:
             ValueError: one of them has no pose.
@@ -80,7 +85,7 @@ class History:
         if not earlier:
             return None
         now_from_world = _pose(leveled).inverse()
-        return cls(leveled.sensor_height_m, tuple(earlier), tuple(now_from_world @ _pose(each) for each in earlier))
+        return cls(leveled.sensor_height_m, tuple(earlier), tuple(now_from_world @ _pose(sweep) for sweep in earlier))
 
     def obstacles(self) -> Floats:
         """Return the horizontal range of the nearest obstacle by slope and azimuth (ROWS, COLUMNS); +inf for none.
@@ -88,42 +93,45 @@ class History:
         An obstacle is what at least two earlier sweeps saw in one place of the map (or the only sweep): what moved was
         seen there once.
         """
-        found = [_on_obstacles(*pair) for pair in zip(self.earlier, self.now_from_earlier, strict=True)]
-        seen_by = np.zeros((PLACES, PLACES), np.uint32)
-        for number, points in enumerate(found):
-            _mark(points, np.uint32(1 << number % 32), seen_by)
+        points = [_obstacle_points(*pair) for pair in zip(self.earlier, self.now_from_earlier, strict=True)]
+        # Which sweeps saw an obstacle in each cell of the map?
+        seen_by = np.zeros((MAP_CELLS, MAP_CELLS), np.int32)
+        for number, xyz in enumerate(points, start=1):
+            _mark_cells(xyz, np.int32(number), seen_by)
+        # Put what another sweep saw there as well into the image; of a single sweep everything.
         image = np.full((ROWS, COLUMNS), np.inf, np.float32)
-        for number, points in enumerate(found):
-            own = np.uint32(1 << number % 32 if len(found) > 1 else 0)
-            _remember(points, np.float32(self.sensor_height_m), seen_by, own, image)
-        _fill(image, GAP_ROWS, np.float32(_ALIKE))
-        _fill(image.T, GAP_COLUMNS, np.float32(_ALIKE))
+        for number, xyz in enumerate(points, start=1):
+            own = np.int32(number if len(points) > 1 else _NOBODY)
+            _draw_obstacles(xyz, np.float32(self.sensor_height_m), seen_by, own, image)
+        # Close the gaps between the rings and between the columns of one obstacle.
+        _fill_gaps(image, GAP_ROWS, np.float32(_SIMILAR))
+        _fill_gaps(image.T, GAP_COLUMNS, np.float32(_SIMILAR))
         return image
 
     def within(self, beams: Beams) -> Beams:
         """Return the beams, none deeper than the obstacle remembered in its direction."""
-        depth_m = np.minimum(beams.depth_m, _depths(self.obstacles(), beams.azimuth, beams.slope))
+        depth_m = np.minimum(beams.depth_m, _obstacle_ranges(self.obstacles(), beams.azimuth, beams.slope))
         return Beams(beams.azimuth, beams.slope, depth_m)
 
-    def support(self, grid: BevGrid, target: Target) -> NDArray[np.uint8]:
+    def confirmations(self, grid: BevGrid, target: Target) -> NDArray[np.int32]:
         """Return how many of the earlier sweeps would have seen a target in each cell (cells, cells), by their beams.
 
-        It is computed once, however often it is asked for, and so is what a sweep sees.
+        Computed once for a grid and a target; read-only.
         """
-        if (grid, target) in self._supports:
-            return self._supports[grid, target]
-        total = np.zeros(grid.shape, np.uint8)
-        lattice = np.array([*grid.origin_m, grid.cell_m], np.float32)
+        if (grid, target) in self._confirmations:
+            return self._confirmations[grid, target]
+        total = np.zeros(grid.shape, np.int32)
+        x0_m, y0_m = np.array(grid.origin_m, np.float32)
         for before, now_from_before in zip(self.earlier, self.now_from_earlier, strict=True):
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32)
-            _support(_seen(before, grid, target), lattice, before_from_now, total)
+            _add_mask(_visible_alone(before, grid, target), x0_m, y0_m, np.float32(grid.cell_m), before_from_now, total)
         total.setflags(write=False)
-        self._supports[grid, target] = total
+        self._confirmations[grid, target] = total
         return total
 
 
 def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep], grid: BevGrid) -> History | None:
-    """Return what ``earlier`` sweeps tell of one that was leveled on ``grid``; None where there are none.
+    """Return the history of a sweep, leveled on ``grid``, from ``earlier`` ones; None where there are none.
 
     Raises:
         ValueError: one of them has no pose.
@@ -138,10 +146,89 @@ def _pose(leveled: LeveledSweep) -> Rigid:
     return pose
 
 
+def _obstacle_points(before: LeveledSweep, now_from_before: Rigid) -> Floats:
+    """Return the points (M, 3) of an earlier sweep on obstacles, in the ``level`` frame now."""
+    transform = now_from_before.as_matrix()[:3].astype(np.float32)
+    high = before.points[before.height_m > np.float32(OBSTACLE_HEIGHTS_M[0])]
+    points: Floats = high @ transform[:, :3].T + transform[:, 3]
+    return points
+
+
+def _visible_alone(leveled: LeveledSweep, grid: BevGrid, target: Target) -> Mask:
+    """Return where a sweep would have seen a target, by itself, on the grid around it (cells, cells)."""
+    masks = _VISIBLE.setdefault(leveled, {})
+    if (grid, target) not in masks:
+        beams = measured_and_inferred_beams(leveled, target.height_m)
+        returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, grid, target)[0]
+        masks[grid, target] = returns >= target.min_returns
+    return masks[grid, target]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compiled
-    """Fill gaps of at most so many rows between pixels of a column with like depths, as those between rings are."""
-    last = np.full(image.shape[1], -1, np.int32)
+def _add_mask(
+    mask: Any, x0_m: Any, y0_m: Any, cell_m: Any, transform: Any, total: Any
+) -> None:  # pragma: no cover - compiled
+    """Add a mask (cells, cells) of an earlier frame to the total now: of each cell where its center lies there."""
+    cells, per_m = mask.shape[0], np.float32(1.0) / cell_m
+    for i in range(cells):
+        x = x0_m + (np.float32(i) + np.float32(0.5)) * cell_m
+        for j in range(cells):
+            y = y0_m + (np.float32(j) + np.float32(0.5)) * cell_m
+            u = (transform[0, 0] * x + transform[0, 1] * y + transform[0, 2] - x0_m) * per_m
+            v = (transform[1, 0] * x + transform[1, 1] * y + transform[1, 2] - y0_m) * per_m
+            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
+                total[i, j] += mask[int(u), int(v)]
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _map_cell(x: Any, y: Any) -> Any:  # pragma: no cover - compiled
+    """Return the cell (i, j) of a point in the map of obstacles, at least one from the edge; i is -1 outside."""
+    i = int(np.floor(x * np.float32(1.0 / MAP_CELL_M))) + MAP_CELLS // 2
+    j = int(np.floor(y * np.float32(1.0 / MAP_CELL_M))) + MAP_CELLS // 2
+    inside = (i >= 1) & (j >= 1) & (i < MAP_CELLS - 1) & (j < MAP_CELLS - 1)
+    return (i if inside else -1), j
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_cells(points: Any, number: Any, seen_by: Any) -> None:  # pragma: no cover - compiled
+    """Enter a sweep's number in the cells (MAP_CELLS, MAP_CELLS) of its obstacles; ``_SEVERAL`` where another's is."""
+    for n in range(points.shape[0]):
+        i, j = _map_cell(points[n, 0], points[n, 1])
+        if i >= 0:
+            free = seen_by[i, j] == _NOBODY or seen_by[i, j] == number
+            seen_by[i, j] = number if free else np.int32(_SEVERAL)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_obstacles(
+    points: Any, sensor_height_m: Any, seen_by: Any, own: Any, image: Any
+) -> None:  # pragma: no cover - compiled
+    """Lower the image (ROWS, COLUMNS) to a sweep's obstacles (M, 3) that another one saw as well.
+
+    ``own`` is the sweep's number; ``_NOBODY`` lets its own marks count and so takes them all.
+    """
+    for n in range(points.shape[0]):
+        x, y = points[n, 0], points[n, 1]
+        range_m = np.sqrt(x * x + y * y)
+        i, j = _map_cell(x, y)
+        if i < 0 or range_m < _NEAREST_M:
+            continue
+        # Is there a mark of another sweep in the cell or in one of its eight neighbors?
+        confirmed = False
+        for u in range(i - 1, i + 2):
+            for v in range(j - 1, j + 2):
+                confirmed |= (seen_by[u, v] != _NOBODY) & (seen_by[u, v] != own)
+        if not confirmed:
+            continue
+        row, column = _pixel(atan2(y, x), (points[n, 2] - sensor_height_m) / range_m)
+        if row >= 0:
+            image[row, column] = min(image[row, column], range_m)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_gaps(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compiled
+    """Fill gaps of at most so many rows between pixels of a column with similar depths, as those between rings are."""
+    last = np.full(image.shape[1], -1, np.int32)  # row of the last obstacle of each column
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             depth = image[row, column]
@@ -156,89 +243,20 @@ def _fill(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compi
             last[column] = row
 
 
-def _on_obstacles(before: LeveledSweep, now_from_before: Rigid) -> Floats:
-    """Return the points (M, 3) of an earlier sweep on obstacles, in the ``level`` frame now."""
-    transform = now_from_before.as_matrix()[:3].astype(np.float32)
-    high = before.points[before.height_m > np.float32(OBSTACLE_HEIGHTS_M[0])]
-    points: Floats = high @ transform[:, :3].T + transform[:, 3]
-    return points
-
-
-def _seen(leveled: LeveledSweep, grid: BevGrid, target: Target) -> Mask:
-    """Return where a sweep would have seen a target, by itself, on the grid around it (cells, cells)."""
-    kept = _SEEN.setdefault(leveled, {})
-    if (grid, target) not in kept:
-        beams = measured_and_inferred_beams(leveled, target.height_m)
-        returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, grid, target)[0]
-        kept[grid, target] = returns >= target.min_returns
-    return kept[grid, target]
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def _support(seen: Any, lattice: Any, transform: Any, total: Any) -> None:  # pragma: no cover - compiled
-    """Add a mask (cells, cells) of another frame to the total, each cell by where its middle lies there."""
-    x0, y0, cell_m = lattice
-    cells, per_m = seen.shape[0], np.float32(1.0) / cell_m
-    for i in range(cells):
-        x = x0 + (np.float32(i) + np.float32(0.5)) * cell_m
-        for j in range(cells):
-            y = y0 + (np.float32(j) + np.float32(0.5)) * cell_m
-            u = (transform[0, 0] * x + transform[0, 1] * y + transform[0, 2] - x0) * per_m
-            v = (transform[1, 0] * x + transform[1, 1] * y + transform[1, 2] - y0) * per_m
-            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
-                total[i, j] += seen[int(u), int(v)]
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _place(x: Any, y: Any) -> Any:  # pragma: no cover - compiled
-    """Return the place of a point, at least one from the edge; -1 outside."""
-    i = int(np.floor(x * np.float32(1.0 / PLACE_M))) + PLACES // 2
-    j = int(np.floor(y * np.float32(1.0 / PLACE_M))) + PLACES // 2
-    inside = (i >= 1) & (j >= 1) & (i < PLACES - 1) & (j < PLACES - 1)
-    return (i if inside else -1), j
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mark(points: Any, bit: Any, seen_by: Any) -> None:  # pragma: no cover - compiled
-    """Set the bit of a sweep in the places (PLACES, PLACES) of its obstacles."""
-    for n in range(points.shape[0]):
-        i, j = _place(points[n, 0], points[n, 1])
-        if i >= 0:
-            seen_by[i, j] |= bit
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _remember(points: Any, sensor_m: Any, seen_by: Any, own: Any, image: Any) -> None:  # pragma: no cover - compiled
-    """Put a sweep's obstacles (M, 3) that others saw as well into an image; ``own`` is its bit, 0 takes them all."""
-    for n in range(points.shape[0]):
-        x, y = points[n, 0], points[n, 1]
-        range_m = np.sqrt(x * x + y * y)
-        i, j = _place(x, y)
-        if i < 0 or range_m < _NEAREST_M:
-            continue
-        seen = np.uint32(0)
-        for u in range(i - 1, i + 2):
-            seen |= seen_by[u, j - 1] | seen_by[u, j] | seen_by[u, j + 1]
-        if seen == own:
-            continue
-        row, column = _pixel(atan2(y, x), (points[n, 2] - sensor_m) / range_m)
-        if row >= 0:
-            image[row, column] = min(image[row, column], range_m)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _depths(image: Any, azimuth: Any, slope: Any) -> Any:  # pragma: no cover - compiled
-    depth = np.full(azimuth.shape[0], np.inf, np.float32)
+def _obstacle_ranges(image: Any, azimuth: Any, slope: Any) -> Any:  # pragma: no cover - compiled
+    """Return the remembered range (M,) in each direction; +inf for none."""
+    range_m = np.full(azimuth.shape[0], np.inf, np.float32)
     for n in range(azimuth.shape[0]):
         row, column = _pixel(azimuth[n], slope[n])
         if row >= 0:
-            depth[n] = image[row, column]
-    return depth
+            range_m[n] = image[row, column]
+    return range_m
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _pixel(azimuth: Any, slope: Any) -> Any:  # pragma: no cover - compiled
-    """Return row and column of a direction; row -1 outside."""
+    """Return row and column of a direction in the image of obstacles; row -1 outside."""
     row = (slope - np.float32(SLOPES[0])) * np.float32(ROWS / (SLOPES[1] - SLOPES[0]))
     column = int((azimuth + np.float32(np.pi)) * np.float32(COLUMNS / (2 * np.pi)))
     inside = (row >= np.float32(0.0)) & (row < np.float32(ROWS))

@@ -1,4 +1,4 @@
-"""From a Sweep to a LeveledSweep: level points, heights above local ground, and what is known of the beams."""
+"""Level a sweep: identify its sensor, find isolated returns, estimate attitude and ground, turn its points level."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import BLOCK, atan2, split
-from viewshed.fov.height_map import NODES, Ground
+from viewshed.fov.height_map import NODES, HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.ground_plane import free_plane
-from viewshed.preprocess.isolated_returns import Placed, placed_by_rings
+from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
 from viewshed.sweep import Sweep
 
@@ -25,195 +25,6 @@ EGO_BOX_M = (2.7, 1.1)
 
 EGO_HEIGHTS_M = (1.2, 3.0)
 """Sensor heights at which such a vehicle is assumed; lower ones are robots, higher ones stand at the roadside."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lowest_returns(
-    returns: Any, rotation: Any, limits: Any, half: Any, side: int
-) -> Any:  # pragma: no cover - compiled
-    """Return each node's second-lowest point (or the only one), turned, and the height from it up to the highest."""
-    points, isolated = returns
-    lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
-    highest = np.full(side * side, -np.inf, np.float32)
-    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    nodes, heights = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32)
-    for start in range(0, points.shape[0], BLOCK):
-        count = split(points, start, x, y, z)
-        _nodes((x[:count], y[:count], z[:count]), rotation, limits, (half, np.float32(side)), nodes, heights)
-        for n in range(count):
-            k = start + n
-            if nodes[n] < 0 or isolated[k]:
-                continue
-            node, low = np.uint32(nodes[n]), heights[n]
-            highest[node] = max(highest[node], low)
-            if low <= lowest[node, 1] and _before(points, k, low, origin[node, 1], lowest[node, 1]):
-                rank = 1
-                if _before(points, k, low, origin[node, 0], lowest[node, 0]):
-                    lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
-                    rank = 0
-                lowest[node, rank], origin[node, rank] = low, k
-    return _turned(points, rotation, lowest, origin, highest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _turned(points: Any, rotation: Any, lowest: Any, origin: Any, highest: Any) -> Any:  # pragma: no cover - compiled
-    side = int(np.sqrt(highest.shape[0]))
-    lowest_returns, rise = np.full((side, side, 3), np.inf, np.float32), np.zeros((side, side), np.float32)
-    for node in range(highest.shape[0]):
-        rank = 1 if np.isfinite(lowest[node, 1]) else 0
-        if np.isfinite(lowest[node, rank]):
-            i, j, k = node // side, node % side, origin[node, rank]
-            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
-            lowest_returns[i, j, 0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-            lowest_returns[i, j, 1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-            lowest_returns[i, j, 2] = lowest[node, rank]
-            rise[i, j] = highest[node] - lowest[node, rank]
-    return lowest_returns, rise
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma: no cover - compiled
-    """Whether ``z`` is lower; among equals x and y decide, so that the order of the points does not."""
-    if z != low:
-        return z < low
-    if points[k, 0] != points[other, 0]:
-        return points[k, 0] < points[other, 0]
-    return points[k, 1] < points[other, 1]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(
-    block: Any, rotation: Any, limits: Any, lattice: Any, nodes: Any, heights: Any
-) -> None:  # pragma: no cover - compiled
-    """Find the node (-1 where it is no candidate for ground) and the z of each point of a block.
-
-    No candidates: points outside or out of range, and those that may be the hood or roof of the vehicle below the
-    sensor. Without branches, so that it vectorizes.
-    """
-    half, last = lattice
-    per_m, side = last / (np.float32(2.0) * half), np.int32(last)
-    near2, far2 = limits[0] * limits[0], limits[1] * limits[1]
-    xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
-    xs, ys, zs = block
-    for k in range(xs.shape[0]):
-        px, py, pz = xs[k], ys[k], zs[k]
-        d2 = px * px + py * py + pz * pz
-        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
-        z = zx * px + zy * py + zz * pz
-        u, v = (x + half) * per_m, (y + half) * per_m
-        hood = (abs(x) < hood_x) & (abs(y) < hood_y) & (z > hood_z)
-        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
-        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
-        nodes[k] = i * side + j if inside else np.int32(-1)
-        heights[k] = z
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _level_columns(
-    points: Any, clutter: Any, transform: Any, limits: Any, ground: Any, half: Any
-) -> Any:  # pragma: no cover - compiled
-    """Transform, drop ego and null returns and clutter, and measure: points, range, azimuth, height above ground, rows.
-
-    ``clutter`` is a mask of the points, or has no element where there is none.
-    """
-    count = points.shape[0]
-    out = np.empty((count, 3), np.float32)
-    range_m, azimuth, height = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-    rows, kept = np.empty(count, np.int64), np.empty(BLOCK, np.bool_)
-    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    m = 0
-    for start in range(0, count, BLOCK):
-        size = split(points, start, x, y, z)
-        _transform((x[:size], y[:size], z[:size]), transform, limits, kept)
-        if clutter.shape[0] > 0:
-            for k in range(size):
-                kept[k] &= not clutter[start + k]
-        left = 0
-        for k in range(size):
-            x[left], y[left], z[left], rows[m + left] = x[k], y[k], z[k], start + k
-            left += kept[k]
-        block = x[:left], y[:left], z[:left]
-        _measure(block, ground.reshape(-1), half, (range_m[m:], azimuth[m:], height[m:]))
-        for k in range(left):
-            out[m + k, 0], out[m + k, 1], out[m + k, 2] = x[k], y[k], z[k]
-        m += left
-    return out[:m], range_m[:m], azimuth[:m], height[:m], rows[:m]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _transform(block: Any, transform: Any, limits: Any, kept: Any) -> None:  # pragma: no cover - compiled
-    """Turn and raise the points of a block in place, and mark those in range and outside the vehicle below."""
-    xs, ys, zs = block
-    near2, far2, ego_x, ego_y = limits[0] * limits[0], limits[1] * limits[1], limits[2], limits[3]
-    xx, xy, xz = transform[0, 0], transform[0, 1], transform[0, 2]
-    yx, yy, yz = transform[1, 0], transform[1, 1], transform[1, 2]
-    zx, zy, zz, up = transform[2, 0], transform[2, 1], transform[2, 2], transform[2, 3]
-    for k in range(xs.shape[0]):
-        px, py, pz = xs[k], ys[k], zs[k]
-        d2 = px * px + py * py + pz * pz
-        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
-        ego = (abs(x) < ego_x) & (abs(y) < ego_y)
-        kept[k] = (d2 >= near2) & (d2 <= far2) & (not ego)
-        xs[k], ys[k], zs[k] = x, y, zx * px + zy * py + zz * pz + up
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _measure(block: Any, ground: Any, half: Any, measured: Any) -> None:  # pragma: no cover - compiled
-    """Write range, azimuth and height above the ground (n · n) of each point of a block.
-
-    The places in the ground come first, since a loop that looks up does not vectorize.
-    """
-    xs, ys, zs = block
-    range_m, azimuth, height = measured
-    n = np.int32(np.sqrt(ground.shape[0]))
-    per_m, last = np.float32(n / (2.0 * half)), np.float32(n - 1.001)
-    node, right, below = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    for k in range(xs.shape[0]):
-        x, y = xs[k], ys[k]
-        range_m[k] = np.sqrt(x * x + y * y)
-        azimuth[k] = atan2(y, x)
-    for k in range(xs.shape[0]):
-        u = min(max((xs[k] + half) * per_m - np.float32(0.5), np.float32(0.0)), last)
-        v = min(max((ys[k] + half) * per_m - np.float32(0.5), np.float32(0.0)), last)
-        i, j = np.int32(u), np.int32(v)
-        below[k], right[k] = u - np.float32(i), v - np.float32(j)
-        node[k] = i * n + j
-    for k in range(xs.shape[0]):
-        at, under = np.uint32(node[k]), np.uint32(node[k] + n)
-        low = ground[at] + (ground[at + np.uint32(1)] - ground[at]) * right[k]
-        high = ground[under] + (ground[under + np.uint32(1)] - ground[under]) * right[k]
-        height[k] = zs[k] - low - (high - low) * below[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def slopes(points: Any, range_m: Any, height: Any, straight_up: Any, rows: Any) -> Any:  # pragma: no cover - compiled
-    """Return rise over range (M,) from a sensor at ``height`` to points; +inf for those whose row is ``straight_up``.
-
-    ``straight_up`` is a mask of the rows, or has no element where there is none.
-    """
-    slope = np.empty(points.shape[0], np.float32)
-    for k in range(points.shape[0]):
-        slope[k] = (points[k, 2] - height) / max(range_m[k], np.float32(1e-3))
-    if straight_up.shape[0] > 0:
-        for k in range(points.shape[0]):
-            slope[k] = np.float32(np.inf) if straight_up[np.uint64(rows[k])] else slope[k]
-    return slope
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def obstacles(points: Any, height: Any, lattice: Any, mask: Any) -> None:  # pragma: no cover - compiled
-    """Mark the cells that hold a return between the lattice's last two numbers above local ground."""
-    x0, y0, per_m, low, high = lattice
-    cells = mask.shape[0]
-    for k in range(points.shape[0]):
-        if height[k] > low and height[k] < high:
-            u, v = (points[k, 0] - x0) * per_m, (points[k, 1] - y0) * per_m
-            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
-                mask[int(u), int(v)] = True
-
 
 OBSTACLE_HEIGHTS_M = (0.3, 3.0)
 """Returns between these heights above local ground are obstacles."""
@@ -230,7 +41,15 @@ TILT_SUPPORT = 0.35
 LEVEL_TILT = np.deg2rad(6.0)
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
 
+LEAST_HEIGHT_M = 0.05
+"""Least height of a sensor above the ground that was estimated."""
+
 Mask = NDArray[np.bool_]
+
+_NO_MASK = np.zeros(0, np.bool_)
+"""A mask of no returns, for compiled loops."""
+
+_NO_MASK.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -246,8 +65,8 @@ class LeveledSweep:
         rows: (M,) row of each point in the sweep.
         level_from_sensor: the transform used.
         ground: the local ground.
-        told: the sweep's rings and sensor, its own or told by its points.
-        placed: the sweep's returns on its range image, or None where nothing tells its rings.
+        sensor_id: the rings and the sensor, the sweep's own or identified by its points.
+        range_image: the sweep's N returns on its range image, or None where the rings are not known.
     """
 
     sweep: Sweep
@@ -257,9 +76,9 @@ class LeveledSweep:
     height_m: NDArray[np.float32]
     rows: NDArray[np.intp]
     level_from_sensor: Rigid
-    ground: Ground
-    told: SensorId = UNIDENTIFIED
-    placed: Placed | None = None
+    ground: HeightMap
+    sensor_id: SensorId = UNIDENTIFIED
+    range_image: RangeImage | None = None
 
     @property
     def sensor_height_m(self) -> float:
@@ -272,20 +91,21 @@ class LeveledSweep:
         pose = self.sweep.world_from_sensor
         return None if pose is None else pose @ self.level_from_sensor.inverse()
 
-    def beams(self, straight_up: Mask | None = None) -> Beams:
+    def beams(self, left_out: Mask | None = None) -> Beams:
         """Return the beams that returned: straight lines from the sensor to each point.
 
-        Those of rows of the sweep in ``straight_up`` (N,) point there and meet nothing: to leave them out costs copies.
+        Those of rows of the sweep in ``left_out`` (N,) point straight up and meet nothing: removing them costs copies.
         """
-        rows = np.zeros(0, np.bool_) if straight_up is None else straight_up
-        slope = slopes(self.points, self.range_m, np.float32(self.sensor_height_m), rows, self.rows)
+        mask = _NO_MASK if left_out is None else left_out
+        slope = _slopes(self.points, self.range_m, np.float32(self.sensor_height_m), mask, self.rows)
         return Beams(self.azimuth, slope, self.range_m)
 
     def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
         mask = np.zeros(grid.shape, np.bool_)
-        lattice = np.array([*grid.origin_m, 1.0 / grid.cell_m, *OBSTACLE_HEIGHTS_M], np.float32)
-        obstacles(self.points, self.height_m, lattice, mask)
+        x0_m, y0_m, cells_per_m = np.array([*grid.origin_m, 1.0 / grid.cell_m], np.float32)
+        low_m, high_m = np.array(OBSTACLE_HEIGHTS_M, np.float32)
+        _mark_obstacles(self.points, self.height_m, x0_m, y0_m, cells_per_m, low_m, high_m, mask)
         return mask
 
 
@@ -296,30 +116,23 @@ def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.isolated_returns`) where the rings are known or can be told. Lone returns
-    say nothing of the ground.
+    (:mod:`viewshed.preprocess.isolated_returns`) where the rings are known or can be identified.
     """
-    told = identify_sensor(sweep)
-    placed = placed_by_rings(sweep.points, told, range_limits(sweep))
-    isolated = np.zeros(len(sweep), np.bool_) if placed is None else placed.isolated
+    # 1. Identify the sensor: its beam table, and the ring of each return.
+    sensor_id = identify_sensor(sweep)
+    # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
+    image = range_image_by_sensor(sweep.points, sensor_id, range_limits(sweep))
+    isolated, clutter = _isolated_and_clutter(image, len(sweep))
+    # 3. Attitude and ground, in the sensor's frame; then raise both until the ground below the sensor is at z = 0.
     rotation, ground = _attitude_and_ground(sweep, grid, isolated)
-    height = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), 0.05)
-    ground = ground.raised(height)
-    transform = Rigid(rotation, np.array([0.0, 0.0, height]))
-    ego = EGO_BOX_M if EGO_HEIGHTS_M[0] <= height <= EGO_HEIGHTS_M[1] else (0.0, 0.0)
-    clutter = None if placed is None else placed.clutter
-    columns = _level_columns(
-        sweep.points,
-        np.zeros(0, np.bool_) if clutter is None else clutter,
-        transform.as_matrix()[:3].astype(np.float32),
-        np.array([*range_limits(sweep), *ego], np.float32),
-        ground.heights_m,
-        np.float32(ground.half_extent_m),
-    )
-    for column in columns:
-        column.setflags(write=False)
-    points, range_m, azimuth, height_m, rows = columns
-    return LeveledSweep(sweep, points, range_m, azimuth, height_m, rows, transform, ground, told, placed)
+    height_m = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), LEAST_HEIGHT_M)
+    ground = ground.raised(height_m)
+    level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, height_m]))
+    # 4. Level points, with their range, azimuth and height above the ground.
+    points, range_m, azimuth, heights_m, rows = _level_points(sweep, clutter, level_from_sensor, ground)
+    return LeveledSweep(
+        sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground, sensor_id, image
+    )  # fmt: skip
 
 
 def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid) -> LeveledSweep:
@@ -351,12 +164,23 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
     return max(NULL_RANGE_M, sweep.model.min_range_m), max(MAX_RANGE_M, sweep.model.max_range_m)
 
 
-def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], Ground]:
+def _isolated_and_clutter(image: RangeImage | None, count: int) -> tuple[Mask, Mask]:
+    """Return the masks (N,) of isolated returns and of clutter; that of clutter has no element where there is none."""
+    if image is None:
+        none = np.zeros(count, np.bool_)
+        none.setflags(write=False)
+        return none, _NO_MASK
+    return image.isolated, _NO_MASK if image.clutter is None else image.clutter
+
+
+def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], HeightMap]:
+    """Return the rotation (3, 3) from sensor to level, and the ground with the sensor at z = 0."""
     attitude = sweep.known_attitude
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
     ground = _ground(sweep, grid, rotation, isolated)
     if attitude is not None:
         return rotation, ground
+    # Nothing says how the sensor is tilted: a steep ground plane does. The ground is then found again, upright.
     normal = _tilted_normal(sweep, ground)
     if normal is None:
         return rotation, ground
@@ -364,22 +188,26 @@ def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[N
     return rotation, _ground(sweep, grid, rotation, isolated)
 
 
-def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> Ground:
-    half = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
-    limits = np.array(range_limits(sweep), np.float32)
-    lows, rise = lowest_returns((sweep.points, isolated), rotation.astype(np.float32), limits, np.float32(half), NODES)
-    return estimate_ground(lows, rise, half, sweep.sensor_height_m)
+def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> HeightMap:
+    """Return the ground over the extent of ``grid``, after a rotation (3, 3)."""
+    half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
+    near_m, far_m = np.array(range_limits(sweep), np.float32)
+    lows_m, rise_m = lowest_returns(
+        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), NODES
+    )
+    return estimate_ground(lows_m, rise_m, half_m, sweep.sensor_height_m)
 
 
-def _tilted_normal(sweep: Sweep, ground: Ground) -> NDArray[np.float64] | None:
+def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:
     """Return the ground's normal (3,) in the sensor frame where the sensor is clearly tilted, else None."""
     normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
     if ground.support < TILT_SUPPORT:
+        # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
         stride = max(len(sweep) // 2500, 1)
-        found, support = free_plane(np.ascontiguousarray(sweep.points[::stride]))
+        steep, support = free_plane(np.ascontiguousarray(sweep.points[::stride]))
         if support < TILT_SUPPORT:
             return None
-        normal = found.astype(np.float64)
+        normal = steep.astype(np.float64)
     normal /= np.linalg.norm(normal)
     return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
 
@@ -389,3 +217,235 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     forward = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     forward /= np.linalg.norm(forward)
     return np.stack([forward, np.cross(normal, forward), normal])
+
+
+def _level_points(
+    sweep: Sweep, clutter: Mask, level_from_sensor: Rigid, ground: HeightMap
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
+    """Return points (M, 3), range, azimuth, height above the ground and row in the sweep (M,) of returns that count."""
+    height_m = level_from_sensor.translation[2]
+    near_m, far_m = np.array(range_limits(sweep), np.float32)
+    has_ego = EGO_HEIGHTS_M[0] <= height_m <= EGO_HEIGHTS_M[1]
+    ego_x_m, ego_y_m = np.array(EGO_BOX_M if has_ego else (0.0, 0.0), np.float32)
+    points, range_m, azimuth, heights_m, rows = _level_columns(
+        sweep.points,
+        clutter,
+        level_from_sensor.as_matrix()[:3].astype(np.float32),
+        near_m,
+        far_m,
+        ego_x_m,
+        ego_y_m,
+        ground.heights_m,
+        np.float32(ground.half_extent_m),
+    )
+    for column in (points, range_m, azimuth, heights_m, rows):
+        column.setflags(write=False)
+    return points, range_m, azimuth, heights_m, rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lowest_returns(
+    points: Any, isolated: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, side: int
+) -> Any:  # pragma: no cover - compiled
+    """Return each node's second-lowest point (side, side, 3), and the height from it up to the highest (side, side).
+
+    The lowest one where it is alone; +inf where a node has none. Points are turned first; isolated ones do not count.
+    """
+    # Of each node the two lowest heights and the points that they are of, and the greatest height.
+    lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
+    highest = np.full(side * side, -np.inf, np.float32)
+    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    nodes, heights = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32)
+    for start in range(0, points.shape[0], BLOCK):
+        count = split(points, start, x, y, z)
+        _nodes(x[:count], y[:count], z[:count], rotation, near_m, far_m, half_m, np.float32(side), nodes, heights)
+        for n in range(count):
+            k = start + n
+            if nodes[n] < 0 or isolated[k]:
+                continue
+            node, low = np.uint32(nodes[n]), heights[n]
+            highest[node] = max(highest[node], low)
+            # Insert into the two lowest. Most points are higher than both.
+            if low <= lowest[node, 1] and _before(points, k, low, origin[node, 1], lowest[node, 1]):
+                rank = 1
+                if _before(points, k, low, origin[node, 0], lowest[node, 0]):
+                    lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
+                    rank = 0
+                lowest[node, rank], origin[node, rank] = low, k
+    return _low_points(points, rotation, lowest, origin, highest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _low_points(
+    points: Any, rotation: Any, lowest: Any, origin: Any, highest: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return the turned low point (side, side, 3) of each node, and the rise (side, side) from it to the highest."""
+    side = int(np.sqrt(highest.shape[0]))
+    lows, rise = np.full((side, side, 3), np.inf, np.float32), np.zeros((side, side), np.float32)
+    for node in range(highest.shape[0]):
+        rank = 1 if np.isfinite(lowest[node, 1]) else 0
+        if np.isfinite(lowest[node, rank]):
+            i, j, k = node // side, node % side, origin[node, rank]
+            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+            lows[i, j, 0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
+            lows[i, j, 1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
+            lows[i, j, 2] = lowest[node, rank]
+            rise[i, j] = highest[node] - lowest[node, rank]
+    return lows, rise
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma: no cover - compiled
+    """Whether ``z`` is lower; among equals x and y decide, so that the order of the points does not."""
+    if z != low:
+        return z < low
+    if points[k, 0] != points[other, 0]:
+        return points[k, 0] < points[other, 0]
+    return points[k, 1] < points[other, 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nodes(
+    xs: Any, ys: Any, zs: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, last: Any, nodes: Any, heights: Any
+) -> None:  # pragma: no cover - compiled
+    """Find the node (-1 where it is no candidate for ground) and the z of each point of a block.
+
+    No candidates: points outside or out of range, and those that may be the hood or roof of the vehicle below the
+    sensor. Without branches, so that it vectorizes.
+    """
+    nodes_per_m, side = last / (np.float32(2.0) * half_m), np.int32(last)
+    near2, far2 = near_m * near_m, far_m * far_m
+    xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
+    for k in range(xs.shape[0]):
+        px, py, pz = xs[k], ys[k], zs[k]
+        d2 = px * px + py * py + pz * pz
+        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
+        z = zx * px + zy * py + zz * pz
+        u, v = (x + half_m) * nodes_per_m, (y + half_m) * nodes_per_m
+        hood = (abs(x) < hood_x) & (abs(y) < hood_y) & (z > hood_z)
+        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
+        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
+        nodes[k] = i * side + j if inside else np.int32(-1)
+        heights[k] = z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _level_columns(
+    points: Any,
+    clutter: Any,
+    transform: Any,
+    near_m: Any,
+    far_m: Any,
+    ego_x_m: Any,
+    ego_y_m: Any,
+    ground: Any,
+    half_m: Any,
+) -> Any:  # pragma: no cover - compiled
+    """Transform, drop ego and null returns and clutter, and measure: points, range, azimuth, height above ground, rows.
+
+    ``clutter`` is a mask of the points, or has no element where there is none.
+    """
+    count = points.shape[0]
+    out = np.empty((count, 3), np.float32)
+    range_m, azimuth, height = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    rows, kept = np.empty(count, np.int64), np.empty(BLOCK, np.bool_)
+    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    m = 0
+    for start in range(0, count, BLOCK):
+        size = split(points, start, x, y, z)
+        _transform(x[:size], y[:size], z[:size], transform, near_m, far_m, ego_x_m, ego_y_m, kept)
+        if clutter.shape[0] > 0:
+            for k in range(size):
+                kept[k] &= not clutter[start + k]
+        # Close the gaps in the block: each point is written to where the next kept one belongs.
+        size_kept = 0
+        for k in range(size):
+            x[size_kept], y[size_kept], z[size_kept], rows[m + size_kept] = x[k], y[k], z[k], start + k
+            size_kept += kept[k]
+        _measure(
+            x[:size_kept], y[:size_kept], z[:size_kept], ground.reshape(-1), half_m, range_m[m:], azimuth[m:],
+            height[m:],
+        )  # fmt: skip
+        for k in range(size_kept):
+            out[m + k, 0], out[m + k, 1], out[m + k, 2] = x[k], y[k], z[k]
+        m += size_kept
+    return out[:m], range_m[:m], azimuth[:m], height[:m], rows[:m]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _transform(
+    xs: Any, ys: Any, zs: Any, transform: Any, near_m: Any, far_m: Any, ego_x_m: Any, ego_y_m: Any, kept: Any
+) -> None:  # pragma: no cover - compiled
+    """Turn and raise the points of a block in place, and mark those in range and outside the vehicle below."""
+    near2, far2 = near_m * near_m, far_m * far_m
+    xx, xy, xz = transform[0, 0], transform[0, 1], transform[0, 2]
+    yx, yy, yz = transform[1, 0], transform[1, 1], transform[1, 2]
+    zx, zy, zz, up = transform[2, 0], transform[2, 1], transform[2, 2], transform[2, 3]
+    for k in range(xs.shape[0]):
+        px, py, pz = xs[k], ys[k], zs[k]
+        d2 = px * px + py * py + pz * pz
+        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
+        ego = (abs(x) < ego_x_m) & (abs(y) < ego_y_m)
+        kept[k] = (d2 >= near2) & (d2 <= far2) & (not ego)
+        xs[k], ys[k], zs[k] = x, y, zx * px + zy * py + zz * pz + up
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _measure(
+    xs: Any, ys: Any, zs: Any, ground: Any, half_m: Any, range_m: Any, azimuth: Any, height: Any
+) -> None:  # pragma: no cover - compiled
+    """Write range, azimuth and height above the ground (n · n) of each point of a block.
+
+    Positions on the ground's lattice come first, since a loop that looks up does not vectorize.
+    """
+    n = np.int32(np.sqrt(ground.shape[0]))
+    nodes_per_m, last = np.float32(n / (2.0 * half_m)), np.float32(n - 1.001)
+    node, right, below = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    for k in range(xs.shape[0]):
+        x, y = xs[k], ys[k]
+        range_m[k] = np.sqrt(x * x + y * y)
+        azimuth[k] = atan2(y, x)
+    for k in range(xs.shape[0]):
+        u = min(max((xs[k] + half_m) * nodes_per_m - np.float32(0.5), np.float32(0.0)), last)
+        v = min(max((ys[k] + half_m) * nodes_per_m - np.float32(0.5), np.float32(0.0)), last)
+        i, j = np.int32(u), np.int32(v)
+        below[k], right[k] = u - np.float32(i), v - np.float32(j)
+        node[k] = i * n + j
+    for k in range(xs.shape[0]):
+        at, under = np.uint32(node[k]), np.uint32(node[k] + n)
+        low = ground[at] + (ground[at + np.uint32(1)] - ground[at]) * right[k]
+        high = ground[under] + (ground[under + np.uint32(1)] - ground[under]) * right[k]
+        height[k] = zs[k] - low - (high - low) * below[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slopes(
+    points: Any, range_m: Any, sensor_height_m: Any, left_out: Any, rows: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return rise over range (M,) from the sensor to points; +inf for those whose row is ``left_out``.
+
+    ``left_out`` is a mask of the rows, or has no element where there is none.
+    """
+    slope = np.empty(points.shape[0], np.float32)
+    for k in range(points.shape[0]):
+        slope[k] = (points[k, 2] - sensor_height_m) / max(range_m[k], np.float32(1e-3))
+    if left_out.shape[0] > 0:
+        for k in range(points.shape[0]):
+            slope[k] = np.float32(np.inf) if left_out[np.uint64(rows[k])] else slope[k]
+    return slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_obstacles(
+    points: Any, height: Any, x0_m: Any, y0_m: Any, cells_per_m: Any, low_m: Any, high_m: Any, mask: Any
+) -> None:  # pragma: no cover - compiled
+    """Mark the cells that hold a return between two heights above local ground."""
+    cells = mask.shape[0]
+    for k in range(points.shape[0]):
+        if height[k] > low_m and height[k] < high_m:
+            u, v = (points[k, 0] - x0_m) * cells_per_m, (points[k, 1] - y0_m) * cells_per_m
+            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
+                mask[int(u), int(v)] = True

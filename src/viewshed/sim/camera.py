@@ -12,7 +12,7 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import MATERIALS, material_index
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.world import GROUND, NOTHING, Snapshot, World
 
 Image = NDArray[np.uint8]
@@ -105,15 +105,15 @@ def viewpoint(snapshot: Snapshot, eye: NDArray[np.float64], yaw: float, ways_m: 
 
     If nothing is clear, the eye itself.
     """
-    for way in ways_m:
-        step = Rigid.from_yaw(yaw).rotation @ way
+    for offset in ways_m:
+        step = Rigid.from_yaw(yaw).rotation @ offset
         length = float(np.linalg.norm(step))
         if _clear_m(snapshot, eye, step / length) > length + 1.0:
             return Rigid.from_yaw(yaw, eye + step)
     return Rigid.from_yaw(yaw, eye)
 
 
-def opened(world: World, snapshot: Snapshot) -> tuple[Snapshot, float]:
+def without_ceiling(world: World, snapshot: Snapshot) -> tuple[Snapshot, float]:
     """Return the solids of a building without its ceiling and what hangs, and how high one sees then, in meters.
 
     Things that begin higher than ``CEILING_M`` above the ground are left out; outdoors none is.
@@ -179,7 +179,7 @@ def _pitch(pitch_deg: float) -> NDArray[np.float64]:
     return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
 
 
-def _light(scan: Scan) -> Colors:
+def _light(scan: ExactScan) -> Colors:
     """Return the brightness (C, R) of what the beams met: normals from neighboring stops on the same thing."""
     hits = scan.direction * np.where(np.isfinite(scan.depth_m), scan.depth_m, 0)[..., None] + scan.origin_m
     normal = np.zeros_like(hits)

@@ -12,10 +12,10 @@ from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
 from viewshed.sensors import lidar_model
 from viewshed.sim.lidar.measurement import measure
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS, Conditions
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Motion, Scan
+from viewshed.sim.raycast.scan import ExactScan, Motion
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, Snapshot, World
 
@@ -31,8 +31,8 @@ class Observation:
         known: (cells, cells) bool, where that is known.
     """
 
-    scan: Scan
-    image: RangeImage
+    scan: ExactScan
+    image: StoredSweep
     truth: Truth
     known: NDArray[np.bool_]
 
@@ -82,8 +82,8 @@ def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion
     """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
     if period_s == 0.0 or agent.carrier is None:
         return Motion(period_s=period_s)
-    turns, places = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s + period_s / 2]))
-    vx, vy, vz = (float(value) for value in (places[1] - places[0]) / period_s)
+    turns, positions = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s + period_s / 2]))
+    vx, vy, vz = (float(value) for value in (positions[1] - positions[0]) / period_s)
     turned = turns[1] @ turns[0].T
     yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
     return Motion((vx, vy, vz), yaw / period_s, period_s)

@@ -11,7 +11,7 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import Box, Cylinder
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Thing, World
 from viewshed.sweep import Sweep
@@ -57,7 +57,7 @@ class Scene:
 
 def scan_of(
     model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
-) -> Scan:
+) -> ExactScan:
     """Return what the beams meet; column c fires at azimuth -π + c · ``model.azimuth_step``.
 
     ``attitude`` is ``level_from_sensor`` (w, x, y, z).
@@ -171,6 +171,6 @@ def _people_and_poles() -> list[Cylinder]:
 
 
 def _trees() -> list[Cylinder]:
-    places = [(-4.5, -7.6, 1.9), (-29.5, -6.9, 2.3), (36.5, -9.5, 2.6), (17.0, -38.0, 2.8), (4.5, 10.0, 1.6)]
-    trunks = [Cylinder(x, y, 0.22, 3.0) for x, y, _ in places]
-    return [*trunks, *(Cylinder(x, y, crown, 3.0 + 1.6 * crown, bottom_m=2.6) for x, y, crown in places)]
+    positions = [(-4.5, -7.6, 1.9), (-29.5, -6.9, 2.3), (36.5, -9.5, 2.6), (17.0, -38.0, 2.8), (4.5, 10.0, 1.6)]
+    trunks = [Cylinder(x, y, 0.22, 3.0) for x, y, _ in positions]
+    return [*trunks, *(Cylinder(x, y, crown, 3.0 + 1.6 * crown, bottom_m=2.6) for x, y, crown in positions)]

@@ -1,7 +1,4 @@
-"""Worlds: ground, things that stand or move on it, and the agents that look at them.
-
-Loops that tell where things are over time.
-"""
+"""Worlds: ground, things that stand or move on it, and the agents that look at them."""
 
 from __future__ import annotations
 
@@ -17,40 +14,11 @@ from viewshed.geometry import Rigid
 from viewshed.sim.assets.shapes import KINDS, Shape, material_index
 from viewshed.sim.terrain import Terrain
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def place_things(t_s: Any, which: Any, resting: Any, knots: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill x, y and yaw (n, k, 3) of k things at n times, from where they rest or from their knots."""
-    (at_rest, spans), (times, values) = resting, knots
-    for k in range(which.shape[0]):
-        thing = which[k]
-        if spans[thing, 0] < spans[thing, 1]:
-            follow(t_s, times, values, (spans[thing, 0], spans[thing, 1]), out[:, k])
-        else:
-            out[:, k] = at_rest[thing]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def follow(t_s: Any, times: Any, values: Any, span: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill x, y and yaw (n, 3) at n times, straight between the knots of a span, still outside."""
-    begin, end = span
-    for n in range(t_s.shape[0]):
-        t = t_s[n]
-        j = begin + np.searchsorted(times[begin:end], t, side="right") - 1
-        for k in range(3):
-            if j < begin:
-                out[n, k] = values[begin, k]
-            elif j == end - 1 or times[j] == t:
-                out[n, k] = values[j, k]
-            else:
-                slope = (values[j + 1, k] - values[j, k]) / (times[j + 1] - times[j])
-                out[n, k] = slope * (t - times[j]) + values[j, k]
-
-
 GROUND, NOTHING = -1, -2
 """What a beam met if it was no thing: the ground, or nothing within range."""
 
 _DT_S, _WHEELBASE_M = 0.05, 3.0
+"""Velocities are differences over this time to both sides; vehicles tilt as the ground does over this length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +52,7 @@ class Track:
     def over(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, 3) x and y in meters and yaw in radians at times (n,)."""
         out = np.empty((len(t_s), 3))
-        follow(np.asarray(t_s, np.float64), self.t_s, self.knots, (0, len(self.t_s)), out)
+        interpolate_track(np.asarray(t_s, np.float64), self.t_s, self.knots, 0, len(self.t_s), out)
         return out
 
     @property
@@ -117,7 +85,7 @@ class Thing:
     tilts: bool = False
     z_m: float | None = None
 
-    def place(self, t_s: float) -> tuple[float, float, float]:
+    def pose_at(self, t_s: float) -> tuple[float, float, float]:
         """Return x and y in meters and yaw in radians at ``t_s``."""
         return (self.x_m, self.y_m, self.yaw) if self.track is None else self.track.at(t_s)
 
@@ -224,20 +192,20 @@ class World:
         mount, carrier = agent.mount, agent.carrier
         if carrier is None:
             return np.tile(mount.rotation, (len(t_s), 1, 1)), np.tile(mount.translation, (len(t_s), 1))
-        turns, places = (part[:, 0] for part in self._poses(t_s, np.array([carrier])))
-        origins = [turn @ mount.translation + place for turn, place in zip(turns, places, strict=True)]
+        turns, positions = (part[:, 0] for part in self._poses(t_s, np.array([carrier])))
+        origins = [turn @ mount.translation + position for turn, position in zip(turns, positions, strict=True)]
         return np.stack([turn @ mount.rotation for turn in turns]), np.stack(origins)
 
     def snapshot(self, t_s: float) -> Snapshot:
         """Return all solids at ``t_s``, with their velocities."""
         (center, rotation), (kind, thing, material, half) = self._rest, self._parts[:4]
         velocity = np.zeros((len(kind), 3))
-        things, rows, place = self._moving
+        things, rows, which = self._moving
         if rows.size:
             turn, origin = self._poses(np.array([t_s, t_s - _DT_S, t_s + _DT_S]), things)
             center, rotation = center.copy(), rotation.copy()
-            center[rows], rotation[rows] = self._placed(rows, turn[0, place], origin[0, place])
-            velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[place]
+            center[rows], rotation[rows] = self._placed(rows, turn[0, which], origin[0, which])
+            velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[which]
         return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
 
     @cached_property
@@ -289,16 +257,16 @@ class World:
         self, t_s: NDArray[np.float64], which: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
-        at_rest, z_m, tilts, spans, knots = self._courses
-        places = np.empty((len(t_s), len(which), 3))
-        place_things(t_s, which, (at_rest, spans), knots, places)
-        origin = places.copy()
-        origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(places), z_m[which])
-        rotation = _turns(places[..., 2])
+        at_rest, z_m, tilts, spans, (times, knots) = self._courses
+        positions = np.empty((len(t_s), len(which), 3))
+        poses_of_things(t_s, which, at_rest, spans, times, knots, positions)
+        origin = positions.copy()
+        origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(positions), z_m[which])
+        rotation = _turns(positions[..., 2])
         tilting = np.flatnonzero(tilts[which])
         if tilting.size:
-            normals = self.terrain.normals_at(places[:, tilting], _WHEELBASE_M)
-            rotation[:, tilting] = _along(normals, places[:, tilting, 2])
+            normals = self.terrain.normals_at(positions[:, tilting], _WHEELBASE_M)
+            rotation[:, tilting] = _along(normals, positions[:, tilting, 2])
         return rotation, origin
 
 
@@ -325,3 +293,37 @@ def _across(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArra
     """Return one component (…,) of the cross product of vectors (…, 3)."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
     return a[..., j] * b[..., k] - a[..., k] * b[..., j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def poses_of_things(
+    t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill x, y and yaw (n, k, 3) of k things ``which`` at n times, from where they rest or from their knots.
+
+    Of all things: x, y, yaw at rest (things, 3) and first and last knot (things, 2); times (knots,), values (knots, 3).
+    """
+    for k in range(which.shape[0]):
+        thing = which[k]
+        if spans[thing, 0] < spans[thing, 1]:
+            interpolate_track(t_s, times, values, spans[thing, 0], spans[thing, 1], out[:, k])
+        else:
+            out[:, k] = at_rest[thing]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate_track(
+    t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill x, y and yaw (n, 3) at n times, straight between the knots ``begin`` to ``end``, still outside."""
+    for n in range(t_s.shape[0]):
+        t = t_s[n]
+        j = begin + np.searchsorted(times[begin:end], t, side="right") - 1
+        for k in range(3):
+            if j < begin:
+                out[n, k] = values[begin, k]
+            elif j == end - 1 or times[j] == t:
+                out[n, k] = values[j, k]
+            else:
+                slope = (values[j + 1, k] - values[j, k]) / (times[j + 1] - times[j])
+                out[n, k] = slope * (t - times[j]) + values[j, k]

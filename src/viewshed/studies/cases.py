@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from viewshed.datasets.simulated import ScenePlan, observe_frame, world_of
 from viewshed.fov.visibility import CAR
 from viewshed.sensors import LidarModel
-from viewshed.sim.raycast.scan import Scan
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.studies.records import Case
 from viewshed.studies.samples import StudySample
@@ -193,7 +193,7 @@ def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> M
 
 
 @lru_cache(maxsize=1)
-def _scan(scene: ScenePlan, number: int) -> Scan:
+def _scan(scene: ScenePlan, number: int) -> ExactScan:
     """Return what every beam met in a frame; a sample is looked at several times in a row."""
     return observe_frame(scene, number).scan
 
@@ -208,7 +208,7 @@ def kept_rings(corruption: Corruption, model: LidarModel, rng: np.random.Generat
     return np.isin(np.arange(model.rings), np.arange(model.rings) if rings is None else rings)
 
 
-def with_rings(scan: Scan, kept: Mask) -> Scan:
+def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
     """Return a scan of a sensor that has only some of its rings (R,), from the lowest up."""
     model = scan.model
     fewer = replace(

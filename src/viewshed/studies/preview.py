@@ -25,7 +25,17 @@ from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.plot import COLORS, HEIGHTS_M, WORDS
 from viewshed.sim.assets.shapes import BOX, MATERIALS
-from viewshed.sim.camera import Colors, Image, Lens, Photo, opened, photograph, surface_colors, to_bytes, viewpoint
+from viewshed.sim.camera import (
+    Colors,
+    Image,
+    Lens,
+    Photo,
+    photograph,
+    surface_colors,
+    to_bytes,
+    viewpoint,
+    without_ceiling,
+)
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import GROUND, Snapshot, World
 from viewshed.sweep import Sweep
@@ -81,7 +91,7 @@ def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: B
     fine = BevGrid(SIDE, grid.half_extent_m, grid.offset_m)
     xy = (world_from_level @ np.dstack([fine.centers, np.zeros(fine.shape)]))[..., :2]
     image = _ground_colors(world.terrain, xy, fine.cell_m, world_from_level.yaw)
-    snapshot, _ = opened(world, snapshot)
+    snapshot, _ = without_ceiling(world, snapshot)
     height_m = snapshot.center_m[:, 2] - world.terrain.at(snapshot.center_m[:, :2])
     half_height = (np.abs(snapshot.rotation[:, 2]) * snapshot.half_m).sum(axis=1)
     colors = surface_colors(world, snapshot.thing, snapshot.material)
@@ -126,7 +136,7 @@ def marks(world: World, snapshot: Snapshot, agent: int, pose: tuple[Rigid, float
     world_from_level, t_s = pose
     first = np.unique(snapshot.thing, return_index=True)[1]
     first = first[np.hypot(*snapshot.velocity_mps[first, :2].T) > 0.2]
-    start = np.array([world.things[snapshot.thing[k]].place(t_s)[:2] for k in first]).reshape(-1, 2)
+    start = np.array([world.things[snapshot.thing[k]].pose_at(t_s)[:2] for k in first]).reshape(-1, 2)
     end = start + 2.0 * snapshot.velocity_mps[first, :2]
     others = [world.world_from_sensor(one, t_s).translation[:2] for k, one in enumerate(world.agents) if k != agent]
     arrows = np.hstack([_pixels(xy, world_from_level, grid) for xy in (start, end)])
@@ -354,7 +364,7 @@ def _camera(sample: PreviewSample, snapshot: Snapshot, sensor: Rigid, returns: N
     ways, lens = (_BEHIND_MAST_M, _MAST_LENS) if mast else (_BEHIND_M, _VEHICLE_LENS)
     if sample.world.indoor:
         ways, lens = _ABOVE_ROBOT_M, _ROBOT_LENS
-    snapshot, top_m = opened(sample.world, snapshot)
+    snapshot, top_m = without_ceiling(sample.world, snapshot)
     shown = returns[_few_rings(sample.sweep)]
     shown = shown[shown[:, 2] - sample.world.terrain.at(shown) < top_m - 0.1]
     pose = viewpoint(snapshot, sensor.translation + np.array([0.0, 0.0, 0.3]), sensor.yaw, ways)

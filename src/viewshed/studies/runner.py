@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Generic
 
 from viewshed._jobs import Engine, LocalEngine
-from viewshed.datasets.archive.manifest import code_version
+from viewshed.datasets.archive.schema import code_version
 from viewshed.studies.plan import JobKey
 from viewshed.studies.store import JobResult, P, ResultStore
 

@@ -90,7 +90,7 @@ def _simulated(preset: Preset, number: int) -> StudySample:
         simulate_frame(scene, (time - step) * preset.agents + agent).sweep for step in steps if step <= time
     )
     frame = time * preset.agents + agent
-    return StudySample(simulate_frame(scene, frame).sample(scene.name, scene.split_name), earlier, (scene, frame))
+    return StudySample(simulate_frame(scene, frame), earlier, (scene, frame))
 
 
 @lru_cache(maxsize=4)
@@ -112,9 +112,9 @@ def _before(archive: Archive, index: int, sample: Sample) -> Iterator[Sweep]:
     """Yield the earlier sweeps of the same agent and scene, up to ``BEFORE_S`` before, the newest first."""
     t_ns = sample.sweep.t_ns
     for other in range(index - 1, max(index - _LOOK_BACK, 0) - 1, -1) if t_ns is not None else ():
-        frame, shard = archive.frame(other)
-        was_ns = frame.measured.t_ns
-        if shard.scene != sample.scene or was_ns is None or t_ns is None or t_ns - was_ns > 1e9 * BEFORE_S[0] + 1e6:
+        before = archive[other]
+        was_ns = before.measured.t_ns
+        if before.scene != sample.scene or was_ns is None or t_ns is None or t_ns - was_ns > 1e9 * BEFORE_S[0] + 1e6:
             return
-        if frame.measured.agent == sample.sweep.agent and was_ns < t_ns:
-            yield frame.sweep
+        if before.measured.agent == sample.sweep.agent and was_ns < t_ns:
+            yield before.sweep

@@ -82,7 +82,7 @@ class TrainConfig:
         workers: processes that prepare frames beside the one that trains.
         threshold: probability from which a cell counts as visible, in the scores and in the weights' card.
         seed: of everything random.
-        inputs: what the network is shown, names of ``CHANNELS``; ``counts`` alone as published.
+        inputs: what the network is shown, names of ``FEATURES``; ``counts`` alone as published.
         counts: how the returns of a cell are shown: ``linear``, as published, or ``log``.
         max_range_m: returns up to this horizontal range count.
         heights_m: lowest and highest z from the sensor at which returns count.
@@ -192,7 +192,7 @@ class TrainConfig:
         dropout = self.dropout if self.variant == "mcd" else 0.0
         return UNetShape(self.width, self.depth, dropout, len(self.inputs), self.fold)
 
-    def showing(self, inputs: tuple[str, ...]) -> TrainConfig:
+    def with_inputs(self, inputs: tuple[str, ...]) -> TrainConfig:
         """Return the config with other channels."""
         return replace(self, inputs=inputs)
 
@@ -220,7 +220,7 @@ class TrainConfig:
 
 def config_names() -> tuple[str, ...]:
     """Return the names of the shipped configs, in alphabetical order."""
-    return tuple(sorted(path.stem for path in _shipped().glob("*.toml")))
+    return tuple(sorted(path.stem for path in _configs_folder().glob("*.toml")))
 
 
 def read_config(place: str | Path) -> TrainConfig:
@@ -232,7 +232,7 @@ def read_config(place: str | Path) -> TrainConfig:
     """
     path = Path(place)
     if str(place) in config_names():
-        path = _shipped() / f"{place}.toml"
+        path = _configs_folder() / f"{place}.toml"
     elif not path.is_file():
         raise ValueError(f"config must be a TOML file or one of {', '.join(config_names())}, got {str(place)!r}")
     try:
@@ -242,7 +242,7 @@ def read_config(place: str | Path) -> TrainConfig:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _shipped() -> Path:
+def _configs_folder() -> Path:
     """Return the folder of configs: inside an installed package, beside ``src`` in a checkout."""
     package = Path(viewshed.__file__).resolve().parent
     inside = package / "configs"

@@ -1,8 +1,8 @@
-"""Cross-validation by scene: which width, dropout and learning rate; a stopped run goes on where it was.
+"""Cross-validation by scene: which width, dropout and learning rate. A run that was stopped resumes where it was.
 
-What the folds of a cross-validation came to, line by line in a file that survives a kill.
-
-The page of a cross-validation, and a config as TOML.
+Scores are kept by us, a line of ``folds.jsonl`` for each finished fold, for both samplers: an optuna storage would keep
+its trials, but not the state of its sampler, so that a resumed search would ask for other settings than one that ran
+through. Ours asks the seeded sampler again from the start and looks up what is finished.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import viewshed
-from viewshed import _files as journal
+from viewshed._files import append_jsonl, is_begun
 from viewshed._page import facts, page, table
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import Fold, check_data, check_folds
@@ -74,9 +75,9 @@ class FoldStore:
         """
         path = folder / FILE
         store = cls(path, {})
-        if not journal.is_begun(path):
+        if not is_begun(path):
             folder.mkdir(parents=True, exist_ok=True)
-            journal.append_jsonl(path, about)
+            append_jsonl(path, about)
             return store
         try:
             head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
@@ -101,7 +102,7 @@ class FoldStore:
         Raises:
             OSError: it cannot be written.
         """
-        journal.append_jsonl(self.path, asdict(score))
+        append_jsonl(self.path, asdict(score))
         self.scores[score.setting, score.fold] = score
 
 
@@ -189,8 +190,8 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True)
-class Validated:
-    """What cross-validation found.
+class CrossValidation:
+    """What cross-validation result.
 
     Attributes:
         chosen: the setting with the highest mean F1; of equals the smaller network.
@@ -207,8 +208,8 @@ def crossval(
     *,
     search: Search | None = None,
     device: str = "cpu",
-    progress: Callable[[str, Step], None] | None = None,
-) -> Validated:
+    on_progress: Callable[[str, Step], None] | None = None,
+) -> CrossValidation:
     """Return the best setting of a config by folds of whole scenes; figure, page and chosen config are in ``out``.
 
     Folds that are finished stay; one that was stopped goes on after its last epoch.
@@ -218,7 +219,7 @@ def crossval(
         out: folder of this cross-validation alone.
         search: which settings; None is the whole grid.
         device: ``cpu`` or ``cuda``.
-        progress: is told of every batch, with the name of the fold.
+        on_progress: is called after every batch with the name of the fold.
 
     Raises:
         ValueError: there are fewer scenes than folds, or ``out`` holds another cross-validation.
@@ -233,12 +234,16 @@ def crossval(
     check_data(config)
     check_folds(config, wanted.folds)
     store = FoldStore.open(folder, {"version": viewshed.__version__, "config": config.to_json()} | wanted.to_json())
-    runner = _Runner(config, folder, store, wanted.folds, device, progress)
-    tried = _asked(wanted, config, runner) if wanted.sampler == "optuna" else _swept(wanted, config, runner)
+    runner = _Runner(config, folder, store, wanted.folds, device, on_progress)
+    tried = (
+        _search_with_optuna(wanted, config, runner)
+        if wanted.sampler == "optuna"
+        else _search_grid(wanted, config, runner)
+    )
     scores = dict(tried)
-    found = Validated(_best(scores), scores)
-    _write(config, folder, found)
-    return found
+    result = CrossValidation(_best_setting(scores), scores)
+    _write(config, folder, result)
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,20 +255,20 @@ class _Runner:
     store: FoldStore
     folds: int
     device: str
-    progress: Callable[[str, Step], None] | None
+    on_progress: Callable[[str, Step], None] | None
 
     def scores(self, setting: Setting) -> tuple[FoldScore, ...]:
         """Return one score of each fold."""
         return tuple(self._score(setting, number) for number in range(self.folds))
 
     def _score(self, setting: Setting, number: int) -> FoldScore:
-        done = self.store.get(setting.name, number)
-        if done is not None:
-            return done
+        finished = self.store.get(setting.name, number)
+        if finished is not None:
+            return finished
         name = f"{setting.name}/fold-{number}"
-        told = None if self.progress is None else _named(self.progress, name)
+        on_step = None if self.on_progress is None else partial(self.on_progress, name)
         trained = train(
-            setting.of(self.config), self.out / name, device=self.device, progress=told,
+            setting.of(self.config), self.out / name, device=self.device, on_progress=on_step,
             cache=self.out / "cache", fold=Fold(number, self.folds),
         )  # fmt: skip
         best = trained.best
@@ -272,21 +277,17 @@ class _Runner:
         return score
 
 
-def _named(progress: Callable[[str, Step], None], name: str) -> Callable[[Step], None]:
-    return lambda step: progress(name, step)
+TriedSettings = Iterator[tuple[Setting, tuple[FoldScore, ...]]]
 
 
-Tried = Iterator[tuple[Setting, tuple[FoldScore, ...]]]
-
-
-def _swept(search: Search, config: TrainConfig, runner: _Runner) -> Tried:
+def _search_grid(search: Search, config: TrainConfig, runner: _Runner) -> TriedSettings:
     order = np.random.default_rng([config.seed, len(search.grid)]).permutation(len(search.grid))
     for index in order[: search.trials]:
         setting = search.grid[index]
         yield setting, runner.scores(setting)
 
 
-def _asked(search: Search, config: TrainConfig, runner: _Runner) -> Tried:
+def _search_with_optuna(search: Search, config: TrainConfig, runner: _Runner) -> TriedSettings:
     """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
     optuna = _optuna()
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
@@ -314,34 +315,35 @@ def mean_f1(scores: Sequence[FoldScore]) -> float:
     return float(np.mean([score.f1 for score in scores]))
 
 
-def _best(scores: dict[Setting, tuple[FoldScore, ...]]) -> Setting:
+def _best_setting(scores: dict[Setting, tuple[FoldScore, ...]]) -> Setting:
     return min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting))
 
 
-def _write(config: TrainConfig, out: Path, found: Validated) -> None:
+def _write(config: TrainConfig, out: Path, result: CrossValidation) -> None:
     """Write figure, page and the chosen config."""
     from viewshed.training.figures import fold_figure
 
-    ordered = sorted(found.scores)
-    values = {setting.name: [score.f1 for score in found.scores[setting]] for setting in ordered}
-    save(out / FIGURE, fold_figure(config.name, values, found.chosen.name))
-    save(out / PAGE, page_of(config, found).encode())
-    save(out / CHOSEN, toml_of(found.chosen.of(config)).encode())
+    ordered = sorted(result.scores)
+    values = {setting.name: [score.f1 for score in result.scores[setting]] for setting in ordered}
+    save(out / FIGURE, fold_figure(config.name, values, result.chosen.name))
+    save(out / PAGE, page_of(config, result).encode())
+    save(out / CHOSEN, toml_of(result.chosen.of(config)).encode())
 
 
-def page_of(config: TrainConfig, found: Validated) -> str:
+def page_of(config: TrainConfig, result: CrossValidation) -> str:
     """Return the page of a cross-validation: the setting chosen and the scores of all, as Markdown."""
     rows = []
-    for setting in sorted(found.scores, key=lambda key: -np.mean([score.f1 for score in found.scores[key]])):
-        f1 = np.array([score.f1 for score in found.scores[setting]])
-        iou = np.mean([score.iou for score in found.scores[setting]])
-        name = f"**{setting.name}**" if setting == found.chosen else setting.name
+    for setting in sorted(result.scores, key=lambda key: -np.mean([score.f1 for score in result.scores[key]])):
+        f1 = np.array([score.f1 for score in result.scores[setting]])
+        iou = np.mean([score.iou for score in result.scores[setting]])
+        name = f"**{setting.name}**" if setting == result.chosen else setting.name
         rows.append([name, f"{f1.mean():.4f}", f"{f1.std():.4f}", f"{f1.min():.4f}", f"{f1.max():.4f}", f"{iou:.4f}"])
-    count = len(found.scores[found.chosen])
+    count = len(result.scores[result.chosen])
     about = facts(config=config.name, data=", ".join(config.data), truth=config.truth, seed=str(config.seed))
+    chosen = result.chosen
     text = (
-        f"Chosen: **{found.chosen.name}** (width {found.chosen.width}, dropout {found.chosen.dropout:g}, learning rate "
-        f"{found.chosen.learning_rate:g}), by the mean F1 over {count} folds of whole scenes. No scene is on both "
+        f"Chosen: **{chosen.name}** (width {chosen.width}, dropout {chosen.dropout:g}, learning rate "
+        f"{chosen.learning_rate:g}), by the mean F1 over {count} folds of whole scenes. No scene is on both "
         "sides of a fold, and the test split is never read."
     )
     header = ["setting", "mean F1", "deviation", "lowest", "highest", "mean IoU"]

@@ -1,4 +1,4 @@
-"""From a config to frames: archives are opened or made, and their scenes divided into training and validation."""
+"""From a config to data: archives are opened or simulated, and their scenes split into training and validation."""
 
 from __future__ import annotations
 
@@ -13,19 +13,26 @@ import numpy as np
 
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.manifest import MANIFEST
+from viewshed.datasets.archive.schema import MANIFEST
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import recipe_of, simulate
 from viewshed.training.config import TrainConfig
-from viewshed.training.sample_cache import kept_of
+from viewshed.training.sample_cache import sample_cache_of
 from viewshed.training.samples import VALIDATION_EPOCH, TrainingFrames
-from viewshed.training.sources import FRESH_PER_SCENE, Archived, OnlineSimulation, PaperLabels, check_archives, on_grid
+from viewshed.training.sources import (
+    FRAMES_PER_NEW_SCENE,
+    ArchivedSamples,
+    OnlineSimulation,
+    PaperLabels,
+    check_archives,
+    on_grid,
+)
 
-Told = Callable[[str, int, int], None]
-"""Is told what is being prepared, how many frames are done and how many there are."""
+OnProgress = Callable[[str, int, int], None]
+"""Called with what is being prepared, how many frames are done and how many there are in all."""
 
-FRESH_VALIDATION = 0.1
+NEW_SCENES_VALIDATION_SHARE = 0.1
 """Frames that validate beside fresh ones, as a share of those of an epoch."""
 
 _VALIDATION = 0x76616C
@@ -51,7 +58,7 @@ class Fold:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frames:
+class TrainingData:
     """What a training reads; no scene is in both.
 
     Attributes:
@@ -71,7 +78,7 @@ def check_data(config: TrainConfig) -> None:
         OSError: one cannot be read.
     """
     if not config.simulated:
-        check_archives(config, [_archive(place) for place in config.data])
+        check_archives(config, [_open_archive(place) for place in config.data])
 
 
 def check_folds(config: TrainConfig, count: int) -> None:
@@ -87,61 +94,72 @@ def check_folds(config: TrainConfig, count: int) -> None:
             preset = preset_named(place)
             scenes = preset.scenes[preset.splits.index(config.train_split)]
         else:
-            scenes = len(_archive(place).split(config.train_split).scenes)
+            scenes = len(_open_archive(place).split(config.train_split).scenes)
         if scenes < count:
             raise ValueError(f"{place} must have a scene for each of {count} folds, got {scenes}; ask for fewer folds")
 
 
-def prepare(config: TrainConfig, cache: Path, fold: Fold | None = None, told: Told | None = None) -> Frames:
+def prepare(
+    config: TrainConfig, cache: Path, fold: Fold | None = None, on_progress: OnProgress | None = None
+) -> TrainingData:
     """Return the frames of a config; presets are simulated and the paper's labels made, once, below ``cache``.
 
     Args:
         config: what is wanted.
-        cache: folder for what is made.
+        cache: folder for what is simulated, labeled and cached.
         fold: which scenes validate; None takes ``validation_share`` of them.
-        told: hears how far simulation and labels are.
+        on_progress: is called as simulation, labels and cached samples progress.
 
     Raises:
         ValueError: data do not fit the config, or there are too few scenes.
-        OSError: data cannot be read or made.
+        OSError: data cannot be read or written.
     """
     if fold is not None:
         check_folds(config, fold.count)
     if config.fresh:
-        new = (_simulated(_held_out(config, name), cache, told) for name in config.data)
-        validation = _archived(config, tuple(new), cache, told, (VALIDATION_EPOCH, 0))
+        new = (_simulated_archive(_held_out(config, name), cache, on_progress) for name in config.data)
+        validation = _frames_of_archives(
+            config, tuple(new), cache, on_progress, first_epoch=VALIDATION_EPOCH, versions=0
+        )
         fresh = OnlineSimulation(config, config.frames_per_epoch)
-        return Frames(TrainingFrames(fresh, config, mirrored=config.mirrored), validation)
-    archives = [_train_split(config, place, cache, told) for place in config.data]
+        return TrainingData(TrainingFrames(fresh, config, mirrored=config.mirrored), validation)
+    archives = [_train_split(config, place, cache, on_progress) for place in config.data]
     check_archives(config, archives)
-    parts = [_divided(archive.split(config.train_split), config, fold) for archive in archives]
+    parts = [_split_scenes(archive.split(config.train_split), config, fold) for archive in archives]
     rest, held = (tuple(pair) for pair in zip(*parts, strict=True))
-    return Frames(
-        replace(_archived(config, rest, cache, told, (1, config.versions)), mirrored=config.mirrored),
-        _archived(config, held, cache, told, (VALIDATION_EPOCH, min(config.versions, 1))),
+    train = _frames_of_archives(config, rest, cache, on_progress, first_epoch=1, versions=config.versions)
+    validation = _frames_of_archives(
+        config, held, cache, on_progress, first_epoch=VALIDATION_EPOCH, versions=min(config.versions, 1)
     )
+    return TrainingData(replace(train, mirrored=config.mirrored), validation)
 
 
-def _archived(
-    config: TrainConfig, archives: tuple[Archive, ...], cache: Path, told: Told | None, epochs: tuple[int, int]
+def _frames_of_archives(
+    config: TrainConfig,
+    archives: tuple[Archive, ...],
+    cache: Path,
+    on_progress: OnProgress | None,
+    *,
+    first_epoch: int,
+    versions: int,
 ) -> TrainingFrames:
-    """Return the frames of archives; ``epochs``: the first one that is kept, and how many are."""
+    """Return the frames of archives; the samples of ``versions`` epochs from the first one on are cached, 0 is none."""
     labels = None
     if config.truth == "paper_label":
         labels = PaperLabels(cache / "labels", config.grid, config.indoor)
-        count = _Count(told, "labels", sum(map(len, archives)))
+        counter = _ProgressCounter(on_progress, "labels", sum(map(len, archives)))
         for archive in archives:
-            labels.make(archive, processes_for(len(archive)), count.add)
-    frames, versions = TrainingFrames(Archived(archives, config, labels), config), epochs[1]
+            labels.build(archive, processes_for(len(archive)), counter.add)
+    frames = TrainingFrames(ArchivedSamples(archives, config, labels), config)
     if not versions:
         return frames
-    kept = kept_of(config, archives, cache / "frames", *epochs)
-    count = _Count(told, "frames", len(frames) * versions)
-    kept.make(frames, processes_for(len(frames)), count.add)
-    return replace(frames, kept=kept)
+    sample_cache = sample_cache_of(config, archives, cache / "frames", first_epoch, versions)
+    counter = _ProgressCounter(on_progress, "frames", len(frames) * versions)
+    sample_cache.build(frames, processes_for(len(frames)), counter.add)
+    return replace(frames, cache=sample_cache)
 
 
-def _divided(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[Archive, Archive]:
+def _split_scenes(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[Archive, Archive]:
     """Return the archive in two: what is trained on, and the scenes that validate."""
     scenes = archive.scenes
     if fold is not None:
@@ -157,44 +175,44 @@ def _divided(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[
     return archive.of_scenes(set(scenes) - held), archive.of_scenes(held)
 
 
-def _train_split(config: TrainConfig, place: str, cache: Path, told: Told | None) -> Archive:
+def _train_split(config: TrainConfig, place: str, cache: Path, on_progress: OnProgress | None) -> Archive:
     if not config.simulated:
-        return _archive(place)
+        return _open_archive(place)
     preset = preset_named(place)
     count = preset.splits.index(config.train_split) + 1
     parts = {name: getattr(preset, name)[:count] for name in ("splits", "scenes", "frames")}
-    return _simulated(on_grid(replace(preset, **parts), config), cache, told)
+    return _simulated_archive(on_grid(replace(preset, **parts), config), cache, on_progress)
 
 
 def _held_out(config: TrainConfig, name: str) -> Preset:
     """Return the preset of the scenes that validate beside fresh ones: another seed than any epoch's."""
-    preset, wanted = preset_named(name), FRESH_VALIDATION * config.frames_per_epoch / len(config.data)
-    scenes = max(round(wanted / FRESH_PER_SCENE), 1)
+    preset, wanted = preset_named(name), NEW_SCENES_VALIDATION_SHARE * config.frames_per_epoch / len(config.data)
+    scenes = max(round(wanted / FRAMES_PER_NEW_SCENE), 1)
     seed = int(np.random.SeedSequence([config.seed, _VALIDATION]).generate_state(1)[0])
     held = replace(
         preset, name=f"{name}-validation-{config.seed}", splits=("validation",), scenes=(scenes,),
-        frames=(scenes * FRESH_PER_SCENE,), interval_s=1.0, seed=seed,
+        frames=(scenes * FRAMES_PER_NEW_SCENE,), interval_s=1.0, seed=seed,
     )  # fmt: skip
     return on_grid(held, config)
 
 
-def _simulated(preset: Preset, cache: Path, told: Told | None) -> Archive:
+def _simulated_archive(preset: Preset, cache: Path, on_progress: OnProgress | None) -> Archive:
     """Return the archive of a preset below ``cache``, made now unless it is there."""
     store = Storage.of(cache / f"{preset.name}-{preset.grid_cells}x{preset.grid_half_extent_m:g}")
     with contextlib.suppress(ValueError, OSError):
         archive = Archive.open(store.uri)
         if archive.manifest.recipe == recipe_of(preset):
             return archive
-    if _launched_beside():
+    if _is_launched_with_others():
         raise ValueError(
             f"{store.place} must be finished before several processes train; run viewshed train with one process "
             "first, or simulate archives and name them as data"
         )
-    count = _Count(told, preset.name, preset.sweeps)
-    return simulate(preset, store, LocalEngine(processes_for(preset.sweeps)), lambda shard: count.add(shard.frames))
+    counter = _ProgressCounter(on_progress, preset.name, preset.sweeps)
+    return simulate(preset, store, LocalEngine(processes_for(preset.sweeps)), lambda shard: counter.add(shard.frames))
 
 
-def _launched_beside() -> bool:
+def _is_launched_with_others() -> bool:
     """Return whether a launcher has started this process beside others."""
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
@@ -208,7 +226,7 @@ def processes_for(frames: int) -> int:
     return 1 if alone else os.cpu_count() or 1
 
 
-def _archive(place: str) -> Archive:
+def _open_archive(place: str) -> Archive:
     store = Storage.of(place)
     if MANIFEST not in store.names():
         raise ValueError(f"data must name presets or archives, got {place!r}: no archive is there, and no such preset")
@@ -216,15 +234,15 @@ def _archive(place: str) -> Archive:
 
 
 @dataclass(slots=True)
-class _Count:
-    """Adds up what is done and tells it."""
+class _ProgressCounter:
+    """Counts frames of one preparation and reports the sum."""
 
-    told: Told | None
+    on_progress: OnProgress | None
     name: str
     total: int
     done: int = 0
 
     def add(self, frames: int) -> None:
         self.done += frames
-        if self.told is not None:
-            self.told(self.name, self.done, self.total)
+        if self.on_progress is not None:
+            self.on_progress(self.name, self.done, self.total)

@@ -37,11 +37,11 @@ def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -
     """Return a PNG of one box for each setting: the best F1 of its folds, as dots; the chosen one in color."""
     figure = Figure(figsize=(max(4.0, 0.34 * len(values) + 1.5), 4.0), dpi=100, layout="constrained")
     axis = figure.subplots()
-    for place, (setting, folds) in enumerate(values.items()):
+    for index, (setting, folds) in enumerate(values.items()):
         color = _VALIDATION if setting == chosen else _TRAIN
-        drawn = axis.boxplot([list(folds)], positions=[place], widths=0.6, showfliers=False, patch_artist=True)
+        drawn = axis.boxplot([list(folds)], positions=[index], widths=0.6, showfliers=False, patch_artist=True)
         drawn["boxes"][0].set(facecolor=color, alpha=0.4)
-        axis.scatter([place] * len(folds), folds, s=9, color=color, zorder=3)
+        axis.scatter([index] * len(folds), folds, s=9, color=color, zorder=3)
     axis.set_xticks(range(len(values)), list(values), rotation=90, fontsize=7)
     axis.set_ylabel("F1 of the held-out scenes", fontsize=8)
     axis.set_title(f"{name}: {len(next(iter(values.values())))} folds by scene", fontsize=9)

@@ -1,8 +1,9 @@
 """One training by Lightning: loaders, processes, checkpoints, and the weights at the end [torch].
 
-Checkpoints that are whole or not there, of this config and version [torch].
-
-What Lightning and torch say and choose while a training runs [torch].
+A checkpoint is Lightning's own (weights, optimizer, schedule, epoch, random states) with an entry of ours: config,
+version, history and the weights of the best epoch. It is on the disk before it replaces the one before, so that a kill
+or a power failure leaves one that is whole; a resumed training is bit-equal to one that ran through. The table of the
+history is rewritten from the checkpoint's after every epoch; Lightning's CSV logger deletes the old one on a resume.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import viewshed
 from viewshed._page import facts
 from viewshed.networks.unet_torch import UNet, save_weights
 from viewshed.training.config import TrainConfig
-from viewshed.training.data import Frames
+from viewshed.training.data import TrainingData
 from viewshed.training.log import (
     CHECKPOINT,
     CURVES,
@@ -38,17 +39,17 @@ from viewshed.training.log import (
     Machines,
     best_of,
     csv_of,
-    epoch_of,
-    is_over,
+    epoch_from_json,
+    is_finished,
     save,
 )
-from viewshed.training.module import FORMAT, KEY, Learner, Progress, Step
+from viewshed.training.module import FORMAT, KEY, Learner, OnProgress, Step
 from viewshed.training.samples import Share, TrainingFrames, TrainingOrder, ValidationOrder
 
 _REPAIR = "delete it, and training begins again"
 
 
-class WholeCheckpoints(TorchCheckpointIO):
+class AtomicCheckpoints(TorchCheckpointIO):
     """Writes a checkpoint beside the old one and moves it into place; reads tensors and plain values only."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
@@ -68,7 +69,7 @@ class WholeCheckpoints(TorchCheckpointIO):
             ValueError: it is damaged.
             OSError: it cannot be read.
         """
-        return _loaded(Path(path))
+        return _load(Path(path))
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -78,35 +79,35 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         ValueError: it is damaged, or no training's of this format.
         OSError: it cannot be read.
     """
-    found = _loaded(path)
-    if not isinstance(found.get(KEY), dict):
+    checkpoint = _load(path)
+    if not isinstance(checkpoint.get(KEY), dict):
         raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {_REPAIR}")
-    version = found[KEY].get("format")
+    version = checkpoint[KEY].get("format")
     if version != FORMAT:
         raise ValueError(f"{path} must have format {FORMAT}, got {version}; {_REPAIR}")
-    return found
+    return checkpoint
 
 
-def _loaded(path: Path) -> dict[str, Any]:
+def _load(path: Path) -> dict[str, Any]:
     content = path.read_bytes()
     try:
-        found: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-        return dict(found)
+        checkpoint: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        return dict(checkpoint)
     except Exception as error:  # torch raises whatever its parts raise
         raise ValueError(f"{path} is damaged or no checkpoint; {_REPAIR}") from error
 
 
-def check_same(found: dict[str, Any], config: TrainConfig, path: Path) -> None:
+def check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> None:
     """Check that a checkpoint is of this config and version of the code.
 
     Raises:
         ValueError: it is of another one.
     """
-    before, now = found[KEY]["config"], config.to_json()
+    before, now = checkpoint[KEY]["config"], config.to_json()
     if before != now:
         keys = ", ".join(sorted(key for key in {*before, *now} if before.get(key) != now.get(key)))
         raise ValueError(f"{path} is of a training with other {keys}; choose another --out, or delete it")
-    version = found[KEY]["version"]
+    version = checkpoint[KEY]["version"]
     if version != viewshed.__version__:
         raise ValueError(
             f"{path} was begun with viewshed {version}, this is {viewshed.__version__}; finish it with that version, "
@@ -117,10 +118,10 @@ def check_same(found: dict[str, Any], config: TrainConfig, path: Path) -> None:
 _LOGGERS = ("lightning.pytorch", "lightning.fabric", "torch.onnx")
 
 
-def hush() -> None:
-    """Keep what Lightning and torch say to themselves: our progress and our errors say it.
+def silence() -> None:
+    """Silence the loggers and warnings of Lightning and torch: our progress and our errors say it.
 
-    A graphics card chooses only convolutions that give the same bits again.
+    cuDNN is restricted to deterministic convolutions.
     """
     for name in _LOGGERS:
         logging.getLogger(name).setLevel(logging.ERROR)
@@ -130,8 +131,8 @@ def hush() -> None:
 
 
 @contextlib.contextmanager
-def own_cores(workers: int) -> Iterator[None]:
-    """Leave a core to each worker: torch's threads wait for the slowest, and one that has to wait stops them all."""
+def leave_cores_to_workers(workers: int) -> Iterator[None]:
+    """Leave one core to each loader process: torch's threads wait for the slowest among them."""
     before = torch.get_num_threads()
     torch.set_num_threads(min(before, max((os.cpu_count() or 1) - workers, 1)))
     try:
@@ -141,12 +142,12 @@ def own_cores(workers: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def silenced() -> Iterator[None]:
     """As :func:`hush`, and afterwards all is as it was."""
     levels = {name: logging.getLogger(name).level for name in _LOGGERS}
     deterministic = torch.backends.cudnn.deterministic
     with warnings.catch_warnings():
-        hush()
+        silence()
         try:
             yield
         finally:
@@ -173,7 +174,7 @@ def check_device(machines: Machines) -> None:
         )
 
 
-def begun(config: TrainConfig, out: Path) -> list[Epoch]:
+def read_history(config: TrainConfig, out: Path) -> list[Epoch]:
     """Return the epochs that a folder's checkpoint holds, none where there is no checkpoint.
 
     Raises:
@@ -183,31 +184,31 @@ def begun(config: TrainConfig, out: Path) -> list[Epoch]:
     path = out / CHECKPOINT
     if not path.is_file():
         return []
-    found = read_checkpoint(path)
-    check_same(found, config, path)
-    return [epoch_of(table) for table in found[KEY]["history"]]
+    checkpoint = read_checkpoint(path)
+    check_same(checkpoint, config, path)
+    return [epoch_from_json(table) for table in checkpoint[KEY]["history"]]
 
 
 def fit(
     config: TrainConfig,
-    frames: Frames,
+    frames: TrainingData,
     out: Path,
     machines: Machines,
-    progress: Progress | None,
-    standing: list[Epoch],
+    on_progress: OnProgress | None,
+    history: list[Epoch],
 ) -> list[Epoch]:
     """Return the history of a training, whose checkpoint, weights, table and picture are in ``out``."""
-    if not is_over(standing, config):
+    if not is_finished(history, config):
         out.mkdir(parents=True, exist_ok=True)
         loaders = Loaders(frames, config, machines)
-        learner = Learner(config, loaders.steps, progress)
-        with quiet(), own_cores(config.workers):
-            trainer = _trainer(config, out, machines)
+        learner = Learner(config, loaders.steps, on_progress)
+        with silenced(), leave_cores_to_workers(config.workers):
+            trainer = _build_trainer(config, out, machines)
             last = out / CHECKPOINT
-            _run(trainer, learner, loaders, str(last) if standing else None)
+            _run(trainer, learner, loaders, str(last) if history else None)
         if not trainer.is_global_zero:
             return learner.history
-    return _finish(config, frames, out, machines, progress)
+    return _finish(config, frames, out, machines, on_progress)
 
 
 class Loaders(L.LightningDataModule):
@@ -219,7 +220,7 @@ class Loaders(L.LightningDataModule):
         machines: how many processes there are.
     """
 
-    def __init__(self, frames: Frames, config: TrainConfig, machines: Machines) -> None:
+    def __init__(self, frames: TrainingData, config: TrainConfig, machines: Machines) -> None:
         super().__init__()
         self.frames, self.config = frames, config
         self.world = machines.devices * machines.nodes
@@ -227,7 +228,7 @@ class Loaders(L.LightningDataModule):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Arrive in a process that trains beside the first one, which has been quiet since it began."""
-        hush()
+        silence()
         self.__dict__.update(state)
 
     @property
@@ -262,7 +263,7 @@ class Loaders(L.LightningDataModule):
         )  # fmt: skip
 
 
-class _Table(Callback):
+class _HistoryTable(Callback):
     """Writes the history after every epoch."""
 
     def __init__(self, out: Path) -> None:
@@ -273,10 +274,10 @@ class _Table(Callback):
             save(self.out / HISTORY, csv_of(pl_module.history).encode())
 
 
-def _trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trainer:
+def _build_trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trainer:
     several = machines.devices * machines.nodes > 1
     launched = machines.nodes > 1 or int(os.environ.get("WORLD_SIZE", "1")) > 1
-    kept = ModelCheckpoint(
+    checkpoints = ModelCheckpoint(
         out, Path(CHECKPOINT).stem, save_top_k=1, save_on_train_epoch_end=True, enable_version_counter=False
     )
     stop = EarlyStopping("validation_loss", patience=config.patience, check_on_train_epoch_end=True)
@@ -287,8 +288,8 @@ def _trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trainer:
         strategy=("ddp" if launched else "ddp_spawn") if several else "auto",
         precision="bf16-mixed" if config.precision == "bf16" else "32-true",
         max_epochs=config.epochs,
-        callbacks=[stop, kept, _Table(out)],
-        plugins=[WholeCheckpoints()],
+        callbacks=[stop, checkpoints, _HistoryTable(out)],
+        plugins=[AtomicCheckpoints()],
         default_root_dir=out,
         use_distributed_sampler=False,
         num_sanity_val_steps=0,
@@ -325,25 +326,25 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
 
 
 def _finish(
-    config: TrainConfig, frames: Frames, out: Path, machines: Machines, progress: Progress | None
+    config: TrainConfig, frames: TrainingData, out: Path, machines: Machines, on_progress: OnProgress | None
 ) -> list[Epoch]:
     """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
     from viewshed.networks.onnx_export import export_onnx
     from viewshed.training.figures import curve_figure
 
-    found = read_checkpoint(out / CHECKPOINT)[KEY]
-    history = [epoch_of(table) for table in found["history"]]
+    checkpoint = read_checkpoint(out / CHECKPOINT)[KEY]
+    history = [epoch_from_json(table) for table in checkpoint["history"]]
     if (out / WEIGHTS).is_file() and (out / CURVES).is_file():
         return history
     module = UNet(config.shape)
-    module.load_state_dict(found["best"])
+    module.load_state_dict(checkpoint["best"])
     if config.doubt_frames:
-        from viewshed.training.module import with_doubt
+        from viewshed.training.module import train_doubt_head
 
-        told = None if progress is None else _doubting(progress, config)
-        module = with_doubt(config, module, frames.train, torch.device(machines.device), told)
-    card = config.card(**_facts(config, history))
-    with quiet():
+        on_doubt = None if on_progress is None else _doubt_progress(on_progress, config)
+        module = train_doubt_head(config, module, frames.train, torch.device(machines.device), on_doubt)
+    card = config.card(**_training_facts(config, history))
+    with silenced():
         save_weights(out / STATE, card, module.eval())
         save(out / HISTORY, csv_of(history).encode())
         save(out / CURVES, curve_figure(config.name, history))
@@ -351,16 +352,16 @@ def _finish(
     return history
 
 
-def _doubting(progress: Progress, config: TrainConfig) -> Callable[[int, int, float], None]:
-    return lambda done, total, loss: progress(Step("doubt", config.epochs, config.epochs, done, total, loss))
+def _doubt_progress(on_progress: OnProgress, config: TrainConfig) -> Callable[[int, int, float], None]:
+    return lambda done, total, loss: on_progress(Step("doubt", config.epochs, config.epochs, done, total, loss))
 
 
-def _facts(config: TrainConfig, history: list[Epoch]) -> dict[str, str]:
-    told, best = facts(), best_of(history)
+def _training_facts(config: TrainConfig, history: list[Epoch]) -> dict[str, str]:
+    run, best = facts(), best_of(history)
     return {
         "data": ", ".join(Path(place).name for place in config.data), "split": config.train_split,
         "variant": config.variant, "attacks": ", ".join(config.attacks) or "none",
         "attack_share": f"{config.attack_share:g}", "loss": config.loss, "seed": str(config.seed),
         "epochs": str(len(history)), "best_epoch": str(best.number), "validation_f1": f"{best.f1:.4f}",
-        "version": told["version"], "date": told["date"],
+        "version": run["version"], "date": run["date"],
     }  # fmt: skip

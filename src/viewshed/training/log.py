@@ -1,7 +1,4 @@
-"""History: what every epoch of a training came to, and whether it is over. Needs no torch.
-
-Files of a training: whole or not there, and a full disk is told in one line.
-"""
+"""The files of a training and its history: one record an epoch, and whether training is finished. Needs no torch."""
 
 from __future__ import annotations
 
@@ -68,8 +65,10 @@ def save(path: Path, content: bytes) -> None:
         raise named from error
 
 
-def make_files(work: Callable[[J], int], jobs: Sequence[J], workers: int, told: Callable[[int], None] | None) -> None:
-    """Do jobs that each leave a file and return how many frames it holds, in so many processes.
+def run_file_jobs(
+    work: Callable[[J], int], jobs: Sequence[J], workers: int, on_progress: Callable[[int], None] | None
+) -> None:
+    """Run jobs that each write a file and return how many frames it holds, in ``workers`` processes.
 
     Raises:
         OSError: a job failed; files that are finished stay.
@@ -78,8 +77,8 @@ def make_files(work: Callable[[J], int], jobs: Sequence[J], workers: int, told: 
         for done in run:
             if done.result is None:
                 raise OSError(f"{done.error}; what is finished is kept, the same command goes on from here")
-            if told is not None:
-                told(done.result)
+            if on_progress is not None:
+                on_progress(done.result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +115,7 @@ class Epoch:
 
 
 TIMES = ("seconds", "frames_per_s", "network_share")
-"""What another run of the same config would not repeat."""
+"""Measured times: another run of the same config has others."""
 
 
 def best_of(history: Sequence[Epoch]) -> Epoch:
@@ -124,19 +123,19 @@ def best_of(history: Sequence[Epoch]) -> Epoch:
     return min(history, key=lambda epoch: epoch.validation_loss)
 
 
-def is_over(history: Sequence[Epoch], config: TrainConfig) -> bool:
+def is_finished(history: Sequence[Epoch], config: TrainConfig) -> bool:
     """Return whether training has ended: all epochs done, or ``patience`` of them without a lower validation loss."""
     if not history:
         return False
     return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
 
 
-def epoch_of(table: dict[str, Any]) -> Epoch:
+def epoch_from_json(table: dict[str, Any]) -> Epoch:
     """Return the epoch in plain values."""
     return Epoch(**table)
 
 
-def plain(history: Sequence[Epoch]) -> list[dict[str, Any]]:
+def history_to_json(history: Sequence[Epoch]) -> list[dict[str, Any]]:
     """Return a history as plain values."""
     return [asdict(epoch) for epoch in history]
 
@@ -146,7 +145,7 @@ def csv_of(history: Sequence[Epoch]) -> str:
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, [item.name for item in fields(Epoch)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(plain(history))
+    writer.writerows(history_to_json(history))
     return buffer.getvalue()
 
 

@@ -1,6 +1,6 @@
-"""Learner: the network, its loss and its scores, as Lightning wants them [torch].
+"""Learner: the network, its loss and its scores as a LightningModule; and the head for the deviation [torch].
 
-Teaches a trained network's second head what Monte Carlo dropout would say: its deviation, in one pass [torch].
+The second head is distilled: it learns to predict in one pass the standard deviation of Monte Carlo dropout.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import viewshed
 from viewshed.networks.card import MOST_DEVIATION
 from viewshed.networks.unet_torch import UNet
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import Epoch, best_of, epoch_of, plain, scores_of
+from viewshed.training.log import Epoch, best_of, epoch_from_json, history_to_json, scores_of
 from viewshed.training.samples import TrainingFrames, TrainingOrder
 
 PASSES = 20
@@ -33,12 +33,16 @@ _RATE = 3e-3
 
 _SEED = 0x646F756274
 
-Told = Callable[[int, int, float], None]
-"""Is told how many frames are done, how many there are, and the loss."""
+DoubtProgress = Callable[[int, int, float], None]
+"""Called with how many frames are done, how many there are, and the loss."""
 
 
-def with_doubt(
-    config: TrainConfig, module: UNet, frames: TrainingFrames, device: torch.device, told: Told | None = None
+def train_doubt_head(
+    config: TrainConfig,
+    module: UNet,
+    frames: TrainingFrames,
+    device: torch.device,
+    on_progress: DoubtProgress | None = None,
 ) -> UNet:
     """Return the network with a second head, fitted to the deviation over ``PASSES`` dropout masks; the rest stays.
 
@@ -49,7 +53,7 @@ def with_doubt(
         module: the trained network.
         frames: that it was trained on.
         device: where it runs.
-        told: hears how far it is.
+        on_progress: is called after every step.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -66,8 +70,8 @@ def with_doubt(
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         schedule.step()
-        if told is not None:
-            told(done * _BATCH, steps * _BATCH, float(loss.detach()))
+        if on_progress is not None:
+            on_progress(done * _BATCH, steps * _BATCH, float(loss.detach()))
     return student.cpu()
 
 
@@ -79,9 +83,11 @@ def _batches(config: TrainConfig, frames: TrainingFrames, steps: int) -> Iterato
         while len(keys) < _BATCH:
             keys += TrainingOrder(len(frames), len(frames), frames.source.block, config.seed, epoch=epoch)
             epoch += 1
-        drawn, keys = [frames[key] for key in keys[:_BATCH]], keys[_BATCH:]
-        masks = np.stack([config.shape.masks(PASSES, rng) for _ in drawn])
-        inputs, known = (torch.from_numpy(np.stack([each[name] for each in drawn])) for name in ("inputs", "known"))
+        samples, keys = [frames[key] for key in keys[:_BATCH]], keys[_BATCH:]
+        masks = np.stack([config.shape.masks(PASSES, rng) for _ in samples])
+        inputs, known = (
+            torch.from_numpy(np.stack([sample[name] for sample in samples])) for name in ("inputs", "known")
+        )
         yield inputs, torch.from_numpy(masks), known
 
 
@@ -130,12 +136,12 @@ class Step:
     loss: float
 
 
-Progress = Callable[[Step], None]
+OnProgress = Callable[[Step], None]
 
 
 @dataclass(slots=True)
-class Watch:
-    """Adds up the time in which the network runs, and the time since it was reset."""
+class StepTimer:
+    """Adds up the time in which the network runs, and the time since the epoch began."""
 
     began: float = field(default_factory=time.perf_counter)
     busy: float = 0.0
@@ -163,18 +169,18 @@ class Learner(L.LightningModule):
     Args:
         config: what is trained.
         steps: of an epoch, for the schedule.
-        progress: is told of every batch.
+        on_progress: is called after every batch.
     """
 
-    def __init__(self, config: TrainConfig, steps: int, progress: Progress | None = None) -> None:
+    def __init__(self, config: TrainConfig, steps: int, on_progress: OnProgress | None = None) -> None:
         super().__init__()
-        self.config, self.steps, self.progress = config, steps, progress
+        self.config, self.steps, self.on_progress = config, steps, on_progress
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = UNet(config.shape).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.history: list[Epoch] = []
         self.best: dict[str, Tensor] = {}
-        self._watch = Watch()
+        self._timer = StepTimer()
         self._train = torch.zeros(2)
         self._cells = torch.zeros(6, dtype=torch.float64)
 
@@ -203,14 +209,14 @@ class Learner(L.LightningModule):
 
     def on_train_epoch_start(self) -> None:
         """Begin to count."""
-        self._watch, self._train = Watch(), torch.zeros(2, device=self.device)
+        self._timer, self._train = StepTimer(), torch.zeros(2, device=self.device)
 
     def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
         """Begin to measure a step. In the very first, batch normalization takes over the statistics of the batch.
 
         They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
         """
-        self._watch.start()
+        self._timer.start()
         self._set_momentum(1.0 if self.trainer.global_step == 0 else _MOMENTUM)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
@@ -221,10 +227,10 @@ class Learner(L.LightningModule):
         return loss
 
     def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
-        """End a step and tell of it."""
-        self._watch.stop(self.device)
-        self._watch.train_s = self._watch.elapsed()
-        self._tell("train", batch_idx + 1, self.trainer.num_training_batches, float(outputs["loss"]))
+        """End a step and report it."""
+        self._timer.stop(self.device)
+        self._timer.train_s = self._timer.elapsed()
+        self._report("train", batch_idx + 1, self.trainer.num_training_batches, float(outputs["loss"]))
 
     def on_validation_epoch_start(self) -> None:
         """Begin to count."""
@@ -232,7 +238,7 @@ class Learner(L.LightningModule):
 
     def on_validation_batch_start(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
         """Begin to measure a step."""
-        self._watch.start()
+        self._timer.start()
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Count the cells of a batch; dropout is off."""
@@ -245,10 +251,10 @@ class Learner(L.LightningModule):
         self._cells += torch.stack([(cells * known).sum(dtype=torch.float64), known.sum(), *counts]).double()
 
     def on_validation_batch_end(self, outputs: Any, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """End a step and tell of it."""
-        self._watch.stop(self.device)
+        """End a step and report it."""
+        self._timer.stop(self.device)
         total = self.trainer.num_val_batches
-        self._tell("validate", batch_idx + 1, total[0] if isinstance(total, list) else total, float("nan"))
+        self._report("validate", batch_idx + 1, total[0] if isinstance(total, list) else total, float("nan"))
 
     def on_validation_epoch_end(self) -> None:
         """Log the loss over all processes."""
@@ -268,24 +274,24 @@ class Learner(L.LightningModule):
                 f"{self.config.name}: the loss of epoch {self.current_epoch + 1} is not finite; choose a smaller "
                 "learning_rate, or precision 32"
             )
-        watch, rate = self._watch, float(self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
-        elapsed = watch.elapsed()
+        timer, rate = self._timer, float(self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
+        elapsed = timer.elapsed()
         self.history.append(Epoch(
             self.current_epoch + 1, trained / max(frames, 1.0), loss / max(known, 1.0), **scores_of(counts),
-            learning_rate=rate, seconds=elapsed, frames_per_s=frames / max(watch.train_s, 1e-9),
-            network_share=watch.busy / elapsed,
+            learning_rate=rate, seconds=elapsed, frames_per_s=frames / max(timer.train_s, 1e-9),
+            network_share=timer.busy / elapsed,
         ))  # fmt: skip
         if best_of(self.history) is self.history[-1]:
             self.best = {name: value.detach().cpu().clone() for name, value in self.network.state_dict().items()}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what is ours."""
+        """Add our entry: config, version, history, weights of the best epoch."""
         about = {"format": FORMAT, "version": viewshed.__version__, "config": self.config.to_json()}
-        checkpoint[KEY] = about | {"history": plain(self.history), "best": self.best}
+        checkpoint[KEY] = about | {"history": history_to_json(self.history), "best": self.best}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take over what is ours."""
-        self.history = [epoch_of(table) for table in checkpoint[KEY]["history"]]
+        """Take over history and best weights."""
+        self.history = [epoch_from_json(table) for table in checkpoint[KEY]["history"]]
         self.best = checkpoint[KEY]["best"]
 
     def _set_momentum(self, momentum: float) -> None:
@@ -302,6 +308,6 @@ class Learner(L.LightningModule):
         total = self.trainer.strategy.reduce(values, reduce_op="sum")
         return torch.as_tensor(total)
 
-    def _tell(self, stage: str, done: int, total: float, loss: float) -> None:
-        if self.progress is not None and self.trainer.is_global_zero:
-            self.progress(Step(stage, self.current_epoch + 1, self.config.epochs, done, int(total), loss))
+    def _report(self, stage: str, done: int, total: float, loss: float) -> None:
+        if self.on_progress is not None and self.trainer.is_global_zero:
+            self.on_progress(Step(stage, self.current_epoch + 1, self.config.epochs, done, int(total), loss))

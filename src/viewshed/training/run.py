@@ -1,4 +1,4 @@
-"""``train``: from a config to weights; what a stopped run has done is kept. Imports torch only when it is called."""
+"""``train``: from a config to weights; a run that was stopped resumes. Imports torch only when it is called."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def train(
     device: str = "cpu",
     devices: int = 1,
     nodes: int = 1,
-    progress: Callable[[Step], None] | None = None,
+    on_progress: Callable[[Step], None] | None = None,
     cache: str | Path | None = None,
     fold: Fold | None = None,
 ) -> Trained:
@@ -68,7 +68,7 @@ def train(
         device: ``cpu`` or ``cuda``.
         devices: processes or graphics cards of each machine, each with ``batch`` frames a step.
         nodes: machines, each of which runs this call.
-        progress: is told of every batch; where several processes train, it is sent to them.
+        on_progress: is called after every batch; where several processes train, it is sent to them.
         cache: folder for simulated archives and labels, which several trainings may share; None is inside ``out``.
         fold: which scenes validate, in cross-validation.
 
@@ -79,14 +79,14 @@ def train(
     """
     machines, folder = Machines(device, devices, nodes), Path(out)
     require_torch()
-    from viewshed.training.fit import begun, check_device, fit
+    from viewshed.training.fit import check_device, fit, read_history
 
     check_device(machines)
     check_data(config)
-    standing = begun(config, folder)
-    told = None if progress is None else _preparing(progress, config)
-    frames = prepare(config, folder / "cache" if cache is None else Path(cache), fold, told)
-    return Trained.of(folder, fit(config, frames, folder, machines, progress, standing))
+    history = read_history(config, folder)
+    on_preparation = None if on_progress is None else _preparation_progress(on_progress, config)
+    data = prepare(config, folder / "cache" if cache is None else Path(cache), fold, on_preparation)
+    return Trained.of(folder, fit(config, data, folder, machines, on_progress, history))
 
 
 def require_torch() -> None:
@@ -102,7 +102,7 @@ def require_torch() -> None:
         raise ImportError(f"training needs torch and lightning ({error}); pip install 'viewshed[train]'") from error
 
 
-def _preparing(progress: Callable[[Step], None], config: TrainConfig) -> Callable[[str, int, int], None]:
+def _preparation_progress(on_progress: Callable[[Step], None], config: TrainConfig) -> Callable[[str, int, int], None]:
     from viewshed.training.module import Step
 
-    return lambda stage, done, total: progress(Step(stage, 0, config.epochs, done, total, float("nan")))
+    return lambda stage, done, total: on_progress(Step(stage, 0, config.epochs, done, total, float("nan")))

@@ -1,4 +1,12 @@
-"""Training frames made once and kept: maps and bits of each frame, so that a training never waits for data."""
+"""A cache of training samples on the disk, so that a training never waits for data.
+
+Drawing a sample (read, attack, level, compute features) takes longer than a step of the network. So ``versions`` of
+every frame, each with an attack of its own, are drawn once and shown in turn: epoch e shows version e modulo
+``versions``. Folders are named by a hash of all that decides a sample, so that another config never reads them. A file
+holds one channel of 256 frames, so that trainings on other channels of the same frames share the rest. Files are
+memory-mapped: all loader processes share one copy in the page cache. Each is written whole or not at all and the truth
+last, so a block whose truth is there has all the channels that were asked for with it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +25,7 @@ import viewshed
 from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import make_files
+from viewshed.training.log import run_file_jobs
 from viewshed.training.samples import TrainingFrames, TrainingSample
 
 _LAYOUT = 5
@@ -28,7 +36,7 @@ _OPEN = 4096
 
 _TRUTH = "truth"
 
-_DECIDE = (
+_CONFIG_KEYS = (
     "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "ringless_share", "past_share", "seed",
     "max_range_m", "heights_m",
 )  # fmt: skip
@@ -36,17 +44,15 @@ _DECIDE = (
 
 @dataclass(frozen=True, slots=True)
 class SampleCache:
-    """Frames of a config in rows: a byte of each cell for each channel, two bits for visible and known. 256 a file.
-
-    Each channel has files of its own, so that trainings on other channels of the same frames share them.
+    """Samples of a config in rows: a byte of each cell for each channel, two bits for visible and known.
 
     Attributes:
         folder: where the files are; its name tells what decides the frames.
         inputs: names of the channels.
         cells: of the grid.
         frames: how many there are.
-        first: epoch of the first version.
-        versions: epochs that are kept; later ones show them again in turn.
+        first: epoch whose attacks the first version has.
+        versions: of each frame; later epochs show them again in turn.
     """
 
     folder: Path
@@ -66,9 +72,10 @@ class SampleCache:
         if not 0 <= index < self.frames:
             raise IndexError(f"index must be below {self.frames}, the number of frames, got {index}")
         block, row = divmod(index, _BLOCK)
-        place, size = ((epoch - self.first) % self.versions, block), self.cells**2
-        maps = [_rows(self.path(*place, name))[row].reshape(self.cells, self.cells) for name in self.inputs]
-        bits = np.unpackbits(_rows(self.path(*place, _TRUTH))[row], axis=1, count=size).astype(np.bool_)
+        version = (epoch - self.first) % self.versions
+        maps = [_rows(self.path(version, block, name))[row].reshape(self.cells, self.cells) for name in self.inputs]
+        truth = _rows(self.path(version, block, _TRUTH))[row]
+        bits = np.unpackbits(truth, axis=1, count=self.cells**2).astype(np.bool_)
         return TrainingSample(np.stack(maps), *bits.reshape(2, self.cells, self.cells))
 
     def path(self, version: int, block: int, name: str) -> Path:
@@ -81,68 +88,77 @@ class SampleCache:
             return self.inputs
         return tuple(name for name in self.inputs if not self.path(version, block, name).is_file())
 
-    def make(self, frames: TrainingFrames, workers: int, told: Callable[[int], None] | None = None) -> None:
-        """Make the blocks that are not there yet.
+    def build(self, frames: TrainingFrames, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
+        """Draw the samples of the blocks that are missing.
 
         Args:
-            frames: that are kept.
+            frames: that draw them.
             workers: processes that share the work; 1 does it here.
-            told: is given the number of frames of each block that is finished.
+            on_progress: is called with the number of frames of each block that is finished.
 
         Raises:
             OSError: a frame cannot be read or a file cannot be written; what is finished stays.
         """
         blocks = range(-(-self.frames // _BLOCK))
         places = [(version, block) for version in range(self.versions) for block in blocks]
-        jobs = [_Job(self, frames, *place, names) for place in places if (names := self.missing(*place))]
+        jobs = [_BlockJob(self, frames, *place, names) for place in places if (names := self.missing(*place))]
         if jobs:
             self.folder.mkdir(parents=True, exist_ok=True)
-        make_files(_make_block, jobs, workers, told)
+        run_file_jobs(_write_block, jobs, workers, on_progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Job:
-    kept: SampleCache
+class _BlockJob:
+    cache: SampleCache
     frames: TrainingFrames
     version: int
     block: int
     names: tuple[str, ...]
 
 
-def kept_of(config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int) -> SampleCache:
-    """Return where the frames of archives are kept, which :meth:`SampleCache.make` makes.
+def sample_cache_of(
+    config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int
+) -> SampleCache:
+    """Return the cache of the samples of archives, which :meth:`SampleCache.build` fills.
 
     Args:
-        config: what decides the frames, beside the archives.
+        config: what decides the samples, beside the archives.
         archives: that are read.
-        folder: of all kept frames.
+        folder: of all caches.
         first: epoch whose attacks the first version has.
         versions: of each frame.
     """
     table = config.to_json()
     shards = [shard.sha256 for archive in archives for shard in archive.shards]
-    words = [_LAYOUT, viewshed.__version__, first, config.card().clip, {key: table[key] for key in _DECIDE}, shards]
+    words = [
+        _LAYOUT,
+        viewshed.__version__,
+        first,
+        config.card().clip,
+        {key: table[key] for key in _CONFIG_KEYS},
+        shards,
+    ]
     name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
     return SampleCache(folder / name, config.inputs, config.cells, sum(map(len, archives)), first, versions)
 
 
-def _make_block(job: _Job) -> int:
+def _write_block(job: _BlockJob) -> int:
     """Return the number of frames of a block, whose missing channels are written, the truth last."""
     start = job.block * _BLOCK
-    numbers = range(start, min(start + _BLOCK, job.kept.frames))
-    frames = replace(job.frames, config=job.frames.config.showing(job.names))
-    drawn = [frames.draw(job.kept.first + job.version, number) for number in numbers]
+    numbers = range(start, min(start + _BLOCK, job.cache.frames))
+    frames = replace(job.frames, config=job.frames.config.with_inputs(job.names))
+    samples = [frames.draw(job.cache.first + job.version, number) for number in numbers]
     for k, name in enumerate(job.names):
-        _write(job, name, np.stack([each.maps[k].reshape(-1) for each in drawn]))
-    bits = np.stack([np.reshape([each.visible, each.known], (2, -1)) for each in drawn])
+        _write(job, name, np.stack([sample.maps[k].reshape(-1) for sample in samples]))
+    bits = np.stack([np.reshape([sample.visible, sample.known], (2, -1)) for sample in samples])
     _write(job, _TRUTH, np.packbits(bits, axis=2))
-    return len(drawn)
+    return len(samples)
 
 
-def _write(job: _Job, name: str, rows: NDArray[np.uint8]) -> None:
+def _write(job: _BlockJob, name: str, rows: NDArray[np.uint8]) -> None:
     buffer = io.BytesIO()
     np.save(buffer, rows)
-    write_atomic(job.kept.path(job.version, job.block, name), buffer.getvalue())
+    write_atomic(job.cache.path(job.version, job.block, name), buffer.getvalue())
 
 
 @lru_cache(maxsize=_OPEN)

@@ -1,18 +1,17 @@
-"""TrainingFrames: what the network is shown and what it should say, frame by frame; works with torch, needs none.
+"""TrainingFrames: the inputs and targets of a network, sample by sample; for torch's DataLoader, but needs no torch.
 
-The attack on one training frame: which, how strong, and what becomes of the sweep.
-
-In which order an epoch shows its frames, and which process shows which.
+A sample is drawn in steps: the clean sweep, an attack or none, earlier sweeps or none, rings or none, the feature maps.
+Everything random follows from seed, epoch and number of the frame, so that it does not depend on processes or resumes.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import lru_cache
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +32,12 @@ from viewshed.threats.attacks import (
     at_severity,
 )
 from viewshed.training.config import PAPER, TrainConfig
-from viewshed.training.sources import CleanFrames
+from viewshed.training.sources import CleanSamples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Struck:
-    """A sweep as the network is shown it.
+class AttackedSweep:
+    """A sweep as the network is shown it, and the attack on it, so that earlier sweeps can be attacked alike.
 
     Attributes:
         sweep: attacked, or as it was measured.
@@ -50,28 +49,32 @@ class Struck:
     attack: Attack | None = None
     wedge: Wedge | None = None
 
-    def before(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
+    def attack_history(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
         """Return earlier sweeps as if the attack had lasted: each attacked as well, in the same direction of the map.
 
         One that does not allow the attack stays as it is.
         """
-        return tuple(self._struck(sweep, rng) for sweep in earlier)
+        return tuple(self._attack(sweep, rng) for sweep in earlier)
 
-    def _struck(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        attack, now, then = self.attack, self.sweep.world_from_sensor, sweep.world_from_sensor
+    def _attack(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
+        attack: Any = self.attack
+        now, then = self.sweep.world_from_sensor, sweep.world_from_sensor
         if attack is None:
             return sweep
-        if self.wedge is not None and hasattr(attack, "azimuth") and now is not None and then is not None:
-            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))  # type: ignore[type-var]
+        aimed = "azimuth" in {setting.name for setting in fields(attack)}
+        if aimed and self.wedge is not None and now is not None and then is not None:
+            # The same direction of the map: the sensor's heading may have changed in between.
+            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))
         try:
-            return attack.apply(sweep, rng).sweep
+            attacked: Sweep = attack.apply(sweep, rng).sweep
         except ValueError:
             return sweep
+        return attacked
 
 
-def attacked(
+def draw_attacked_sweep(
     config: TrainConfig, sweep: Sweep, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
-) -> Struck:
+) -> AttackedSweep:
     """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
 
     Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
@@ -84,14 +87,14 @@ def attacked(
         rng: all that is random.
     """
     if not config.attacks or rng.random() >= config.attack_share:
-        return Struck(sweep)
+        return AttackedSweep(sweep)
     name = config.attacks[rng.integers(len(config.attacks))]
     try:
-        attack = _made(config, name, earlier, rng)
-        found = attack.apply(sweep, rng)
+        attack = _draw_attack(config, name, earlier, rng)
+        tampered = attack.apply(sweep, rng)
     except ValueError:
-        return Struck(sweep)
-    return Struck(found.sweep, attack, found.wedge)
+        return AttackedSweep(sweep)
+    return AttackedSweep(tampered.sweep, attack, tampered.wedge)
 
 
 def _heading(pose: Rigid) -> float:
@@ -102,23 +105,25 @@ def _wrapped(azimuth: float) -> float:
     return float((azimuth + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _made(config: TrainConfig, name: str, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator) -> Attack:
+def _draw_attack(
+    config: TrainConfig, name: str, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
+) -> Attack:
     if name == PAPER:
         return PAPER_INDOOR_ATTACK if config.indoor else PAPER_ATTACK
-    strengths = strengths_of(name)
+    strengths = attack_strengths(name)
     strength = strengths[rng.integers(len(strengths))]
-    before = earlier() if name in EARLIER else ()
-    knowledge = Knowledge(before, half_extent_m=config.half_extent_m)
+    attack_history = earlier() if name in EARLIER else ()
+    knowledge = Knowledge(attack_history, half_extent_m=config.half_extent_m)
     if isinstance(strength, tuple):
         return at_severity(name, *strength, knowledge)
     return ATTACKS[name](strength, knowledge)
 
 
 @lru_cache(maxsize=64)
-def strengths_of(name: str) -> tuple[int | tuple[str, float] | None, ...]:
+def attack_strengths(name: str) -> tuple[int | tuple[str, float] | None, ...]:
     """Return how strong an attack may be drawn: None its default, a budget, or an attribute with a value.
 
-    >>> strengths_of("ghost_car")
+    >>> attack_strengths("ghost_car")
     (None, 50, 100, 150, 200, 1000, 1000000000)
     """
     budgets = tuple(budget for budget in BUDGETS[name] if budget)
@@ -135,7 +140,7 @@ Key = tuple[int, int]
 BLANK = -1
 """Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
 
-_LASTING = 0.5
+_LASTING_SHARE = 0.5
 """Share of the attacks that had begun before the earlier sweeps."""
 
 
@@ -147,8 +152,8 @@ class _Purpose(IntEnum):
     PAST = 5
 
 
-class KeptFrames(Protocol):
-    """Frames that were made before."""
+class CachedSamples(Protocol):
+    """Samples that were drawn before."""
 
     def frame(self, epoch: int, index: int) -> TrainingSample:
         """Return one of them."""
@@ -157,7 +162,10 @@ class KeptFrames(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSample:
-    """A frame before it is shown to the network.
+    """A sample as the network is taught it: feature maps in bytes and two masks, small enough to be cached.
+
+    Not a :class:`~viewshed.datasets.sample.Sample`: sweep and truth are no longer in it, only what they come to on the
+    network's grid.
 
     Attributes:
         maps: (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked.
@@ -190,13 +198,13 @@ class TrainingFrames:
     Attributes:
         source: the clean frames.
         config: attacks, variant and seed.
-        kept: frames that were made before; None makes each when it is asked for.
+        cache: samples that were drawn before; None draws each when it is asked for.
         mirrored: whether frames are turned and mirrored at random.
     """
 
-    source: CleanFrames
+    source: CleanSamples
     config: TrainConfig
-    kept: KeptFrames | None = None
+    cache: CachedSamples | None = None
     mirrored: bool = False
 
     def __len__(self) -> int:
@@ -217,13 +225,13 @@ class TrainingFrames:
         epoch, index = key
         if index == BLANK:
             return self._blank()
-        drawn = self.draw(epoch, index) if self.kept is None else self.kept.frame(epoch, index)
+        sample = self.draw(epoch, index) if self.cache is None else self.cache.frame(epoch, index)
         if self.mirrored:
-            drawn = drawn.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
+            sample = sample.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
         return {
-            "inputs": self.config.card().shown(drawn.maps),
-            "visible": drawn.visible.astype(np.float32),
-            "known": drawn.known.astype(np.float32),
+            "inputs": self.config.card().shown(sample.maps),
+            "visible": sample.visible.astype(np.float32),
+            "known": sample.known.astype(np.float32),
             "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
         }
 
@@ -231,19 +239,19 @@ class TrainingFrames:
         """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(epoch, index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
-        struck = attacked(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
-        shown = struck.sweep, *self._past(epoch, index, struck)
+        attacked = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        sweeps = attacked.sweep, *self._past(epoch, index, attacked)
         if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
-            shown = tuple(map(unorganized_no_sensor, shown))
-        return TrainingSample(self.config.card().maps_of(shown[0], shown[1:]), clean.visible, clean.known)
+            sweeps = tuple(map(unorganized_no_sensor, sweeps))
+        return TrainingSample(self.config.card().maps_of(sweeps[0], sweeps[1:]), clean.visible, clean.known)
 
-    def _past(self, epoch: int, index: int, struck: Struck) -> tuple[Sweep, ...]:
+    def _past(self, epoch: int, index: int, attacked: AttackedSweep) -> tuple[Sweep, ...]:
         """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks."""
         rng = self._rng(epoch, index, _Purpose.PAST)
         if rng.random() >= self.config.past_share or not self.config.card().uses_history:
             return ()
         earlier = self.source.earlier(epoch, index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
-        return struck.before(earlier, rng) if rng.random() < _LASTING else earlier
+        return attacked.attack_history(earlier, rng) if rng.random() < _LASTING_SHARE else earlier
 
     def _blank(self) -> Arrays:
         zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape

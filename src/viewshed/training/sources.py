@@ -1,6 +1,6 @@
-"""Clean frames to train on: of archives, or simulated anew for every epoch.
+"""Clean sweeps to train on: of archives, or simulated anew for every epoch; and the paper's labels of archives.
 
-Labels of arXiv 2503.07375 for whole archives, made once and kept as bits beside the training.
+The label of arXiv 2503.07375 takes as long as the network, so it is computed once for each sweep and cached as bits.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.columns import Frame
-from viewshed.datasets.archive.shard import ShardFacts
+from viewshed.datasets.archive.schema import ShardFacts
 from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import make_files
+from viewshed.training.log import run_file_jobs
 
 _VERSION = 1
 
@@ -55,9 +55,9 @@ class PaperLabels:
     indoor: bool
 
     def of_frame(self, shard: ShardFacts, row: int) -> NDArray[np.bool_]:
-        """Return the label (cells, cells) of a frame whose shard :meth:`make` has seen."""
+        """Return the label (cells, cells) of a frame whose shard :meth:`build` has seen."""
         cells = self.grid.cells
-        bits = np.unpackbits(_bits(self.path(shard))[row], count=cells * cells)
+        bits = np.unpackbits(_read_bits(self.path(shard))[row], count=cells * cells)
         return bits.reshape(cells, cells).astype(np.bool_)
 
     def path(self, shard: ShardFacts) -> Path:
@@ -65,13 +65,13 @@ class PaperLabels:
         key = json.dumps([_VERSION, shard.sha256, self.grid.cells, float(self.grid.half_extent_m), self.indoor])
         return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npy"
 
-    def make(self, archive: Archive, workers: int, told: Callable[[int], None] | None = None) -> None:
-        """Make the labels of an archive that are not there yet.
+    def build(self, archive: Archive, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
+        """Label the shards of an archive that have no labels yet.
 
         Args:
             archive: of clean sweeps.
             workers: processes that share the work; 1 does it here.
-            told: is given the number of frames of each shard that is finished.
+            on_progress: is called with the number of frames of each shard that is finished.
 
         Raises:
             OSError: a shard cannot be read or a file cannot be written; what is finished stays.
@@ -80,7 +80,7 @@ class PaperLabels:
         missing = [job for job in jobs if not self.path(job.shard).is_file()]
         if missing:
             self.folder.mkdir(parents=True, exist_ok=True)
-        make_files(label_shard, missing, workers, told)
+        run_file_jobs(label_shard, missing, workers, on_progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ def label_shard(job: LabelJob) -> int:
         if shard.name == job.shard.name:
             break
         first += shard.frames
-    sweeps = (job.scene.frame(first + row)[0].sweep for row in range(job.shard.frames))
+    sweeps = (job.scene[first + row].sweep for row in range(job.shard.frames))
     masks = [paper_label(sweep, job.labels.grid, job.labels.indoor) for sweep in sweeps]
     buffer = io.BytesIO()
     np.save(buffer, np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
@@ -114,22 +114,24 @@ def label_shard(job: LabelJob) -> int:
 
 
 @lru_cache(maxsize=_OPEN)
-def _bits(path: Path) -> NDArray[np.uint8]:
+def _read_bits(path: Path) -> NDArray[np.uint8]:
     bits: NDArray[np.uint8] = np.load(path, mmap_mode="r")
     return bits
 
 
-FRESH_PER_SCENE = 8
+FRAMES_PER_NEW_SCENE = 8
 """Frames that are simulated of each fresh scene."""
 
-_LOOK_BACK = 24
+_LOOK_BACK_FRAMES = 24
 
 _FRESH = 0x7665777368
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CleanSample:
-    """A sweep that nobody attacked, and what there is to see.
+    """A sweep that nobody attacked, and the one mask that a config teaches of it.
+
+    Not a :class:`~viewshed.datasets.sample.Sample`: what is taught may be the paper's label, which is no truth.
 
     Attributes:
         sweep: what the sensor measured.
@@ -142,7 +144,7 @@ class CleanSample:
     known: NDArray[np.bool_]
 
 
-class CleanFrames(Protocol):
+class CleanSamples(Protocol):
     """Frames by number, in any process."""
 
     def __len__(self) -> int: ...
@@ -165,14 +167,14 @@ class CleanFrames(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Archived:
+class ArchivedSamples:
     """The frames of archives, one after the other; the same in every epoch.
 
     Attributes:
         archives: what is read, each a part of a split.
         config: target and truth.
         labels: of the paper, where they are the truth.
-        block: see :class:`CleanFrames`.
+        block: see :class:`CleanSamples`.
     """
 
     archives: tuple[Archive, ...]
@@ -191,23 +193,23 @@ class Archived:
             OSError: its shard cannot be read.
         """
         archive, at = self._place(index)
-        frame, shard = archive.frame(at)
+        sample = archive[at]
         if self.labels is None:
-            return _with_truth(frame, self.config)
-        return _with_label(frame.sweep, self.labels.of_frame(shard, _row(archive, at)))
+            return _with_truth(sample, self.config)
+        return _with_label(sample.sweep, self.labels.of_frame(*archive.locate(at)))
 
     def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
         """Return the last sweeps before it of the same sensor and scene, the oldest first."""
         archive, at = self._place(index)
-        frame, shard = archive.frame(at)
-        found: list[Sweep] = []
-        for before in range(at - 1, max(at - _LOOK_BACK, 0) - 1, -1):
-            other, facts = archive.frame(before)
-            if facts.scene != shard.scene or len(found) == count:
+        sample = archive[at]
+        sweeps: list[Sweep] = []
+        for before in range(at - 1, max(at - _LOOK_BACK_FRAMES, 0) - 1, -1):
+            other = archive[before]
+            if other.scene != sample.scene or len(sweeps) == count:
                 break
-            if other.measured.agent == frame.measured.agent:
-                found.insert(0, other.sweep)
-        return tuple(found)
+            if other.measured.agent == sample.measured.agent:
+                sweeps.insert(0, other.sweep)
+        return tuple(sweeps)
 
     def _place(self, index: int) -> tuple[Archive, int]:
         for archive in self.archives:
@@ -235,37 +237,36 @@ class OnlineSimulation:
     @property
     def block(self) -> int:
         """Frames of one scene."""
-        return FRESH_PER_SCENE
+        return FRAMES_PER_NEW_SCENE
 
     def clean(self, epoch: int, index: int) -> CleanSample:
         """Return one frame, simulated now."""
-        frame = simulate_frame(*self._place(epoch, index))
+        sample = simulate_frame(*self._place(epoch, index))
         if self.config.truth == "probe":
-            return _with_truth(frame, self.config)
-        sweep = frame.sweep
-        return _with_label(sweep, paper_label(sweep, self.config.grid, self.config.indoor))
+            return _with_truth(sample, self.config)
+        return _with_label(sample.sweep, paper_label(sample.sweep, self.config.grid, self.config.indoor))
 
     def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
         """Return the sweeps of the same agent just before it, the oldest first; fewer at the start of a scene."""
         scene, number = self._place(epoch, index)
         before = range(number - scene.preset.agents, -1, -scene.preset.agents)[:count]
-        return tuple(simulate_frame(scene, each).sweep for each in reversed(before))
+        return tuple(simulate_frame(scene, earlier).sweep for earlier in reversed(before))
 
     def _place(self, epoch: int, index: int) -> tuple[ScenePlan, int]:
-        number, turn = divmod(index, FRESH_PER_SCENE)
+        number, turn = divmod(index, FRAMES_PER_NEW_SCENE)
         config = self.config
-        preset = fresh_preset(config, config.data[number % len(config.data)], epoch, len(self))
+        preset = new_scenes_preset(config, config.data[number % len(config.data)], epoch, len(self))
         scene = ScenePlan(preset, 0, number)
         rng = np.random.default_rng([config.seed, epoch, number, _FRESH])
         return scene, int(rng.permutation(scene.frames)[turn % scene.frames])
 
 
 @lru_cache(maxsize=16)
-def fresh_preset(config: TrainConfig, name: str, epoch: int, frames: int) -> Preset:
+def new_scenes_preset(config: TrainConfig, name: str, epoch: int, frames: int) -> Preset:
     """Return the preset with one split of new scenes, enough for ``frames``, on the config's grid."""
     preset = preset_named(name)
     at = preset.splits.index(config.train_split)
-    scenes = -(-frames // FRESH_PER_SCENE)
+    scenes = -(-frames // FRAMES_PER_NEW_SCENE)
     length = preset.frames[at] // preset.scenes[at]
     seed = int(np.random.SeedSequence([config.seed, epoch, _FRESH]).generate_state(1)[0])
     return replace(on_grid(preset, config), splits=("fresh",), scenes=(scenes,), frames=(scenes * length,), seed=seed)
@@ -276,17 +277,8 @@ def on_grid(preset: Preset, config: TrainConfig) -> Preset:
     return replace(preset, grid_cells=config.cells, grid_half_extent_m=config.half_extent_m)
 
 
-def _row(archive: Archive, at: int) -> int:
-    """Return the row that a frame has in its shard."""
-    for shard in archive.shards:
-        if at < shard.frames:
-            return at
-        at -= shard.frames
-    raise IndexError(f"index must be below {len(archive)}, the number of frames")
-
-
-def _with_truth(frame: Frame, config: TrainConfig) -> CleanSample:
-    return CleanSample(frame.sweep, frame.truth.visible(config.target), frame.known)
+def _with_truth(sample: Sample, config: TrainConfig) -> CleanSample:
+    return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
 
 
 def _with_label(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:

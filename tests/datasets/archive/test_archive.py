@@ -4,7 +4,7 @@ import json
 import multiprocessing
 import pickle
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from viewshed.datasets import Archive, ArchiveWriter, Sample, Storage, write_archive, write_shard
 from viewshed.datasets.archive.shard import Shard
 from viewshed.sensors import lidar_model
+from viewshed.sweep import Sweep
 
 MakeSample = Callable[..., Sample]
 
@@ -42,7 +43,8 @@ def test_every_sample_comes_back_as_it_was(
     store = Storage.of(tmp_path / "one")
     sample = make_sample(seed, image=image, cells=cells, scene="Straße 7", split="train")
     facts = write_shard(store, "a.parquet", [sample])
-    back = Shard(store, "a.parquet").frame(0).sample(facts.scene, facts.split)
+    back = Shard(store, "a.parquet").sample(0)
+    assert (facts.scene, facts.split, facts.frames) == (sample.scene, sample.split, 1)
     assert _equal(back, sample)
 
 
@@ -54,9 +56,9 @@ def test_a_sensor_of_the_package_comes_back_as_that_object(make_sample: MakeSamp
 def test_an_attacked_sweep_is_stored_and_not_the_image_it_came_from(make_sample: MakeSample, tmp_path: Path) -> None:
     sample = make_sample(2)
     points = sample.sweep.points + np.float32(0.5) * (np.arange(len(sample.sweep)) == 17)[:, None]
-    attacked = replace(sample, sweep=sample.sweep.replace(points=points))
+    attacked = sample.corrupted(sample.sweep.replace(points=points))
     back = write_archive(tmp_path / "a", [attacked], {})[0]
-    assert back.image is None
+    assert isinstance(back.measured, Sweep)
     assert _equal(back.sweep, attacked.sweep)
 
 
@@ -180,6 +182,50 @@ def test_a_bad_manifest_is_one_line(archive: Archive, tmp_path: Path, before: st
     with pytest.raises(ValueError, match=message) as caught:
         Archive.open(tmp_path / "a")
     assert "\n" not in str(caught.value)
+
+
+def _edited(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Change a manifest as whoever has an editor can: checksums are still those of the files."""
+    path = folder / "manifest.json"
+    table = json.loads(path.read_text("utf-8"))
+    change(table)
+    path.write_text(json.dumps(table), "utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda table: table["shards"][1].update(frames=-1), "frames must be at least 1, got -1"),
+    (lambda table: table["shards"][1].update(frames=0), "frames must be at least 1, got 0"),
+    (lambda table: table["shards"][1].update(bytes=-5), "bytes must be at least 1, got -5"),
+    (lambda table: table["shards"].append(dict(table["shards"][1])), "lists a-00001.parquet twice"),
+    (lambda table: table["shards"].append(table["shards"][1] | {"split": "test"}), "lists a-00001.parquet twice"),
+    (lambda table: table.update(frames=40), "frames must be 39, those of all shards, got 40"),
+])  # fmt: skip
+def test_a_manifest_that_contradicts_itself_is_refused(
+    archive: Archive, tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message.replace("a-0", "shard-0")) as caught:
+        Archive.open(_edited(tmp_path / "a", change))
+    assert "manifest.json is damaged" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda table: table["shards"][1].update(split="test"), "split must be 'test', as in the manifest, got 'train'"),
+    (lambda table: table["shards"][1].update(scene="s9"), "scene must be 's9', as in the manifest, got 's0'"),
+    (lambda table: (table["shards"][1].update(frames=2), table.update(frames=40)), "frames must be 2, as in the man"),
+    (lambda table: table["layout"].update(targets=["car"]), "layout must be .*, as in the manifest, got"),
+])  # fmt: skip
+def test_a_manifest_that_contradicts_a_shard_is_noticed(
+    archive: Archive, tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    opened = Archive.open(_edited(tmp_path / "a", change))
+    problems = {facts.name: problem for facts, problem in opened.verify()}
+    assert message.partition(" must")[0] in str(problems["shard-00001.parquet"])
+    with pytest.raises(ValueError, match=message) as caught:
+        opened[3]
+    assert "shard-00001.parquet is damaged" in str(caught.value)
+    assert str(caught.value) == problems["shard-00001.parquet"]
 
 
 def test_a_shard_of_another_schema_is_refused(make_sample: MakeSample, tmp_path: Path) -> None:

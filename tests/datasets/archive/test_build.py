@@ -11,7 +11,7 @@ from viewshed import GRIDS, Sweep, write_sweep
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.archive.build import ShardResult
 from viewshed.datasets.archive.storage import Storage
-from viewshed.datasets.tampered import AttackPlan, of_recording, spoil
+from viewshed.datasets.tampered import AttackPlan, sweeps_of_recording, tamper
 
 ONE = LocalEngine(1)
 PLAN = AttackPlan("uniform", 5)
@@ -47,7 +47,7 @@ def run(recording: Path, out: Path, stop_after: int = 9) -> list[str]:
             raise _StoppedError
 
     with contextlib.suppress(_StoppedError):
-        spoil(of_recording(str(recording), GRIDS["indoor"]), PLAN, Storage.of(out), ONE, 0, progress)
+        tamper(sweeps_of_recording(str(recording), GRIDS["indoor"]), PLAN, Storage.of(out), ONE, 0, progress)
     return [line for made in told for line in made.problems]
 
 

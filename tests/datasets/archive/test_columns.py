@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 
 from viewshed import Archive, Rigid, Sweep
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.columns import Frame, Touched, made_rows, with_rows
-from viewshed.datasets.archive.schema import Layout, Sensors
+from viewshed.datasets.archive.columns import made_rows, merge_rows, row_of_sample, sample_of_row
+from viewshed.datasets.archive.schema import Footer, Layout, Sensors
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import simulate
-from viewshed.datasets.tampered import AttackPlan, of_archive, spoil
+from viewshed.datasets.tampered import AttackPlan, sweeps_of_archive, tamper
 from viewshed.threats.attacks import ATTACKS, FULL_WEDGE
+from viewshed.threats.attacks.base import Tampered
 
 ONE = LocalEngine(1)
 COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
@@ -47,8 +48,8 @@ def _size(archive: Archive) -> int:
 def test_every_attack_is_read_as_it_was_made_and_takes_little_room(
     attack: str, budget: int | None, times: float, clean: Archive, tmp_path: Path
 ) -> None:
-    made = spoil(of_archive(clean), AttackPlan(attack, budget), Storage.of(tmp_path), ONE, seed=7)
-    scenes = [clean.frame(index)[1].scene for index in range(len(clean))]
+    made = tamper(sweeps_of_archive(clean), AttackPlan(attack, budget), Storage.of(tmp_path), ONE, seed=7)
+    scenes = [sample.scene for sample in clean]
     for index, scene in enumerate(scenes):
         within = index - scenes.index(scene)
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([7, clean.scenes.index(scene), within])))
@@ -64,15 +65,16 @@ def test_every_attack_is_read_as_it_was_made_and_takes_little_room(
 
 def test_where_an_attacker_made_most_returns_points_are_stored(make_sample: Callable[..., Sample]) -> None:
     sample = make_sample(4)
-    frame, before = Frame.of(sample), sample.sweep
+    before = sample.sweep
     layout = Layout.of(sample.truth)
     for share, points_alone in ((0.3, False), (0.7, True)):
         added = np.arange(len(before)) < share * len(before)
         points = np.where(added[:, None], np.float32(3.25), before.points)
         sensors = Sensors()
-        row = frame.attacked(before.replace(points=points), Touched(added, added)).row(layout, sensors)
+        attacked = sample.attacked(Tampered(before.replace(points=points), added, added))
+        row = row_of_sample(attacked, layout, sensors)
         assert (row[1] is None) == points_alone
-        again = Frame.from_row(row, layout, sensors)
+        again = sample_of_row(row, Footer("", "", layout, sensors))
         assert again.sweep.points.tobytes() == points.tobytes()
         assert (again.clean is None) == points_alone
         if again.clean is not None:
@@ -80,11 +82,11 @@ def test_where_an_attacker_made_most_returns_points_are_stored(make_sample: Call
 
 
 def test_an_attacked_archive_can_be_attacked_again(clean: Archive, tmp_path: Path) -> None:
-    once = spoil(of_archive(clean), AttackPlan("ghost_car", 60), Storage.of(tmp_path / "once"), ONE, seed=1)
-    twice = spoil(of_archive(once), AttackPlan("uniform", 10), Storage.of(tmp_path / "twice"), ONE, seed=2)
-    none = spoil(of_archive(once), AttackPlan("uniform", 0), Storage.of(tmp_path / "none"), ONE, seed=2)
+    once = tamper(sweeps_of_archive(clean), AttackPlan("ghost_car", 60), Storage.of(tmp_path / "once"), ONE, seed=1)
+    twice = tamper(sweeps_of_archive(once), AttackPlan("uniform", 10), Storage.of(tmp_path / "twice"), ONE, seed=2)
+    none = tamper(sweeps_of_archive(once), AttackPlan("uniform", 0), Storage.of(tmp_path / "none"), ONE, seed=2)
     for index in range(len(once)):
-        rows = twice.frame(index)[0].touched
+        rows = twice[index].tampered
         assert rows is not None
         assert bits(twice[index].sweep.select(~rows.added)) == bits(once[index].sweep)
         assert bits(none[index].sweep) == bits(once[index].sweep)
@@ -116,37 +118,33 @@ def test_rows_come_back_in_any_order(seed: int, kept: int, gone: int, made: int)
         for name in COLUMNS
     }
     after = before.replace(**merged, agent="other", world_from_sensor=Rigid.from_yaw(0.3, (1.0, 2.0, 3.0)))
-    touched = Touched(added, removed)
-    rows = made_rows(after, before, touched)
+    rows = made_rows(before, Tampered(after, added, removed))
     if made > kept:
         assert rows is None
         return
     assert rows is not None
     assert len(rows) == made
-    again = with_rows(before, rows, touched)
+    again = merge_rows(before, rows, added, removed)
     assert bits(again) == bits(after)
     assert again.agent == "other"
 
 
 def test_a_bit_that_changed_in_another_row_is_not_lost(make_sample: Callable[..., Sample]) -> None:
     sample = make_sample(3)
-    assert sample.image is not None
-    before = sample.image.sweep()
+    before = sample.sweep
     points = before.points.copy()
     points[5, 1] = np.nextafter(points[5, 1], np.float32(99))
     after = before.replace(points=points)
     none = np.zeros(len(before), np.bool_)
-    touched = Touched(none, none)
-    assert made_rows(after, before, touched) is None
+    assert made_rows(before, Tampered(after, none, none)) is None
     zero = before.replace(points=np.where(np.arange(len(before))[:, None] == 5, np.float32(0), before.points))
     minus = zero.replace(points=np.where(zero.points == 0, np.float32(-0.0), zero.points))
-    assert made_rows(minus, zero, touched) is None
-    assert made_rows(before, before.replace(time_s=None), touched) is None
-    frame = Frame.of(sample).attacked(after, touched)
+    assert made_rows(zero, Tampered(minus, none, none)) is None
+    assert made_rows(before.replace(time_s=None), Tampered(before, none, none)) is None
     sensors = Sensors()
-    row = frame.row(Layout.of(sample.truth), sensors)
+    row = row_of_sample(sample.attacked(Tampered(after, none, none)), Layout.of(sample.truth), sensors)
     assert row[1] is None  # no ranges
-    assert bits(Frame.from_row(row, Layout.of(sample.truth), sensors).sweep) == bits(after)
+    assert bits(sample_of_row(row, Footer("", "", Layout.of(sample.truth), sensors)).sweep) == bits(after)
 
 
 def test_a_record_that_does_not_fit_the_image_is_damage() -> None:
@@ -154,8 +152,8 @@ def test_a_record_that_does_not_fit_the_image_is_damage() -> None:
     before = _sweep(rng, 9, 7)
     none = np.zeros(9, np.bool_)
     with pytest.raises(ValueError, match=r"touched must leave rows of 9 and add 2, got 9 of 9 and 0 in 9"):
-        with_rows(before, _sweep(rng, 2, 7), Touched(none, none))
+        merge_rows(before, _sweep(rng, 2, 7), none, none)
     with pytest.raises(ValueError, match=r"touched must leave rows of 8 and add 0, got 9 of 9 and 0 in 9"):
-        with_rows(before.select(np.arange(8)), _sweep(rng, 0, 7), Touched(none, none))
+        merge_rows(before.select(np.arange(8)), _sweep(rng, 0, 7), none, none)
     with pytest.raises(ValueError, match=r"what an attacker made must have intensity where the sweep has it"):
-        with_rows(before, _sweep(rng, 0, 6), Touched(none, none))
+        merge_rows(before, _sweep(rng, 0, 6), none, none)

@@ -12,7 +12,7 @@ from viewshed.sim.assets.shapes import Box
 from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import Motion, Scan
+from viewshed.sim.raycast.scan import ExactScan, Motion
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Thing, World
@@ -36,7 +36,7 @@ MODEL = LidarModel("test", np.deg2rad(np.linspace(-24, 6, 40)), 720, np.deg2rad(
 class Shot:
     """One revolution: what the sensor met, what it stored, and what it could have seen."""
 
-    scan: Scan
+    scan: ExactScan
     sweep: Sweep
     truth: Truth
     known: np.ndarray

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from viewshed.datasets.labeling.beam_image import AT_REST, Moment, drift_of, posts_of
+from viewshed.datasets.labeling.beam_image import AT_REST, Moment, drift_of, well_spaced
 from viewshed.geometry import Rigid
 
 
@@ -34,5 +34,5 @@ def test_what_does_not_tell_is_rest(other: Moment | None) -> None:
 
 def test_posts_are_apart_in_space_or_time_and_jumps_are_none() -> None:
     moments = [_at(0, 0, 0, 0.0), _at(1, 0, 0, 1.0), None, _at(1, 0, 0, 2.5), _at(900, 0, 0, 3.0), _at(5, 0, 0, 4.0)]
-    assert posts_of(moments, 3.0) == [0, 3, 5]
-    assert posts_of([Moment(None, 0), Moment(None, 1)], 3.0) == []
+    assert well_spaced(moments, 3.0) == [0, 3, 5]
+    assert well_spaced([Moment(None, 0), Moment(None, 1)], 3.0) == []

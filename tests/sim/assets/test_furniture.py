@@ -12,7 +12,7 @@ from viewshed.geometry import Rigid
 from viewshed.sim.assets import furniture
 from viewshed.sim.assets import furniture as fittings
 from viewshed.sim.assets import warehouse as stock
-from viewshed.sim.assets.furniture import Group, Maker, bounds, footprint, placed
+from viewshed.sim.assets.furniture import Group, Maker, bounds, footprint, place_group
 from viewshed.sim.assets.shapes import MATERIALS, Box, Shape
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.terrain import Terrain
@@ -82,14 +82,14 @@ def test_the_front_of_a_shelf_is_open_and_its_back_is_not() -> None:
     low, _, high, _ = footprint(group)
     between = 0.5 * (0.5 * group[0].parts[0].top_m + group[0].parts[0].top_m) + 0.2
     behind = depth_along_x(group, [between])[0]
-    before = depth_along_x(placed(group, 0.0, 0.0, np.pi), [between])[0]
+    before = depth_along_x(place_group(group, 0.0, 0.0, np.pi), [between])[0]
     assert behind == pytest.approx(5.0 + low, abs=1e-3)
     assert before > 5.0 - high + 0.25
 
 
 def test_a_group_turns_about_its_origin() -> None:
     parts = (Box(1.0, 0.0, 2.0, 0.5, 1.0),)
-    assert footprint(placed((Thing("plank", parts),), 10.0, 20.0, np.pi / 2)) == pytest.approx(
+    assert footprint(place_group((Thing("plank", parts),), 10.0, 20.0, np.pi / 2)) == pytest.approx(
         (9.75, 20.0, 10.25, 22.0)
     )
     askew = footprint((Thing("plank", (Box(0.0, 0.0, 2.0, 1.0, 1.0, yaw=np.pi / 6),)),))

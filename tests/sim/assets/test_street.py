@@ -24,8 +24,8 @@ from viewshed.sim.assets.street import (
     hedge,
     lamp_post,
     person,
+    place_at,
     pole,
-    put,
     sign,
     sound_wall,
     traffic_light,
@@ -129,12 +129,12 @@ def test_signs_face_against_the_heading_and_lamps_reach_ahead() -> None:
 
 def test_a_group_faces_its_middle() -> None:
     for one in group(np.random.default_rng(6), 10.0, -4.0):
-        x, y, yaw = one.place(0.0)
+        x, y, yaw = one.pose_at(0.0)
         toward = np.array([10.0 - x, -4.0 - y])
         assert 0.5 < np.hypot(*toward) < 0.7
         assert toward @ (np.cos(yaw), np.sin(yaw)) > 0.5
 
 
 def test_a_footprint_is_turned_and_moved() -> None:
-    corners = footprint(put(wall(4.0, 1.0, thick_m=1.0), 10.0, 5.0, np.pi / 2))
+    corners = footprint(place_at(wall(4.0, 1.0, thick_m=1.0), 10.0, 5.0, np.pi / 2))
     assert corners == pytest.approx(np.array([[10.5, 3.0], [10.5, 7.0], [9.5, 7.0], [9.5, 3.0]]))

@@ -15,15 +15,17 @@ from viewshed.sim.assets.shapes import material_index
 from viewshed.sim.lidar.firing import firing
 from viewshed.sim.lidar.measurement import BLOCK_COLUMNS, measure
 from viewshed.sim.lidar.optics import OPTICS, Optics, optics_of, step_of
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS, Conditions, conditions_named
-from viewshed.sim.raycast.scan import STILL, Scan
+from viewshed.sim.raycast.scan import STILL, ExactScan
 
 CLEAR = Conditions(mixed_share=0.0)
 PERFECT = lidar_model("carla256")
 
 
-def scan_of(model: LidarModel, depth_m: object, material: str = "asphalt", cosine: float = 1.0, thing: int = 0) -> Scan:
+def scan_of(
+    model: LidarModel, depth_m: object, material: str = "asphalt", cosine: float = 1.0, thing: int = 0
+) -> ExactScan:
     """A scan with every beam at the given depths; its arrays are read-only."""
     shape = (model.azimuth_columns, model.rings)
     pose = Rigid.from_yaw(0.4, (3.0, -2.0, 1.9))
@@ -36,18 +38,18 @@ def scan_of(model: LidarModel, depth_m: object, material: str = "asphalt", cosin
     )
     for array in arrays:
         array.setflags(write=False)
-    return Scan(model, pose, STILL, time_s, origin, direction, *arrays)
+    return ExactScan(model, pose, STILL, time_s, origin, direction, *arrays)
 
 
-def measured(scan: Scan, conditions: Conditions = CLEAR, seed: int = 0) -> RangeImage:
+def measured(scan: ExactScan, conditions: Conditions = CLEAR, seed: int = 0) -> StoredSweep:
     return measure(scan, conditions, np.random.Generator(np.random.PCG64(seed)))
 
 
-def share(scan: Scan, conditions: Conditions = CLEAR) -> float:
+def share(scan: ExactScan, conditions: Conditions = CLEAR) -> float:
     return float(np.mean(measured(scan, conditions).steps > 0))
 
 
-def range_m(image: RangeImage) -> NDArray[np.float64]:
+def range_m(image: StoredSweep) -> NDArray[np.float64]:
     return np.asarray(image.steps[image.steps > 0] * image.step_m, np.float64)
 
 

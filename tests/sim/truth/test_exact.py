@@ -8,15 +8,16 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Target
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams, expected_returns
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import STILL, Motion, Scan
+from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.truth.exact import BELOW_GROUND_M, exact_truth
+from viewshed.sim.truth.count import BELOW_GROUND_M
+from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, Thing, World
 
 FAST = Motion((6.0, -3.0, 0.4), 0.5, 0.1)
@@ -58,12 +59,12 @@ CASES = {
 }
 
 
-def _scan(name: str) -> Scan:
+def _scan(name: str) -> ExactScan:
     model, pose, motion = CASES[name]
     return cast_world(WORLD.snapshot(0.0), model, pose, motion, seed=5)
 
 
-def _by_hand(scan: Scan, grid: BevGrid, target: Target, slack_m: float) -> tuple[NDArray[Any], NDArray[Any]]:
+def _by_hand(scan: ExactScan, grid: BevGrid, target: Target, slack_m: float) -> tuple[NDArray[Any], NDArray[Any]]:
     """Aimed and reached beams of every cell in double precision, each limit moved outwards by ``slack_m``."""
     pose = scan.world_from_sensor
     place, turn = pose.translation, Rigid.from_yaw(pose.yaw).rotation
@@ -109,7 +110,7 @@ EVEN = LidarModel("even", np.deg2rad(np.arange(-20.0, 1.0)), azimuth_columns=720
 ROAD = BevGrid(120, 30.0)
 
 
-def _look(world: World, grid: BevGrid = ROAD, yaw: float = 0.0) -> Scan:
+def _look(world: World, grid: BevGrid = ROAD, yaw: float = 0.0) -> ExactScan:
     return cast_world(world.snapshot(0.0), EVEN, Rigid.from_yaw(yaw, (0.0, 0.0, 2.0)))
 
 
@@ -209,7 +210,7 @@ def test_the_truth_is_near_the_interpolated_count_of_the_estimators() -> None:
     stop = (scan.direction * depth[..., None]).reshape(-1, 3)
     range_m = np.hypot(stop[:, 0], stop[:, 1])
     beams = Beams(np.arctan2(stop[:, 1], stop[:, 0]), (stop[:, 2] / range_m).astype(np.float32), range_m)
-    counts, _ = expected_returns(beams, 2.0, Ground.flat(60.0), ROAD, CAR)
+    counts, _ = expected_returns(beams, 2.0, HeightMap.flat(60.0), ROAD, CAR)
     same = (counts >= 5) == truth.visible(CAR)
     assert same.mean() > 0.985
     assert ((counts[:, ::-1] >= 5) == truth.visible(CAR)).mean() < 0.95

@@ -8,14 +8,14 @@ import shapely
 from numpy.typing import NDArray
 
 from viewshed import lidar_model
-from viewshed.sim.assets.furniture import bounds, cabinet, placed
+from viewshed.sim.assets.furniture import bounds, cabinet, place_group
 from viewshed.sim.assets.shapes import BOX
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.world import NOTHING, AgentPlan, Snapshot, World
 from viewshed.sim.worlds import WORLDS
 from viewshed.sim.worlds.indoor.floor import Rise, floor
 from viewshed.sim.worlds.indoor.floor_plan import FloorPlan
-from viewshed.sim.worlds.indoor.routes import follow, open_floor
+from viewshed.sim.worlds.indoor.routes import drive_route, open_floor
 from viewshed.sim.worlds.indoor.walls import Opening, Wall, build, wall_parts
 
 NAMES = ("rooms", "corridors", "hall", "warehouse")
@@ -103,7 +103,7 @@ def test_robots_touch_nothing_on_their_way(name: str, seed: int) -> None:
     bottom = snapshot.center_m[:, 2] - snapshot.half_m[:, 2] - ground
     tree = shapely.STRtree(outlines(snapshot)[~moves & (top > 0.04) & (bottom < 0.75)])
     for robot in (one for one in world.things if one.kind == "robot"):
-        places = np.array([robot.place(t) for t in np.arange(0.0, PLAN.duration_s, 0.2)])
+        places = np.array([robot.pose_at(t) for t in np.arange(0.0, PLAN.duration_s, 0.2)])
         nearest = tree.query_nearest(shapely.points(places[:, :2]), return_distance=True, all_matches=False)[1]
         assert nearest.min() > 0.19
         steps = np.diff(places, axis=0)
@@ -160,14 +160,14 @@ def test_a_doorway_is_a_gap_below_a_lintel_with_posts_at_both_ends() -> None:
 
 
 def test_furniture_never_stands_in_a_doorway() -> None:
-    site = FloorPlan(np.random.default_rng(0))
-    build(site, [Wall(False, 0.0, 0.0, 9.0, 0.2, "plaster", (Opening(2.5, 1.0, "passage"),))], 2.5)
-    count = sum(site.against((0.1, 0.0, 4.0, 9.0), cabinet, (0,)) for _ in range(60))
+    floor_plan = FloorPlan(np.random.default_rng(0))
+    build(floor_plan, [Wall(False, 0.0, 0.0, 9.0, 0.2, "plaster", (Opening(2.5, 1.0, "passage"),))], 2.5)
+    count = sum(floor_plan.against((0.1, 0.0, 4.0, 9.0), cabinet, (0,)) for _ in range(60))
     assert count >= 3
-    rows = np.concatenate([bounds((one,)) for one in site.things if one.kind == "cabinet"])
+    rows = np.concatenate([bounds((one,)) for one in floor_plan.things if one.kind == "cabinet"])
     assert not ((rows[:, 1] < 3.0) & (rows[:, 3] > 2.0)).any()
     assert (rows[:, 0] >= 0.1).all()
-    assert not site.put(placed(cabinet(site.rng), 0.5, 2.5))
+    assert not floor_plan.put(place_group(cabinet(floor_plan.rng), 0.5, 2.5))
 
 
 def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
@@ -175,8 +175,8 @@ def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
     ground = floor(rise, (-9.0, -9.0, 9.0, 9.0), "wood")
     points = [[0.0, 2.5], [3.0, 2.5], [4.5, 2.5], [3.0, 4.0], [7.9, 1.2], [8.1, 1.2], [5.0, 5.1]]
     assert np.allclose(ground.at(points), [0.0, 0.1, 0.2, 0.2, 0.2, 0.0, 0.0], atol=1e-6)
-    assert rise.way()[0] == pytest.approx((1.4, 2.5))
-    assert np.allclose(ground.at(rise.way()), [0.0, 0.02, 0.1, 0.18, 0.2], atol=1e-6)
+    assert rise.path()[0] == pytest.approx((1.4, 2.5))
+    assert np.allclose(ground.at(rise.path()), [0.0, 0.02, 0.1, 0.18, 0.2], atol=1e-6)
     edges = shapely.MultiLineString([((a, b), (c, d)) for a, b, c, d in rise.steps()])
     assert edges.distance(shapely.Point(2.0, 2.5)) == pytest.approx(0.5)
     assert edges.distance(shapely.Point(2.0, 4.0)) == 0.0
@@ -184,7 +184,7 @@ def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
 
 
 def test_a_track_turns_in_place_at_corners() -> None:
-    track = follow(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, -1.0]]), 0.5, 1.0, 10.0)
+    track = drive_route(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, -1.0]]), 0.5, 1.0, 10.0)
     assert track.at(12.0) == pytest.approx((1.0, 0.0, 0.0))
     assert track.at(14.02 + np.pi / 4) == pytest.approx((2.0, 0.0, -np.pi / 4))
     assert track.at(15.02 + np.pi / 2) == pytest.approx((2.0, -0.5, -np.pi / 2))
@@ -210,7 +210,7 @@ def test_robots_drive_up_ramps() -> None:
     climbed = set()
     for name, seed in ((name, seed) for name in NAMES for seed in range(8)):
         world = make(name, seed, AgentPlan(moving=1, sensor="vlp16", sensor_height_m=0.5, duration_s=200.0))
-        heights = world.terrain.at([world.things[0].place(t)[:2] for t in np.arange(0.0, 200.0, 0.5)])
+        heights = world.terrain.at([world.things[0].pose_at(t)[:2] for t in np.arange(0.0, 200.0, 0.5)])
         if heights.max() > 0.06:
             climbed.add(name)
             assert np.abs(np.diff(heights)).max() < 0.08

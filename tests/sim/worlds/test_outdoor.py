@@ -28,7 +28,7 @@ def made(name: str, seed: int, plan: tuple[int, int, float]) -> World:
 def corners(thing: Thing, part: Shape, t_s: float) -> NDArray[np.float64]:
     """Return the corners (4, 2) of one solid from above, turned by hand through its own yaw and that of its thing."""
     half_x, half_y, _ = part.half_sizes_m
-    x, y, yaw = thing.place(t_s)
+    x, y, yaw = thing.pose_at(t_s)
     square = np.array([[-half_x, -half_y], [half_x, -half_y], [half_x, half_y], [-half_x, half_y]])
     for turn, shift in ((part.yaw, (part.x_m, part.y_m)), (yaw, (x, y))):
         c, s = np.cos(turn), np.sin(turn)
@@ -96,7 +96,9 @@ def test_masts_look_down_and_cars_drive_forward(name: str) -> None:
         if agent.carrier is None:
             assert 0.9 < np.rad2deg(np.arcsin(-ahead[2])) < 8.1
         else:
-            moved = np.subtract(world.things[agent.carrier].place(0.5)[:2], world.things[agent.carrier].place(0.0)[:2])
+            moved = np.subtract(
+                world.things[agent.carrier].pose_at(0.5)[:2], world.things[agent.carrier].pose_at(0.0)[:2]
+            )
             assert moved @ ahead[:2] >= 0.0
 
 
@@ -144,9 +146,9 @@ def test_a_follower_stops_behind_the_one_that_stops() -> None:
     riders = flow(lane, [Driver(box, 0.0, 8.0, 20.0), Driver(box, -15.0, 12.0, sensor_ahead_m=0.5)], 10.0)
     (first, ahead), (second, own) = riders
     assert (ahead, own) == (None, 0.5)
-    assert first.place(10.0)[:2] == pytest.approx((3.0, 18.0))
-    assert second.place(10.0)[:2] == pytest.approx((3.0, 12.0))
-    gaps = [first.place(t)[1] - second.place(t)[1] for t in np.linspace(0, 10, 40).tolist()]
+    assert first.pose_at(10.0)[:2] == pytest.approx((3.0, 18.0))
+    assert second.pose_at(10.0)[:2] == pytest.approx((3.0, 12.0))
+    gaps = [first.pose_at(t)[1] - second.pose_at(t)[1] for t in np.linspace(0, 10, 40).tolist()]
     assert min(gaps) > 4.0 + 1.9
 
 

@@ -194,8 +194,9 @@ def test_wrong_plans_are_refused(change: dict[str, object], message: str) -> Non
         AblationPlan.from_json(AblationPlan.load("tiny").to_json() | change)
 
 
+@pytest.mark.slow
 def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
+    pytest.importorskip("torch", reason="torch is not installed: the plan is not run")
     plan, seen = AblationPlan.load("tiny"), list[tuple[str, int, int]]()
     store = ResultStore.open(tmp_path, plan)
     assert list(run_study(store, ("validation",), 1, ignore_progress)) == ["validation: not all variants are trained"]

@@ -1,6 +1,7 @@
 """Points chosen against their victim."""
 
 import numpy as np
+import pytest
 
 from viewshed.estimators import Estimator
 from viewshed.estimators.ray_trace import ContinuousRayTrace
@@ -10,6 +11,8 @@ from viewshed.grid import BevGrid
 from viewshed.studies.ablation.evaluate import UNTOUCHED, asked, attack_on, evaluate_chosen, evaluation_of
 from viewshed.studies.records import VIEW, WEDGE, Results, Series, to_table
 from viewshed.studies.samples import StudySample
+
+pytestmark = pytest.mark.slow
 
 GRID = BevGrid(32, 64.0)
 QUESTIONS = {"shadow_map": (12, 6), "continuous": (12,)}

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import pytest
 from tests.studies.ablation.by_hand import setting_results
 
 from viewshed.estimators import Estimator
@@ -26,7 +27,9 @@ from viewshed.studies.ablation.tables import ablation_table, views_table
 from viewshed.studies.cases import BARE, DEFAULT, apply, attack_of, generator
 from viewshed.studies.records import BENIGN, WEDGE, Case, Record, Results, Series, to_table
 from viewshed.studies.samples import StudySample
-from viewshed.training.samples import Struck
+from viewshed.training.samples import AttackedSweep
+
+pytestmark = pytest.mark.slow
 
 GRID = BevGrid(32, 64.0)
 SM = ShadowMap(GRID)
@@ -49,8 +52,8 @@ def test_a_history_is_honest_or_attacked_as_well(sample: StudySample) -> None:
     for case in CASES:
         tampered = apply(case, sample, generator(5, case.name))
         attack = attack_of(case, sample, 64.0) if case in ATTACKS else None
-        struck = None if case == BARE else Struck(tampered.sweep, attack, tampered.wedge)
-        histories = prior.histories(level(tampered.sweep, GRID), struck, generator(5, "past"))
+        attacked_sweep = None if case == BARE else AttackedSweep(tampered.sweep, attack, tampered.wedge)
+        histories = prior.histories(level(tampered.sweep, GRID), attacked_sweep, generator(5, "past"))
         assert list(histories) == [ALONE, HONEST, *([ATTACKED] if case in ATTACKS else [])]
         assert [kind for kind, history in histories.items() if history is None] == [ALONE]
         if case.name == "jamming":

@@ -23,6 +23,8 @@ from viewshed.studies.records import from_table, to_table
 from viewshed.studies.runner import Job, ignore_progress
 from viewshed.studies.store import JobResult, ResultStore
 
+pytestmark = pytest.mark.slow
+
 PLAN = replace(
     PaperPlan.load("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,), test_times=(5,),
     interval_s=(0.5,), strict_frames=1, strengths=False, trade_widths=(4,), frames_per_epoch=4, epochs=1,

@@ -177,6 +177,7 @@ def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path)
     assert tables.summary_table(found).rows[0][-1] == "**1 of 1**"
 
 
+@pytest.mark.slow
 def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
     store = _asked(tmp_path)
     table = tables.known_defense_table(Domain(store.results(), "ugv"), "adaptive_over_claim")
@@ -194,6 +195,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
     assert "Samples: ugv 1." in asking
 
 
+@pytest.mark.slow
 def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) -> None:
     store = _store(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
     found = store.results()

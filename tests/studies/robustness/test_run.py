@@ -30,6 +30,8 @@ from viewshed.threats.attacks.adaptive import BlackBox, OverClaim
 from viewshed.threats.attacks.replay import Replay
 from viewshed.threats.defenses import DEFENSES, TemporalConsistency
 
+pytestmark = pytest.mark.slow
+
 PLAN = replace(
     RobustnessPlan.load("tiny"), samples=(1,), attacks=("uniform", "replay"), corruptions=("fog",), severities=(3,),
     defenses=("radius", "temporal"), defended=("quantized",),

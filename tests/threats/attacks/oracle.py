@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from viewshed import GRIDS, WORLDS, Sweep, lidar_model
 from viewshed.sim.lidar.firing import firing
 from viewshed.sim.lidar.measurement import measure
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import motion_of
 from viewshed.sim.raycast.caster import cast_world
@@ -46,7 +46,7 @@ class Scene:
     """
 
     name: str
-    image: RangeImage
+    image: StoredSweep
     sweep: Sweep
     earlier: Sweep
     half_extent_m: float
@@ -160,7 +160,7 @@ def _beams_of(
 
 
 def _columns(
-    image: RangeImage, points: NDArray[np.float64], ring: NDArray[np.intp], at_s: NDArray[np.float32]
+    image: StoredSweep, points: NDArray[np.float64], ring: NDArray[np.intp], at_s: NDArray[np.float32]
 ) -> NDArray[np.intp]:
     """Return the columns (A,): by time where the sensor turns, else by azimuth."""
     columns, period_s = image.model.azimuth_columns, image.motion.period_s

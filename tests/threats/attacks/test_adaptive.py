@@ -12,9 +12,11 @@ from viewshed import GRIDS, BevGrid, FovEstimate, Sweep
 from viewshed.estimators import ESTIMATORS
 from viewshed.threats.attacks import Spoofer, Wedge
 from viewshed.threats.attacks._gradient import Expectation, WhiteBox
-from viewshed.threats.attacks._search import BeamSearchSpace, Genome, evolution, random_search
-from viewshed.threats.attacks.adaptive import BlackBox, Evade, OverClaim, Searched, Trip, UnderClaim
+from viewshed.threats.attacks._search import BeamSearchSpace, Candidate, evolution, random_search
+from viewshed.threats.attacks.adaptive import BlackBox, Evade, OverClaim, SearchResult, Trip, UnderClaim
 from viewshed.threats.attacks.ghosts import FarWall
+
+pytestmark = pytest.mark.slow
 
 EXACT = Spoofer(1.0, 0.0, 0.0)
 WIDE = BevGrid(64, 100.0)
@@ -44,20 +46,20 @@ class Bowl:
 
     best: tuple[float, float, float] = (1.5, -0.7, 0.2)
 
-    def draw(self, number: int, rng: np.random.Generator) -> Genome:
+    def draw(self, number: int, rng: np.random.Generator) -> Candidate:
         return rng.normal(0.0, 2.0, 3)
 
-    def mutated(self, parent: Genome, step: float, rng: np.random.Generator) -> Genome:
+    def mutated(self, parent: Candidate, step: float, rng: np.random.Generator) -> Candidate:
         return parent + step * rng.normal(0.0, 1.0, 3)
 
-    def value(self, genome: Genome) -> float:
-        return -float(((genome - np.array(self.best)) ** 2).sum())
+    def value(self, candidate: Candidate) -> float:
+        return -float(((candidate - np.array(self.best)) ** 2).sum())
 
 
 def test_evolution_finds_the_top_of_a_bowl_and_random_draws_come_less_near() -> None:
     found = evolution(Bowl(), Bowl().value, 400, _rng(1))
-    assert found.genome is not None
-    assert np.abs(found.genome - Bowl().best).max() < 0.05
+    assert found.candidate is not None
+    assert np.abs(found.candidate - Bowl().best).max() < 0.05
     assert len(found.history) == 400
     drawn = random_search(Bowl(), Bowl().value, 400, _rng(1))
     assert drawn.value < found.value
@@ -66,12 +68,12 @@ def test_evolution_finds_the_top_of_a_bowl_and_random_draws_come_less_near() -> 
 @pytest.mark.parametrize("seed", range(20))
 def test_evolution_is_never_worse_than_the_best_of_its_draws(seed: int) -> None:
     found = evolution(Bowl(), Bowl().value, 30, _rng(seed))
-    draws = [Bowl().value(genome) for genome in _draws(9, seed)]
+    draws = [Bowl().value(candidate) for candidate in _draws(9, seed)]
     assert found.history[:9].tolist() == draws
     assert found.value == found.history.max() >= max(draws)
 
 
-def _draws(count: int, seed: int) -> list[Genome]:
+def _draws(count: int, seed: int) -> list[Candidate]:
     rng = _rng(seed)
     return [rng.normal(0.0, 2.0, 3) for _ in range(count)]
 
@@ -233,7 +235,7 @@ def test_expectation_over_noise_is_unbiased_and_costs_its_samples(flat_scene: An
     assert 0.8 * gained[0] < gained[1] < gained[0]
 
 
-def _met(sweep: Sweep, found: Searched) -> np.ndarray:
+def _met(sweep: Sweep, found: SearchResult) -> np.ndarray:
     """Return the points after an attack in the rows that they had: each return replaced keeps its place."""
     assert found.tampered.added.sum() == found.tampered.removed.sum()
     return found.tampered.sweep.points.astype(np.float64)

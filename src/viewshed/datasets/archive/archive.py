@@ -7,8 +7,6 @@ ArchiveFrames: an archive as arrays for training; works with torch's DataLoader 
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
@@ -20,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.archive.columns import Frame
-from viewshed.datasets.archive.manifest import MANIFEST, Manifest
-from viewshed.datasets.archive.shard import REPAIR, Shard, ShardFacts, damage
+from viewshed.datasets.archive.schema import MANIFEST, Layout, Manifest, ShardFacts
+from viewshed.datasets.archive.shard import Shard, damage_of
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef
 from viewshed.datasets.sample import Sample
@@ -30,7 +27,7 @@ from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import level
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -57,7 +54,7 @@ class Archive:
         self.manifest = manifest
         self.shards = tuple(manifest.shards if shards is None else shards)
         self._ends = np.array(list(accumulate(shard.frames for shard in self.shards)), np.int64)
-        self._files = _Files(store)
+        self._open_shards = _OpenShards(store, manifest.layout)
 
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Archive:
@@ -77,25 +74,29 @@ class Archive:
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def __getitem__(self, index: int) -> Sample:
-        """Return one sample.
+        """Return one sample; its points are computed when they are first asked for.
 
         Raises:
             IndexError: there is no such frame.
-            ValueError: its shard is damaged.
+            ValueError: its shard is damaged, or not the one that the manifest lists.
             OSError: its shard cannot be read.
         """
-        frame, shard = self.frame(index)
-        return frame.sample(shard.scene, shard.split)
+        shard, row = self.locate(index)
+        return self._open_shards.shard(shard).sample(row)
 
-    def frame(self, index: int) -> tuple[Frame, ShardFacts]:
-        """Return one frame as it is stored, its points not made yet, and the shard that it is in; errors as ``[]``."""
+    def locate(self, index: int) -> tuple[ShardFacts, int]:
+        """Return the shard that a frame is in, and its row there.
+
+        Raises:
+            IndexError: there is no such frame.
+        """
         count = len(self)
         if not -count <= index < count:
             raise IndexError(f"index must lie in [{-count}, {count}), got {index}")
         index %= count
         number = int(np.searchsorted(self._ends, index, side="right"))
-        facts = self.shards[number]
-        return self._files.shard(facts.name).frame(index - int(self._ends[number]) + facts.frames), facts
+        shard = self.shards[number]
+        return shard, index - int(self._ends[number]) + shard.frames
 
     def __iter__(self) -> Iterator[Sample]:
         return self.samples()
@@ -113,13 +114,17 @@ class Archive:
         """
         for facts in self.shards:
             try:
-                shard = self._files.shard(facts.name)
+                shard = self._open_shards.shard(facts)
                 for index in range(facts.frames):
-                    yield shard.frame(index).sample(facts.scene, facts.split)
+                    yield shard.sample(index)
             except (ValueError, OSError) as error:
                 if on_damage is None:
                     raise
                 on_damage(facts, str(error))
+
+    def abouts(self, shard: ShardFacts) -> list[dict[str, Any]]:
+        """Return what one of the shards says of each frame beside its arrays; errors as ``[]``."""
+        return self._open_shards.shard(shard).abouts()
 
     @property
     def scenes(self) -> tuple[str, ...]:
@@ -167,30 +172,20 @@ class Archive:
             yield self.of_scenes(set(scenes) - held), self.of_scenes(held)
 
     def verify(self) -> Iterator[tuple[ShardFacts, str | None]]:
-        """Yield each shard with what is wrong with it in one line, or None: its length and checksum are compared."""
+        """Yield each shard with what is wrong with it in one line, or None.
+
+        Length, checksum and what the shard's own footer says are compared with the manifest. The checksum finds damage,
+        not forgery: whoever can write the shards can write the manifest as well.
+        """
         for facts in self.shards:
-            yield facts, damage_of(self.store, facts)
+            yield facts, damage_of(self.store, facts, self.manifest.layout)
 
     def _with(self, shards: Iterable[ShardFacts]) -> Archive:
         return Archive(self.store, self.manifest, shards)
 
 
-def damage_of(store: Storage, facts: ShardFacts) -> str | None:
-    """Return one line that says why a shard is not the one that was written, or None if it is."""
-    try:
-        content = store.read(facts.name)
-    except OSError as error:
-        return f"{error}; {REPAIR}"
-    where = f"{store.place}/{facts.name} is damaged"
-    if len(content) != facts.bytes:
-        return f"{where}: it must have {facts.bytes} bytes, got {len(content)}; {REPAIR}"
-    if hashlib.sha256(content).hexdigest() != facts.sha256:
-        return f"{where}: its checksum is not the manifest's; {REPAIR}"
-    return None
-
-
 @dataclass(slots=True)
-class _Open:
+class _OpenFiles:
     """What one process has open: files (a few, the last used) and footers (all that were read)."""
 
     process: int
@@ -198,27 +193,28 @@ class _Open:
     footers: dict[str, pq.FileMetaData]
 
 
-class _Files:
+class _OpenShards:
     """Opens shards when they are first read, again in each process."""
 
-    def __init__(self, store: Storage) -> None:
-        self._store = store
-        self._open = _Open(os.getpid(), OrderedDict(), {})
+    def __init__(self, store: Storage, layout: Layout) -> None:
+        self._store, self._layout = store, layout
+        self._open = _OpenFiles(os.getpid(), OrderedDict(), {})
 
-    def __getstate__(self) -> Storage:
-        return self._store
+    def __getstate__(self) -> tuple[Storage, Layout]:
+        return self._store, self._layout
 
-    def __setstate__(self, store: Storage) -> None:
-        self.__init__(store)  # type: ignore[misc]
+    def __setstate__(self, state: tuple[Storage, Layout]) -> None:
+        self.__init__(*state)  # type: ignore[misc]
 
-    def shard(self, name: str) -> Shard:
-        """Return an open shard."""
+    def shard(self, facts: ShardFacts) -> Shard:
+        """Return an open shard that is the one of the manifest."""
         if self._open.process != os.getpid():
-            self._open = _Open(os.getpid(), OrderedDict(), self._open.footers)
-        files, footers = self._open.files, self._open.footers
+            self._open = _OpenFiles(os.getpid(), OrderedDict(), self._open.footers)
+        name, files, footers = facts.name, self._open.files, self._open.footers
         if name not in files:
-            files[name] = Shard(self._store, name, footers.get(name))
-            footers[name] = files[name].metadata
+            shard = Shard(self._store, name, metadata=footers.get(name))
+            shard.check(facts, self._layout)
+            files[name], footers[name] = shard, shard.metadata
             if len(files) > OPEN_SHARDS:
                 files.popitem(last=False)[1].close()
         files.move_to_end(name)
@@ -269,7 +265,7 @@ class ArchiveSource:
         problems: list[str] = []
         for facts in self.archive.of_scenes([scene]).shards:
             try:
-                rows += [(facts.name, frame, about) for frame, about in enumerate(self._about(facts))]
+                rows += [(facts.name, frame, about) for frame, about in enumerate(self.archive.abouts(facts))]
             except (ValueError, OSError) as error:
                 problems.append(str(error))
         self._damage.extend(problem for problem in problems if problem not in self._damage)
@@ -289,18 +285,17 @@ class ArchiveSource:
             ValueError: its shard is damaged, or the ref is not of this archive.
             OSError: its shard cannot be read.
         """
-        measured = self.measured(ref)
-        return measured.sweep() if isinstance(measured, RangeImage) else measured
+        return self.sample(ref).sweep
 
-    def measured(self, ref: SweepRef) -> RangeImage | Sweep:
+    def measured(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return a sweep as it is stored: the range image where there is one; errors as :meth:`read`."""
-        return self.archive.frame(self._place(ref))[0].measured
+        return self.sample(ref).measured
 
     def sample(self, ref: SweepRef) -> Sample:
         """Return a sweep with its truth, to compare with; errors as :meth:`read`."""
-        return self.archive[self._place(ref)]
+        return self.archive[self._index(ref)]
 
-    def _place(self, ref: SweepRef) -> int:
+    def _index(self, ref: SweepRef) -> int:
         name, _, frame = ref.key.rpartition(":")
         start = 0
         for facts in self.archive.shards:
@@ -316,14 +311,6 @@ class ArchiveSource:
     def damage(self) -> tuple[str, ...]:
         """Return one line for each shard that could not be read so far."""
         return tuple(self._damage)
-
-    def _about(self, facts: ShardFacts) -> list[dict[str, Any]]:
-        import pyarrow.parquet as pq
-
-        where = f"{self.archive.store.place}/{facts.name}"
-        with damage(where), self.archive.store.open(facts.name) as file:
-            texts = pq.read_table(file, columns=["about"]).column("about").to_pylist()
-            return [json.loads(text) for text in texts]
 
 
 def is_archive(place: Path) -> bool:
@@ -359,12 +346,12 @@ class ArchiveFrames:
             ValueError: its shard is damaged, or the truth was not made for the target.
             OSError: its shard cannot be read.
         """
-        frame, _ = self.archive.frame(index)
-        sweep, truth = frame.sweep, frame.truth
+        sample = self.archive[index]
+        sweep, truth = sample.sweep, sample.truth
         return {
             "counts": truth.grid.count(sweep.points, level_from_sensor(sweep, truth.grid)),
             "visible": truth.visible(self.target),
-            "known": np.array(frame.known),
+            "known": np.array(sample.known),
         }
 
 

@@ -1,6 +1,9 @@
-"""Archives that are made shard by shard by an engine: what is there already is kept, the rest is made.
+"""Building archives: shard by shard by an engine, resuming where an earlier run stopped; or sample by sample.
 
-ArchiveWriter: samples of any origin into an archive.
+:func:`build_archive` is for data sets that can be planned: every shard is a job, the jobs run anywhere in any order,
+and the bytes are the same. While it runs, the manifest says ``"complete": false`` and each finished shard has a file
+beside it with its line of the manifest, so that a run that was stopped goes on where it was. :class:`ArchiveWriter` is
+for samples of any origin.
 """
 
 from __future__ import annotations
@@ -10,18 +13,21 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Generic, Protocol, TypeVar
 
 from viewshed._jobs import Engine
-from viewshed.datasets.archive.archive import Archive, damage_of
-from viewshed.datasets.archive.manifest import MANIFEST, Manifest, code_version
-from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import ShardFacts, write_shard
+from viewshed.datasets.archive.archive import Archive
+from viewshed.datasets.archive.schema import MANIFEST, Layout, Manifest, ShardFacts, code_version
+from viewshed.datasets.archive.shard import damage_of, write_shard
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.sample import Sample
 
+FRAMES_PER_SHARD = 48
+"""Frames of a shard, at most: a shard of points then has some 25 MB."""
+
 SIDECAR = ".json"
-"""Ending of the file beside a finished shard that tells its checksum, until the manifest does."""
+"""Ending of the file beside a finished shard that holds its line, until the manifest does."""
 
 PROBLEMS = "problems.json"
 """What had to be left out of a finished archive, by shard; a file of its own, for its lines may name places."""
@@ -29,8 +35,8 @@ PROBLEMS = "problems.json"
 _DETAILS = ("command", "config", "targets")
 
 
-class Job(Protocol):
-    """What a worker must know to make one shard."""
+class ShardJob(Protocol):
+    """What a worker must know to build one shard."""
 
     @property
     def store(self) -> Storage:
@@ -43,7 +49,7 @@ class Job(Protocol):
         ...
 
 
-J = TypeVar("J", bound=Job)
+J = TypeVar("J", bound=ShardJob)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +64,21 @@ class ShardResult:
     facts: ShardFacts | None
     problems: tuple[str, ...] = ()
 
+    @property
+    def frames(self) -> int:
+        """Number of frames that were written."""
+        return 0 if self.facts is None else self.facts.frames
+
 
 @dataclass(frozen=True, slots=True)
 class BuildPlan(Generic[J]):
-    """An archive that is to be made.
+    """An archive that is to be built.
 
     Attributes:
         recipe: how, as plain values: ``command``, what else names it, ``config`` and ``targets``.
         layout: of all its frames.
         jobs: its shards, in order.
-        work: makes one; it writes the shard and the file beside it (:func:`write_beside`).
+        work: builds one, by :func:`build_shard`.
     """
 
     recipe: Mapping[str, Any]
@@ -76,55 +87,151 @@ class BuildPlan(Generic[J]):
     work: Callable[[J], ShardResult]
 
 
-def make_archive(
-    task: BuildPlan[J], store: Storage, engine: Engine, progress: Callable[[ShardResult], None] | None = None
+def build_archive(
+    plan: BuildPlan[J], store: Storage, engine: Engine, on_progress: Callable[[ShardResult], None] | None = None
 ) -> Archive:
-    """Return the archive of a task, made into ``store``; its bytes do not depend on the engine.
-
-    Shards of an earlier run of the same task that was stopped are kept where they are whole.
+    """Return the archive of a plan, built into ``store``; its bytes do not depend on the engine.
 
     Args:
-        task: what is made.
+        plan: what is built.
         store: where it goes.
-        engine: makes the shards.
-        progress: is told of each shard that is there, with the problems that it had when it was made.
+        engine: builds the shards.
+        on_progress: is called with each finished shard, also of an earlier run, with the problems that it had.
 
     Raises:
         ValueError: the place holds something else.
-        OSError: a shard could not be made or written; those that are finished stay.
+        OSError: a shard could not be built or written; those that are finished stay.
     """
-    manifest = _claimed(task, store)
+    # 1. Claim the place: an empty one, or one that an earlier run of the same plan began.
+    manifest = _claim(plan, store)
     store.clear_drafts()
-    there: dict[str, ShardResult] = {}
-    for name, made in _standing(manifest, store, task.jobs):
-        there[name] = made
-        _tell(progress, made)
-    for made in _made(task, [job for job in task.jobs if job.name not in there], engine):
-        there |= {} if made.facts is None else {made.facts.name: made}
-        _tell(progress, made)
-    _write_problems(store, {job.name: there[job.name].problems for job in task.jobs if job.name in there})
-    shards = tuple(facts for job in task.jobs if job.name in there and (facts := there[job.name].facts) is not None)
-    finished = replace(manifest, shards=shards, complete=True)
-    finished.write(store)
-    _tidy(store)
-    return Archive(store, finished)
+    # 2. Keep the shards that are there and whole; build the others.
+    results: dict[str, ShardResult] = {}
+
+    def record(name: str, result: ShardResult) -> None:
+        results[name] = result
+        if on_progress is not None:
+            on_progress(result)
+
+    for name, result in _find_finished(manifest, store, plan.jobs):
+        record(name, result)
+    for name, result in _build_missing(plan, [job for job in plan.jobs if job.name not in results], engine):
+        record(name, result)
+    # 3. The manifest last: only now is it an archive. A shard without frames is none, and is tried again by every run.
+    written = {job.name: results[job.name] for job in plan.jobs if results[job.name].facts is not None}
+    _write_problems(store, {name: result.problems for name, result in written.items()})
+    shards = tuple(result.facts for result in written.values() if result.facts is not None)
+    complete = replace(manifest, shards=shards, complete=True)
+    complete.write(store)
+    store.delete(*(name for name in store.names() if name.endswith(f".parquet{SIDECAR}")))
+    return Archive(store, complete)
 
 
-def write_beside(store: Storage, facts: ShardFacts, problems: Sequence[str] = ()) -> ShardFacts:
-    """Return the facts of a shard, which are written into a file beside it, with the problems that it had.
+def build_shard(
+    store: Storage, name: str, samples: Iterable[Sample], problems: Callable[[], tuple[str, ...]] = tuple
+) -> ShardResult:
+    """Return what became of a shard: it is written, and its line in a file beside it.
+
+    Args:
+        store: where it goes.
+        name: of its file.
+        samples: of one scene; none is a shard that is left out.
+        problems: is called when the samples have been read: one line for each that had to be left out.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: a file cannot be written.
     """
-    store.write(facts.name + SIDECAR, json.dumps(facts.to_json() | {"problems": list(problems)}).encode())
-    return facts
+    iterator = iter(samples)
+    first = next(iterator, None)
+    if first is None:
+        return ShardResult(None, problems())
+    facts = write_shard(store, name, chain([first], iterator))
+    result = ShardResult(facts, problems())
+    store.write(name + SIDECAR, json.dumps(facts.to_json() | {"problems": list(result.problems)}).encode())
+    return result
+
+
+def _claim(plan: BuildPlan[J], store: Storage) -> Manifest:
+    """Return the manifest so far, written now if there was none; refuse a place that holds anything else."""
+    wanted = Manifest(plan.recipe, plan.layout, complete=False)
+    names = store.names()
+    if MANIFEST not in names:
+        if names:
+            raise ValueError(f"{store.place} must be empty or hold this data set, got {names[0]}; choose another place")
+        wanted.write(store)
+        return wanted
+    begun = Manifest.read(store)
+    _check_same(begun, wanted, store.place)
+    claimed = replace(begun, code=code_version(begun.code.get("commits", ())))
+    if claimed != begun:
+        claimed.write(store)
+    return claimed
+
+
+def _check_same(begun: Manifest, wanted: Manifest, place: str) -> None:
+    """Check that a place was begun with the same recipe, layout and version; say what differs."""
+    ours, theirs = wanted.recipe, begun.recipe
+    if theirs.get("command") != ours["command"]:
+        raise ValueError(f"{place} must be empty or hold this data set, got another archive; choose another place")
+    names = [key for key in ours if key not in _DETAILS]
+    for key in names:
+        if theirs.get(key) != ours[key]:
+            raise ValueError(f"{place} holds {key} {theirs.get(key)}, not {ours[key]}; choose another place")
+    if theirs != ours or begun.layout != wanted.layout:
+        before, now = theirs.get("config", {}), ours["config"]
+        other = [key for key in now if before.get(key) != now[key]]
+        differs = ", ".join(other) or "targets"
+        raise ValueError(f"{place} holds {ours[names[0]]} with other {differs}; choose another place")
+    if begun.code.get("version") != wanted.code["version"]:
+        raise ValueError(
+            f"{place} was begun with viewshed {begun.code.get('version')}, this is {wanted.code['version']}; "
+            "finish it with that version or choose another place"
+        )
+
+
+def _find_finished(manifest: Manifest, store: Storage, jobs: Sequence[J]) -> Iterator[tuple[str, ShardResult]]:
+    """Yield the shards that are there and whole by name, by the manifest or by the file beside them."""
+    problems = _read_problems(store) if manifest.shards else {}
+    listed = {shard.name: ShardResult(shard, problems.get(shard.name, ())) for shard in manifest.shards}
+    names = set(store.names()) if jobs else set()
+    for job in jobs:
+        result = listed.get(job.name) or _read_sidecar(job, names)
+        facts = None if result is None else result.facts
+        if result is None or facts is None or facts.name != job.name:
+            continue
+        if damage_of(job.store, facts, manifest.layout) is None:
+            yield job.name, result
+
+
+def _read_sidecar(job: J, names: set[str]) -> ShardResult | None:
+    """Return what the file beside a shard says; None where one of the two is missing or the file is damaged."""
+    if not {job.name, job.name + SIDECAR} <= names:
+        return None
+    with contextlib.suppress(ValueError, KeyError, AttributeError, TypeError):
+        table = json.loads(job.store.read(job.name + SIDECAR))
+        problems = tuple(map(str, table.pop("problems")))
+        return ShardResult(ShardFacts.from_json(table), problems)
+    return None
+
+
+def _build_missing(plan: BuildPlan[J], jobs: Sequence[J], engine: Engine) -> Iterator[tuple[str, ShardResult]]:
+    """Yield the shards of jobs by name as they are finished.
+
+    Raises:
+        OSError: one failed; the message is its own.
+    """
+    with contextlib.closing(engine.run(plan.work, jobs)) as run:
+        for done in run:
+            if done.result is None:
+                raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
+            yield jobs[done.index].name, done.result
 
 
 def _write_problems(store: Storage, problems: Mapping[str, Sequence[str]]) -> None:
     """Write the lines of an archive that has any; remove those of an earlier run where it has none."""
-    lines = {name: list(told) for name, told in problems.items() if told}
-    if lines:
-        store.write(PROBLEMS, json.dumps(lines, indent=1, ensure_ascii=False).encode())
+    by_shard = {name: list(lines) for name, lines in problems.items() if lines}
+    if by_shard:
+        store.write(PROBLEMS, json.dumps(by_shard, indent=1, ensure_ascii=False).encode())
     elif PROBLEMS in store.names():
         store.delete(PROBLEMS)
 
@@ -135,91 +242,6 @@ def _read_problems(store: Storage) -> dict[str, tuple[str, ...]]:
         table = json.loads(store.read(PROBLEMS))
         return {str(name): tuple(map(str, lines)) for name, lines in table.items()}
     return {}
-
-
-def _claimed(task: BuildPlan[J], store: Storage) -> Manifest:
-    """Return the manifest so far, written now if there was none; refuse a place that holds anything else."""
-    wanted = Manifest(task.recipe, task.layout, complete=False)
-    names = store.names()
-    if MANIFEST not in names:
-        if names:
-            raise ValueError(f"{store.place} must be empty or hold this data set, got {names[0]}; choose another place")
-        wanted.write(store)
-        return wanted
-    found = Manifest.read(store)
-    _check_same(found, wanted, store.place)
-    commits = code_version(found.code.get("commits", ()))
-    claimed = replace(found, code=commits)
-    if claimed != found:
-        claimed.write(store)
-    return claimed
-
-
-def _check_same(found: Manifest, wanted: Manifest, place: str) -> None:
-    ours, theirs = wanted.recipe, found.recipe
-    if theirs.get("command") != ours["command"]:
-        raise ValueError(f"{place} must be empty or hold this data set, got another archive; choose another place")
-    names = [key for key in ours if key not in _DETAILS]
-    for key in names:
-        if theirs.get(key) != ours[key]:
-            raise ValueError(f"{place} holds {key} {theirs.get(key)}, not {ours[key]}; choose another place")
-    if theirs != ours or found.layout != wanted.layout:
-        before, now = theirs.get("config", {}), ours["config"]
-        other = [key for key in now if before.get(key) != now[key]]
-        differs = ", ".join(other) or "targets"
-        raise ValueError(f"{place} holds {ours[names[0]]} with other {differs}; choose another place")
-    if found.code.get("version") != wanted.code["version"]:
-        raise ValueError(
-            f"{place} was begun with viewshed {found.code.get('version')}, this is {wanted.code['version']}; "
-            "finish it with that version or choose another place"
-        )
-
-
-def _standing(manifest: Manifest, store: Storage, jobs: Sequence[J]) -> Iterator[tuple[str, ShardResult]]:
-    """Yield the shards that are there and whole by name, by the manifest or by the file beside them."""
-    problems = _read_problems(store) if manifest.shards else {}
-    told = {shard.name: ShardResult(shard, problems.get(shard.name, ())) for shard in manifest.shards}
-    names = set(store.names()) if jobs else set()
-    for job in jobs:
-        made = told.get(job.name) or _beside(job, names)
-        facts = None if made is None else made.facts
-        if made is not None and facts is not None and facts.name == job.name and damage_of(job.store, facts) is None:
-            yield job.name, made
-
-
-def _beside(job: J, names: set[str]) -> ShardResult | None:
-    if not {job.name, job.name + SIDECAR} <= names:
-        return None
-    with contextlib.suppress(ValueError, KeyError, AttributeError, TypeError):
-        table = json.loads(job.store.read(job.name + SIDECAR))
-        problems = tuple(map(str, table.pop("problems")))
-        return ShardResult(ShardFacts.from_json(table), problems)
-    return None
-
-
-def _made(task: BuildPlan[J], jobs: Sequence[J], engine: Engine) -> Iterator[ShardResult]:
-    """Yield what became of the shards as they are finished.
-
-    Raises:
-        OSError: one failed; the message is its own.
-    """
-    with contextlib.closing(engine.run(task.work, jobs)) as run:
-        for done in run:
-            if done.result is None:
-                raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
-            yield done.result
-
-
-def _tidy(store: Storage) -> None:
-    store.delete(*(name for name in store.names() if name.endswith(f".parquet{SIDECAR}")))
-
-
-def _tell(progress: Callable[[ShardResult], None] | None, made: ShardResult) -> None:
-    if progress is not None:
-        progress(made)
-
-
-FRAMES_PER_SHARD = 48
 
 
 class ArchiveWriter:

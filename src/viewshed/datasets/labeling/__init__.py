@@ -1,4 +1,4 @@
-"""Labels: what each sweep of a benign recording could have seen, told afterwards from it and its neighbors in time."""
+"""Labels: what each sweep of a benign recording could have seen, from it and its neighbors in time."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,197 +17,17 @@ OPEN, SURFACE, SWALLOWED = 1, 2, 3
 """What became of a missing beam: nothing stood before the ground or the maximum range; the surface that its neighbors
 met; something, nobody knows where."""
 
-_NONE = np.float32(-1.0)
-
-_GROUND = np.float32(-2.0)
+_NONE, _GROUND = np.float32(-1.0), np.float32(-2.0)
+"""What a neighboring beam met in place of a depth: nothing, or the ground."""
 
 _UP_AND_DOWN = 3
+"""Rings above and below a missing beam that are looked at."""
 
 _FAR = np.float32(1e9)
+"""A depth beyond all others."""
 
 _UNEVEN_M, _SHORT_M, _SHORT_SHARE = np.float32(0.08), np.float32(0.5), np.float32(0.1)
 """A return is a thing's, too, that lies so high and ends so far before level ground."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def cast_to_ground(beams: Any, ground: Any, frame: Any, out: Any, thing: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (C, R) with meters to the ground and ``thing`` (C, R) with whether a return stands above it.
-
-    A missing beam is followed to the ground, up to the maximum range; a return keeps its depth. ``beams`` are starts,
-    directions and depths. ``ground`` (n, n) is z from the sensor; ``frame`` is half the side of its lattice, x and y of
-    its middle from the sensor, cosine and sine of the sensor's yaw in its axes, the maximum range, and the height from
-    which a return is one of a thing whatever its beam. Off the lattice there is no ground: every return is a thing's.
-    """
-    origin, direction, depth = beams
-    half, middle_x, middle_y, c, s, reach, low_m = frame
-    n = ground.shape[0]
-    per_m, last = np.float32(n / (2.0 * half)), np.float32(n - 1.001)
-    node = np.float32(1.0) / per_m
-    for column in range(out.shape[0]):
-        for ring in range(out.shape[1]):
-            o, d = origin[column, ring], direction[column, ring]
-            x, y = c * o[0] - s * o[1] - middle_x, s * o[0] + c * o[1] - middle_y
-            dx, dy = c * d[0] - s * d[1], s * d[0] + c * d[1]
-            flat = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-3))
-            before, height = np.float32(0.0), np.float32(0.0)
-            end, t = reach, depth[column, ring]
-            returned = t > 0
-            thing[column, ring] = returned
-            while t < reach or returned:
-                u, v = (x + dx * t + half) * per_m - np.float32(0.5), (y + dy * t + half) * per_m - np.float32(0.5)
-                if u < 0 or v < 0 or u >= last or v >= last:
-                    break
-                i, j = int(u), int(v)
-                fu, fv = u - np.float32(i), v - np.float32(j)
-                near = ground[i, j] + (ground[i, j + 1] - ground[i, j]) * fv
-                far = ground[i + 1, j] + (ground[i + 1, j + 1] - ground[i + 1, j]) * fv
-                above = o[2] + d[2] * t - near - (far - near) * fu
-                if returned:
-                    short = above > _UNEVEN_M and above > -d[2] * max(_SHORT_M, _SHORT_SHARE * t)
-                    thing[column, ring] = above > low_m or short
-                    break
-                if above <= 0:
-                    end = before + (t - before) * (height / (height - above)) if height > 0 else t
-                    break
-                before, height = t, above
-                t += max(np.float32(0.4) * node, min(np.float32(2.0) * above, np.float32(3.0) * node)) / flat
-            out[column, ring] = depth[column, ring] if returned else min(end, reach)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_ground(
-    depth: Any, to_ground: Any, thing: Any, frame: Any, counts: Any
-) -> None:  # pragma: no cover - compiled
-    """Add to ``counts`` (bands, sectors, 2) the beams that met the ground, and those that are missing, by its range.
-
-    ``frame`` is the nearest and the farthest range that count, and the width of a band.
-    """
-    near, reach, band_m = frame
-    columns, rings = depth.shape
-    bands, sectors = counts.shape[:2]
-    for c in range(columns):
-        sector = c * sectors // columns
-        for r in range(rings):
-            g = to_ground[c, r]
-            if near < g < reach:
-                band = min(int(g / band_m), bands - 1)
-                if depth[c, r] <= 0:
-                    counts[band, sector, 1] += 1
-                elif not thing[c, r]:
-                    counts[band, sector, 0] += 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lost_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Set ``out`` (C,) where no beam of a column and of those next to it returned: they were not fired, or not kept."""
-    columns = depth.shape[0]
-    for c in range(columns):
-        out[c] = True
-        for near in (c - 1, c, (c + 1) % columns):
-            for r in range(depth.shape[1]):
-                out[c] &= depth[near, r] <= 0
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _side(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
-    """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
-    columns = depth.shape[0]
-    for step in range(1, columns // 8):
-        k = (c + side * step) % columns
-        if depth[k, r] > 0:
-            return (depth[k, r] if thing[k, r] else _GROUND), step
-    return _NONE, columns
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _rise(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
-    """Return what the next return of the column met, up to three rings away (depth, or ground or none)."""
-    for step in range(1, _UP_AND_DOWN + 1):
-        k = r + side * step
-        if 0 <= k < depth.shape[1] and depth[c, k] > 0:
-            return depth[c, k] if thing[c, k] else _GROUND
-    return _NONE
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def drop_lonely(depth: Any, thing: Any, far_m: Any, out: Any) -> Any:  # pragma: no cover - compiled
-    """Fill ``out`` (C, R) with the depths, 0 for returns in the air up to ``far_m`` that fewer than three others share.
-
-    Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not. Returns how many.
-    """
-    columns, rings = depth.shape
-    lonely = 0
-    for c in range(columns):
-        for r in range(rings):
-            d = depth[c, r]
-            out[c, r] = d
-            if not thing[c, r] or d > far_m:
-                continue
-            near, shared = np.float32(0.3) + np.float32(0.03) * d, 0
-            for k in range(max(r - 2, 0), min(r + 3, rings)):
-                for step in range(-2, 3):
-                    shared += abs(depth[(c + step) % columns, k] - d) < near
-            if shared < 4:
-                out[c, r] = np.float32(0.0)
-                lonely += 1
-    return lonely
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
-    middle = np.float32(0.5) * (a + b)
-    return (a > 0) & (b > 0) & (abs(a - b) < np.float32(0.1) * middle + np.float32(1.0))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def explain(beams: Any, shares: Any, frame: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``out``: best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8.
-
-    ``beams`` are depths, meters to the ground and whether a return is a thing's, (C, R) each, and whether a column was
-    lost (C,); ``shares`` are how often ground at a range returns (bands,) and how often a ring does (R,); ``frame`` is
-    the maximum and the minimum range, the width of a band, the share from which a return is sure, and the widest gap
-    in a surface in meters, likely and sure.
-    """
-    depth = beams[0]
-    depths, kinds = out
-    for c in range(depth.shape[0]):
-        for r in range(depth.shape[1]):
-            ends = (depth[c, r], depth[c, r], depth[c, r], 0)
-            if depth[c, r] <= 0:
-                ends = _missing(beams, shares, frame, c, r)
-            depths[0, c, r], depths[1, c, r], depths[2, c, r], kinds[c, r] = ends
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _missing(beams: Any, shares: Any, frame: Any, c: Any, r: Any) -> Any:  # pragma: no cover - compiled
-    """Return best, least and most depth of a missing beam, and what became of it."""
-    depth, to_ground, thing, lost = beams
-    reach, nearest, band_m, sure, gap_m, sure_gap_m = frame
-    none, g = np.float32(0.0), to_ground[c, r]
-    left, gap_left = _side(depth, thing, c, r, 1)
-    right, gap_right = _side(depth, thing, c, r, -1)
-    up, down = _rise(depth, thing, c, r, 1), _rise(depth, thing, c, r, -1)
-    near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
-    near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
-    if lost[c] or near < np.float32(1.5) * nearest + np.float32(0.1):
-        return none, none, g, SWALLOWED
-    wide = np.float32(0.5) * (left + right)
-    gap = np.float32((gap_left + gap_right) * (2 * np.pi / depth.shape[0])) * wide
-    across, along = _one_surface(left, right) & (gap < gap_m), _one_surface(up, down)
-    if across or along:
-        best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR, g)
-        certain = across and gap < sure_gap_m
-        return best, best, best if certain else g, SURFACE
-    if left > 0 and right > 0 and shares[1][r] > sure:
-        return min(wide, g), min(near, g), g, SURFACE
-    alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
-    expected = g < reach and shares[0][min(int(g / band_m), shares[0].shape[0] - 1)] > sure
-    if expected and not alone:
-        best = near if near < g else none
-        return best, best, g, SWALLOWED
-    nowhere = (left == _NONE) & (right == _NONE)
-    return g, none if nowhere else min(near, g), g, OPEN
-
 
 Floats = NDArray[np.float32]
 
@@ -220,14 +40,75 @@ GAP_M = 5.0
 SURE_GAP_M = 0.6
 """Over a gap of at most this it surely does; a wider one may be a window that beams pass."""
 
-LONELY_M = 35.0
+ISOLATED_M = 35.0
+"""Isolated returns farther away are kept: there the beams lie too far apart to judge."""
 
-LONELY_SHARE = 0.06
+ISOLATED_SHARE = 0.06
 """Returns in the air up to 35 m that no others share are drops or flakes if they are so many, and count as missing."""
 
 _BANDS, _SECTORS, _ENOUGH = 20, 32, 8
+"""Bands of range and sectors of azimuth in which returns from the ground are counted, and beams that a share needs."""
 
 _QUANTILE = 0.8
+"""Of the sectors' shares, the one that stands for a band."""
+
+
+class GroundFrame(NamedTuple):
+    """Where a square lattice of ground heights lies about the sensor; all float32.
+
+    Attributes:
+        half: half its side in meters.
+        middle_x: of its middle from the sensor, in its axes.
+        middle_y: see ``middle_x``.
+        cos: of the sensor's yaw in its axes.
+        sin: see ``cos``.
+    """
+
+    half: np.float32
+    middle_x: np.float32
+    middle_y: np.float32
+    cos: np.float32
+    sin: np.float32
+
+
+class Evidence(NamedTuple):
+    """What the beams of a revolution, C columns and R rings, and their surroundings say.
+
+    Attributes:
+        depth: (C, R) float32 meters to the return, 0 where there is none.
+        to_ground: (C, R) float32 meters to the ground, up to the maximum range.
+        thing: (C, R) bool, whether it returned from something above the ground.
+        lost: (C,) bool, columns without a return that are not next to one with any.
+        ground_share: (bands,) float32, how often ground at a range returns.
+        ring_share: (R,) float32, how often a ring returns.
+    """
+
+    depth: Floats
+    to_ground: Floats
+    thing: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    ground_share: Floats
+    ring_share: Floats
+
+
+class Limits(NamedTuple):
+    """What decides about missing beams, in float32 meters.
+
+    Attributes:
+        reach: maximum range.
+        nearest: minimum range.
+        band: width of a band of ranges.
+        sure: share of returns from which a return is sure.
+        gap: widest gap in a surface that likely goes on behind it.
+        sure_gap: widest gap in a surface that surely goes on behind it.
+    """
+
+    reach: np.float32
+    nearest: np.float32
+    band: np.float32
+    sure: np.float32
+    gap: np.float32
+    sure_gap: np.float32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +120,7 @@ class BeamEnds:
         least_m: (C, R) it went at least so far.
         most_m: (C, R) it went at most so far.
         thing: (C, R) bool, whether it returned from something that stands 0.3 m or more above the ground.
-        kind: (C, R) uint8, what became of a missing beam (``stop_kernels``); 0 where it returned.
+        kind: (C, R) uint8, what became of a missing beam (``OPEN``, ``SURFACE``, ``SWALLOWED``); 0 where it returned.
     """
 
     best_m: NDArray[np.float32]
@@ -260,34 +141,223 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
       that ground there always returns, and its neighbors are not all ground;
     - else met nothing before the ground or the maximum range; at least it went as far as the things next to it.
     """
-    reach = np.float32(image.max_range_m)
+    reach, low_m = np.float32(image.max_range_m), np.float32(OBSTACLE_HEIGHTS_M[0])
     to_ground, thing = np.empty(image.depth_m.shape, np.float32), np.empty(image.depth_m.shape, np.bool_)
-    c, s = np.cos(patch.yaw), np.sin(patch.yaw)
-    numbers = [patch.ground.half_extent_m, *patch.center_m, c, s, reach, OBSTACLE_HEIGHTS_M[0]]
-    frame = tuple(np.array(numbers, np.float32))
-    beams = (image.origin_m, image.direction, image.depth_m)
-    cast_to_ground(beams, patch.ground.heights_m, frame, to_ground, thing)
+    frame = GroundFrame(
+        np.float32(patch.ground.half_extent_m),
+        np.float32(patch.center_m[0]),
+        np.float32(patch.center_m[1]),
+        np.float32(np.cos(patch.yaw)),
+        np.float32(np.sin(patch.yaw)),
+    )
+    heights, beams = patch.ground.heights_m, (image.origin_m, image.direction)
+    cast_to_ground(*beams, image.depth_m, heights, frame, reach, low_m, to_ground, thing)
+    # Drops and flakes count as missing where they are many.
     depth, lost = np.empty_like(to_ground), np.empty(len(to_ground), np.bool_)
-    lonely = drop_lonely(image.depth_m, thing, np.float32(LONELY_M), depth)
-    if lonely < LONELY_SHARE * np.count_nonzero(thing):
+    isolated = drop_isolated(image.depth_m, thing, np.float32(ISOLATED_M), depth)
+    if isolated < ISOLATED_SHARE * np.count_nonzero(thing):
         depth = image.depth_m
     else:
-        cast_to_ground((*beams[:2], depth), patch.ground.heights_m, frame, to_ground, thing)
-    lost_columns(depth, lost)
+        cast_to_ground(*beams, depth, heights, frame, reach, low_m, to_ground, thing)
+    empty_columns(depth, lost)
     band = np.float32(max(image.max_range_m / _BANDS, 1e-3))
-    shares = (_seen_share((depth, to_ground, thing), reach, band), np.asarray((depth > 0).mean(axis=0), np.float32))
-    depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)
+    ring_share = np.asarray((depth > 0).mean(axis=0), np.float32)
+    evidence = Evidence(depth, to_ground, thing, lost, _ground_share(depth, to_ground, thing, reach, band), ring_share)
     nearest = 0.0 if image.model is None else image.model.min_range_m
-    limits = tuple(np.array([reach, nearest, band, SURE, GAP_M, SURE_GAP_M], np.float32))
-    explain((depth, to_ground, thing, lost), shares, limits, (depths, kinds))
+    limits = Limits(reach, np.float32(nearest), band, np.float32(SURE), np.float32(GAP_M), np.float32(SURE_GAP_M))
+    depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)
+    end_beams(evidence, limits, depths, kinds)
     return BeamEnds(depths[0], depths[1], depths[2], thing, kinds)
 
 
-def _seen_share(beams: tuple[Floats, Floats, NDArray[np.bool_]], reach: np.float32, band: np.float32) -> Floats:
+def _ground_share(
+    depth: Floats, to_ground: Floats, thing: NDArray[np.bool_], reach: np.float32, band: np.float32
+) -> Floats:
     """Return how often ground returns (bands,), by its range, in the better sectors: others hold windows and cars."""
     counts = np.zeros((_BANDS, _SECTORS, 2))
-    count_ground(*beams, (band / 2, reach, band), counts)
+    count_ground(depth, to_ground, thing, band / 2, reach, band, counts)
     total = counts.sum(axis=-1)
     share = np.where(total >= _ENOUGH, counts[..., 0] / np.maximum(total, 1), np.nan)
     share[np.isnan(share).all(axis=1), 0] = 0.0
     return np.asarray(np.nanquantile(share, _QUANTILE, axis=1), np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cast_to_ground(
+    origin: Any, direction: Any, depth: Any, ground: Any, frame: Any, reach: Any, low_m: Any, out: Any, thing: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` (C, R) with meters to the ground and ``thing`` (C, R) with whether a return stands above it.
+
+    A missing beam is followed to the ground, up to the maximum range ``reach``; a return keeps its depth. Starts and
+    directions (C, R, 3) and depths (C, R) are the beams'. ``ground`` (n, n) is z from the sensor on the lattice of
+    ``frame``. A return from ``low_m`` above it is one of a thing whatever its beam. Off the lattice there is no ground:
+    every return is a thing's.
+    """
+    half, c, s = frame.half, frame.cos, frame.sin
+    n = ground.shape[0]
+    per_m, last = np.float32(n / (2.0 * half)), np.float32(n - 1.001)
+    node = np.float32(1.0) / per_m
+    for column in range(out.shape[0]):
+        for ring in range(out.shape[1]):
+            # The beam in the axes of the lattice, from its middle.
+            o, d = origin[column, ring], direction[column, ring]
+            x, y = c * o[0] - s * o[1] - frame.middle_x, s * o[0] + c * o[1] - frame.middle_y
+            dx, dy = c * d[0] - s * d[1], s * d[0] + c * d[1]
+            flat = max(np.sqrt(dx * dx + dy * dy), np.float32(1e-3))
+            before, height = np.float32(0.0), np.float32(0.0)
+            end, t = reach, depth[column, ring]
+            returned = t > 0
+            thing[column, ring] = returned
+            while t < reach or returned:
+                # Height above the ground at t, between the four nodes around.
+                u, v = (x + dx * t + half) * per_m - np.float32(0.5), (y + dy * t + half) * per_m - np.float32(0.5)
+                if u < 0 or v < 0 or u >= last or v >= last:
+                    break
+                i, j = int(u), int(v)
+                fu, fv = u - np.float32(i), v - np.float32(j)
+                near = ground[i, j] + (ground[i, j + 1] - ground[i, j]) * fv
+                far = ground[i + 1, j] + (ground[i + 1, j + 1] - ground[i + 1, j]) * fv
+                above = o[2] + d[2] * t - near - (far - near) * fu
+                if returned:  # judged where it ended, once
+                    short = above > _UNEVEN_M and above > -d[2] * max(_SHORT_M, _SHORT_SHARE * t)
+                    thing[column, ring] = above > low_m or short
+                    break
+                if above <= 0:  # the step crossed the ground
+                    end = before + (t - before) * (height / (height - above)) if height > 0 else t
+                    break
+                # A longer step the higher it is, but never over more than three nodes.
+                before, height = t, above
+                t += max(np.float32(0.4) * node, min(np.float32(2.0) * above, np.float32(3.0) * node)) / flat
+            out[column, ring] = depth[column, ring] if returned else min(end, reach)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_ground(
+    depth: Any, to_ground: Any, thing: Any, near: Any, reach: Any, band_m: Any, counts: Any
+) -> None:  # pragma: no cover - compiled
+    """Add to ``counts`` (bands, sectors, 2) the beams that met the ground, and those that are missing, by its range.
+
+    Ranges count from ``near`` to ``reach``; a band is ``band_m`` wide.
+    """
+    columns, rings = depth.shape
+    bands, sectors = counts.shape[:2]
+    for c in range(columns):
+        sector = c * sectors // columns
+        for r in range(rings):
+            g = to_ground[c, r]
+            if near < g < reach:
+                band = min(int(g / band_m), bands - 1)
+                if depth[c, r] <= 0:
+                    counts[band, sector, 1] += 1
+                elif not thing[c, r]:
+                    counts[band, sector, 0] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def empty_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
+    """Set ``out`` (C,) where no beam of a column and of those next to it returned: they were not fired, or not kept."""
+    columns = depth.shape[0]
+    for c in range(columns):
+        out[c] = True
+        for near in (c - 1, c, (c + 1) % columns):
+            for r in range(depth.shape[1]):
+                out[c] &= depth[near, r] <= 0
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _next_in_ring(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+    """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
+    columns = depth.shape[0]
+    for step in range(1, columns // 8):
+        k = (c + side * step) % columns
+        if depth[k, r] > 0:
+            return (depth[k, r] if thing[k, r] else _GROUND), step
+    return _NONE, columns
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _next_in_column(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+    """Return what the next return of the column met, up to three rings away (depth, or ground or none)."""
+    for step in range(1, _UP_AND_DOWN + 1):
+        k = r + side * step
+        if 0 <= k < depth.shape[1] and depth[c, k] > 0:
+            return depth[c, k] if thing[c, k] else _GROUND
+    return _NONE
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def drop_isolated(depth: Any, thing: Any, far_m: Any, out: Any) -> Any:  # pragma: no cover - compiled
+    """Fill ``out`` (C, R) with the depths, 0 for returns in the air up to ``far_m`` that fewer than three others share.
+
+    Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not. Returns how many.
+    """
+    columns, rings = depth.shape
+    isolated = 0
+    for c in range(columns):
+        for r in range(rings):
+            d = depth[c, r]
+            out[c, r] = d
+            if not thing[c, r] or d > far_m:
+                continue
+            near, shared = np.float32(0.3) + np.float32(0.03) * d, 0
+            for k in range(max(r - 2, 0), min(r + 3, rings)):
+                for step in range(-2, 3):
+                    shared += abs(depth[(c + step) % columns, k] - d) < near
+            if shared < 4:
+                out[c, r] = np.float32(0.0)
+                isolated += 1
+    return isolated
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
+    middle = np.float32(0.5) * (a + b)
+    return (a > 0) & (b > 0) & (abs(a - b) < np.float32(0.1) * middle + np.float32(1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def end_beams(evidence: Any, limits: Any, depths: Any, kinds: Any) -> None:  # pragma: no cover - compiled
+    """Fill best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8."""
+    depth = evidence.depth
+    for c in range(depth.shape[0]):
+        for r in range(depth.shape[1]):
+            best, least, most, kind = depth[c, r], depth[c, r], depth[c, r], 0
+            if depth[c, r] <= 0:
+                best, least, most, kind = _end_missing_beam(evidence, limits, c, r)
+            depths[0, c, r], depths[1, c, r], depths[2, c, r], kinds[c, r] = best, least, most, kind
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _end_missing_beam(evidence: Any, limits: Any, c: Any, r: Any) -> Any:  # pragma: no cover - compiled
+    """Return best, least and most depth of a missing beam, and what became of it."""
+    depth, thing = evidence.depth, evidence.thing
+    none, g = np.float32(0.0), evidence.to_ground[c, r]
+    left, gap_left = _next_in_ring(depth, thing, c, r, 1)
+    right, gap_right = _next_in_ring(depth, thing, c, r, -1)
+    up, down = _next_in_column(depth, thing, c, r, 1), _next_in_column(depth, thing, c, r, -1)
+    near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
+    near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
+    # A lost column, or something nearer than the sensor can measure: nobody knows.
+    if evidence.lost[c] or near < np.float32(1.5) * limits.nearest + np.float32(0.1):
+        return none, none, g, SWALLOWED
+    # The neighbors on both sides met one surface: a window, a black car.
+    wide = np.float32(0.5) * (left + right)
+    gap = np.float32((gap_left + gap_right) * (2 * np.pi / depth.shape[0])) * wide
+    across, along = _one_surface(left, right) & (gap < limits.gap), _one_surface(up, down)
+    if across or along:
+        best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR, g)
+        certain = across and gap < limits.sure_gap
+        return best, best, best if certain else g, SURFACE
+    # Between two things, in a ring that nearly always returns: one of them, or what lies between.
+    if left > 0 and right > 0 and evidence.ring_share[r] > limits.sure:
+        return min(wide, g), min(near, g), g, SURFACE
+    # Ground so near always returns, so something swallowed the beam; one or two lost amid ground are only lost.
+    alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
+    shares = evidence.ground_share
+    expected = g < limits.reach and shares[min(int(g / limits.band), shares.shape[0] - 1)] > limits.sure
+    if expected and not alone:
+        best = near if near < g else none
+        return best, best, g, SWALLOWED
+    # Nothing stood before the ground or the maximum range; at least it went as far as the things next to it.
+    nowhere = (left == _NONE) & (right == _NONE)
+    return g, none if nowhere else min(near, g), g, OPEN

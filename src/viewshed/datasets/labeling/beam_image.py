@@ -12,141 +12,33 @@ from numpy.typing import NDArray
 
 from viewshed._numba import atan2
 from viewshed.geometry import Rigid
+from viewshed.preprocess.no_return import JITTER_COLUMNS
 from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
-JITTER_COLUMNS = 4
-"""A point may lie this many columns from the firing that it belongs to."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fired(points: Any, ring: Any, seconds: Any, pose: Any, tables: Any) -> Any:  # pragma: no cover - compiled
-    """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
-
-    ``pose`` is level_from_sensor (3, 3), velocity (3,) and yaw rate; ``tables`` are the height of each ring's start
-    and its azimuth offset.
-    """
-    turn, velocity, yaw_rate = pose
-    rise, offset = tables
-    count = points.shape[0]
-    start, way = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    length, azimuth = np.empty(count, np.float32), np.empty(count, np.float32)
-    for n in range(count):
-        t = seconds[n]
-        c, s = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
-        h = rise[max(ring[n], 0)]
-        ox, oy, oz = turn[0, 2] * h, turn[1, 2] * h, turn[2, 2] * h
-        ox, oy = c * ox - s * oy + velocity[0] * t, s * ox + c * oy + velocity[1] * t
-        oz += velocity[2] * t
-        p = points[n]
-        dx = turn[0, 0] * p[0] + turn[0, 1] * p[1] + turn[0, 2] * p[2] - ox
-        dy = turn[1, 0] * p[0] + turn[1, 1] * p[1] + turn[1, 2] * p[2] - oy
-        dz = turn[2, 0] * p[0] + turn[2, 1] * p[1] + turn[2, 2] * p[2] - oz
-        far = max(np.sqrt(dx * dx + dy * dy + dz * dz), np.float32(1e-3))
-        start[n, 0], start[n, 1], start[n, 2] = ox, oy, oz
-        way[n, 0], way[n, 1], way[n, 2], length[n] = dx / far, dy / far, dz / far, far
-        bx, by = c * dx + s * dy, c * dy - s * dx
-        x = turn[0, 0] * bx + turn[1, 0] * by + turn[2, 0] * dz
-        y = turn[0, 1] * bx + turn[1, 1] * by + turn[2, 1] * dz
-        azimuth[n] = atan2(np.float32(y), np.float32(x)) - offset[max(ring[n], 0)]
-    return start, way, length, azimuth
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def settle(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
-    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
-
-    Returns how many points found none.
-    """
-    spare, spares, lost = np.empty(ring.shape[0], np.int64), 0, 0
-    for n in range(ring.shape[0]):
-        if ring[n] < 0:
-            continue
-        other = pixels[column[n], ring[n]]
-        nearer = other < 0 or length[n] < length[other]
-        if other >= 0:
-            spare[spares] = other if nearer else n
-            spares += 1
-        if nearer:
-            pixels[column[n], ring[n]] = n
-    for k in range(spares):
-        lost += not _moved(spare[k], column[spare[k]], ring[spare[k]], pixels)
-    return lost
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _moved(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
-    for step in range(1, JITTER_COLUMNS + 1):
-        for side in (-1, 1):
-            c = (column + side * step) % pixels.shape[0]
-            if pixels[c, ring] < 0:
-                pixels[c, ring] = n
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_times(column: Any, seconds: Any, columns: Any) -> Any:  # pragma: no cover - compiled
-    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
-    total, count = np.zeros(columns, np.float64), np.zeros(columns, np.int64)
-    for n in range(column.shape[0]):
-        total[column[n]] += seconds[n]
-        count[column[n]] += 1
-    out = np.zeros(columns, np.float32)
-    for step in range(2 * columns):
-        c = step % columns
-        if count[c] > 0:
-            out[c] = total[c] / count[c]
-        else:
-            out[c] = out[c - 1]
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_image(pixels: Any, beams: Any, nominal: Any, pose: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill starts, directions (C, R, 3) and depths (C, R) from the points and, where there is none, the pattern.
-
-    ``nominal`` are azimuth of column 0, step, time of each column, and elevation, start height and azimuth offset of
-    each ring. A missing beam has depth 0.
-    """
-    start, way, length = beams
-    first, step, seconds, elevation, rise, offset = nominal
-    turn, velocity, yaw_rate = pose
-    origins, directions, depth = out
-    for c in range(pixels.shape[0]):
-        t = seconds[c]
-        cos, sin = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
-        for r in range(pixels.shape[1]):
-            n = pixels[c, r]
-            if n >= 0:
-                for axis in range(3):
-                    origins[c, r, axis], directions[c, r, axis] = start[n, axis], way[n, axis]
-                depth[c, r] = length[n]
-                continue
-            azimuth = first + c * step + offset[r]
-            flat, z = np.cos(elevation[r]), np.sin(elevation[r])
-            x, y, h = flat * np.cos(azimuth), flat * np.sin(azimuth), rise[r]
-            dx = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z
-            dy = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z
-            dz = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z
-            ox, oy = turn[0, 2] * h, turn[1, 2] * h
-            directions[c, r, 0], directions[c, r, 1], directions[c, r, 2] = cos * dx - sin * dy, sin * dx + cos * dy, dz
-            origins[c, r, 0] = cos * ox - sin * oy + velocity[0] * t
-            origins[c, r, 1] = sin * ox + cos * oy + velocity[1] * t
-            origins[c, r, 2] = turn[2, 2] * h + velocity[2] * t
-            depth[c, r] = np.float32(0.0)
-
+Floats = NDArray[np.float32]
 
 MAX_GAP_S = 1.5
-"""Poses farther apart than this tell nothing about the motion in between."""
+"""Poses farther apart than this say nothing about the motion in between."""
 
 MAX_SPEED_MPS = 70.0
 """Poses that could only be reached faster do not belong together."""
 
 POST_S = 2.0
+"""Sweeps that stand for all are at most so far apart in time."""
 
 _SHORT_S = 0.15
+"""Times are uncertain by so much when speeds are judged."""
+
+_SAMPLED = 4000
+"""Returns from which the number of columns is estimated."""
+
+_NEAR_COLUMNS = 2
+"""Numbers of columns that are tried, so far from the likely ones."""
+
+_ALMOST = 0.98
+"""A likely number of columns that fits so well is taken before a better fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +82,7 @@ AT_REST = Drift(np.zeros(3), 0.0)
 
 
 def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
-    """Return the motion at ``now`` by differences of the poses next to it; at rest where they do not tell.
+    """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known.
 
     >>> pose = Rigid.from_yaw(np.pi / 2)
     >>> later = Moment(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
@@ -199,7 +91,7 @@ def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
     """
     posed = [one for one in (before, now, after) if one is not None and one.world_from_sensor is not None]
     pose = now.world_from_sensor
-    if pose is None or len(posed) < 2 or not _passable(posed[0], posed[-1]):
+    if pose is None or len(posed) < 2 or not _reachable(posed[0], posed[-1]):
         return AT_REST
     first, last = posed[0].world_from_sensor, posed[-1].world_from_sensor
     seconds = posed[0].seconds_to(posed[-1])
@@ -210,11 +102,11 @@ def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
     return Drift(velocity @ Rigid.from_yaw(pose.yaw).rotation, turned / seconds)
 
 
-def _passable(one: Moment, other: Moment) -> bool:
+def _reachable(one: Moment, other: Moment) -> bool:
     return one.meters_to(other) <= MAX_SPEED_MPS * max(abs(one.seconds_to(other)), _SHORT_S)
 
 
-def posts_of(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
+def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
     """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
 
     Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
@@ -228,7 +120,7 @@ def posts_of(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
     for place, moment in enumerate(moments):
         if moment is None or moment.world_from_sensor is None:
             continue
-        if last is None or (_passable(last, moment) and _apart(last, moment, spacing_m)):
+        if last is None or (_reachable(last, moment) and _apart(last, moment, spacing_m)):
             posts.append(place)
             last = moment
     return posts
@@ -236,15 +128,6 @@ def posts_of(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
 
 def _apart(one: Moment, other: Moment, spacing_m: float) -> bool:
     return one.meters_to(other) >= spacing_m or one.seconds_to(other) >= POST_S
-
-
-Floats = NDArray[np.float32]
-
-_SAMPLED = 4000
-
-_NEAR_COLUMNS = 2
-
-_ALMOST = 0.98
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,7 +140,7 @@ class BeamImage:
         depth_m: (C, R) float32 meters from start to return, 0 where there was none.
         pixels: (C, R) int32 row of the return in the sweep, -1 where there was none.
         max_range_m: how far the sensor sees.
-        model: the sensor's beams, or None where they had to be told from the returns.
+        model: the sensor's beams, or None where they were estimated from the returns.
     """
 
     origin_m: Floats
@@ -285,21 +168,22 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
         drift: how the sensor moved; needs the times of the returns, else it is left out.
     """
     seconds, model = _seconds(sweep), sweep.model
-    found = recover_rings(sweep if sweep.ring is not None else _still(sweep, level_from_sensor, drift, seconds))
-    elevation, rise, offset = _tables(found.elevation, model)
-    pose = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
-    start, way, length, azimuth = fired(sweep.points, found.ring, seconds, pose, (rise, offset))
-    columns = _count(azimuth, {found.columns} if model is None else {found.columns, model.azimuth_columns})
+    rings = recover_rings(sweep if sweep.ring is not None else _undo_motion(sweep, level_from_sensor, drift, seconds))
+    elevation, rise, offset = _tables(rings.elevation, model)
+    motion = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
+    start, direction, length, azimuth = beams_of_returns(sweep.points, rings.ring, seconds, *motion, rise, offset)
+    # The firing pattern: how many columns, and where they begin.
+    columns = _best_column_count(azimuth, {rings.columns} if model is None else {rings.columns, model.azimuth_columns})
     column, phase = _columns(azimuth, columns)
     pixels = np.full((columns, len(elevation)), -1, np.int32)
-    settle(found.ring, column, length, pixels)
-    step = np.float32(2 * np.pi / columns)
-    times = mean_times(column, seconds, columns)
-    shape = pixels.shape
-    out = np.empty((*shape, 3), np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-    nominal = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
-    fill_image(pixels, (start, way, length), nominal, pose, out)
-    return BeamImage(*out, pixels, _reach(model, length), model)
+    assign_pixels(rings.ring, column, length, pixels)
+    step, times = np.float32(2 * np.pi / columns), mean_times(column, seconds, columns)
+    # Every beam: the returns, and the pattern between them.
+    origins, directions = np.empty((2, *pixels.shape, 3), np.float32)
+    depth = np.empty(pixels.shape, np.float32)
+    pattern = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
+    fill_image(pixels, start, direction, length, *pattern, *motion, origins, directions, depth)
+    return BeamImage(origins, directions, depth, pixels, _max_range_m(model, length), model)
 
 
 def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
@@ -313,15 +197,15 @@ def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[F
 
 
 def _seconds(sweep: Sweep) -> Floats:
-    """Return the time (N,) of each return from the middle of the revolution; 0 where they are not told."""
+    """Return the time (N,) of each return from the middle of the revolution; 0 where they are not known."""
     if sweep.time_s is None or not len(sweep):
         return np.zeros(len(sweep), np.float32)
     middle = (float(sweep.time_s.min()) + float(sweep.time_s.max())) / 2
     return (sweep.time_s - np.float32(middle)).astype(np.float32)
 
 
-def _still(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: Floats) -> Sweep:
-    """Return the sweep with each point as the sensor saw it when it fired: rings are told from directions."""
+def _undo_motion(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: Floats) -> Sweep:
+    """Return the sweep with each point as the sensor saw it when it fired: rings are recovered from directions."""
     if not (drift.yaw_rate or drift.velocity_mps.any()):
         return sweep
     x, y, z = (sweep.points @ level_from_sensor.T - np.outer(seconds, drift.velocity_mps)).T
@@ -329,7 +213,7 @@ def _still(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, s
     return sweep.replace(points=np.stack([c * x + s * y, c * y - s * x, z], axis=-1) @ level_from_sensor)
 
 
-def _count(azimuth: Floats, likely: set[int]) -> int:
+def _best_column_count(azimuth: Floats, likely: set[int]) -> int:
     """Return the number of columns that firing azimuths (N,) fit best, of the likely ones and those next to them."""
     some = azimuth[:: max(len(azimuth) // _SAMPLED, 1)].astype(np.float64)
     near = sorted({columns + more for columns in likely for more in range(-_NEAR_COLUMNS, _NEAR_COLUMNS + 1)})
@@ -343,7 +227,7 @@ def _count(azimuth: Floats, likely: set[int]) -> int:
 def _columns(azimuth: Floats, columns: int) -> tuple[NDArray[np.int64], float]:
     """Return the column (N,) of firing azimuths, and where in a column firings lie, in [0, 1).
 
-    The circular mean of the remainders tells the sensor's phase.
+    The circular mean of the remainders is the sensor's phase.
     """
     position = (azimuth.astype(np.float64) / (2 * np.pi) + 0.5) * columns
     turn = np.exp(2j * np.pi * position).sum() if len(position) else -1.0
@@ -351,7 +235,143 @@ def _columns(azimuth: Floats, columns: int) -> tuple[NDArray[np.int64], float]:
     return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
 
 
-def _reach(model: LidarModel | None, length: Floats) -> float:
+def _max_range_m(model: LidarModel | None, length: Floats) -> float:
     if model is not None:
         return model.max_range_m
     return float(length.max(initial=0.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_returns(
+    points: Any, ring: Any, seconds: Any, turn: Any, velocity: Any, yaw_rate: Any, rise: Any, offset: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
+
+    Of points (N, 3) in the reference frame with rings and times (N,). ``turn`` (3, 3) is level_from_sensor, velocity
+    (3,) and yaw rate the sensor's in level axes; height of the start and azimuth offset (R,) are the rings'.
+    """
+    count = points.shape[0]
+    start, direction = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    length, azimuth = np.empty(count, np.float32), np.empty(count, np.float32)
+    for n in range(count):
+        # Where the sensor was when the beam was fired, and the beam's start on its axis.
+        t = seconds[n]
+        c, s = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
+        h = rise[max(ring[n], 0)]
+        ox, oy, oz = turn[0, 2] * h, turn[1, 2] * h, turn[2, 2] * h
+        ox, oy = c * ox - s * oy + velocity[0] * t, s * ox + c * oy + velocity[1] * t
+        oz += velocity[2] * t
+        # From there to the return, in level axes.
+        p = points[n]
+        dx = turn[0, 0] * p[0] + turn[0, 1] * p[1] + turn[0, 2] * p[2] - ox
+        dy = turn[1, 0] * p[0] + turn[1, 1] * p[1] + turn[1, 2] * p[2] - oy
+        dz = turn[2, 0] * p[0] + turn[2, 1] * p[1] + turn[2, 2] * p[2] - oz
+        far = max(np.sqrt(dx * dx + dy * dy + dz * dz), np.float32(1e-3))
+        start[n, 0], start[n, 1], start[n, 2] = ox, oy, oz
+        direction[n, 0], direction[n, 1], direction[n, 2], length[n] = dx / far, dy / far, dz / far, far
+        # The same seen from the turned sensor: the firing azimuth.
+        bx, by = c * dx + s * dy, c * dy - s * dx
+        x = turn[0, 0] * bx + turn[1, 0] * by + turn[2, 0] * dz
+        y = turn[0, 1] * bx + turn[1, 1] * by + turn[2, 1] * dz
+        azimuth[n] = atan2(np.float32(y), np.float32(x)) - offset[max(ring[n], 0)]
+    return start, direction, length, azimuth
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
+    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
+
+    Returns how many points found none.
+    """
+    spare, spares, lost = np.empty(ring.shape[0], np.int64), 0, 0
+    for n in range(ring.shape[0]):
+        if ring[n] < 0:
+            continue
+        other = pixels[column[n], ring[n]]
+        nearer = other < 0 or length[n] < length[other]
+        if other >= 0:
+            spare[spares] = other if nearer else n
+            spares += 1
+        if nearer:
+            pixels[column[n], ring[n]] = n
+    for k in range(spares):
+        lost += not _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
+    return lost
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
+    for step in range(1, JITTER_COLUMNS + 1):
+        for side in (-1, 1):
+            c = (column + side * step) % pixels.shape[0]
+            if pixels[c, ring] < 0:
+                pixels[c, ring] = n
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mean_times(column: Any, seconds: Any, columns: Any) -> Any:  # pragma: no cover - compiled
+    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
+    total, count = np.zeros(columns, np.float64), np.zeros(columns, np.int64)
+    for n in range(column.shape[0]):
+        total[column[n]] += seconds[n]
+        count[column[n]] += 1
+    out = np.zeros(columns, np.float32)
+    for step in range(2 * columns):
+        c = step % columns
+        if count[c] > 0:
+            out[c] = total[c] / count[c]
+        else:
+            out[c] = out[c - 1]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_image(
+    pixels: Any,
+    start: Any,
+    direction: Any,
+    length: Any,
+    first: Any,
+    step: Any,
+    seconds: Any,
+    elevation: Any,
+    rise: Any,
+    offset: Any,
+    turn: Any,
+    velocity: Any,
+    yaw_rate: Any,
+    origins: Any,
+    directions: Any,
+    depth: Any,
+) -> None:  # pragma: no cover - compiled
+    """Fill starts, directions (C, R, 3) and depths (C, R) from the returns and, where there is none, the pattern.
+
+    ``pixels`` (C, R) are rows of the returns, whose starts, directions and lengths (N,) come from
+    :func:`beams_of_returns`. The pattern: azimuth of column 0, step, time of each column (C,), and elevation, height of
+    the start and azimuth offset of each ring (R,), turned and moved as there. A missing beam has depth 0.
+    """
+    for c in range(pixels.shape[0]):
+        t = seconds[c]
+        cos, sin = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
+        for r in range(pixels.shape[1]):
+            n = pixels[c, r]
+            if n >= 0:
+                for axis in range(3):
+                    origins[c, r, axis], directions[c, r, axis] = start[n, axis], direction[n, axis]
+                depth[c, r] = length[n]
+                continue
+            # A missing beam: as the pattern has it, turned to level axes, then by the motion.
+            azimuth = first + c * step + offset[r]
+            flat, z = np.cos(elevation[r]), np.sin(elevation[r])
+            x, y, h = flat * np.cos(azimuth), flat * np.sin(azimuth), rise[r]
+            dx = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z
+            dy = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z
+            dz = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z
+            ox, oy = turn[0, 2] * h, turn[1, 2] * h
+            directions[c, r, 0], directions[c, r, 1], directions[c, r, 2] = cos * dx - sin * dy, sin * dx + cos * dy, dz
+            origins[c, r, 0] = cos * ox - sin * oy + velocity[0] * t
+            origins[c, r, 1] = sin * ox + cos * oy + velocity[1] * t
+            origins[c, r, 2] = turn[2, 2] * h + velocity[2] * t
+            depth[c, r] = np.float32(0.0)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.leveling import LeveledSweep
@@ -51,7 +51,7 @@ class Patch:
         yaw: heading of the sensor in the world.
     """
 
-    ground: Ground
+    ground: HeightMap
     center_m: NDArray[np.float64]
     yaw: float
 
@@ -83,14 +83,13 @@ def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float
     corner = middle - count // 2
     rows = np.full((count * count, 3), -1, np.int32)
     world = np.empty((len(points), 3))
-    frame = (world_from_points.as_matrix()[:3], corner, np.float32(reach_m), node_m)
-    _lowest(points, frame, count, world, rows)
+    _lowest(points, world_from_points.as_matrix()[:3], corner, np.float32(reach_m), node_m, count, world, rows)
     used = np.flatnonzero(rows[:, 0] >= 0)
-    found = np.full((len(used), 3, 3), np.nan)
+    lowest_m = np.full((len(used), 3, 3), np.nan)
     some = rows[used] >= 0
-    found[some] = world[rows[used][some]]
+    lowest_m[some] = world[rows[used][some]]
     node = np.stack([used // count, used % count], axis=-1) + corner
-    return Lows(node.astype(np.int32), found[:, :2], found[:, 2, 2])
+    return Lows(node.astype(np.int32), lowest_m[:, :2], lowest_m[:, 2, 2])
 
 
 def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float, node_m: float) -> Patch:
@@ -141,13 +140,14 @@ def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:  
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lowest(points: Any, frame: Any, count: Any, world: Any, rows: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``rows`` (nodes, 3) with the rows of the lowest, the second-lowest and the highest point of each node.
+def _lowest(
+    points: Any, transform: Any, corner: Any, reach: Any, node_m: Any, count: Any, world: Any, rows: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill ``rows`` (count², 3) with the rows of the lowest, the second-lowest and the highest point of each node.
 
-    ``frame`` is the transform to the world (3, 4), the first node, how far points count, and the side of a node. Points
-    that count get their place in ``world``.
+    Points (N, 3) up to ``reach`` from their origin count; ``transform`` (3, 4) takes them to ``world`` (N, 3), where
+    nodes of side ``node_m`` are counted from ``corner`` (2,).
     """
-    transform, corner, reach, node_m = frame
     for k in range(points.shape[0]):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         if x * x + y * y >= reach * reach:
@@ -162,6 +162,7 @@ def _lowest(points: Any, frame: Any, count: Any, world: Any, rows: Any) -> None:
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _note(node: Any, k: Any, world: Any) -> None:  # pragma: no cover - compiled
+    """Take point ``k`` into the rows of a node (3,); the highest is -1 while there is only one point."""
     first, second, z = node[0], node[1], world[k, 2]
     if first >= 0 and (node[2] < 0 or z > world[node[2], 2]):
         node[2] = k if z > world[first, 2] or node[2] >= 0 else first

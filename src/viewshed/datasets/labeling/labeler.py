@@ -1,22 +1,22 @@
-"""The label of one sweep: what it could have seen, told afterwards from the sweep and those around it in time.
+"""The label of one sweep: what it could have seen, from the sweep and those around it in time.
 
-The sweeps of one sensor in time order, and what those around each of them tell about the ground.
+The sweeps of one sensor in time order, and what those around each of them say about the ground.
 
-Counting: from the beams of one revolution to the label, by the definitions themselves.
+The definitions themselves are counted, in whole beams, with the loops of the exact truth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
-from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, posts_of
+from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, well_spaced
 from viewshed.datasets.labeling.ground_map import Lows, Patch, lows_of, patch_of
 from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
@@ -24,76 +24,14 @@ from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import EGO_BOX_M, EGO_HEIGHTS_M, LeveledSweep, level
-from viewshed.sim.truth._azimuth_bins import BLOCKS, RETURNS, stop_limits
-from viewshed.sim.truth._beams import beam_lines, mark_stops, slope_bounds, sorted_tiles
-from viewshed.sim.truth._counts import MANY, count_cells
-from viewshed.sim.truth.exact import patches_of
+from viewshed.sim.truth.beam_lines import BeamLines, stops_on_surfaces
+from viewshed.sim.truth.count import count_targets
+from viewshed.sim.truth.definitions import BLOCKS, RETURNS, stop_limits
 from viewshed.sweep import Sweep
-
-BELOW_GROUND_M = 0.02
-"""As in the exact truth: a beam may cross the target this far below the ground of its cell's center."""
 
 Floats = NDArray[np.float32]
 
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lines:
-    """The beams of one revolution as lines that end, ready to be counted.
-
-    Attributes:
-        lines: (6, C·R) see ``viewshed.sim.truth._beams``.
-        azimuth: (C·R,) of the beams.
-        sorted: the same by azimuth, in tiles.
-        offsets_m: largest horizontal offset of a beam's start, its lowest and its highest vertical one.
-        max_range_m: how far the sensor sees.
-    """
-
-    lines: Floats
-    azimuth: Floats
-    sorted: tuple[Any, ...]
-    offsets_m: tuple[np.float32, np.float32, np.float32]
-    max_range_m: np.float32
-
-
-def lines_of(image: BeamImage, depth_m: Floats) -> Lines:
-    """Return the beams of ``image``, which ended at depths (C, R)."""
-    rings, origin, reach = image.pixels.shape[1], image.origin_m, np.float32(image.max_range_m)
-    lines, azimuth = beam_lines(origin, image.direction, depth_m, (np.float32(1), np.float32(0)), reach)
-    tiles, starts = sorted_tiles(lines, azimuth, rings)
-    beams = (tiles, starts, slope_bounds(lines[4], azimuth, rings))
-    aside = np.float32(np.sqrt((origin[..., 0] ** 2 + origin[..., 1] ** 2).max()))
-    return Lines(lines, azimuth, beams, (aside, origin[..., 2].min(), origin[..., 2].max()), reach)
-
-
-def count_targets(
-    lines: Lines, grid: BevGrid, ground_m: Floats, targets: tuple[Target, Target], some: Mask | None = None
-) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255.
-
-    The definition itself, in whole beams, with the loops of the exact truth.
-
-    Args:
-        lines: the beams.
-        grid: where the cells are.
-        ground_m: z from the sensor (cells²,) of the ground at the cells' centers.
-        targets: what would have to be seen.
-        some: cells (cells²,) that are asked for; others may stay 0.
-    """
-    a, b = sorted(targets, key=lambda target: -target.width_m)
-    sizes = (np.float32(size) for size in (a.width_m / 2, b.width_m / 2, a.height_m, b.height_m))
-    plates = (*sizes, min(a.min_returns, MANY), min(b.min_returns, MANY))
-    limits = (np.float32(grid.cell_m), np.float32(BELOW_GROUND_M), *lines.offsets_m, lines.max_range_m)
-    patches = patches_of(grid)
-    if some is not None:
-        rows = some[patches[1]].any(axis=1)
-        patches = (patches[0][rows], patches[1][rows], patches[2][rows])
-    counts = np.zeros(ground_m.size, np.int32)
-    count_cells(lines.sorted, patches, np.asarray(ground_m, np.float32), plates, limits, counts)
-    bytes_of = [(counts >> shift).astype(np.uint8) for shift in (0, 8, 16, 24)]
-    return {a.name: (bytes_of[0], bytes_of[2]), b.name: (bytes_of[1], bytes_of[3])}
-
 
 Definition = Literal["probe", "farthest", "first_blocker"]
 
@@ -153,7 +91,7 @@ class Rules:
 
 def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
     """Return the lowest returns of ``sweep`` in the world, or in its own ``level`` frame if it has no pose."""
-    return _lows(level(sweep, rules.grid), rules)
+    return _lows_of_level(level(sweep, rules.grid), rules)
 
 
 def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules) -> tuple[Truth, Mask]:
@@ -171,11 +109,11 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules
     """
     leveled = level(sweep, rules.grid)
     image = beam_image(sweep, leveled.level_from_sensor.rotation, drift)
-    patch = patch_of(leveled, (*around, _lows(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
+    patch = patch_of(leveled, (*around, _lows_of_level(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
     return _Labeling(rules, image, patch, beam_ends_of(image, patch), _has_vehicle(leveled)).result()
 
 
-def _lows(leveled: LeveledSweep, rules: Rules) -> Lows:
+def _lows_of_level(leveled: LeveledSweep, rules: Rules) -> Lows:
     pose = leveled.world_from_level or Rigid.identity()
     return lows_of(leveled.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
@@ -199,15 +137,15 @@ class _Labeling:
     rules: Rules
     image: BeamImage
     patch: Patch
-    stops: BeamEnds
+    ends: BeamEnds
     has_vehicle: bool
 
     def result(self) -> tuple[Truth, Mask]:
         """Return the label and where it is trusted."""
         grid = self.rules.grid
         ground = self.patch.at(grid.centers.reshape(-1, 2))
-        lines = lines_of(self.image, self.stops.best_m)
-        counts = count_targets(lines, grid, ground, TARGETS)
+        lines = self._lines(self.ends.best_m)
+        counts = _aimed_and_reached(lines, grid, ground)
         reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
         things = self._things()
         surface = self._surface(lines, ground, things)
@@ -224,42 +162,43 @@ class _Labeling:
         state[(reached >= target.min_returns) & surface] = CellState.SURFACE
         return state.reshape(self.rules.grid.shape)
 
-    def _surface(self, lines: Lines, ground: Floats, things: Mask) -> dict[str, Mask]:
+    def _surface(self, lines: BeamLines, ground: Floats, things: Mask) -> dict[str, Mask]:
         """Return by target the cells (cells²,) with a stop on a thing between 0.2 m and its top above the ground."""
-        grid = self.rules.grid
         tops = np.array([target.height_m for target in TARGETS], np.float32)
-        out = np.zeros((len(TARGETS), ground.size), np.bool_)
-        lattice = (np.float32(grid.origin_m[0]), np.float32(grid.origin_m[1]), np.float32(1 / grid.cell_m), grid.cells)
-        mark_stops(lines.lines, things.reshape(-1), ground, (lattice, np.float32(SURFACE_FROM_M), tops), out)
-        return {target.name: out[k] for k, target in enumerate(TARGETS)}
+        marked = stops_on_surfaces(lines, things.reshape(-1), ground, self.rules.grid, SURFACE_FROM_M, tops)
+        return dict(zip((target.name for target in TARGETS), marked, strict=True))
+
+    def _lines(self, depth_m: Floats) -> BeamLines:
+        """Return the beams of the sweep, which ended at depths (C, R)."""
+        return BeamLines.of(self.image.origin_m, self.image.direction, depth_m, self.image.max_range_m)
 
     def _things(self) -> Mask:
         """Return which beams (C, R) ended on a thing that is not the own vehicle."""
-        things: Mask = self.stops.thing | (self.stops.kind == SURFACE)
+        things: Mask = self.ends.thing | (self.ends.kind == SURFACE)
         if not self.has_vehicle:
             return things
-        end = self.image.origin_m[..., :2] + self.image.direction[..., :2] * self.stops.best_m[..., None]
+        end = self.image.origin_m[..., :2] + self.image.direction[..., :2] * self.ends.best_m[..., None]
         own = np.asarray((np.abs(end) < EGO_BOX_M).all(axis=-1))
         return things & ~own
 
-    def _definitions(self, lines: Lines, things: Mask) -> tuple[dict[str, Mask], Mask]:
+    def _definitions(self, lines: BeamLines, things: Mask) -> tuple[dict[str, Mask], Mask]:
         """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return.
 
         Ground gives light back: a beam that nothing stopped before it counts as a return from there, though the sensor
         was too weak to get it. A bin without any return of its own is not known.
         """
-        grid, kind = self.rules.grid, self.stops.kind
+        grid, kind = self.rules.grid, self.ends.kind
         bins = min(self.image.pixels.shape[0], MAX_BINS)
         stored = (self.image.returned & (kind == 0)) * np.uint8(RETURNS)
-        ground = (kind == OPEN) & (self.stops.best_m < np.float32(self.image.max_range_m))
+        ground = (kind == OPEN) & (self.ends.best_m < np.float32(self.image.max_range_m))
         flags = things * np.uint8(BLOCKS) + np.maximum(stored, ground * np.uint8(RETURNS))
         farthest, blocker = stop_limits(lines.lines, flags.reshape(-1), bins)
         returned = stop_limits(lines.lines, stored.reshape(-1), bins)[0] >= 0
         range_m, azimuth = polar_of_cells(grid)
-        place = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
-        inside = range_m <= farthest[place]
-        before = inside & (range_m - np.float32(grid.cell_m) <= blocker[place])
-        return {"farthest": inside, "first_blocker": before}, returned[place]
+        index = np.clip((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi)), 0, bins - 1).astype(np.intp)
+        inside = range_m <= farthest[index]
+        before = inside & (range_m - np.float32(grid.cell_m) <= blocker[index])
+        return {"farthest": inside, "first_blocker": before}, returned[index]
 
     def _sure(self, reached: dict[str, NDArray[np.uint8]], ground: Floats) -> Mask:
         """Return where (cells, cells) the probe does not hang on missing beams or on the ground."""
@@ -271,10 +210,10 @@ class _Labeling:
         away = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
         wrong = np.minimum(GROUND_M + GROUND_PER_M * away, GROUND_MOST_M).astype(np.float32).reshape(-1)
         verdicts = []
-        for depth in (self.stops.least_m, self.stops.most_m):
-            lines = lines_of(self.image, depth)
+        for depth in (self.ends.least_m, self.ends.most_m):
+            lines = self._lines(depth)
             for height in (ground - wrong, ground + wrong):
-                again = count_targets(lines, grid, height, TARGETS, doubtful)[target.name][1]
+                again = _aimed_and_reached(lines, grid, height, doubtful)[target.name][1]
                 verdicts.append((again >= target.min_returns) == (counts >= target.min_returns))
         sure: Mask = np.all(verdicts, axis=0) | ~doubtful
         return sure.reshape(grid.shape)
@@ -287,6 +226,15 @@ class _Labeling:
         if self.has_vehicle:
             own = own | (np.abs(grid.centers) < np.add(EGO_BOX_M, grid.cell_m / 2)).all(axis=-1)
         return own
+
+
+def _aimed_and_reached(
+    lines: BeamLines, grid: BevGrid, ground: Floats, mask: Mask | None = None
+) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255."""
+    (a, b), counts = count_targets(lines, grid, np.asarray(ground, np.float32), TARGETS, mask)
+    aimed_a, aimed_b, reached_a, reached_b = ((counts >> shift).astype(np.uint8) for shift in (0, 8, 16, 24))
+    return {a.name: (aimed_a, reached_a), b.name: (aimed_b, reached_b)}
 
 
 R = TypeVar("R")
@@ -326,36 +274,36 @@ class Track(Generic[R]):
         moments: list[Moment | None] = [None] * len(refs)
         lows: dict[int, Lows] = {}
         last_post: Moment | None = None
-        for place in range(max(first - ahead, 0), min(last + ahead, len(refs))):
+        for index in range(max(first - ahead, 0), min(last + ahead, len(refs))):
             try:
-                sweep = sweep_of(refs[place])
-            except (ValueError, OSError):  # told when it is labeled
+                sweep = sweep_of(refs[index])
+            except (ValueError, OSError):  # reported when it is labeled
                 continue
             moment = Moment(sweep.world_from_sensor, sweep.t_ns)
-            moments[place] = moment
-            helps = posts_of([last_post, moment], SPACING * rules.grid.half_extent_m)
+            moments[index] = moment
+            helps = well_spaced([last_post, moment], SPACING * rules.grid.half_extent_m)
             if rules.neighbors and helps and helps[-1] == 1:
-                lows[place] = lows_of_sweep(sweep, rules)
+                lows[index] = lows_of_sweep(sweep, rules)
                 last_post = moment
         return cls(sweep_of, refs, rules, moments, lows)
 
-    def label(self, place: int) -> tuple[Truth, Mask]:
+    def label(self, index: int) -> tuple[Truth, Mask]:
         """Return the label of the sweep at ``place``, and where it is trusted.
 
         Raises:
             ValueError: the sweep is damaged.
             OSError: it cannot be read.
         """
-        sweep = self.sweep_of(self.refs[place])
+        sweep = self.sweep_of(self.refs[index])
         moment = Moment(sweep.world_from_sensor, sweep.t_ns)
-        before = self.moments[place - 1] if place else None
-        after = self.moments[place + 1] if place + 1 < len(self.refs) else None
-        near = [] if moment.world_from_sensor is None else self._helpers(place)
+        before = self.moments[index - 1] if index else None
+        after = self.moments[index + 1] if index + 1 < len(self.refs) else None
+        near = [] if moment.world_from_sensor is None else self._helpers(index)
         drift = drift_of(before, moment, after) if self.rules.neighbors else drift_of(None, moment, None)
         return label_sweep(sweep, drift, near, self.rules)
 
-    def _helpers(self, place: int) -> list[Lows]:
+    def _helpers(self, index: int) -> list[Lows]:
         """Return the lows of the nearest posts before and after ``place``, its own left out."""
-        before = [k for k in self.lows if k < place][-self.rules.neighbors :]
-        after = [k for k in self.lows if k > place][: self.rules.neighbors]
+        before = [k for k in self.lows if k < index][-self.rules.neighbors :]
+        after = [k for k in self.lows if k > index][: self.rules.neighbors]
         return [self.lows[k] for k in (*before, *after)]

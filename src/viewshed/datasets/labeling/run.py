@@ -11,17 +11,16 @@ from typing import Any
 
 from viewshed._jobs import Engine
 from viewshed.datasets.archive.archive import Archive, ArchiveSource, is_archive
-from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, make_archive, write_beside
-from viewshed.datasets.archive.columns import Frame
+from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout
-from viewshed.datasets.archive.shard import write_frames
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import IndexSource, SweepRef, SweepSource
+from viewshed.datasets.sample import Sample
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 SPLIT = "all"
@@ -84,11 +83,15 @@ class LabelJob:
 
 
 def label(
-    origin: Origin, rules: Rules, store: Storage, engine: Engine, progress: Callable[[ShardResult], None] | None = None
+    origin: Origin,
+    rules: Rules,
+    store: Storage,
+    engine: Engine,
+    on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
     """Return the archive of a recording's sweeps with their labels, made into ``store``.
 
-    The same bytes for any engine. Sweeps that cannot be read are left out and told to ``progress``; labels of an
+    The same bytes for any engine. Sweeps that cannot be read are left out and reported to ``on_progress``; labels of an
     earlier run that was stopped are kept.
 
     Args:
@@ -96,19 +99,19 @@ def label(
         rules: how it is labeled.
         store: where the archive goes.
         engine: makes the shards.
-        progress: is told of each shard that is there, and of what could not be read.
+        on_progress: is called with each shard that is done, and of what could not be read.
 
     Raises:
         ValueError: the recording has no sweeps, or the place holds something else.
         OSError: something cannot be read or written.
     """
     jobs, problems = jobs_of(origin, rules, store)
-    if progress is not None and problems:
-        progress(ShardResult(None, problems))
+    if on_progress is not None and problems:
+        on_progress(ShardResult(None, problems))
     if not jobs:
         raise ValueError(f"{origin.place} must hold sweeps, got none that can be labeled")
     layout = Layout(rules.grid, tuple(sorted(target.name for target in TARGETS)), ("farthest", "first_blocker"))
-    return make_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, progress)
+    return build_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, on_progress)
 
 
 def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
@@ -131,7 +134,7 @@ def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob
             problems.append(" ".join(str(error).split()))
             continue
         for track, sensor in enumerate(_sensors(refs)):
-            wanted = len(_wanted(refs, sensor, origin))
+            wanted = len(_refs_to_label(refs, sensor, origin))
             for part, first in zip(count(), range(0, wanted, FRAMES_PER_SHARD)):
                 name = f"{number:04d}-{track:02d}-{part:03d}.parquet"
                 last = min(first + FRAMES_PER_SHARD, wanted)
@@ -141,24 +144,19 @@ def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob
 
 
 def label_shard(job: LabelJob) -> ShardResult:
-    """Return what became of the shard of ``job``, which is written with a file beside it that tells its checksum.
+    """Return what became of the shard of ``job``, which is written with a file beside it that holds its checksum.
 
     Raises:
         OSError: a file cannot be written.
     """
     problems: list[str] = []
-    frames = list_of_frames(job, problems)
-    first = next(frames, None)
-    if first is None:
-        return ShardResult(None, tuple(problems))
-    place = (job.scene, _split(opened(job.origin), job.scene))
-    facts = write_frames(job.store, job.name, place, _chained(first, frames))
-    return ShardResult(write_beside(job.store, facts, problems), tuple(problems))
+    return build_shard(job.store, job.name, labeled_samples(job, problems), lambda: tuple(problems))
 
 
-def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
-    """Yield the labeled frames of a job; what cannot be read is told in one line of ``problems``."""
+def labeled_samples(job: LabelJob, problems: list[str]) -> Iterator[Sample]:
+    """Yield the labeled samples of a job; what cannot be read is one line of ``problems``."""
     source = opened(job.origin)
+    split = _split(source, job.scene)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
     wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
     reader = _Reader(source, job.origin)
@@ -166,21 +164,16 @@ def list_of_frames(job: LabelJob, problems: list[str]) -> Iterator[Frame]:
     for place in wanted:
         try:
             truth, known = track.label(place)
-            yield Frame(reader.stored(refs[place]), truth, known)
+            yield Sample(reader.stored(refs[place]), truth, known, job.scene, split)
         except (ValueError, OSError) as error:
             problems.append(" ".join(str(error).split()))
-
-
-def _chained(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
-    yield first
-    yield from rest
 
 
 def _sensors(refs: Any) -> list[tuple[str, str]]:
     return list(dict.fromkeys((ref.agent, ref.sensor) for ref in refs))
 
 
-def _wanted(refs: Any, sensor: tuple[str, str], origin: Origin) -> list[SweepRef]:
+def _refs_to_label(refs: Any, sensor: tuple[str, str], origin: Origin) -> list[SweepRef]:
     return [ref for ref in refs if (ref.agent, ref.sensor) == sensor and (ref.keyframe or origin.every)]
 
 
@@ -201,25 +194,25 @@ class _Reader:
     source: SweepSource
     origin: Origin
     _model: LidarModel | None = None
-    _asked: bool = False
+    _identified: bool = False
 
     def sweep(self, ref: SweepRef) -> Sweep:
         """Return a sweep with its beam table."""
-        return self._dressed(self.source.read(ref))
+        return self._with_model(self.source.read(ref))
 
-    def stored(self, ref: SweepRef) -> RangeImage | Sweep:
+    def stored(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return what the archive of labels keeps of a sweep."""
         return self.source.measured(ref) if isinstance(self.source, ArchiveSource) else self.sweep(ref)
 
-    def _dressed(self, sweep: Sweep) -> Sweep:
+    def _with_model(self, sweep: Sweep) -> Sweep:
         if sweep.model is not None:
             return sweep
-        if not self._asked:
-            self._model, self._asked = self._found(sweep), True
+        if not self._identified:
+            self._model, self._identified = self._identify(sweep), True
         fits = self._model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < self._model.rings)
         return sweep.replace(model=self._model) if fits else sweep
 
-    def _found(self, sweep: Sweep) -> LidarModel | None:
+    def _identify(self, sweep: Sweep) -> LidarModel | None:
         if self.origin.sensor == "auto":
             return infer_sensor(sweep.points, sweep.ring)[0]
         return None if self.origin.sensor == "none" else lidar_model(self.origin.sensor)

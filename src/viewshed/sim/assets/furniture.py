@@ -25,7 +25,7 @@ Maker = Callable[[np.random.Generator], Group]
 """Makes one group; the generator gives sizes and materials."""
 
 
-def placed(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0) -> Group:
+def place_group(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0) -> Group:
     """Return the group turned by ``yaw`` about its origin, then moved to (x, y) in meters.
 
     >>> [(round(one.x_m, 6), round(one.y_m, 6)) for one in placed((Thing("a", (), x_m=1.0),), 5.0, 2.0, np.pi / 2)]
@@ -122,8 +122,8 @@ def desk(rng: np.random.Generator) -> Group:
     sides = tuple(Box(0.0, y * (width / 2 - 0.03), depth - 0.1, 0.04, 0.71, 0.0, 0.0, "metal") for y in (-1, 1))
     drawers = Box(-0.05, width / 2 - 0.28, 0.55, 0.42, 0.62, 0.04, 0.0, "metal")
     one = Thing("desk", (slab(depth, width, 0.71, 0.74), *sides, drawers))
-    seat = placed(office_chair(rng), 0.62, -0.15, np.pi + rng.uniform(-0.5, 0.5))
-    screens = placed(monitor(rng), -0.18, rng.uniform(-0.3, 0.1))
+    seat = place_group(office_chair(rng), 0.62, -0.15, np.pi + rng.uniform(-0.5, 0.5))
+    screens = place_group(monitor(rng), -0.18, rng.uniform(-0.3, 0.1))
     return (one, *(seat if rng.random() < 0.85 else ()), *screens)
 
 
@@ -159,8 +159,8 @@ def _drawn_up(rng: np.random.Generator, side: int, y_m: float, edge_m: float, se
     """Return a seat at the edge of a table: ``side`` -1 or 1 along x, or 0 at its end at ``y_m``."""
     out = rng.uniform(0.12, 0.35)
     if side:
-        return placed(seat, side * (edge_m + out), y_m, np.pi * (side > 0) + rng.uniform(-0.1, 0.1))
-    return placed(seat, 0.0, y_m + np.sign(y_m) * (0.1 + out), -np.sign(y_m) * np.pi / 2 + rng.uniform(-0.1, 0.1))
+        return place_group(seat, side * (edge_m + out), y_m, np.pi * (side > 0) + rng.uniform(-0.1, 0.1))
+    return place_group(seat, 0.0, y_m + np.sign(y_m) * (0.1 + out), -np.sign(y_m) * np.pi / 2 + rng.uniform(-0.1, 0.1))
 
 
 def shelf(rng: np.random.Generator) -> Group:

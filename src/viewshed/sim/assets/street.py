@@ -31,7 +31,7 @@ def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
     return options[int(rng.integers(len(options)))]
 
 
-def put(thing: Thing, x_m: float, y_m: float, yaw: float = 0.0) -> Thing:
+def place_at(thing: Thing, x_m: float, y_m: float, yaw: float = 0.0) -> Thing:
     """Return the thing at rest at (x, y) meters of the world, heading along ``yaw``."""
     return replace(thing, x_m=float(x_m), y_m=float(y_m), yaw=float(yaw))
 
@@ -58,7 +58,7 @@ def extent(thing: Thing, below_m: float = _OVERHEAD_M) -> tuple[float, float, fl
 def footprint(thing: Thing, t_s: float = 0.0, below_m: float = _OVERHEAD_M) -> NDArray[np.float64]:
     """Return the corners (4, 2) in meters of the world, counter-clockwise, of the rectangle around :func:`extent`."""
     rear, front, right, left = extent(thing, below_m)
-    x_m, y_m, yaw = thing.place(t_s)
+    x_m, y_m, yaw = thing.pose_at(t_s)
     corners = np.array([[rear, right], [front, right], [front, left], [rear, left]])
     turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     return np.asarray(corners @ turn + (x_m, y_m))
@@ -91,7 +91,7 @@ def group(rng: np.random.Generator, x_m: float, y_m: float) -> list[Thing]:
     """Return two to four pedestrians who stand about (x, y) and face one another, within 0.9 m of it."""
     count, turn = int(rng.integers(2, 5)), rng.uniform(0, 2 * np.pi)
     angles = turn + 2 * np.pi * np.arange(count) / count
-    return [put(person(rng), x_m + 0.6 * np.cos(a), y_m + 0.6 * np.sin(a), a + np.pi) for a in angles.tolist()]
+    return [place_at(person(rng), x_m + 0.6 * np.cos(a), y_m + 0.6 * np.sin(a), a + np.pi) for a in angles.tolist()]
 
 
 def pole(height_m: float, radius_m: float = 0.07, material: str = "metal") -> Thing:

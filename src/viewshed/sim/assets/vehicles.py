@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,17 +12,39 @@ from viewshed.sim.assets.street import pick
 from viewshed.sim.world import Thing
 
 _ABSORBING = 0.05
+"""Share of vehicles whose paint returns no light."""
 
 _DARK = 0.22
+"""Share of vehicles in dark paint."""
 
 _SENSOR_CLEARANCE_M = 0.25
+"""A sensor stands at least so high above the roof of its car."""
 
 _ROOF_M = 0.08
+"""Thickness of a roof."""
+
+
+class _Car(NamedTuple):
+    """Least and greatest length, width and height in meters; the cabin's share of the length, and its middle."""
+
+    long_m: tuple[float, float]
+    wide_m: tuple[float, float]
+    tall_m: tuple[float, float]
+    cabin: tuple[float, float]
+
+
+_SEDAN = _Car((4.4, 5.0), (1.78, 1.92), (1.4, 1.5), (0.54, -0.05))
+_HATCHBACK = _Car((3.6, 4.4), (1.65, 1.82), (1.42, 1.56), (0.68, -0.14))
+_WAGON = _Car((4.5, 4.95), (1.78, 1.9), (1.45, 1.55), (0.7, -0.13))
+_OFF_ROADER = _Car((4.3, 5.0), (1.85, 2.0), (1.62, 1.85), (0.7, -0.12))
+_PICKUP = _Car((5.0, 5.3), (1.85, 1.98), (1.7, 1.85), (0.36, 0.03))
 
 
 def car(rng: np.random.Generator) -> Thing:
     """Return a sedan, hatchback, wagon, off-roader or pickup of 3.6 to 5.3 m; one in twenty returns no light."""
-    return pick(rng, (_sedan, _hatchback, _hatchback, _wagon, _off_roader, _pickup))(rng)
+    kind = pick(rng, (_SEDAN, _HATCHBACK, _HATCHBACK, _WAGON, _OFF_ROADER, _PICKUP))
+    long, wide, tall = (rng.uniform(*size) for size in (kind.long_m, kind.wide_m, kind.tall_m))
+    return Thing("car", _body(long, wide, tall, kind.cabin, _paint(rng)), tilts=True)
 
 
 def van(rng: np.random.Generator) -> Thing:
@@ -155,31 +178,6 @@ def _one_of(rng: np.random.Generator, table: tuple[tuple[float, Callable[[np.ran
 def _paint(rng: np.random.Generator) -> str:
     draw = rng.random()
     return "absorber" if draw < _ABSORBING else "dark_paint" if draw < _ABSORBING + _DARK else "paint"
-
-
-def _sedan(rng: np.random.Generator) -> Thing:
-    parts = _body(rng.uniform(4.4, 5.0), rng.uniform(1.78, 1.92), rng.uniform(1.4, 1.5), (0.54, -0.05), _paint(rng))
-    return Thing("car", parts, tilts=True)
-
-
-def _hatchback(rng: np.random.Generator) -> Thing:
-    parts = _body(rng.uniform(3.6, 4.4), rng.uniform(1.65, 1.82), rng.uniform(1.42, 1.56), (0.68, -0.14), _paint(rng))
-    return Thing("car", parts, tilts=True)
-
-
-def _wagon(rng: np.random.Generator) -> Thing:
-    parts = _body(rng.uniform(4.5, 4.95), rng.uniform(1.78, 1.9), rng.uniform(1.45, 1.55), (0.7, -0.13), _paint(rng))
-    return Thing("car", parts, tilts=True)
-
-
-def _off_roader(rng: np.random.Generator) -> Thing:
-    parts = _body(rng.uniform(4.3, 5.0), rng.uniform(1.85, 2.0), rng.uniform(1.62, 1.85), (0.7, -0.12), _paint(rng))
-    return Thing("car", parts, tilts=True)
-
-
-def _pickup(rng: np.random.Generator) -> Thing:
-    parts = _body(rng.uniform(5.0, 5.3), rng.uniform(1.85, 1.98), rng.uniform(1.7, 1.85), (0.36, 0.03), _paint(rng))
-    return Thing("car", parts, tilts=True)
 
 
 def _body(long: float, wide: float, tall: float, cabin: tuple[float, float], paint: str) -> tuple[Box, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.sim.assets.furniture import Group, legs, placed, slab
+from viewshed.sim.assets.furniture import Group, legs, place_group, slab
 from viewshed.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed.sim.world import Thing
 
@@ -201,7 +201,7 @@ def planter(rng: np.random.Generator) -> Group:
 
 def double_seats(rng: np.random.Generator) -> Group:
     """Return two rows of seats back to back."""
-    return (*placed(seats(rng), 0.32, 0.0), *placed(seats(rng), -0.32, 0.0, np.pi))
+    return (*place_group(seats(rng), 0.32, 0.0), *place_group(seats(rng), -0.32, 0.0, np.pi))
 
 
 def bistro(rng: np.random.Generator) -> Group:

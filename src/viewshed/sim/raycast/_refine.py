@@ -1,4 +1,4 @@
-"""The loops before and after the caster: beams in its order, and every stop again in double precision."""
+"""The loops before and after the caster: beams in its order, and every stop measured again in double precision."""
 
 from __future__ import annotations
 
@@ -7,78 +7,98 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from viewshed.sim.raycast._solids import DRAWS, mixed
-from viewshed.sim.raycast._windows import BLOCK
+from viewshed.sim.raycast._inputs import BLOCK, DRAWS
+from viewshed.sim.raycast._solids import mixed
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def beam_number(c: Any, k: Any, columns: Any) -> Any:  # pragma: no cover - compiled
+    """Return where the beam of column c and ring k is in the order of the caster: blocks of rings, then columns."""
+    return ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_beams(
-    still: Any, turns: Any, starts: Any, times: Any, turned: Any, beams: Any
+    still: Any, turns: Any, shifts: Any, rises: Any, times: Any, direction: Any, origin: Any, beams: Any
 ) -> None:  # pragma: no cover - compiled
     """Fill unit directions and starts (C, R, 3) in world axes, and the same beams in the order of the caster.
 
     Args:
         still: directions (C, R, 3) in the sensor's frame.
         turns: ``world_from_sensor`` rotations (C, 3, 3).
-        starts: shift of the column (C, 3), and height of ring k on the sensor's axis (R).
-        times: of the columns.
-        turned: directions and starts.
-        beams: x, y, z, rise and time in blocks of rings, a block column after column.
+        shifts: positions of the columns (C, 3) from the reference.
+        rises: heights (R,) of the starts of the rings on the sensor's axis.
+        times: (C,) of the columns.
+        direction: filled, (C, R, 3) float32.
+        origin: filled, (C, R, 3) float32.
+        beams: :class:`~viewshed.sim.raycast._inputs.Beams`, filled.
     """
-    (shifts, rises), (direction, origin) = starts, turned
-    bx, by, bz, rise_of, time_of = beams
     columns, rings = still.shape[0], still.shape[1]
     for c in range(columns):
         xx, xy, xz = turns[c, 0, 0], turns[c, 0, 1], turns[c, 0, 2]
         yx, yy, yz = turns[c, 1, 0], turns[c, 1, 1], turns[c, 1, 2]
         zx, zy, zz = turns[c, 2, 0], turns[c, 2, 1], turns[c, 2, 2]
         for k in range(rings):
-            i = ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
+            i = beam_number(c, k, columns)
             x, y, z, rise = still[c, k, 0], still[c, k, 1], still[c, k, 2], rises[k]
-            bx[i], by[i], bz[i] = xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
-            rise_of[i], time_of[i] = rise, times[c]
-            direction[c, k, 0], direction[c, k, 1], direction[c, k, 2] = bx[i], by[i], bz[i]
+            beams.x[i] = xx * x + xy * y + xz * z
+            beams.y[i] = yx * x + yy * y + yz * z
+            beams.z[i] = zx * x + zy * y + zz * z
+            beams.rise[i], beams.time[i] = rise, times[c]
+            direction[c, k, 0], direction[c, k, 1], direction[c, k, 2] = beams.x[i], beams.y[i], beams.z[i]
             origin[c, k, 0] = shifts[c, 0] + xz * rise
             origin[c, k, 1] = shifts[c, 1] + yz * rise
             origin[c, k, 2] = shifts[c, 2] + zz * rise
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_stops(beams: Any, times: Any, solids: Any, ground: Any, best: Any, out: Any) -> None:  # pragma: no cover
+def measure_stops(
+    origin: Any,
+    direction: Any,
+    times: Any,
+    solids: Any,
+    ground: Any,
+    draws: Any,
+    max_range_m: Any,
+    nearest: Any,
+    depth: Any,
+    thing: Any,
+    material: Any,
+    cosine: Any,
+) -> None:  # pragma: no cover - compiled
     """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
 
-    ``beams`` are starts and directions (C, R, 3); ``ground`` is the lattice (x, y, z from the sensor), materials of the
-    quads, free paths and maximum range.
+    Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of
+    :mod:`viewshed.sim.raycast._inputs`, the free paths (DRAWS,), and the range from which nothing is met.
     """
-    boxes, kinds, per_m, salts, things, materials = solids
-    (xs, ys, zs), quad_material, draws, max_range = ground
-    (origin, direction), (depth32, winner), (depth, thing, material, cosine) = beams, best, out
-    planes, local, count, deep = _planes(xs, ys, zs), np.empty(6), boxes.shape[0], quad_material.shape[1]
+    planes, local, count, deep = _planes(ground), np.empty(6), solids.boxes.shape[0], ground.material.shape[1]
     for c in range(depth.shape[0]):
         for k in range(depth.shape[1]):
-            i = ((k // BLOCK) * depth.shape[0] + c) * BLOCK + k % BLOCK
-            s = winner[i]
+            i = beam_number(c, k, depth.shape[0])
+            s = nearest.winner[i]
             beam = (origin[c, k, 0], origin[c, k, 1], origin[c, k, 2],
                     direction[c, k, 0], direction[c, k, 1], direction[c, k, 2])  # fmt: skip
             t, cos, met, made_of = np.inf, 0.0, -2, 0
-            if s >= count:
+            if s >= count:  # a triangle of the ground
                 t, cos = _on_ground(beam, planes, s - count)
-                met, made_of = -1, quad_material[(s - count) // 2 // deep, (s - count) // 2 % deep]
+                met, made_of = -1, ground.material[(s - count) // 2 // deep, (s - count) // 2 % deep]
             elif s >= 0:
-                _into(beam, boxes, s, times[c], local)
-                t, cos = _enter(local, boxes, s, kinds[s], float(depth32[i]))
-                if not np.isinf(per_m[s]):
-                    path = float(draws[mixed(np.uint32(i), salts[s]) & np.uint32(DRAWS - 1)]) / per_m[s]
-                    t, cos = max(t, 0.0) + path, 1.0
-                met, made_of = things[s], materials[s]
-            if t > max_range:
+                _into(beam, solids.boxes, s, times[c], local)
+                t, cos = _enter(local, solids.boxes, s, solids.kinds[s], float(nearest.depth[i]))
+                # Into a volume the beam goes on for the free path that the caster drew for it.
+                if not np.isinf(solids.per_m[s]):
+                    ticket = mixed(np.uint32(i), solids.salts[s]) & np.uint32(DRAWS - 1)
+                    t, cos = max(t, 0.0) + float(draws[ticket]) / solids.per_m[s], 1.0
+                met, made_of = solids.things[s], solids.materials[s]
+            if t > max_range_m:
                 t, cos, met, made_of = np.inf, 0.0, -2, 0
             depth[c, k], cosine[c, k], thing[c, k], material[c, k] = t, cos, met, made_of
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _planes(xs: Any, ys: Any, zs: Any) -> Any:  # pragma: no cover - compiled
+def _planes(ground: Any) -> Any:  # pragma: no cover - compiled
     """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
+    xs, ys, zs = ground.x, ground.y, ground.z
     planes = np.empty((2 * (xs.shape[0] - 1) * (ys.shape[0] - 1), 4))
     row = 0
     for i in range(xs.shape[0] - 1):
@@ -98,6 +118,7 @@ def _planes(xs: Any, ys: Any, zs: Any) -> Any:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _on_ground(beam: Any, planes: Any, row: Any) -> Any:  # pragma: no cover - compiled
+    """Return depth and cosine of incidence of a beam (start and direction) on the plane of a triangle."""
     a, b = planes[row, 0], planes[row, 1]
     fall = a * beam[3] + b * beam[4] - beam[5]
     return (beam[2] - a * beam[0] - b * beam[1] - planes[row, 2]) / fall, abs(fall) * planes[row, 3]
@@ -119,6 +140,7 @@ def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragm
     """Depth at which the beam enters the solid, and its cosine there; ``t32`` where rounding makes it miss."""
     if kind == 0:
         return _enter_box(local, boxes, s, t32)
+    # Roots of a t² + 2 b t + c = 0, the quadric with half sizes 1; a cylinder leaves z out.
     a, b, c, cos = 0.0, 0.0, -1.0, 0.0
     for k in range(2 if kind == 1 else 3):
         o, d = local[k] / boxes[s, 4, k], local[3 + k] / boxes[s, 4, k]
@@ -127,10 +149,12 @@ def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragm
     t = t32 if kind == 2 or root2 < 0.0 else -np.inf  # along a cylinder's axis its end decides
     if root2 >= 0.0 and a > 0.0:
         t = (-b - np.sqrt(root2)) / a
+    # A cylinder's end, where it is met after the side's surface goes on beyond it.
     if kind == 1 and local[5] != 0.0:
         cap = (-local[2] - np.copysign(boxes[s, 4, 2], local[5])) / local[5]
         if cap > t:
             return cap, abs(local[5])
+    # The normal is the gradient of the quadric.
     length2 = 0.0
     for k in range(2 if kind == 1 else 3):
         normal = (local[k] + t * local[3 + k]) / (boxes[s, 4, k] * boxes[s, 4, k])
@@ -140,6 +164,7 @@ def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragm
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _enter_box(local: Any, boxes: Any, s: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+    """The side that the beam enters last is the one it meets (slabs)."""
     near, cos = -np.inf, 1.0
     for k in range(3):
         if local[3 + k] != 0.0:

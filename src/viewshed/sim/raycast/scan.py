@@ -1,4 +1,4 @@
-"""Scan: what every beam of one revolution met, without noise. Truth and measurement both start here."""
+"""ExactScan: what every beam of one revolution met, without noise. Truth and measurement both start here."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STILL = Motion()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scan:
+class ExactScan:
     """What every beam met. C columns in firing order, R rings from the lowest up; directions are in world axes.
 
     Attributes:

@@ -17,8 +17,8 @@ from viewshed.sim.assets.street import (
     guard_rail,
     lamp_post,
     pick,
+    place_at,
     pole,
-    put,
     sign,
     sound_wall,
     tree,
@@ -82,7 +82,7 @@ class Route:
     def put(self, thing: Thing, x_m: float, across_m: float, turn: float = 0.0) -> Thing:
         """Return the thing beside the axis at ``x_m``, turned from its heading."""
         x, y, yaw = self.at(x_m, across_m)
-        return put(thing, x, y, yaw + turn)
+        return place_at(thing, x, y, yaw + turn)
 
     def lane(self, number: int, back: bool) -> Lane:
         """Return lane ``number`` from the median; its meter 0 is at x = 0."""
@@ -105,8 +105,8 @@ def highway(rng: np.random.Generator, plan: AgentPlan) -> World:
     masts = _masts(rng, plan.roadside, route)
     moving = _traffic(rng, plan, route, (roam, speed))
     still = [*_median(rng, route, half), *_overhead(rng, route), *_works(rng, route)]
-    for way in (-1, 1):
-        still += _roadside(rng, route, half, way, masts)
+    for side in (-1, 1):
+        still += _roadside(rng, route, half, side, masts)
     return assembled("highway", _terrain(relief(rng, 0.04), route, half), plan, Contents(still, moving, masts))
 
 
@@ -148,12 +148,12 @@ def _traffic(rng: np.random.Generator, plan: AgentPlan, route: Route, pace: tupl
 
 
 def _masts(rng: np.random.Generator, count: int, route: Route) -> list[Mast]:
-    found = []
+    masts_placed = []
     for k in range(count):
-        way, along = pick(rng, (-1, 1)), (k + 0.5 - count / 2) * 80.0 / count + rng.uniform(-5, 5)
-        x, y, _ = route.at(along, way * (route.edge_m + 2.2))
-        found.append(mast(rng, x, y, route.at(along + rng.uniform(-20, 20), 0.0)[:2]))
-    return found
+        side, along = pick(rng, (-1, 1)), (k + 0.5 - count / 2) * 80.0 / count + rng.uniform(-5, 5)
+        x, y, _ = route.at(along, side * (route.edge_m + 2.2))
+        masts_placed.append(mast(rng, x, y, route.at(along + rng.uniform(-20, 20), 0.0)[:2]))
+    return masts_placed
 
 
 def _median(rng: np.random.Generator, route: Route, half_m: float) -> list[Thing]:
@@ -191,23 +191,23 @@ def _works(rng: np.random.Generator, route: Route) -> list[Thing]:
     return [route.put(van(rng), x, across), barrier, *cones]
 
 
-def _roadside(rng: np.random.Generator, route: Route, half_m: float, way: int, masts: list[Mast]) -> list[Thing]:
+def _roadside(rng: np.random.Generator, route: Route, half_m: float, side: int, masts: list[Mast]) -> list[Thing]:
     """Return what lines one side: posts, rails along a part, a sound wall along a part, signs, then woods."""
     edge, step = route.edge_m, 16.0
-    places = np.arange(-half_m + step / 2, half_m, step)
-    things = [route.put(pole(1.0, 0.06, "sign"), x, way * (edge + 0.1)) for x in (places[1::3] + step / 2).tolist()]
-    rail = np.abs(places - rng.uniform(-half_m, half_m)) < rng.uniform(40, 160)
-    things += [route.put(guard_rail(step - 0.05), x, way * (edge + 0.4)) for x in places[rail].tolist()]
+    positions = np.arange(-half_m + step / 2, half_m, step)
+    things = [route.put(pole(1.0, 0.06, "sign"), x, side * (edge + 0.1)) for x in (positions[1::3] + step / 2).tolist()]
+    rail = np.abs(positions - rng.uniform(-half_m, half_m)) < rng.uniform(40, 160)
+    things += [route.put(guard_rail(step - 0.05), x, side * (edge + 0.4)) for x in positions[rail].tolist()]
     for x in rng.uniform(-half_m, half_m, int(rng.integers(1, 4))).tolist():
         if all(abs(post.x_m - x) > 2.0 for post in masts) and not 70.0 < abs(x) < 100.0:
-            things.append(route.put(sign(rng), x, way * (edge + 1.7), 0.0 if way < 0 else np.pi))
-    walled = np.abs(places - rng.uniform(-half_m, half_m)) < (rng.uniform(60, 200) if rng.random() < 0.4 else 0.0)
+            things.append(route.put(sign(rng), x, side * (edge + 1.7), 0.0 if side < 0 else np.pi))
+    walled = np.abs(positions - rng.uniform(-half_m, half_m)) < (rng.uniform(60, 200) if rng.random() < 0.4 else 0.0)
     high = rng.uniform(2.5, 5.0)
-    things += [route.put(sound_wall(step, high), x, way * (edge + 4.2)) for x in places[walled].tolist()]
-    return things + _woods(rng, route, half_m, way)
+    things += [route.put(sound_wall(step, high), x, side * (edge + 4.2)) for x in positions[walled].tolist()]
+    return things + _woods(rng, route, half_m, side)
 
 
-def _woods(rng: np.random.Generator, route: Route, half_m: float, way: int) -> list[Thing]:
+def _woods(rng: np.random.Generator, route: Route, half_m: float, side: int) -> list[Thing]:
     """Return trees and bushes in two loose rows beyond the embankment, none where they would meet a bridge."""
     things, sparse = [], half_m / 110.0
     start = route.edge_m + route.slope_m + 3.0
@@ -215,5 +215,5 @@ def _woods(rng: np.random.Generator, route: Route, half_m: float, way: int) -> l
         for x in spots(rng, (-half_m, half_m), 5.0, (0.5, 26.0 * sparse), [(-100.0, -70.0), (70.0, 100.0)]):
             maker = rng.random()
             thing = tree(rng, 1.8, 5.0) if maker < share else conifer(rng) if maker < 0.8 else bush(rng, 2.4)
-            things.append(route.put(thing, x, way * (start + row + rng.uniform(0.0, 4.0))))
+            things.append(route.put(thing, x, side * (start + row + rng.uniform(0.0, 4.0))))
     return things

@@ -10,7 +10,7 @@ import numpy as np
 from viewshed.sim.assets.street import person, pick, traffic_light
 from viewshed.sim.assets.vehicles import street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, side
+from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side
 from viewshed.sim.worlds.layout import Contents, Mast, Span, assembled, carriers, mast
 from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, right_turn, straight_lane
@@ -40,9 +40,9 @@ class Street:
     yaw: float
     free: bool
 
-    def lane(self, way: int, number: int) -> Lane:
+    def lane(self, direction: int, number: int) -> Lane:
         """Return lane ``number`` from the axis, one way (0) or the other (1); meter 0 is on the other street's axis."""
-        yaw, across = self.yaw + way * np.pi, (number + 0.5) * self.wide_m
+        yaw, across = self.yaw + direction * np.pi, (number + 0.5) * self.wide_m
         return straight_lane(float(across * np.sin(yaw)), float(-across * np.cos(yaw)), yaw)
 
 
@@ -52,7 +52,7 @@ def junction(rng: np.random.Generator, plan: AgentPlan) -> World:
     streets = [_street(rng, yaw, curb, k == free) for k, yaw in enumerate((0.0, np.pi / 2))]
     ground = Ground(relief(rng), streets[0].road, streets[1].road, 0.0, pick(rng, ("concrete", "grass")))
     masts = _masts(rng, plan.roadside, streets)
-    sides = [_side(rng, one, way) for one in streets for way in (0, 1)]
+    sides = [_side(rng, one, direction) for one in streets for direction in (0, 1)]
     still = [
         thing for k, one in enumerate(sides) for thing in _lined(rng, one, streets[1 - k // 2].road, k // 2, masts)
     ]
@@ -60,9 +60,9 @@ def junction(rng: np.random.Generator, plan: AgentPlan) -> World:
     moving: list[Rider] = []
     for one, other in (streets, streets[::-1]):
         still += _lights(rng, one, other)
-        for way in (0, 1):
+        for direction in (0, 1):
             seats = [dealt.pop() for _ in range(one.lanes)]
-            moving += _one_way(rng, one, other, way, seats, plan.duration_s)
+            moving += _one_way(rng, one, other, direction, seats, plan.duration_s)
     terrain = ground.terrain(_HALF_M, _HALF_M, 11.0)
     return assembled("junction", terrain, plan, Contents(still, moving, masts))
 
@@ -73,8 +73,8 @@ def _street(rng: np.random.Generator, yaw: float, curb_m: float, free: bool) -> 
     return Street(road, lanes, wide, yaw, free)
 
 
-def _side(rng: np.random.Generator, street: Street, way: int) -> Side:
-    one = side(rng, street.yaw + way * np.pi, street.road, rng.random() < 0.8)
+def _side(rng: np.random.Generator, street: Street, direction: int) -> Side:
+    one = random_side(rng, street.yaw + direction * np.pi, street.road, rng.random() < 0.8)
     gap = one.furniture_gap_m[0] + 2.5
     return replace(one, detail_m=42.0, furniture_gap_m=(gap, 2.5 * gap), parked=0.8 * one.parked)
 
@@ -100,27 +100,27 @@ def _shortened(span: Span, start_m: float) -> Span:
 def _masts(rng: np.random.Generator, count: int, streets: Sequence[Street]) -> list[Mast]:
     """Return masts at the corners and, from the fifth on, along the first street."""
     x, y = streets[1].road.half_m + 0.8, streets[0].road.half_m + 0.8
-    places = [(x, y), (-x, -y), (-x, y), (x, -y)]
-    places += [(way * rng.uniform(32.0, 44.0), way * (y - 0.25)) for way in (1, -1)]
+    positions = [(x, y), (-x, -y), (-x, y), (x, -y)]
+    positions += [(direction * rng.uniform(32.0, 44.0), direction * (y - 0.25)) for direction in (1, -1)]
     turn = int(rng.integers(4))
-    places = [places[(k + turn) % 4] for k in range(4)] + places[4:]
-    extra = [(60.0 + 9.0 * k, y - 0.25) for k in range(max(0, count - len(places)))]
-    return [mast(rng, *place, (rng.uniform(-6, 6), rng.uniform(-6, 6))) for place in (places + extra)[:count]]
+    positions = [positions[(k + turn) % 4] for k in range(4)] + positions[4:]
+    extra = [(60.0 + 9.0 * k, y - 0.25) for k in range(max(0, count - len(positions)))]
+    return [mast(rng, *position, (rng.uniform(-6, 6), rng.uniform(-6, 6))) for position in (positions + extra)[:count]]
 
 
 def _lights(rng: np.random.Generator, one: Street, other: Street) -> list[Thing]:
     """Return a signal at the right of either stop line; on wide streets a second one hangs over the lanes."""
     at, reach = other.road.half_m + _CROSSWALK_M - 0.6, 4.5 if one.lanes > 1 and rng.random() < 0.6 else 0.0
-    sides = [Side(one.yaw + way * np.pi, one.road, 0.0, 0.0, 0.0, 0.0, (1.0, 1.0)) for way in (0, 1)]
+    sides = [Side(one.yaw + direction * np.pi, one.road, 0.0, 0.0, 0.0, 0.0, (1.0, 1.0)) for direction in (0, 1)]
     turn = -np.pi / 2
-    return [where.put(traffic_light(rng, reach), at, one.road.half_m + 0.4, turn) for where in sides]
+    return [side.put(traffic_light(rng, reach), at, one.road.half_m + 0.4, turn) for side in sides]
 
 
 def _one_way(
     rng: np.random.Generator,
     one: Street,
     other: Street,
-    way: int,
+    direction: int,
     seats: list[list[tuple[Thing, float]]],
     last_s: float,
 ) -> list[Rider]:
@@ -131,11 +131,11 @@ def _one_way(
         speed = float(min(rng.uniform(5.5, 12.0), max(3.0, rng.uniform(0.9, 1.6) * 2 * _ROAM_M / last_s)))
         stream = Stream(_HALF_M, _ROAM_M, speed, (6.0, rng.uniform(18.0, 45.0)), stop, other.road.half_m + 1.0)
         drivers = filled(rng, stream, street_vehicle, mine, last_s)
-        lane = one.lane(way, number)
+        lane = one.lane(direction, number)
         if one.free and number == one.lanes - 1:
             drivers, turned = _turning(rng, drivers, lane, (one, other))
         riders += flow(lane, drivers, last_s)
-    return riders + _walkers(rng, one, other, way, turned, last_s)
+    return riders + _walkers(rng, one, other, direction, turned, last_s)
 
 
 def _turning(
@@ -174,14 +174,14 @@ def _turn_radius(streets: tuple[Street, Street]) -> float:
 
 
 def _walkers(
-    rng: np.random.Generator, one: Street, other: Street, way: int, turned: bool, last_s: float
+    rng: np.random.Generator, one: Street, other: Street, direction: int, turned: bool, last_s: float
 ) -> list[Rider]:
     """Return pedestrians on the right-hand sidewalk: they cross the other street if this one has way, or wait."""
-    yaw, across = one.yaw + way * np.pi, one.road.edge_m - 0.5
+    yaw, across = one.yaw + direction * np.pi, one.road.edge_m - 0.5
     start = -other.road.edge_m - 0.6 if turned or not one.free else 45.0
     if not one.free and rng.random() < 0.3:
         return []
-    places = sorted(rng.uniform(-60.0, start, int(rng.integers(1, 5))).tolist(), reverse=True)
+    positions = sorted(rng.uniform(-60.0, start, int(rng.integers(1, 5))).tolist(), reverse=True)
     hold = float("inf") if start > 0 else start
     lane, pace = straight_lane(float(across * np.sin(yaw)), float(-across * np.cos(yaw)), yaw), rng.uniform(1.0, 1.6)
-    return flow(lane, [Driver(person(rng, walking=True), at, pace, hold) for at in places], last_s)
+    return flow(lane, [Driver(person(rng, walking=True), at, pace, hold) for at in positions], last_s)

@@ -9,7 +9,7 @@ import numpy as np
 
 from viewshed.geometry import Rigid
 from viewshed.sim.assets.shapes import Cylinder
-from viewshed.sim.assets.street import put
+from viewshed.sim.assets.street import place_at
 from viewshed.sim.assets.vehicles import sensor_car
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
@@ -41,12 +41,12 @@ def spots(
 
 def plots(rng: np.random.Generator, span_m: Span, length_m: Span, gap_m: float, gap_share: float) -> list[Span]:
     """Return middle and length in meters of plots along a strip; after some of them, a gap of about ``gap_m``."""
-    at, found = span_m[0], []
+    at, lots = span_m[0], []
     while at < span_m[1] - length_m[0]:
         length = min(rng.uniform(*length_m), span_m[1] - at)
-        found.append((at + length / 2, length))
+        lots.append((at + length / 2, length))
         at += length + (gap_m * rng.uniform(0.6, 1.4) if rng.random() < gap_share else 0.0)
-    return found
+    return lots
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Mast:
         """The pole that carries it, 0.5 m behind it and a little taller."""
         back_x, back_y = self.x_m - 0.5 * np.cos(self.yaw), self.y_m - 0.5 * np.sin(self.yaw)
         thing = Thing("mast", (Cylinder(0.0, 0.0, 0.07, self.height_m + 0.3, material="metal"),))
-        return put(thing, float(back_x), float(back_y), self.yaw)
+        return place_at(thing, float(back_x), float(back_y), self.yaw)
 
     def pose(self, terrain: Terrain) -> Rigid:
         """Return ``world_from_sensor``."""
@@ -137,12 +137,12 @@ def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents) 
 def _nearest(contents: Contents, duration_s: float) -> list[tuple[Thing, float | None]]:
     """Return the agents' vehicles and those that come nearest to a sensor, as many as may move."""
     times = (0.0, duration_s / 2, duration_s)
-    places = np.array([[one.place(t)[:2] for t in times] for one, _ in contents.moving]).reshape(-1, 3, 2)
+    positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in contents.moving]).reshape(-1, 3, 2)
     ridden = np.array([ahead is not None for _, ahead in contents.moving], bool)
     rests = np.array([one.track is None for one, _ in contents.moving], bool)
     posts = np.array([[(post.x_m, post.y_m)] * 3 for post in contents.masts]).reshape(-1, 3, 2)
-    eyes = np.concatenate([places[ridden], posts])
-    gaps = np.hypot(*np.moveaxis(places[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
+    eyes = np.concatenate([positions[ridden], posts])
+    gaps = np.hypot(*np.moveaxis(positions[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
     order = np.argsort(np.where(ridden | rests, -1.0, gaps), kind="stable")
     kept = set(order[: MOST_MOVING + int((rests & ~ridden).sum())].tolist())
     return [rider for k, rider in enumerate(contents.moving) if k in kept]

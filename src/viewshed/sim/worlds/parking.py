@@ -21,8 +21,8 @@ from viewshed.sim.assets.street import (
     lamp_post,
     person,
     pick,
+    place_at,
     pole,
-    put,
     tree,
     wall,
 )
@@ -117,12 +117,12 @@ def _terrain(rng: np.random.Generator, lot: Lot) -> Terrain:
 
 
 def _masts(rng: np.random.Generator, count: int, lot: Lot) -> list[Mast]:
-    found = []
+    masts_placed = []
     for k in range(count):
         x = (k + 0.5 - count / 2) * 1.6 * lot.half_x_m / count + rng.uniform(-2, 2)
         y = pick(rng, lot.rows_m)
-        found.append(mast(rng, x, y, (rng.uniform(-10, 10), y + pick(rng, (-15, 15)))))
-    return found
+        masts_placed.append(mast(rng, x, y, (rng.uniform(-10, 10), y + pick(rng, (-15, 15)))))
+    return masts_placed
 
 
 def _row(rng: np.random.Generator, lot: Lot, y_m: float, masts: list[Mast]) -> list[Thing]:
@@ -135,10 +135,10 @@ def _row(rng: np.random.Generator, lot: Lot, y_m: float, masts: list[Mast]) -> l
         for k in range(bays):
             x = (k + 0.5 - bays / 2) * _BAY_M
             if k == trolleys:
-                things.append(put(bus_shelter(), x, across, np.pi / 2))
+                things.append(place_at(bus_shelter(), x, across, np.pi / 2))
             elif rng.random() < fill and k != trolleys + 1 and k != trolleys - 1:
                 turn = pick(rng, (-1, 1)) * np.pi / 2 + rng.normal(0, 0.025)
-                things.append(put(car(rng), x + rng.uniform(-0.12, 0.12), across + rng.uniform(-0.1, 0.05), turn))
+                things.append(place_at(car(rng), x + rng.uniform(-0.12, 0.12), across + rng.uniform(-0.1, 0.05), turn))
     closed = [(post.x_m - 3.4, post.x_m + 3.4) for post in masts if abs(post.y_m - y_m) < 1.0]
     return things + (_roof(lot, y_m) if rng.random() < 0.2 and not closed else _island(rng, lot, y_m, closed))
 
@@ -149,11 +149,11 @@ def _island(rng: np.random.Generator, lot: Lot, y_m: float, closed: list[tuple[f
     for x in spots(rng, (1.0 - lot.half_x_m, lot.half_x_m - 1.0), 1.0, (2.0, 9.0), closed):
         draw = rng.random()
         if draw < 0.3:
-            things.append(put(lamp_post(rng, 1.5), x, y_m, pick(rng, (-1, 1)) * np.pi / 2))
+            things.append(place_at(lamp_post(rng, 1.5), x, y_m, pick(rng, (-1, 1)) * np.pi / 2))
         elif draw < 0.3 + 0.4 * green:
-            things.append(put(tree(rng, 2.4, 4.5), x, y_m))
+            things.append(place_at(tree(rng, 2.4, 4.5), x, y_m))
         else:
-            things.append(put(bush(rng, 0.9) if draw < 0.9 else pole(1.2, 0.08), x, y_m))
+            things.append(place_at(bush(rng, 0.9) if draw < 0.9 else pole(1.2, 0.08), x, y_m))
     return things
 
 
@@ -162,7 +162,7 @@ def _roof(lot: Lot, y_m: float) -> list[Thing]:
     high, long = 2.9, 2 * lot.half_x_m - 4.0
     deck = Box(0.0, 0.0, long, 2 * _DEEP_M + lot.island_m, high + 0.25, high, 0.0, "metal")
     posts = tuple(Box(x, 0.0, 0.25, 0.25, high) for x in np.linspace(-0.48, 0.48, 8) * long)
-    return [put(Thing("roof", (deck, *posts)), 0.0, y_m)]
+    return [place_at(Thing("roof", (deck, *posts)), 0.0, y_m)]
 
 
 def _market(rng: np.random.Generator, lot: Lot) -> list[Thing]:
@@ -170,15 +170,15 @@ def _market(rng: np.random.Generator, lot: Lot) -> list[Thing]:
     y = lot.half_y_m
     long = rng.uniform(0.9, 1.7) * lot.half_x_m
     at = rng.uniform(-0.3, 0.3) * lot.half_x_m
-    things = [put(glass_hall(rng, long, rng.uniform(18, 30)), at, y + 8.5)]
+    things = [place_at(glass_hall(rng, long, rng.uniform(18, 30)), at, y + 8.5)]
     for x in spots(rng, (at - long / 2, at + long / 2), 2.0, (3.0, 15.0)):
         draw = rng.random()
         if draw < 0.3:
             things += group(rng, x, y + 2.0)
         else:
-            things.append(put(cabinet(rng) if draw < 0.5 else bin_(rng) if draw < 0.8 else pole(1.0), x, y + 1.0))
+            things.append(place_at(cabinet(rng) if draw < 0.5 else bin_(rng) if draw < 0.8 else pole(1.0), x, y + 1.0))
     if rng.random() < 0.6:
-        things.append(put(kiosk(rng), at - long / 2 - 5.0, y + 3.0))
+        things.append(place_at(kiosk(rng), at - long / 2 - 5.0, y + 3.0))
     return things
 
 
@@ -192,15 +192,15 @@ def _rim(rng: np.random.Generator, lot: Lot) -> list[Thing]:
         for u in spots(rng, (-half + 1, half - 1), 8.0, (0.0, 0.1), [(-3.5, 3.5)]):
             if kind < 3:
                 thing = (hedge(rng, 7.9, high), fence(7.9, high), wall(7.9, min(high, 1.2)))[kind]
-                things.append(put(thing, c * u - s * out, s * u + c * out, yaw))
+                things.append(place_at(thing, c * u - s * out, s * u + c * out, yaw))
         for u in spots(rng, (-half, half), 3.0, (1.0, 14.0)):
             v = out + 4.0 + rng.uniform(0, 3)
             things.append(
-                put(conifer(rng) if rng.random() < 0.25 else tree(rng, 2.0, 5.0), c * u - s * v, s * u + c * v)
+                place_at(conifer(rng) if rng.random() < 0.25 else tree(rng, 2.0, 5.0), c * u - s * v, s * u + c * v)
             )
         for u, length in plots(rng, (-half, half), (12.0, 26.0), 9.0, 0.6):
             v = out + 13.0
-            things.append(put(town_house(rng, length, 11.0, True), c * u - s * v, s * u + c * v, yaw))
+            things.append(place_at(town_house(rng, length, 11.0, True), c * u - s * v, s * u + c * v, yaw))
     return things
 
 

@@ -38,11 +38,11 @@ def _side(rng: np.random.Generator, yaw: float, road: Road) -> Side:
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
-    found = []
+    masts_placed = []
     for k in range(count):
-        x, way = (k + 0.5 - count / 2) * 80.0 / count + rng.uniform(-5, 5), pick(rng, (-1, 1))
-        found.append(mast(rng, x, way * (road.half_m + 0.55), (x + rng.uniform(-15, 15), -way)))
-    return found
+        x, side = (k + 0.5 - count / 2) * 80.0 / count + rng.uniform(-5, 5), pick(rng, (-1, 1))
+        masts_placed.append(mast(rng, x, side * (road.half_m + 0.55), (x + rng.uniform(-15, 15), -side)))
+    return masts_placed
 
 
 def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...]) -> list[Thing]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.sim.assets.street import cone, put, work_barrier
+from viewshed.sim.assets.street import cone, place_at, work_barrier
 from viewshed.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
-from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, side, walkers
+from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast
 from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
@@ -22,7 +22,7 @@ def street(rng: np.random.Generator, plan: AgentPlan) -> World:
     road = Road(half, rng.uniform(2.1, 4.8), rng.uniform(0.1, 0.15))
     bumps = (rng.uniform(-40, 40),) if lanes == 1 and rng.random() < 0.3 else ()
     ground = Ground(relief(rng), road, None, rng.uniform(0.0, 0.05), "concrete", bumps)
-    sides = [side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
+    sides = [random_side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
     masts = _masts(rng, plan.roadside, road)
     still = [thing for one in sides for thing in _lined(rng, one, masts, bumps)]
     moving = _traffic(rng, plan, lanes, wide)
@@ -35,12 +35,12 @@ def street(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
-    found = []
+    masts_placed = []
     for k in range(count):
         x = (k + 0.5 - count / 2) * 80.0 / max(count, 1) + rng.uniform(-5, 5)
-        way = -1 if (k + rng.integers(2)) % 2 else 1
-        found.append(mast(rng, x, way * (road.half_m + 0.55), (x + rng.uniform(-15, 15), -way * 2.0)))
-    return found
+        side = -1 if (k + rng.integers(2)) % 2 else 1
+        masts_placed.append(mast(rng, x, side * (road.half_m + 0.55), (x + rng.uniform(-15, 15), -side * 2.0)))
+    return masts_placed
 
 
 def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...]) -> list[Thing]:
@@ -84,6 +84,6 @@ def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> lis
 def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
     """Return a construction site where else vehicles would park: barriers around it and cones before it."""
     x, y = rng.uniform(-40, 40), half_m - 1.1
-    rows = [put(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
-    ends = [put(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
-    return [*rows, *ends, *(put(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]
+    rows = [place_at(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
+    ends = [place_at(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
+    return [*rows, *ends, *(place_at(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]

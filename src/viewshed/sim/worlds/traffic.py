@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.assets.street import drive, extent, put
+from viewshed.sim.assets.street import drive, extent, place_at
 from viewshed.sim.world import Thing, Track
 
 Array = NDArray[np.float64]
@@ -132,7 +132,7 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
         path = np.minimum(free, delayed - gap)
         track = _track(driver.lane or lane, wanted, _smooth(path)[keep])
         stands = float(np.ptp(track.xy_m, axis=0).max()) < 0.02
-        thing = put(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
+        thing = place_at(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
         riders.append((thing, driver.sensor_ahead_m))
         ahead, rear_m = path, -rear
     return riders
@@ -180,11 +180,11 @@ def filled(
     apart = 8.0 + _REACTION_S * stream.speed_mps
     steps = [min(apart + rng.uniform(0.0, 16.0), room / len(carriers)) for _ in carriers[1:]]
     lead = rng.uniform(-stream.roam_m + sum(steps), max(end - travel, -stream.roam_m + sum(steps)))
-    places = lead - np.concatenate([[0.0], np.cumsum(steps)])
+    positions = lead - np.concatenate([[0.0], np.cumsum(steps)])
     agents = [Driver(thing, float(at), stream.speed_mps, end, None, ahead)
-              for (thing, ahead), at in zip(carriers, places, strict=True)]  # fmt: skip
+              for (thing, ahead), at in zip(carriers, positions, strict=True)]  # fmt: skip
     before = _others(rng, stream, maker, (lead + apart, stream.reach_m))
-    return [*before, *agents, *_others(rng, stream, maker, (entry, float(places[-1]) - apart))]
+    return [*before, *agents, *_others(rng, stream, maker, (entry, float(positions[-1]) - apart))]
 
 
 def _others(rng: np.random.Generator, stream: Stream, maker: Maker, span_m: tuple[float, float]) -> list[Driver]:

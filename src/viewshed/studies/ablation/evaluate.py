@@ -32,7 +32,7 @@ from viewshed.studies.suite import EstimatorSuite
 from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import ROAD_EXTENT_M, BlackBox, Knowledge, OverClaim
 from viewshed.threats.attacks.base import Wedge
-from viewshed.training.samples import Struck
+from viewshed.training.samples import AttackedSweep
 
 CLEAR = "clear of the threshold"
 """Cells whose true number of returns is more than ``MARGIN`` from that from which on a target is visible."""
@@ -102,22 +102,22 @@ class PriorSweeps:
         return len(self.sweeps) == HISTORY_SWEEPS
 
     def histories(
-        self, leveled: LeveledSweep, struck: Struck | None, rng: np.random.Generator
+        self, leveled: LeveledSweep, attacked: AttackedSweep | None, rng: np.random.Generator
     ) -> dict[str, History | None]:
         """Return the histories of a sweep: none, honest, and where it was attacked also as if the attack had lasted.
 
         Args:
             leveled: the sweep.
-            struck: the attack on it; None where its rings were taken, then earlier sweeps have none either.
+            attacked: the attack on it; None where its rings were taken, then earlier sweeps have none either.
             rng: for the attacks on the earlier sweeps.
         """
-        if struck is None:
+        if attacked is None:
             bare = [level(unorganized_no_sensor(sweep), self.grid) for sweep in self.sweeps]
             return {ALONE: None, HONEST: History.of(leveled, bare)}
         honest = {ALONE: None, HONEST: History.of(leveled, self.levels)}
-        if struck.attack is None:
+        if attacked.attack is None:
             return honest
-        before = struck.before(self.sweeps, rng)
+        before = attacked.attack_history(self.sweeps, rng)
         return honest | {ATTACKED: History.of(leveled, [level(sweep, self.grid) for sweep in before])}
 
 
@@ -189,9 +189,9 @@ def evaluate_sample(
             continue
         leveled, histories = level(tampered.sweep, grid), dict[str, History | None]()
         if earlier is not None and earlier.complete:
-            struck = None if case == BARE else _struck(evaluation, case, tampered.sweep, tampered.wedge)
+            attacked = None if case == BARE else _attacked(evaluation, case, tampered.sweep, tampered.wedge)
             rng = generator(seed, "past", str(evaluation.number), case.name)
-            histories = earlier.histories(leveled, struck, rng)
+            histories = earlier.histories(leveled, attacked, rng)
         alone = evaluation.suite.estimates(leveled).items()
         for name, estimate in chain(alone, with_histories(helped, leveled, histories)):
             yield from evaluation.score(name, case, estimate, tampered.wedge)
@@ -202,11 +202,11 @@ def evaluate_sample(
                     yield evaluation.record(name, case, part, counts)
 
 
-def _struck(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | None) -> Struck:
+def _attacked(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | None) -> AttackedSweep:
     """Return the attack on a sweep, by which earlier sweeps can be attacked as well."""
     if case == BENIGN:
-        return Struck(sweep)
-    return Struck(sweep, attack_of(case, evaluation.sample, evaluation.suite.grid.half_extent_m), wedge)
+        return AttackedSweep(sweep)
+    return AttackedSweep(sweep, attack_of(case, evaluation.sample, evaluation.suite.grid.half_extent_m), wedge)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from viewshed.estimators.unet import LEARNED, PASSES, UnetEstimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner, load_runner
-from viewshed.networks.weights import default_name, in_float32
+from viewshed.networks.weights import default_name, float32_name
 from viewshed.studies.ablation.evaluate import Enveloped, evaluate, evaluate_chosen, evaluation_of
 from viewshed.studies.ablation.plan import STEPS, WHOLE, AblationPlan
 from viewshed.studies.ablation.results import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
@@ -59,7 +59,7 @@ def run_study(
             keys, done = store.plan.job_keys_of(step), store.keys()
             if step == "models" and not models <= done:
                 # Most variants share the frames of the whole network: these are made with all cores.
-                prepare(store.plan.config_of(WHOLE), cache_of(store.folder), told=on_progress)
+                prepare(store.plan.config_of(WHOLE), cache_of(store.folder), on_progress=on_progress)
             if step == "validation" and not models <= done:
                 yield "validation: not all variants are trained"
                 continue
@@ -134,7 +134,7 @@ def _shipped(config: TrainConfig) -> dict[str, Estimator]:
         runner = load_runner(name, threads=1)
         found[method] = UnetEstimator(runner, PASSES if method == "mc_dropout" else 1, name=method)
         if method == OURS and runner.card.precision == INT8:
-            found[FLOAT] = UnetEstimator(load_runner(in_float32(name), threads=1), name=FLOAT)
+            found[FLOAT] = UnetEstimator(load_runner(float32_name(name), threads=1), name=FLOAT)
         if method == OURS and runner.card.shape.dropout:
             found[SEVERAL] = UnetEstimator(runner, PASSES, name=SEVERAL)
     return found

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import binomtest
 
 from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.fov.height_map import Ground
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, Beams, expected_returns, probability_of_visible
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
@@ -380,7 +380,7 @@ class ExactMask:
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Return the exact mask; the sweep's time says which view it is."""
         beams = self.beams[sweep.t_ns or 0]
-        returns, _ = expected_returns(beams, self.height_m, Ground.flat(64.0), self.grid, CAR)
+        returns, _ = expected_returns(beams, self.height_m, HeightMap.flat(64.0), self.grid, CAR)
         prob = probability_of_visible(returns, CAR.min_returns)
         return FovEstimate(self.grid, prob, (prob >= 0.5).astype(np.uint8), method="exact mask")
 

@@ -22,7 +22,7 @@ from viewshed.studies.paper.data import archive_path
 from viewshed.studies.paper.plan import Model, PaperPlan
 from viewshed.studies.paper.protocols import Setting, setting_of
 from viewshed.training.config import PAPER, TrainConfig
-from viewshed.training.log import plain
+from viewshed.training.log import history_to_json
 
 WEIGHTS = "network.onnx"
 
@@ -162,7 +162,7 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str,
     start = time.perf_counter()
     done = run.train(config, out, device=device, cache=cache)
     return {
-        "weights": done.weights.name, "history": plain(done.history), "best": done.best.number,
+        "weights": done.weights.name, "history": history_to_json(done.history), "best": done.best.number,
         "frames_per_s": done.frames_per_s, "network_share": done.network_share, "device": device,
         "seconds": time.perf_counter() - start,
     }  # fmt: skip

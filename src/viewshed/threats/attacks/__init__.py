@@ -9,7 +9,9 @@ The attacks by name: ``ATTACKS[name](budget)`` makes one; what each is tried wit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -17,7 +19,16 @@ from viewshed.fov.estimate import FovEstimator
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Attack, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
-from viewshed.threats.attacks.points import PAPER_ATTACK, PAPER_INDOOR_ATTACK, Cluster, Frustum, Uniform, WedgeCluster
+from viewshed.threats.attacks.points import (
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    Cluster,
+    Frustum,
+    Mode,
+    Side,
+    Uniform,
+    WedgeCluster,
+)
 from viewshed.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed.threats.attacks.spoofer import FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
@@ -30,7 +41,7 @@ if TYPE_CHECKING:
         Evade,
         Objective,
         OverClaim,
-        Searched,
+        SearchResult,
         Trip,
         UnderClaim,
     )
@@ -74,125 +85,68 @@ class AttackFactory(Protocol):
         ...
 
 
-def _uniform(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return Uniform(_or(budget, 150), knowledge.half_extent_m)
+def _uniform(budget: int | None, known: Knowledge, mode: Mode) -> Attack:
+    return Uniform(150 if budget is None else budget, known.half_extent_m, mode)
 
 
-def _uniform_on_beams(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return Uniform(_or(budget, 150), knowledge.half_extent_m, "beam_constrained")
+def _cluster(budget: int | None, known: Knowledge, mode: Mode) -> Attack:
+    range_m = (10.0 * known.scale, 70.0 * known.scale)
+    return Cluster(150 if budget is None else budget, range_m=range_m, mode=mode)
 
 
-def _cluster(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    k = knowledge.scale
-    return Cluster(_or(budget, 150), range_m=(10.0 * k, 70.0 * k))
+def _wedge_cluster(budget: int | None, known: Knowledge, mode: Mode) -> Attack:
+    return WedgeCluster(100 if budget is None else budget, range_m=10.0 * known.scale, mode=mode)
 
 
-def _cluster_on_beams(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    k = knowledge.scale
-    return Cluster(_or(budget, 150), range_m=(10.0 * k, 70.0 * k), mode="beam_constrained")
+def _frustum(budget: int | None, known: Knowledge, side: Side, mode: Mode = "beam_constrained") -> Attack:
+    k, behind = known.scale, side == "behind"
+    range_m = ((4.0 if behind else 8.0) * k, 40.0 * k)
+    return Frustum(200 if budget is None else budget, side, (8.0 if behind else 4.0) * k, range_m, mode=mode)
 
 
-def _wedge_cluster(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return WedgeCluster(_or(budget, 100), range_m=10.0 * knowledge.scale)
-
-
-def _wedge_cluster_free(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return WedgeCluster(_or(budget, 100), range_m=10.0 * knowledge.scale, mode="free_form")
-
-
-def _frustum(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    k = knowledge.scale
-    return Frustum(_or(budget, 200), apart_m=8.0 * k, range_m=(4.0 * k, 40.0 * k))
-
-
-def _frustum_before(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    k = knowledge.scale
-    return Frustum(_or(budget, 200), "before", apart_m=4.0 * k, range_m=(8.0 * k, 40.0 * k))
-
-
-def _frustum_free(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    k = knowledge.scale
-    return Frustum(_or(budget, 200), apart_m=8.0 * k, range_m=(4.0 * k, 40.0 * k), mode="free_form")
-
-
-def _ghost_car(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return GhostCar(budget, range_m=max(10.0 * knowledge.scale, 4.0))
-
-
-def _ghost_wall(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return GhostWall(budget, range_m=15.0 * knowledge.scale)
-
-
-def _far_wall(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return FarWall(budget, near_m=25.0 * knowledge.scale, far_m=50.0 * knowledge.scale)
-
-
-def _removal(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return PhysicalRemoval(budget, aim_m=30.0 * knowledge.scale)
-
-
-def _high_frequency_removal(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return HighFrequencyRemoval(budget, aim_m=30.0 * knowledge.scale)
-
-
-def _jamming(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return Jamming(budget)
-
-
-def _replay(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    if not knowledge.earlier:
+def _replay(budget: int | None, known: Knowledge) -> Attack:
+    if not known.earlier:
         raise ValueError("replay needs an earlier sweep, got none; give Knowledge(earlier=(sweep, …))")
-    return Replay(knowledge.earlier[-1], budget)
+    return Replay(known.earlier[-1], budget)
 
 
-def _coherent_phantom(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    first = knowledge.earlier[0] if knowledge.earlier else None
+def _coherent_phantom(budget: int | None, known: Knowledge) -> Attack:
+    first = known.earlier[0] if known.earlier else None
     pose = None if first is None else first.world_from_sensor
-    range_m, k = max(12.0 * knowledge.scale, 4.0), knowledge.scale
-    return CoherentPhantom(pose, None if first is None else first.t_ns, budget, range_m, reach_m=(3.0, 50.0 * k))
+    range_m, reach_m = max(12.0 * known.scale, 4.0), (3.0, 50.0 * known.scale)
+    return CoherentPhantom(pose, None if first is None else first.t_ns, budget, range_m, reach_m=reach_m)
 
 
-def _relay(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return Relay(budget, 5.0 * knowledge.scale, aim_m=30.0 * knowledge.scale)
-
-
-def _pose_spoof(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    if budget == 0:
-        return PoseSpoof(0.0, 0.0)
-    return PoseSpoof(shift_m=knowledge.scale)
-
-
-def _removal_and_far_wall(budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return RemovalAndFarWall(budget, far_m=50.0 * knowledge.scale)
-
-
-def _or(budget: int | None, default: int) -> int:
-    return default if budget is None else budget
-
-
-ATTACKS: dict[str, AttackFactory] = {
-    "uniform": _uniform,
-    "uniform_on_beams": _uniform_on_beams,
-    "cluster": _cluster,
-    "cluster_on_beams": _cluster_on_beams,
-    "wedge_cluster": _wedge_cluster,
-    "wedge_cluster_free": _wedge_cluster_free,
-    "frustum": _frustum,
-    "frustum_before": _frustum_before,
-    "frustum_free": _frustum_free,
-    "ghost_car": _ghost_car,
-    "ghost_wall": _ghost_wall,
-    "far_wall": _far_wall,
-    "removal": _removal,
-    "high_frequency_removal": _high_frequency_removal,
-    "jamming": _jamming,
+_MAKERS: dict[str, Callable[[int | None, Knowledge], Attack]] = {
+    "uniform": lambda budget, known: _uniform(budget, known, "free_form"),
+    "uniform_on_beams": lambda budget, known: _uniform(budget, known, "beam_constrained"),
+    "cluster": lambda budget, known: _cluster(budget, known, "free_form"),
+    "cluster_on_beams": lambda budget, known: _cluster(budget, known, "beam_constrained"),
+    "wedge_cluster": lambda budget, known: _wedge_cluster(budget, known, "beam_constrained"),
+    "wedge_cluster_free": lambda budget, known: _wedge_cluster(budget, known, "free_form"),
+    "frustum": lambda budget, known: _frustum(budget, known, "behind"),
+    "frustum_before": lambda budget, known: _frustum(budget, known, "before"),
+    "frustum_free": lambda budget, known: _frustum(budget, known, "behind", "free_form"),
+    "ghost_car": lambda budget, known: GhostCar(budget, range_m=max(10.0 * known.scale, 4.0)),
+    "ghost_wall": lambda budget, known: GhostWall(budget, range_m=15.0 * known.scale),
+    "far_wall": lambda budget, known: FarWall(budget, near_m=25.0 * known.scale, far_m=50.0 * known.scale),
+    "removal": lambda budget, known: PhysicalRemoval(budget, aim_m=30.0 * known.scale),
+    "high_frequency_removal": lambda budget, known: HighFrequencyRemoval(budget, aim_m=30.0 * known.scale),
+    "jamming": lambda budget, known: Jamming(budget),
     "replay": _replay,
     "coherent_phantom": _coherent_phantom,
-    "relay": _relay,
-    "pose_spoof": _pose_spoof,
-    "removal_and_far_wall": _removal_and_far_wall,
+    "relay": lambda budget, known: Relay(budget, 5.0 * known.scale, aim_m=30.0 * known.scale),
+    "pose_spoof": lambda budget, known: PoseSpoof(0.0, 0.0) if budget == 0 else PoseSpoof(shift_m=known.scale),
+    "removal_and_far_wall": lambda budget, known: RemovalAndFarWall(budget, far_m=50.0 * known.scale),
 }
-"""Ours, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
+
+
+def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+    return _MAKERS[name](budget, knowledge)
+
+
+ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS}
+"""By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
 
 FAMILY: dict[str, int] = {
     "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,
@@ -243,7 +197,7 @@ def at_severity(name: str, attribute: str, value: float, knowledge: Knowledge = 
 
 
 _HOMES = {
-    "ADAPTIVE": "adaptive", "BlackBox": "adaptive", "Searched": "adaptive",
+    "ADAPTIVE": "adaptive", "BlackBox": "adaptive", "SearchResult": "adaptive",
     "Expectation": "_gradient", "WhiteBox": "_gradient",
     "Evade": "adaptive", "Objective": "adaptive", "OverClaim": "adaptive", "Trip": "adaptive",
     "UnderClaim": "adaptive",
@@ -252,7 +206,7 @@ _HOMES = {
 __all__ = [
     "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
     "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "SEVERITIES", "Attack", "AttackFactory", "BlackBox", "Evade",
-    "Expectation", "Knowledge", "Objective", "OverClaim", "Searched", "Spoofer", "Tampered", "Trip", "UnderClaim",
+    "Expectation", "Knowledge", "Objective", "OverClaim", "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim",
     "Wedge", "WhiteBox", "at_severity",
 ]  # fmt: skip
 

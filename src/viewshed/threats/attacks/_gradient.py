@@ -1,4 +1,4 @@
-"""Projected gradient on the ranges of an attacker's beams, through whatever tells a value and its gradient."""
+"""Projected gradient on the ranges of an attacker's beams, through any function that gives a value and its gradient."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.adaptive import Searched
+from viewshed.threats.attacks.adaptive import SearchResult
 from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import Tampered, require, require_azimuth, require_budget
+from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
-from viewshed.threats.attacks.ghosts import aimed
-from viewshed.threats.attacks.spoofer import AS_MEASURED, LEAVE, Spoofer, limits_m
+from viewshed.threats.attacks.ghosts import aim_wedge
+from viewshed.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m
+from viewshed.threats.parameters import require, require_sector
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class Expectation:
         require("shift_m", self.shift_m, 0.0, 100.0)
 
 
-AS_PLANNED = Expectation(1, 0.0, 0.0)
+NO_EXPECTATION = Expectation(1, 0.0, 0.0)
 """No expectation: the plan is met exactly."""
 
 
@@ -85,40 +86,38 @@ class WhiteBox:
     sector_deg: float = 30.0
     azimuth: float | None = None
     aim_m: float = 25.0
-    expectation: Expectation = AS_PLANNED
-    spoofer: Spoofer = AS_MEASURED
+    expectation: Expectation = NO_EXPECTATION
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("steps", self.steps, 2, 100_000)
         require("step_m", self.step_m, 1e-6, 1000.0)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
         require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
         return self.search(sweep, rng).tampered
 
-    def search(self, sweep: Sweep, rng: np.random.Generator) -> Searched:
+    def search(self, sweep: Sweep, rng: np.random.Generator) -> SearchResult:
         """Return the attacked sweep with what the plan is worth and what it cost to find.
 
         Raises:
             ValueError: the objective's gradient does not have the shape of the points, or is not finite.
         """
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge)
         climb = _Climb(sweep, rays, self.objective, self.expectation, int(rng.integers(2**62)))
         everywhere, first = np.ones(len(rays), np.bool_), self.steps // 2
         _, gain_m = climb.ascend(rays.depth_m, everywhere, first, self.step_m)
-        chosen = _most(gain_m, self.budget)
+        chosen = _best_beams(gain_m, self.budget)
         start_m = np.where(chosen, climb.depth_m, rays.depth_m)
         best_m, _ = climb.ascend(start_m, chosen, self.steps - first, _REFINES * self.step_m, best=True)
-        history, asked = np.array(climb.history), len(climb.history) * self.expectation.samples
+        history, queries = np.array(climb.history), len(climb.history) * self.expectation.samples
         if not chosen.any() or climb.value <= history[0]:
-            return Searched(untouched(sweep, wedge), float(history[0]), history, asked)
+            return SearchResult(untouched(sweep, wedge), float(history[0]), history, queries)
         tampered = self.spoofer.spoof(sweep, rays, np.where(chosen, best_m, LEAVE), wedge, rng)
-        return Searched(tampered, climb.value, history, asked)
+        return SearchResult(tampered, climb.value, history, queries)
 
 
 class _Climb:
@@ -184,7 +183,7 @@ class _Climb:
         return float(value), slope
 
 
-def _most(gain: Floats, budget: int | None) -> NDArray[np.bool_]:
+def _best_beams(gain: Floats, budget: int | None) -> NDArray[np.bool_]:
     """Return which beams (K,) gained anything and are among the ``budget`` that gained most."""
     chosen = np.zeros(len(gain), np.bool_)
     order = np.argsort(-gain, kind="stable")[: len(gain) if budget is None else budget]

@@ -1,6 +1,6 @@
 """Search without gradients: random draws, and an evolution strategy that starts from the best of them.
 
-Spaces of plans: which beams to take and which ranges to give them, or where to put free points.
+Search spaces: which beams to take and which ranges to give them, or where to put free points.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.assembly import added
+from viewshed.threats.attacks.assembly import add_points
 from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, rays_in, within
 from viewshed.threats.attacks.points import HEIGHTS_M
@@ -28,7 +28,10 @@ from viewshed.threats.attacks.spoofer import (
     to_sensor,
 )
 
-Genome = NDArray[np.float64]
+Floats = NDArray[np.float64]
+
+Candidate = NDArray[np.float64]
+"""A plan as a row of numbers, which its search space turns into a tampered sweep."""
 
 DRAWN_SHARE = 0.3
 """Share of the queries of an evolution that its random draws may use."""
@@ -36,103 +39,132 @@ DRAWN_SHARE = 0.3
 OFFSPRING = 6
 
 _GROWS, _SHRINKS = 1.6, 0.88
+"""Factors of the step after a success and after a failure."""
 
 _STEPS = (0.03, 2.0)
-
-
-class Space(Protocol):
-    """What can be searched."""
-
-    def draw(self, number: int, rng: np.random.Generator) -> Genome:
-        """Return a random plan; the first few may be good guesses, by their number."""
-        ...
-
-    def mutated(self, parent: Genome, step: float, rng: np.random.Generator) -> Genome:
-        """Return a plan near another."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Best:
-    """The best plan that was met.
-
-    Attributes:
-        genome: the plan, or None where no query was left.
-        value: what it is worth.
-        history: (Q,) what each plan that was tried is worth, in order.
-    """
-
-    genome: Genome | None
-    value: float
-    history: NDArray[np.float64]
-
-
-class _Tried:
-    """Counts what is tried and keeps the best; of equals the later, so that a plateau is crossed."""
-
-    def __init__(self, value_of: Callable[[Genome], float], most: int) -> None:
-        self._value_of, self._most = value_of, most
-        self.genome: Genome | None = None
-        self.value = -np.inf
-        self.history: list[float] = []
-
-    @property
-    def left(self) -> int:
-        return self._most - len(self.history)
-
-    def attempt(self, genome: Genome) -> bool:
-        """Return whether a plan is better than all before."""
-        value = self._value_of(genome)
-        self.history.append(value)
-        better = value > self.value
-        if value >= self.value:
-            self.genome, self.value = genome, value
-        return better
-
-    def best(self) -> Best:
-        return Best(self.genome, self.value, np.array(self.history))
-
-
-def random_search(space: Space, value_of: Callable[[Genome], float], most: int, rng: np.random.Generator) -> Best:
-    """Return the best of ``most`` random draws."""
-    tried = _Tried(value_of, most)
-    for number in range(most):
-        tried.attempt(space.draw(number, rng))
-    return tried.best()
-
-
-def evolution(space: Space, value_of: Callable[[Genome], float], most: int, rng: np.random.Generator) -> Best:
-    """Return the best plan of ``most``: random draws, then a (1 + λ) evolution strategy with λ = 6 from the best.
-
-    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws.
-    """
-    tried, step = _Tried(value_of, most), 0.6
-    for number in range(int(np.ceil(DRAWN_SHARE * most))):
-        tried.attempt(space.draw(number, rng))
-    while tried.left > 0 and tried.genome is not None:
-        parent = tried.genome
-        children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, tried.left))]
-        won = [tried.attempt(child) for child in children]
-        step = float(np.clip(step * (_GROWS if any(won) else _SHRINKS), *_STEPS))
-    return tried.best()
-
-
-Floats = NDArray[np.float64]
+"""Smallest and largest step of the evolution."""
 
 _MARGIN_M = 2.0
 """Planned ranges keep this far from the sensor's limits, so that noise rarely takes a return away."""
 
 _NEAR_M = 25.0
+"""Obstacles nearer than this are a feature of their own."""
 
 _FREE_M = (1.0, 90.0)
+"""Nearest and farthest range of free points."""
+
+_F = 10
+"""Features of a beam."""
+
+_GONE, _SHARP, _STREET, _WALL = 2 * _F, 3 * _F + 1, 3 * _F + 2, 3 * _F + 3
+"""Places in a candidate: the constant weight of removal, and numbers of the head."""
+
+_MIDDLE, _OBSTACLE, _SPREAD, _CROWD, _NEAR = 2, 4, 6, 8, 9
+"""Features by column, see ``_features``."""
+
+_GUESSES: tuple[dict[int, float], ...] = (
+    {_SPREAD: 0.5, _SHARP: 2.0, _STREET: -1.0, _WALL: 4.0},
+    {_NEAR: 9.0, _MIDDLE: -3.0, _STREET: 1.0, _WALL: 0.3},
+    {_NEAR: 9.0, _SPREAD: 3.0, _STREET: 1.0, _WALL: 0.3},
+    {_NEAR: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
+    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 0.3},
+    {_OBSTACLE: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 4.0},
+    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _GONE: 5.0},
+    {_OBSTACLE: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
+    {_MIDDLE: -3.0, _STREET: -1.0, _WALL: -2.5},
+    {_SPREAD: 3.0, _STREET: -1.0, _WALL: -2.5},
+)
+"""The first plans: a fan of far returns; a far wall in the middle and one spread over columns; removal in the middle;
+far walls and removal that take the columns with the fewest obstacles first; near walls."""
+
+
+class SearchSpace(Protocol):
+    """What can be searched."""
+
+    def draw(self, number: int, rng: np.random.Generator) -> Candidate:
+        """Return a random plan; the first few may be good guesses, by their number."""
+        ...
+
+    def mutated(self, parent: Candidate, step: float, rng: np.random.Generator) -> Candidate:
+        """Return a plan near another."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BestCandidate:
+    """The best plan that was met.
+
+    Attributes:
+        candidate: the plan, or None where no query was left.
+        value: what it is worth.
+        history: (Q,) what each plan that was tried is worth, in order.
+    """
+
+    candidate: Candidate | None
+    value: float
+    history: NDArray[np.float64]
+
+
+class _Attempts:
+    """Counts what is tried and keeps the best; of equals the later, so that a plateau is crossed."""
+
+    def __init__(self, value_of: Callable[[Candidate], float], limit: int) -> None:
+        self._value_of, self._limit = value_of, limit
+        self.candidate: Candidate | None = None
+        self.value = -np.inf
+        self.history: list[float] = []
+
+    @property
+    def remaining(self) -> int:
+        return self._limit - len(self.history)
+
+    def attempt(self, candidate: Candidate) -> bool:
+        """Return whether a plan is better than all before."""
+        value = self._value_of(candidate)
+        self.history.append(value)
+        better = value > self.value
+        if value >= self.value:
+            self.candidate, self.value = candidate, value
+        return better
+
+    def best(self) -> BestCandidate:
+        return BestCandidate(self.candidate, self.value, np.array(self.history))
+
+
+def random_search(
+    space: SearchSpace, value_of: Callable[[Candidate], float], limit: int, rng: np.random.Generator
+) -> BestCandidate:
+    """Return the best of ``limit`` random draws."""
+    tried = _Attempts(value_of, limit)
+    for number in range(limit):
+        tried.attempt(space.draw(number, rng))
+    return tried.best()
+
+
+def evolution(
+    space: SearchSpace, value_of: Callable[[Candidate], float], limit: int, rng: np.random.Generator
+) -> BestCandidate:
+    """Return the best plan of ``limit``: random draws, then a (1 + λ) evolution strategy with λ = 6 from the best.
+
+    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws.
+    """
+    tried, step = _Attempts(value_of, limit), 0.6
+    for number in range(int(np.ceil(DRAWN_SHARE * limit))):
+        tried.attempt(space.draw(number, rng))
+    while tried.remaining > 0 and tried.candidate is not None:
+        parent = tried.candidate
+        children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, tried.remaining))]
+        won = [tried.attempt(child) for child in children]
+        step = float(np.clip(step * (_GROWS if any(won) else _SHRINKS), *_STEPS))
+    return tried.best()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamSearchSpace:
     """Plans on the beams of a wedge: a priority and a wanted depth for each, from a few weights and a residual each.
 
-    A genome is: weights of the features for the priority, for the depth and for removal; which elevation to prefer and
-    how much; whether depths are an empty street's and how far its wall is; then residuals of priority and depth.
+    A candidate is: weights of the features for the priority, for the depth and for removal; which elevation to prefer
+    and how much; whether depths are an empty street's and how far its wall is; then residuals of priority and depth.
 
     Attributes:
         sweep: that is attacked.
@@ -161,24 +193,24 @@ class BeamSearchSpace:
         obstacle = is_obstacle(sweep, rays) if len(rays) else np.zeros(0, np.bool_)
         return cls(sweep, wedge, budget, spoofer, rays, _features(rays, wedge, obstacle), obstacle)
 
-    def draw(self, number: int, rng: np.random.Generator) -> Genome:
+    def draw(self, number: int, rng: np.random.Generator) -> Candidate:
         """Return a random plan; the first few are guesses: a fan of far returns, far walls, removal, near walls."""
         f, k = _F, len(self.rays)
-        genome = np.concatenate([rng.normal(0.0, 1.0, 3 * f + 4), rng.normal(0.0, 0.3, 2 * k)])
-        genome[_GONE] -= 2.5  # removal is the exception
-        genome[_SHARP] += rng.exponential(3.0) - 1.0
-        genome[3 * f + 4 :][:k] += rng.exponential(1.0) * self._by_column(rng)
+        candidate = np.concatenate([rng.normal(0.0, 1.0, 3 * f + 4), rng.normal(0.0, 0.3, 2 * k)])
+        candidate[_GONE] -= 2.5  # removal is the exception
+        candidate[_SHARP] += rng.exponential(3.0) - 1.0
+        candidate[3 * f + 4 :][:k] += rng.exponential(1.0) * self._by_column(rng)
         if number < len(_GUESSES):
-            genome[:] = 0.0
-            genome[list(_GUESSES[number])] = list(_GUESSES[number].values())
-        return genome
+            candidate[:] = 0.0
+            candidate[list(_GUESSES[number])] = list(_GUESSES[number].values())
+        return candidate
 
     def _by_column(self, rng: np.random.Generator) -> Floats:
         """Return one normal number (K,) for each beam, the same for all of a column."""
-        _, number = np.unique(self.features[:, 6], return_inverse=True)
+        _, number = np.unique(self.features[:, _SPREAD], return_inverse=True)
         return np.asarray(rng.normal(0.0, 1.0, int(number.max(initial=-1)) + 1)[number])
 
-    def mutated(self, parent: Genome, step: float, rng: np.random.Generator) -> Genome:
+    def mutated(self, parent: Candidate, step: float, rng: np.random.Generator) -> Candidate:
         """Return a plan with some weights changed, or the residuals of some beams, or both."""
         child, head = parent.copy(), 3 * _F + 4
         which = rng.random()
@@ -192,54 +224,32 @@ class BeamSearchSpace:
             child[head : head + len(self.rays)] += step * self._by_column(rng) * (rng.random() < 0.5)
         return child
 
-    def tampered(self, genome: Genome, rng: np.random.Generator) -> Tampered:
+    def tampered(self, candidate: Candidate, rng: np.random.Generator) -> Tampered:
         """Return the sweep after a plan, as far as the spoofer wins and keeps to it."""
-        return self.spoofer.spoof(self.sweep, self.rays, self.wanted_m(genome), self.wedge, rng)
+        return self.spoofer.spoof(self.sweep, self.rays, self.wanted_m(candidate), self.wedge, rng)
 
-    def wanted_m(self, genome: Genome) -> Floats:
+    def wanted_m(self, candidate: Candidate) -> Floats:
         """Return the depth (K,) in meters that a plan wants of each beam, ``LEAVE`` or ``NO_RETURN``."""
         f, k = _F, len(self.rays)
-        priority, depth, gone = (self.features @ genome[: 3 * f].reshape(3, f).T).T
-        height, sharp, street, wall = genome[3 * f : 3 * f + 4]
-        residual = genome[3 * f + 4 :]
+        priority, depth, gone = (self.features @ candidate[: 3 * f].reshape(3, f).T).T
+        height, sharp, street, wall = candidate[3 * f : 3 * f + 4]
+        residual = candidate[3 * f + 4 :]
         priority = priority + residual[:k] - max(sharp, 0.0) * np.abs(self.features[:, 3] - height)
         low_m, high_m = _reach_m(self.sweep)
         if street > 0.0:
-            wall_m = low_m + (high_m - low_m) * float(_squashed(wall))
+            wall_m = low_m + (high_m - low_m) * float(_sigmoid(wall))
             wanted = street_depth_m(self.sweep, self.rays, wall_m)
             priority = np.where(wanted > self.rays.depth_m + _MARGIN_M, priority, -np.inf)
             wanted = np.clip(wanted, low_m, high_m)
         else:
-            wanted = low_m + (high_m - low_m) * _squashed(depth + wall + residual[k:])
+            wanted = low_m + (high_m - low_m) * _sigmoid(depth + wall + residual[k:])
         wanted = np.where((gone > 0.0) & (self.rays.row >= 0), NO_RETURN, wanted)
-        most = k if self.budget is None else min(self.budget, k)
+        limit = k if self.budget is None else min(self.budget, k)
         out = np.full(k, LEAVE)
-        chosen = np.argsort(-priority, kind="stable")[:most]
+        chosen = np.argsort(-priority, kind="stable")[:limit]
         chosen = chosen[np.isfinite(priority[chosen])]
         out[chosen] = wanted[chosen]
         return out
-
-
-_F = 10
-
-_GONE, _SHARP, _STREET, _WALL = 2 * _F, 3 * _F + 1, 3 * _F + 2, 3 * _F + 3
-
-_MIDDLE, _SPREAD, _CROWD, _NEAR = 2, 6, 8, 9
-
-_GUESSES: tuple[dict[int, float], ...] = (
-    {_SPREAD: 0.5, _SHARP: 2.0, _STREET: -1.0, _WALL: 4.0},
-    {_NEAR: 9.0, _MIDDLE: -3.0, _STREET: 1.0, _WALL: 0.3},
-    {_NEAR: 9.0, _SPREAD: 3.0, _STREET: 1.0, _WALL: 0.3},
-    {_NEAR: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
-    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 0.3},
-    {4: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _STREET: 1.0, _WALL: 4.0},
-    {_NEAR: 9.0, _CROWD: -6.0, _SPREAD: 0.1, _GONE: 5.0},
-    {4: 9.0, _MIDDLE: -3.0, _GONE: 5.0},
-    {_MIDDLE: -3.0, _STREET: -1.0, _WALL: -2.5},
-    {_SPREAD: 3.0, _STREET: -1.0, _WALL: -2.5},
-)
-"""The first plans: a fan of far returns; a far wall in the middle and one spread over columns; removal in the middle;
-far walls and removal that take the columns with the fewest obstacles first; near walls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,15 +266,15 @@ class PointSearchSpace:
     wedge: Wedge
     budget: int
 
-    def draw(self, number: int, rng: np.random.Generator) -> Genome:
+    def draw(self, number: int, rng: np.random.Generator) -> Candidate:
         """Return a random plan; the first is an even fan of far points."""
-        genome = np.concatenate([rng.normal(0.0, 1.0, 5), rng.normal(0.0, 0.5, 3 * self.budget)])
+        candidate = np.concatenate([rng.normal(0.0, 1.0, 5), rng.normal(0.0, 0.5, 3 * self.budget)])
         if number == 0:
-            genome[:5] = 0.0, 1.0, 3.0, 0.0, 0.0
-            genome[5:] = 0.0
-        return genome
+            candidate[:5] = 0.0, 1.0, 3.0, 0.0, 0.0
+            candidate[5:] = 0.0
+        return candidate
 
-    def mutated(self, parent: Genome, step: float, rng: np.random.Generator) -> Genome:
+    def mutated(self, parent: Candidate, step: float, rng: np.random.Generator) -> Candidate:
         """Return a plan with the common numbers changed, or some points, or both."""
         child, which = parent.copy(), rng.random()
         if which < 0.7:
@@ -274,24 +284,24 @@ class PointSearchSpace:
             child[5:][some] += step * rng.normal(0.0, 1.0, int(some.sum()))
         return child
 
-    def tampered(self, genome: Genome, rng: np.random.Generator) -> Tampered:
+    def tampered(self, candidate: Candidate, rng: np.random.Generator) -> Tampered:
         """Return the sweep with the points of a plan; points that the attitude puts beside the wedge are left out."""
-        points = self.points(genome)
-        tampered = added(self.sweep, points[within(points.astype(np.float32), self.wedge)], rng)
+        points = self.points(candidate)
+        tampered = add_points(self.sweep, points[within(points.astype(np.float32), self.wedge)], rng)
         return replace(tampered, wedge=self.wedge)
 
-    def points(self, genome: Genome) -> Floats:
+    def points(self, candidate: Candidate) -> Floats:
         """Return the points (budget, 3) of a plan, meters, sensor frame."""
-        middle, spread, far, slope, high = genome[:5]
-        aside, near, up = genome[5:].reshape(3, self.budget)
+        middle, spread, far, slope, high = candidate[:5]
+        aside, near, up = candidate[5:].reshape(3, self.budget)
         even = (np.arange(self.budget) + 0.5) * (2.0 / max(self.budget, 1)) - 1.0
         azimuth = self.wedge.azimuth + 0.499 * self.wedge.width * np.clip(middle + spread * even + 0.1 * aside, -1, 1)
-        range_m = _FREE_M[0] + (_FREE_M[1] - _FREE_M[0]) * _squashed(far + slope * even + near)
+        range_m = _FREE_M[0] + (_FREE_M[1] - _FREE_M[0]) * _sigmoid(far + slope * even + near)
         to_level = scene_of(self.sweep).level_from_sensor.rotation
         ahead = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1) @ to_level.T
         xy = range_m[:, None] * ahead[:, :2]
         low_m, high_m = HEIGHTS_M
-        z = scene_of(self.sweep).ground.at(xy) + low_m + (high_m - low_m) * _squashed(high + up)
+        z = scene_of(self.sweep).ground.at(xy) + low_m + (high_m - low_m) * _sigmoid(high + up)
         return to_sensor(self.sweep, np.column_stack([xy, z]))
 
 
@@ -304,8 +314,8 @@ def _features(rays: Rays, wedge: Wedge, obstacle: NDArray[np.bool_]) -> Floats:
     column = rays.column if (rays.column >= 0).all() else np.rint(azimuth * 500.0).astype(np.intp)
     ring = np.where(rays.ring >= 0, rays.ring, np.rint(elevation * 20.0).astype(np.intp))
     one, stands = np.ones(len(rays)), obstacle.astype(float)
-    _, place = np.unique(column, return_inverse=True)
-    crowd = np.bincount(place, stands, minlength=1)[place] / 10.0
+    _, column_number = np.unique(column, return_inverse=True)  # columns of the wedge, from 0 on
+    crowd = np.bincount(column_number, stands, minlength=1)[column_number] / 10.0
     near = stands * (rays.depth_m < _NEAR_M)
     columns = one, azimuth, np.abs(azimuth), elevation, stands, depth, _spread(column), _spread(ring), crowd, near
     return np.stack(columns, axis=1)
@@ -316,7 +326,7 @@ def _spread(number: NDArray[np.intp]) -> Floats:
     return np.asarray((number * 0.6180339887498949) % 1.0)
 
 
-def _squashed(value: Floats | float) -> Floats:
+def _sigmoid(value: Floats | float) -> Floats:
     squashed: Floats = 0.5 + 0.5 * np.tanh(0.5 * np.asarray(value))
     return squashed
 

@@ -17,20 +17,13 @@ from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import NOTHING, AttackFactory, Knowledge
-from viewshed.threats.attacks._search import BeamSearchSpace, Genome, PointSearchSpace, evolution, random_search
+from viewshed.threats.attacks._search import BeamSearchSpace, Candidate, PointSearchSpace, evolution, random_search
 from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import (
-    Attack,
-    Tampered,
-    Wedge,
-    require,
-    require_azimuth,
-    require_budget,
-    require_one_of,
-)
-from viewshed.threats.attacks.ghosts import aimed
+from viewshed.threats.attacks.base import Attack, Tampered, Wedge
+from viewshed.threats.attacks.ghosts import aim_wedge
 from viewshed.threats.attacks.points import MODES, MOST_FREE, Mode
-from viewshed.threats.attacks.spoofer import AS_MEASURED, Spoofer, scene_of
+from viewshed.threats.attacks.spoofer import MEASURED_SPOOFER, Spoofer, scene_of
+from viewshed.threats.parameters import require, require_one_of, require_sector
 
 Value = Callable[[Sweep], float]
 """From an attacked sweep to what it is worth to the attacker."""
@@ -149,7 +142,7 @@ METHODS: tuple[Method, ...] = ("evolution", "random")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Searched:
+class SearchResult:
     """What an attacker found.
 
     Attributes:
@@ -194,13 +187,11 @@ class BlackBox:
     mode: Mode = "beam_constrained"
     method: Method = "evolution"
     samples: int = 1
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("queries", self.queries, 1, 10_000_000)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
         require("aim_m", self.aim_m, 0.5, 1000.0)
         require("samples", self.samples, 1, 1000)
         require_one_of("mode", self.mode, MODES)
@@ -212,32 +203,34 @@ class BlackBox:
         """Return the attacked sweep and what was done to it."""
         return self.search(sweep, rng).tampered
 
-    def search(self, sweep: Sweep, rng: np.random.Generator) -> Searched:
+    def search(self, sweep: Sweep, rng: np.random.Generator) -> SearchResult:
         """Return the attacked sweep with what it is worth and what it cost to find."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         value_of = self.objective.on(sweep, wedge)
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
-        plans = self._plans(sweep, wedge)
-        most = max(0, (self.queries - 2) // self.samples)
+        space = self._space(sweep, wedge)
+        limit = max(0, (self.queries - 2) // self.samples)
         search = evolution if self.method == "evolution" else random_search
-        best = search(plans, lambda genome: self._worth(plans, genome, value_of, seed), most, rng)
+        best = search(space, lambda candidate: self._expected_value(space, candidate, value_of, seed), limit, rng)
         history = np.append(nothing, best.history)
-        asked = 2 + len(best.history) * self.samples
-        if best.genome is None or best.value <= nothing:
-            return Searched(untouched(sweep, wedge), nothing, history, asked)
-        return Searched(plans.tampered(best.genome, rng), best.value, history, asked)
+        queries = 2 + len(best.history) * self.samples
+        if best.candidate is None or best.value <= nothing:
+            return SearchResult(untouched(sweep, wedge), nothing, history, queries)
+        return SearchResult(space.tampered(best.candidate, rng), best.value, history, queries)
 
-    def _plans(self, sweep: Sweep, wedge: Wedge) -> BeamSearchSpace | PointSearchSpace:
+    def _space(self, sweep: Sweep, wedge: Wedge) -> BeamSearchSpace | PointSearchSpace:
         if self.mode == "free_form":
             return PointSearchSpace(sweep, wedge, self.budget or 0)
         return BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
 
-    def _worth(self, plans: BeamSearchSpace | PointSearchSpace, genome: Genome, value_of: Value, seed: int) -> float:
+    def _expected_value(
+        self, space: BeamSearchSpace | PointSearchSpace, candidate: Candidate, value_of: Value, seed: int
+    ) -> float:
         """Return what a plan is worth over draws of the noise that are the same for every plan."""
         values = []
         for sample in range(self.samples):
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, sample])))
-            values.append(value_of(plans.tampered(genome, rng).sweep))
+            values.append(value_of(space.tampered(candidate, rng).sweep))
         return float(np.mean(values))
 
 

@@ -1,7 +1,4 @@
-"""The role of an attack, and its record of what it touched.
-
-Checks of the parameters of attacks.
-"""
+"""The role of an attack, the sector that it reaches, and its record of what it touched."""
 
 from __future__ import annotations
 
@@ -12,36 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
-
-
-def require(name: str, value: float, low: float, high: float) -> None:
-    """Raise a ValueError unless ``low`` ≤ ``value`` ≤ ``high``."""
-    if not low <= value <= high:
-        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
-
-
-def require_budget(budget: int | None) -> None:
-    """Raise a ValueError unless ``budget`` is a whole number of returns, or None for the whole wedge."""
-    if budget is None:
-        return
-    if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or not 0 <= budget <= MOST:
-        raise ValueError(f"budget must be a whole number of returns in [0, {MOST}], got {budget!r}")
-
-
-def require_azimuth(azimuth: float | None) -> None:
-    """Raise a ValueError unless ``azimuth`` is a finite angle, or None for one drawn anew for each sweep."""
-    if azimuth is not None and not np.isfinite(azimuth):
-        raise ValueError(f"azimuth must be finite, in radians, got {azimuth}")
-
-
-def require_one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    """Raise a ValueError unless ``value`` is one of ``known``."""
-    if value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-
-
-MOST = 1_000_000_000
-"""The largest budget; more than any wedge holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +26,15 @@ class Wedge:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.azimuth) and 0.0 < self.width <= 2 * np.pi):
             raise ValueError(f"a wedge must have a finite azimuth and a width in (0, 2π], got {self}")
+
+    @classmethod
+    def of_sector(cls, azimuth: float, sector_deg: float) -> Wedge:
+        """Return the wedge about ``azimuth`` (radians) that is ``sector_deg`` wide.
+
+        >>> Wedge.of_sector(0.0, 180.0).width == np.pi
+        True
+        """
+        return cls(azimuth, min(float(np.deg2rad(sector_deg)), 2 * np.pi))
 
     def holds(self, azimuth: NDArray[Any]) -> NDArray[np.bool_]:
         """Return which azimuths (…) lie in the wedge.

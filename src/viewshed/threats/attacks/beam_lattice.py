@@ -13,161 +13,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.preprocess.no_return import JITTER_COLUMNS
 from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sim.lidar.optics import step_of
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Wedge
-from viewshed.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, fitted
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def pixel_rows(ring: Any, column: Any, rings: int, columns: int) -> Any:  # pragma: no cover - compiled
-    """Return the first row of each pixel (rings, columns) int32, -1 where there is none, and which hold several."""
-    rows = np.full((rings, columns), -1, np.int32)
-    several = np.zeros((rings, columns), np.bool_)
-    for n in range(ring.shape[0]):
-        r, c = ring[n], column[n]
-        if r < 0:
-            continue
-        if rows[r, c] < 0:
-            rows[r, c] = n
-        else:
-            several[r, c] = True
-    return rows, several
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def empty_pixels(rows: Any, several: Any, jitter: int, all_rings: bool) -> Any:  # pragma: no cover - compiled
-    """Return which pixels (rings, columns) are beams without a return.
-
-    Columns without any return were not fired, rings without any may not exist (``all_rings`` says that they do), and
-    next to a pixel with several returns, within ``jitter`` columns, the azimuth only jittered.
-    """
-    rings, columns = rows.shape
-    fired = np.zeros(columns, np.bool_)
-    for r in range(rings):
-        for c in range(columns):
-            fired[c] |= rows[r, c] >= 0
-    empty = np.zeros((rings, columns), np.bool_)
-    for r in range(rings):
-        if all_rings or rows[r].max() >= 0:
-            empty[r] = fired & (rows[r] < 0)
-            _clear_around(several[r], jitter, empty[r])
-    return empty
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _clear_around(several: Any, jitter: int, empty: Any) -> None:  # pragma: no cover - compiled
-    columns = empty.shape[0]
-    for c in range(columns):
-        if several[c]:
-            for offset in range(-jitter, jitter + 1):
-                empty[(c + offset) % columns] = False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def neighbors(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
-    """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
-
-    Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
-    The row is -1 where there is no return at all.
-    """
-    found, ahead = np.full(ring.shape[0], -1, np.int64), np.zeros(ring.shape[0], np.int64)
-    for k in range(ring.shape[0]):
-        if by_column:
-            found[k], ahead[k] = _by_columns(rows, ring[k], column[k])
-        else:
-            found[k], ahead[k] = _by_rings(rows, ring[k], column[k])
-    return found, ahead
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
-    rings, columns = rows.shape
-    for away in range(columns):
-        found, ahead = _in_column(rows, r, (c - away) % columns)
-        if found >= 0:
-            return found, ahead + away * rings
-    return -1, 0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
-    rings, columns = rows.shape
-    for away in range(rings):
-        for side in (r - away, r + away):
-            if 0 <= side < rings:
-                found, ahead = _in_ring(rows, side, c)
-                if found >= 0:
-                    return found, ahead + (r - side) * columns
-    return -1, 0
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
-    for away in range(rows.shape[0]):
-        if r - away >= 0 and rows[r - away, c] >= 0:
-            return rows[r - away, c], away
-        if r + away < rows.shape[0] and rows[r + away, c] >= 0:
-            return rows[r + away, c], -away
-    return -1, 0
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
-    """Rows are stored from column 0 on: what lies on the other side of that seam is no neighbor."""
-    columns = rows.shape[1]
-    for away in range(columns):
-        if c - away >= 0 and rows[r, c - away] >= 0:
-            return rows[r, c - away], away
-        if c + away < columns and rows[r, c + away] >= 0:
-            return rows[r, c + away], -away
-    return -1, 0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def returned(points: Any, row: Any, pixels: Any, origin_m: Any, poses: Any) -> Any:  # pragma: no cover - compiled
-    """Return starts (K, 3), unit directions (K, 3) and depths (K,) of the beams of returns; ring -1 has no height."""
-    ring, column = pixels
-    up, shift_m = poses
-    start, way, depth_m = np.empty((row.shape[0], 3)), np.empty((row.shape[0], 3)), np.empty(row.shape[0])
-    for k in range(row.shape[0]):
-        c, lift, square = column[k], origin_m[ring[k]] if ring[k] >= 0 else 0.0, 0.0
-        for axis in range(3):
-            start[k, axis] = shift_m[c, axis] + up[c, axis] * lift
-            way[k, axis] = points[row[k], axis] - start[k, axis]
-            square += way[k, axis] ** 2
-        depth_m[k] = np.sqrt(square)
-        for axis in range(3):
-            way[k, axis] /= max(depth_m[k], 1e-9)
-    return start, way, depth_m
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fired(pixels: Any, shape: Any, azimuth: Any, poses: Any) -> Any:  # pragma: no cover - compiled
-    """Return starts (K, 3) and unit directions (K, 3) of the beams of some pixels."""
-    ring, column = pixels
-    elevation, offset, origin_m = shape
-    turn, shift_m = poses
-    start, way = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
-    flat, upward = np.cos(elevation), np.sin(elevation)
-    for k in range(ring.shape[0]):
-        r, c = ring[k], column[k]
-        angle = azimuth[c] + offset[r]
-        x, y, z = flat[r] * np.cos(angle), flat[r] * np.sin(angle), upward[r]
-        for axis in range(3):
-            start[k, axis] = shift_m[c, axis] + turn[c, axis, 2] * origin_m[r]
-            way[k, axis] = turn[c, axis, 0] * x + turn[c, axis, 1] * y + turn[c, axis, 2] * z
-    return start, way
-
-
-JITTER_COLUMNS = 4
-"""Where azimuths jitter, a return may lie this many columns from its firing."""
-
-_SAMPLED = 4000
+from viewshed.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, fit_firing
 
 Floats = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]
+
+_SAMPLED = 4000
+"""Returns from which the phase of the columns is estimated."""
+
+_EDGE = 1e-6
+"""Radians from the edge of a wedge at which a return counts as outside, more than rounding can move it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,17 +64,26 @@ class BeamLattice:
 
     def of_returns(self, points: NDArray[np.float32], row: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
         """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns."""
-        pixels = self.ring[row], self.firing.column[row]
-        up = np.ascontiguousarray(self.firing.turn[:, :, 2])
-        found: tuple[Floats, Floats, Floats] = returned(points, row, pixels, self.origin_m, (up, self.firing.shift_m))
-        return found
+        firing, axis = self.firing, np.ascontiguousarray(self.firing.turn[:, :, 2])
+        beams: tuple[Floats, Floats, Floats] = beams_of_returns(
+            points, row, self.ring[row], firing.column[row], self.origin_m, axis, firing.shift_m
+        )
+        return beams
 
     def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[Floats, Floats]:
         """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
-        shape = self.elevation, self.azimuth_offset, self.origin_m
-        poses = self.firing.turn, self.firing.shift_m
-        found: tuple[Floats, Floats] = fired((ring, column), shape, self.firing.azimuth, poses)
-        return found
+        firing = self.firing
+        beams: tuple[Floats, Floats] = beams_of_pixels(
+            ring,
+            column,
+            self.elevation,
+            self.azimuth_offset,
+            self.origin_m,
+            firing.azimuth,
+            firing.turn,
+            firing.shift_m,
+        )
+        return beams
 
     def nearest_pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the ring and column (K,) of the beams that pass nearest to points (K, 3), seen from the sensor."""
@@ -225,50 +96,51 @@ class BeamLattice:
         column = np.rint((np.arctan2(y, x) - self.azimuth_offset[ring] - self.firing.azimuth[0]) / step)
         return ring, column.astype(np.intp) % len(self.firing.azimuth)
 
-    def places(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[NDArray[np.int64], Floats]:
+    def storage_keys(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[NDArray[np.int64], Floats]:
         """Return the row of the nearest return (K,) and a key (K,) that sorts pixels among the sweep's rows.
 
         A key is a row, plus less than one half in the order of storage; both are -1 and N for a sweep without returns.
         """
         rows = self.rows if self.by_column else np.roll(self.rows, -self.seam, axis=1)
         column = column if self.by_column else (column - self.seam) % rows.shape[1]
-        found, ahead = neighbors(rows, ring, column, self.by_column)
+        nearest, ahead = nearest_rows(rows, ring, column, self.by_column)
+        # Before or after the neighbor's row, by a quarter and a little more the farther away the neighbor is.
         side = np.where(ahead >= 0, self.sense, -self.sense)
-        key = found + side * (0.25 + 0.2 * np.minimum(np.abs(ahead) / self.rows.size, 1.0))
-        return found, np.where(found >= 0, key, float(len(self.ring)))
+        key = nearest + side * (0.25 + 0.2 * np.minimum(np.abs(ahead) / self.rows.size, 1.0))
+        return nearest, np.where(nearest >= 0, key, float(len(self.ring)))
 
 
 @lru_cache(maxsize=2)
 def lattice_of(sweep: Sweep) -> BeamLattice | None:
-    """Return the beams of ``sweep``, or None where they cannot be told: no rings, not even by the order of the points.
+    """Return the beams of ``sweep``, or None where they are not known: no rings, not even by the order of the points.
 
     Exact where the returns lie on the beams of the sweep's model within 2 mm; else columns are those of the returns
     themselves and empty beams point where the median of their ring does.
     """
     model = sweep.model
     if model is not None and sweep.ring is not None:
-        firing = fitted(sweep, model)
+        firing = fit_firing(sweep, model)
         if firing is not None:
-            shape = (model.elevation, model.azimuth_offset, model.origin_m)
-            return _lattice(sweep.ring, shape, firing, step_of(model))
+            table = (model.elevation, model.azimuth_offset, model.origin_m)
+            return _lattice(sweep.ring, *table, firing, step_of(model))
     beams = recover_rings(sweep)
     if beams.source == "elevation bins" or len(sweep) == 0:
         return None
-    return _lattice(beams.ring, _recovered_shape(beams, model), _recovered_firing(sweep, beams), 0.0)
+    return _lattice(beams.ring, *_recovered_table(beams, model), _recovered_firing(sweep, beams), 0.0)
 
 
 def _lattice(
-    ring: NDArray[np.int16], shape: tuple[Floats, Floats, Floats], firing: Firing, step_m: float
+    ring: NDArray[np.int16], elevation: Floats, azimuth_offset: Floats, origin_m: Floats, firing: Firing, step_m: float
 ) -> BeamLattice:
     exact = step_m > 0.0
     columns = len(firing.azimuth)
-    rows, several = pixel_rows(ring, firing.column, len(shape[0]), columns)
-    by_column, sense, ends = _order(ring, firing.column)
+    rows, several = pixel_rows(ring, firing.column, len(elevation), columns)
+    by_column, sense, ends = _storage_order(ring, firing.column)
     if not exact and not by_column:
         several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
     empty = empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
     seam = 0 if by_column or len(ends) == 0 else _seam(firing.column[ends], columns)
-    return BeamLattice(ring, *shape, firing, rows, empty, step_m, by_column, sense, seam)
+    return BeamLattice(ring, elevation, azimuth_offset, origin_m, firing, rows, empty, step_m, by_column, sense, seam)
 
 
 def _seam(column: NDArray[np.int32], columns: int) -> int:
@@ -277,7 +149,8 @@ def _seam(column: NDArray[np.int32], columns: int) -> int:
     return int(np.ceil(turn * columns)) % columns
 
 
-def _recovered_shape(beams: RingAssignment, model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
+def _recovered_table(beams: RingAssignment, model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
+    """Return elevation, azimuth offset and height of the start of each ring (R,), as far as they are known."""
     none = np.zeros(beams.rings)
     if model is not None and model.rings == beams.rings:
         return model.elevation, none, model.origin_m
@@ -293,7 +166,7 @@ def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
     return Firing(column, even_azimuths(beams.columns, phase), *at_rest(beams.columns))
 
 
-def _order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
+def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
     """Return whether returns are stored column by column, in which sense, and the rows at the ends of stored rings."""
     up, along = np.diff(ring), np.diff(column)
     changes = up != 0
@@ -301,12 +174,6 @@ def _order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, in
     steps = np.sign(up[along == 0]) if by_column else np.sign(along[~changes])
     last = np.flatnonzero(changes)
     return by_column, -1 if int(steps.sum()) < 0 else 1, np.concatenate([last, last + 1])
-
-
-Mask = NDArray[np.bool_]
-
-_EDGE = 1e-6
-"""Radians from the edge of a wedge at which a return counts as outside, more than rounding can move it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,7 +223,7 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
     """Return the beams of ``sweep`` that returned in the wedge and, with ``empty``, those there that did not.
 
     Raises:
-        ValueError: ``empty`` beams are asked for and the sweep's beams cannot be told.
+        ValueError: ``empty`` beams are needed and the sweep's beams are not known.
     """
     lattice = lattice_of(sweep)
     if empty and lattice is None and len(sweep):
@@ -364,14 +231,14 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
             f"the beams of this sweep must be known, got {len(sweep)} points without rings; name the sensor, give "
             "rings, or use an attack that is free of beams"
         )
-    returned = _returned(sweep, lattice, np.flatnonzero(within(sweep.points, wedge)))
+    returned = _returned_rays(sweep, lattice, np.flatnonzero(within(sweep.points, wedge)))
     if not empty or lattice is None:
         return returned
-    missing = _missing(lattice, wedge)
+    missing = _empty_rays(lattice, wedge)
     return Rays(*(np.concatenate([getattr(returned, f.name), getattr(missing, f.name)]) for f in fields(Rays)))
 
 
-def _returned(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) -> Rays:
+def _returned_rays(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) -> Rays:
     if lattice is not None:
         ring, column = lattice.ring[row].astype(np.intp), lattice.firing.column[row].astype(np.intp)
         return Rays(row, ring, column, *lattice.of_returns(sweep.points, row))
@@ -380,9 +247,158 @@ def _returned(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) 
     return Rays(row, unknown, unknown, np.zeros((len(row), 3)), reach / np.maximum(depth_m, 1e-9)[:, None], depth_m)
 
 
-def _missing(lattice: BeamLattice, wedge: Wedge) -> Rays:
+def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
     ring, column = np.nonzero(lattice.empty)
     start_m, direction = lattice.of_pixels(ring, column)
     none = np.full(len(ring), -1)
     missing = Rays(none, ring, column, start_m, direction, np.full(len(ring), np.inf))
     return missing if wedge.width >= 2 * np.pi else missing.select(within(direction, wedge))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pixel_rows(ring: Any, column: Any, rings: int, columns: int) -> Any:  # pragma: no cover - compiled
+    """Return the first row of each pixel (R, C) int32, -1 where there is none, and which pixels hold several (R, C).
+
+    ``ring`` and ``column`` (N,) are those of the returns; ring -1 has no pixel.
+    """
+    rows = np.full((rings, columns), -1, np.int32)
+    several = np.zeros((rings, columns), np.bool_)
+    for n in range(ring.shape[0]):
+        r, c = ring[n], column[n]
+        if r < 0:
+            continue
+        if rows[r, c] < 0:
+            rows[r, c] = n
+        else:
+            several[r, c] = True
+    return rows, several
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def empty_pixels(rows: Any, several: Any, jitter: int, all_rings: bool) -> Any:  # pragma: no cover - compiled
+    """Return which pixels (R, C) bool are beams that were fired and did not return.
+
+    Columns without any return were not fired, rings without any may not exist (``all_rings`` says that they do), and
+    next to a pixel with several returns, within ``jitter`` columns, the azimuth only jittered.
+    """
+    rings, columns = rows.shape
+    fired = np.zeros(columns, np.bool_)
+    for r in range(rings):
+        for c in range(columns):
+            fired[c] |= rows[r, c] >= 0
+    empty = np.zeros((rings, columns), np.bool_)
+    for r in range(rings):
+        if all_rings or rows[r].max() >= 0:
+            empty[r] = fired & (rows[r] < 0)
+            # A second return of a pixel is the neighbor's, whose pixel only looks empty.
+            for c in range(columns):
+                if several[r, c]:
+                    for offset in range(-jitter, jitter + 1):
+                        empty[r, (c + offset) % columns] = False
+    return empty
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
+    """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
+
+    Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
+    The row is -1 where there is no return at all.
+    """
+    row, ahead = np.full(ring.shape[0], -1, np.int64), np.zeros(ring.shape[0], np.int64)
+    for k in range(ring.shape[0]):
+        if by_column:
+            row[k], ahead[k] = _nearest_by_columns(rows, ring[k], column[k])
+        else:
+            row[k], ahead[k] = _nearest_by_rings(rows, ring[k], column[k])
+    return row, ahead
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    """Search the pixel's own column, then one column earlier at a time: those are stored before it."""
+    rings, columns = rows.shape
+    for away in range(columns):
+        row, ahead = _nearest_in_column(rows, r, (c - away) % columns)
+        if row >= 0:
+            return row, ahead + away * rings
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    """Search the pixel's own ring, then the rings below and above it, farther and farther away."""
+    rings, columns = rows.shape
+    for away in range(rings):
+        for side in (r - away, r + away):
+            if 0 <= side < rings:
+                row, ahead = _nearest_in_ring(rows, side, c)
+                if row >= 0:
+                    return row, ahead + (r - side) * columns
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _nearest_in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    for away in range(rows.shape[0]):
+        if r - away >= 0 and rows[r - away, c] >= 0:
+            return rows[r - away, c], away
+        if r + away < rows.shape[0] and rows[r + away, c] >= 0:
+            return rows[r + away, c], -away
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _nearest_in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    """Rows are stored from column 0 on: what lies on the other side of that seam is no neighbor."""
+    columns = rows.shape[1]
+    for away in range(columns):
+        if c - away >= 0 and rows[r, c - away] >= 0:
+            return rows[r, c - away], away
+        if c + away < columns and rows[r, c + away] >= 0:
+            return rows[r, c + away], -away
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_returns(
+    points: Any, row: Any, ring: Any, column: Any, origin_m: Any, axis: Any, shift_m: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return starts (K, 3), unit directions (K, 3) and depths (K,) of the beams of the returns ``row`` (K,).
+
+    A beam starts ``origin_m`` of its ring up the sensor's axis, which stood along ``axis`` (C, 3) at ``shift_m`` (C, 3)
+    when its column fired; a return of ring -1 starts at the sensor itself. It points from there to its return.
+    """
+    start, direction = np.empty((row.shape[0], 3)), np.empty((row.shape[0], 3))
+    depth_m = np.empty(row.shape[0])
+    for k in range(row.shape[0]):
+        c, lift, square = column[k], origin_m[ring[k]] if ring[k] >= 0 else 0.0, 0.0
+        for i in range(3):
+            start[k, i] = shift_m[c, i] + axis[c, i] * lift
+            direction[k, i] = points[row[k], i] - start[k, i]
+            square += direction[k, i] ** 2
+        depth_m[k] = np.sqrt(square)
+        for i in range(3):
+            direction[k, i] /= max(depth_m[k], 1e-9)
+    return start, direction, depth_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_pixels(
+    ring: Any, column: Any, elevation: Any, offset: Any, origin_m: Any, azimuth: Any, turn: Any, shift_m: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return starts (K, 3) and unit directions (K, 3) of the beams of pixels (K,), by the beam table and the motion.
+
+    ``elevation``, azimuth ``offset`` and ``origin_m`` (R,) are the rings'; firing ``azimuth`` (C,), rotations ``turn``
+    (C, 3, 3) and positions ``shift_m`` (C, 3) the columns'.
+    """
+    start, direction = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
+    flat, upward = np.cos(elevation), np.sin(elevation)
+    for k in range(ring.shape[0]):
+        r, c = ring[k], column[k]
+        angle = azimuth[c] + offset[r]
+        x, y, z = flat[r] * np.cos(angle), flat[r] * np.sin(angle), upward[r]
+        for i in range(3):
+            start[k, i] = shift_m[c, i] + turn[c, i, 2] * origin_m[r]
+            direction[k, i] = turn[c, i, 0] * x + turn[c, i, 1] * y + turn[c, i, 2] * z
+    return start, direction

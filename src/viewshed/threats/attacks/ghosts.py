@@ -10,29 +10,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import rays_in
 from viewshed.threats.attacks.points import wedge_around
 from viewshed.threats.attacks.spoofer import (
-    AS_MEASURED,
     LEAVE,
+    MEASURED_SPOOFER,
     NO_RETURN,
     Box,
     Spoofer,
-    ahead,
-    azimuth_of_obstacle,
+    azimuth_or_random,
+    choose_nearest,
     chord_m,
-    drawn_azimuth,
     ground_at,
     is_obstacle,
     level_rays,
     limits_m,
-    nearest_first,
-    open_azimuth,
+    position_at,
+    random_obstacle_azimuth,
+    random_open_azimuth,
     street_depth_m,
 )
+from viewshed.threats.parameters import require, require_azimuth, require_budget, require_sector
 
 _MARGIN_M = 2.0
+"""A far wall stands so much nearer than the sensor's maximum range."""
+
+CAR_M = (4.2, 1.8, 1.5)
+"""Length, width and height of a ghost car."""
+
+_WALL_M = (0.3, 3.0)
+"""Thickness and height of a ghost wall."""
+
+_ROOM = 1.05
+"""Wedges of ghosts are so much wider than what they show."""
+
+_BEYOND = 1.2
+"""Ghosts stand where some beam goes farther than this multiple of their range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,24 +69,21 @@ class FarWall:
     near_m: float = 25.0
     far_m: float = 50.0
     azimuth: float | None = None
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("near_m", self.near_m, 0.5, 1000.0)
         require("far_m", self.far_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.near_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.near_m, rng)
         rays = rays_in(sweep, wedge)
         near = is_obstacle(sweep, rays) & (rays.depth_m < self.near_m)
-        chosen = np.flatnonzero(nearest_first(rays, near, wedge, self.budget))
-        rays = rays.select(chosen)
         depth_m = street_depth_m(sweep, rays, min(self.far_m, limits_m(sweep)[1] - _MARGIN_M))
-        return self.spoofer.spoof(sweep, rays, np.where(depth_m > rays.depth_m, depth_m, LEAVE), wedge, rng)
+        depth_m = np.where(depth_m > rays.depth_m, depth_m, LEAVE)
+        return self.spoofer.spoof_nearest(sweep, rays, near, depth_m, wedge, self.budget, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,21 +104,19 @@ class RemovalAndFarWall:
     sector_deg: float = 30.0
     far_m: float = 50.0
     azimuth: float | None = None
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("far_m", self.far_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.far_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.far_m, rng)
         rays = rays_in(sweep, wedge, empty=True)
         wall_m = min(self.far_m, limits_m(sweep)[1] - _MARGIN_M)
         low = (rays.row < 0) & (rays.start_m[:, 2] + wall_m * rays.direction[:, 2] < _MARGIN_M)
-        chosen = nearest_first(rays, is_obstacle(sweep, rays) | low, wedge, self.budget)
+        chosen = choose_nearest(rays, is_obstacle(sweep, rays) | low, wedge, self.budget)
         rays = rays.select(chosen)
         depth_m = street_depth_m(sweep, rays, wall_m)
         depth_m = np.where((depth_m > rays.depth_m) | (rays.row < 0), depth_m, LEAVE)
@@ -115,22 +124,11 @@ class RemovalAndFarWall:
         return self.spoofer.spoof(sweep, rays, np.where(lost, NO_RETURN, depth_m), wedge, rng)
 
 
-def aimed(sweep: Sweep, azimuth: float | None, sector_deg: float, near_m: float, rng: np.random.Generator) -> Wedge:
+def aim_wedge(sweep: Sweep, azimuth: float | None, sector_deg: float, near_m: float, rng: np.random.Generator) -> Wedge:
     """Return the wedge at ``azimuth``; where that is None, at an obstacle nearer than ``near_m``, else anywhere."""
     if azimuth is None:
-        azimuth = azimuth_of_obstacle(sweep, 0.0, near_m, rng)
-    return Wedge(drawn_azimuth(azimuth, rng), float(np.deg2rad(sector_deg)))
-
-
-CAR_M = (4.2, 1.8, 1.5)
-"""Length, width and height of a ghost car."""
-
-_WALL_M = (0.3, 3.0)
-
-_ROOM = 1.05
-
-_BEYOND = 1.2
-"""Ghosts stand where some beam goes farther than this multiple of their range."""
+        azimuth = random_obstacle_azimuth(sweep, 0.0, near_m, rng)
+    return Wedge.of_sector(azimuth_or_random(azimuth, rng), sector_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +151,7 @@ class GhostCar:
     azimuth: float | None = None
     heading: float = 0.0
     size_m: tuple[float, float, float] = CAR_M
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -165,11 +163,11 @@ class GhostCar:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth = open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
-        x, y, level_azimuth = ahead(sweep, azimuth, self.range_m)
+        azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
+        x, y, level_azimuth = position_at(sweep, azimuth, self.range_m)
         box = Box((x, y), level_azimuth + self.heading, self.size_m, ground_at(sweep, x, y))
         radius_m = _ROOM * float(np.hypot(*self.size_m[:2])) / 2
-        return haunt(sweep, box, wedge_around(azimuth, self.range_m, radius_m), self, rng)
+        return spoof_box(sweep, box, wedge_around(azimuth, self.range_m, radius_m), self, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,29 +188,26 @@ class GhostWall:
     range_m: float = 15.0
     azimuth: float | None = None
     height_m: float = _WALL_M[1]
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 150.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg, 150.0)
         require("range_m", self.range_m, 0.2, 1000.0)
         require("height_m", self.height_m, 0.05, 100.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth = open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
-        wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
-        x, y, level_azimuth = ahead(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
+        azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
+        wedge = Wedge.of_sector(azimuth, self.sector_deg)
+        x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
         wide = 2 * self.range_m * np.tan(wedge.width / 2) * _ROOM + 1.0
         box = Box((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))
-        return haunt(sweep, box, wedge, self, rng)
+        return spoof_box(sweep, box, wedge, self, rng)
 
 
-def haunt(sweep: Sweep, box: Box, wedge: Wedge, ghost: GhostCar | GhostWall, rng: np.random.Generator) -> Tampered:
+def spoof_box(sweep: Sweep, box: Box, wedge: Wedge, ghost: GhostCar | GhostWall, rng: np.random.Generator) -> Tampered:
     """Return ``sweep`` with a box in it, on the beams of the wedge that meet it before anything else."""
     rays = rays_in(sweep, wedge, empty=True)
     enter, _ = chord_m(*level_rays(sweep, rays), box)
     hit = np.isfinite(enter) & (enter < rays.depth_m)
-    chosen = nearest_first(rays, hit, wedge, ghost.budget)
-    return ghost.spoofer.spoof(sweep, rays, np.where(chosen, enter, LEAVE), wedge, rng)
+    return ghost.spoofer.spoof_nearest(sweep, rays, hit, enter, wedge, ghost.budget, rng)

@@ -15,33 +15,36 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.assembly import added, untouched
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget, require_one_of
+from viewshed.threats.attacks.assembly import add_points, untouched
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed.threats.attacks.spoofer import (
-    AS_MEASURED,
     LEAVE,
+    MEASURED_SPOOFER,
     Box,
     Spoofer,
-    ahead,
-    azimuth_of_obstacle,
+    azimuth_or_random,
+    choose_random,
     chord_m,
-    drawn_azimuth,
     ground_at,
     is_obstacle,
     level_rays,
-    open_azimuth,
+    position_at,
+    random_obstacle_azimuth,
+    random_open_azimuth,
     scene_of,
-    some_of,
     street_depth_m,
     to_sensor,
 )
+from viewshed.threats.parameters import require, require_azimuth, require_budget, require_one_of
 
 Mode = Literal["free_form", "beam_constrained"]
 
 MODES: tuple[Mode, ...] = ("free_form", "beam_constrained")
 
-ANYWHERE = Wedge(0.0, 2 * np.pi)
+Side = Literal["behind", "before"]
+
+FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
 
 HEIGHTS_M = (0.2, 1.8)
 """Free points lie between these heights above the ground."""
@@ -69,7 +72,7 @@ class Uniform:
     budget: int = 150
     half_extent_m: float = 64.0
     mode: Mode = "free_form"
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -81,13 +84,13 @@ class Uniform:
         half = self.half_extent_m
         if self.mode == "free_form":
             xy = rng.uniform(-half, half, (self.budget, 2))
-            return added(sweep, _standing(sweep, xy, rng), rng)
-        rays = rays_in(sweep, ANYWHERE, empty=True)
-        rays = rays.select(some_of(np.ones(len(rays), np.bool_), self.budget, rng))
-        _, way = level_rays(sweep, rays)
+            return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
+        rays = rays_in(sweep, FULL_CIRCLE, empty=True)
+        rays = rays.select(choose_random(np.ones(len(rays), np.bool_), self.budget, rng))
+        _, direction = level_rays(sweep, rays)
         range_m = half * np.sqrt(rng.random(len(rays)))
-        depth_m = range_m / np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-6)
-        return self.spoofer.spoof(sweep, rays, depth_m, ANYWHERE, rng)
+        depth_m = range_m / np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-6)
+        return self.spoofer.spoof(sweep, rays, depth_m, FULL_CIRCLE, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +111,7 @@ class Cluster:
     range_m: tuple[float, float] = (10.0, 70.0)
     mode: Mode = "free_form"
     azimuth: float | None = None
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -120,11 +123,11 @@ class Cluster:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth, range_m = drawn_azimuth(self.azimuth, rng), float(rng.uniform(*self.range_m))
-        x, y, _ = ahead(sweep, azimuth, range_m)
+        azimuth, range_m = azimuth_or_random(self.azimuth, rng), float(rng.uniform(*self.range_m))
+        x, y, _ = position_at(sweep, azimuth, range_m)
         if self.mode == "free_form":
             xy = np.array([x, y]) + rng.uniform(-self.spread_m, self.spread_m, (self.budget, 2))
-            return added(sweep, _standing(sweep, xy, rng), rng)
+            return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
         wide = 2 * self.spread_m
         box = Box((x, y), 0.0, (wide, wide, 3.0), ground_at(sweep, x, y))
         wedge = wedge_around(azimuth, range_m, np.sqrt(2.0) * self.spread_m)
@@ -132,7 +135,7 @@ class Cluster:
         enter, leave = chord_m(*level_rays(sweep, rays), box)
         hit = np.isfinite(enter)
         depth_m = np.where(hit, rng.uniform(np.where(hit, enter, 0.0), np.where(hit, leave, 1.0)), LEAVE)
-        chosen = some_of(hit, self.budget, rng)
+        chosen = choose_random(hit, self.budget, rng)
         return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)
 
 
@@ -154,7 +157,7 @@ class WedgeCluster:
     range_m: float = 10.0
     mode: Mode = "beam_constrained"
     azimuth: float | None = None
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -165,20 +168,20 @@ class WedgeCluster:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth = open_azimuth(sweep, self.range_m, rng) if self.azimuth is None else self.azimuth
-        wedge = Wedge(azimuth, float(np.deg2rad(self.sector_deg)))
-        x, y, level_azimuth = ahead(sweep, wedge.azimuth, self.range_m)
+        azimuth = random_open_azimuth(sweep, self.range_m, rng) if self.azimuth is None else self.azimuth
+        wedge = Wedge.of_sector(azimuth, self.sector_deg)
+        x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m)
         if self.mode == "free_form":
             around = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width
             range_m = rng.normal(self.range_m, self.spoofer.point_sigma_m, self.budget)
             xy = range_m[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
-            return added(sweep, _standing(sweep, xy, rng), rng)
+            return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
         rays = rays_in(sweep, wedge, empty=True)
-        start, way = level_rays(sweep, rays)
-        depth_m = self.range_m / np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-6)
-        height_m = start[:, 2] + depth_m * way[:, 2] - ground_at(sweep, x, y)
+        start, direction = level_rays(sweep, rays)
+        depth_m = self.range_m / np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-6)
+        height_m = start[:, 2] + depth_m * direction[:, 2] - ground_at(sweep, x, y)
         fits = (height_m > HEIGHTS_M[0]) & (height_m < HEIGHTS_M[1])
-        chosen = some_of(fits, self.budget, rng)
+        chosen = choose_random(fits, self.budget, rng)
         return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)
 
 
@@ -193,13 +196,10 @@ def _require_mode(mode: str, budget: int | None) -> None:
         raise ValueError(f"budget must lie in [0, {MOST_FREE}] for free points, got {budget}")
 
 
-def _standing(sweep: Sweep, xy: Floats, rng: np.random.Generator) -> Floats:
+def _at_obstacle_heights(sweep: Sweep, xy: Floats, rng: np.random.Generator) -> Floats:
     """Return points (A, 3) of the sensor's frame over places (A, 2) of the level frame, at heights of an obstacle."""
     z = scene_of(sweep).ground.at(xy) + rng.uniform(*HEIGHTS_M, len(xy))
     return to_sensor(sweep, np.column_stack([xy, z]))
-
-
-Side = Literal["behind", "before"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +224,7 @@ class Frustum:
     range_m: tuple[float, float] = (4.0, 40.0)
     radius_m: float = 2.5
     mode: Mode = "beam_constrained"
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)
@@ -236,17 +236,17 @@ class Frustum:
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth = azimuth_of_obstacle(sweep, *self.range_m, rng)
+        azimuth = random_obstacle_azimuth(sweep, *self.range_m, rng)
         if azimuth is None:
             return untouched(sweep)
         rays, wedge = self._object(sweep, azimuth)
-        chosen = some_of(np.ones(len(rays), np.bool_), self.budget, rng)
+        chosen = choose_random(np.ones(len(rays), np.bool_), self.budget, rng)
         if self.mode == "beam_constrained":
             wanted_m = np.where(chosen, self._depth_m(sweep, rays, self.apart_m), LEAVE)
             return self.spoofer.spoof(sweep, rays, wanted_m, wedge, rng)
         rays = rays.select(chosen)
         apart_m = self.apart_m * rng.uniform(0.5, 1.5, len(rays))
-        return added(sweep, rays.at(self._depth_m(sweep, rays, apart_m)), rng)
+        return add_points(sweep, rays.at(self._depth_m(sweep, rays, apart_m)), rng)
 
     def _object(self, sweep: Sweep, azimuth: float) -> tuple[Rays, Wedge]:
         """Return the rays that meet the nearest obstacle at ``azimuth``, and a wedge around them."""
@@ -266,8 +266,8 @@ class Frustum:
 
 
 def _range_m(sweep: Sweep, rays: Rays) -> Floats:
-    _, way = level_rays(sweep, rays)
-    return rays.depth_m * np.hypot(way[:, 0], way[:, 1])
+    _, direction = level_rays(sweep, rays)
+    return rays.depth_m * np.hypot(direction[:, 0], direction[:, 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,7 +316,7 @@ class PaperAttack:
             xy = middle + rng.uniform(-self.spread_m, self.spread_m, (count, 2))
         else:
             return untouched(sweep)
-        return added(sweep, _level_with_sensor(sweep, xy), rng)
+        return add_points(sweep, _level_with_sensor(sweep, xy), rng)
 
 
 def _level_with_sensor(sweep: Sweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:

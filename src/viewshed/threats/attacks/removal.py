@@ -10,19 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import rays_in
-from viewshed.threats.attacks.ghosts import aimed
+from viewshed.threats.attacks.ghosts import aim_wedge
 from viewshed.threats.attacks.spoofer import (
-    AS_MEASURED,
     LEAVE,
+    MEASURED_SPOOFER,
     NO_RETURN,
-    NOISELESS,
+    NOISELESS_SPOOFER,
     Spoofer,
+    azimuth_or_random,
+    choose_random,
     limits_m,
-    nearest_first,
-    some_of,
 )
+from viewshed.threats.parameters import require, require_sector
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,21 +44,19 @@ class Relay:
     sector_deg: float = 30.0
     azimuth: float | None = None
     aim_m: float = 30.0
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("offset_m", self.offset_m, -1000.0, 1000.0)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
         require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge)
-        chosen = nearest_first(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
-        return self.spoofer.spoof(sweep, rays, np.where(chosen, rays.depth_m + self.offset_m, LEAVE), wedge, rng)
+        every, shifted_m = np.ones(len(rays), np.bool_), rays.depth_m + self.offset_m
+        return self.spoofer.spoof_nearest(sweep, rays, every, shifted_m, wedge, self.budget, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,20 +75,18 @@ class PhysicalRemoval:
     sector_deg: float = 30.0
     azimuth: float | None = None
     aim_m: float = 30.0
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge)
-        chosen = nearest_first(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
-        return self.spoofer.spoof(sweep, rays, np.where(chosen, NO_RETURN, LEAVE), wedge, rng)
+        every, gone = np.ones(len(rays), np.bool_), np.full(len(rays), NO_RETURN)
+        return self.spoofer.spoof_nearest(sweep, rays, every, gone, wedge, self.budget, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,24 +109,21 @@ class HighFrequencyRemoval:
     noise_m: float = 50.0
     azimuth: float | None = None
     aim_m: float = 30.0
-    spoofer: Spoofer = NOISELESS
+    spoofer: Spoofer = NOISELESS_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("noise_rate", self.noise_rate, 0.0, 1.0)
         require("noise_m", self.noise_m, 0.5, 1000.0)
         require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aimed(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
         rays = rays_in(sweep, wedge, empty=True)
-        chosen = nearest_first(rays, np.ones(len(rays), np.bool_), wedge, self.budget)
-        noisy = rng.random(len(rays)) < self.noise_rate
+        noisy, every = rng.random(len(rays)) < self.noise_rate, np.ones(len(rays), np.bool_)
         depth_m = np.where(noisy, rng.uniform(0.0, self.noise_m, len(rays)), NO_RETURN)
-        return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)
+        return self.spoofer.spoof_nearest(sweep, rays, every, depth_m, wedge, self.budget, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,21 +144,18 @@ class Jamming:
     blind_share: float = 0.0
     sector_deg: float = 360.0
     azimuth: float | None = None
-    spoofer: Spoofer = NOISELESS
+    spoofer: Spoofer = NOISELESS_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require("share", self.share, 0.0, 1.0)
         require("blind_share", self.blind_share, 0.0, 1.0)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        azimuth = float(rng.uniform(-np.pi, np.pi)) if self.azimuth is None else self.azimuth
-        wedge = Wedge(azimuth, min(float(np.deg2rad(self.sector_deg)), 2 * np.pi))
+        wedge = Wedge.of_sector(azimuth_or_random(self.azimuth, rng), self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
-        chosen = some_of(rng.random(len(rays)) < self.share, self.budget, rng)
+        chosen = choose_random(rng.random(len(rays)) < self.share, self.budget, rng)
         depth_m = rng.uniform(*limits_m(sweep), len(rays))
         depth_m[rng.random(len(rays)) < self.blind_share] = NO_RETURN
         return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)

@@ -13,12 +13,22 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import Tampered, Wedge, require, require_azimuth, require_budget, require_one_of
+from viewshed.threats.attacks.assembly import COLUMNS, untouched
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed.threats.attacks.ghosts import CAR_M, GhostCar
-from viewshed.threats.attacks.points import ANYWHERE, MODES, Mode
-from viewshed.threats.attacks.spoofer import AS_MEASURED, LEAVE, NO_RETURN, NOISELESS, Spoofer, nearest_first
+from viewshed.threats.attacks.points import FULL_CIRCLE, MODES, Mode
+from viewshed.threats.attacks.spoofer import (
+    MEASURED_SPOOFER,
+    NO_RETURN,
+    NOISELESS_SPOOFER,
+    Spoofer,
+)
+from viewshed.threats.parameters import require, require_azimuth, require_budget, require_one_of, require_sector
+
+Anchor = Literal["world", "sensor"]
+
+ANCHORS: tuple[Anchor, ...] = ("world", "sensor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +80,6 @@ def _about_level_axis(axis: float, angle: float) -> np.ndarray[tuple[int, ...], 
     return rotation_from_quaternion([np.cos(half), x, y, 0.0])
 
 
-Anchor = Literal["world", "sensor"]
-
-ANCHORS: tuple[Anchor, ...] = ("world", "sensor")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
     """An earlier sweep of the same sensor instead of this one: looks real because it was.
@@ -96,12 +101,10 @@ class Replay:
     sector_deg: float = 360.0
     azimuth: float = 0.0
     mode: Mode = "beam_constrained"
-    spoofer: Spoofer = NOISELESS
+    spoofer: Spoofer = NOISELESS_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("sector_deg", self.sector_deg, 0.01, 360.0)
+        require_sector(self.budget, self.azimuth, self.sector_deg)
         require_one_of("mode", self.mode, MODES)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
@@ -111,41 +114,40 @@ class Replay:
             ValueError: the beams of one of the sweeps are not known, or they have other rings.
         """
         if self.mode == "free_form":
-            return _instead(sweep, self.earlier)
-        wedge = Wedge(self.azimuth, min(float(np.deg2rad(self.sector_deg)), 2 * np.pi))
+            return _replace_returns(sweep, self.earlier)
+        wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
         if len(rays) == 0:
             return untouched(sweep, wedge)
-        earlier_m = _earlier_m(self.earlier, lattice_of(sweep), rays)
+        earlier_m = _earlier_depth_m(self.earlier, lattice_of(sweep), rays)
         changed = (rays.ring >= 0) & ~((rays.row < 0) & np.isinf(earlier_m))
-        chosen = nearest_first(rays, changed, wedge, self.budget)
-        return self.spoofer.spoof(sweep, rays, np.where(chosen, earlier_m, LEAVE), wedge, rng)
+        return self.spoofer.spoof_nearest(sweep, rays, changed, earlier_m, wedge, self.budget, rng)
 
 
-def _instead(sweep: Sweep, earlier: Sweep) -> Tampered:
-    columns = {name: getattr(earlier, name) for name in ("points", "intensity", "ring", "azimuth", "time_s")}
+def _replace_returns(sweep: Sweep, earlier: Sweep) -> Tampered:
+    columns = {name: getattr(earlier, name) for name in COLUMNS}
     return Tampered(sweep.replace(**columns), np.ones(len(earlier), np.bool_), np.ones(len(sweep), np.bool_))
 
 
-def _earlier_m(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
+def _earlier_depth_m(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
     """Return the depth (K,) that each ray had in the earlier sweep, by ring and firing azimuth."""
     known = lattice_of(earlier)
     if lattice is None or known is None:
         return np.full(len(rays), NO_RETURN)
-    before = rays_in(earlier, ANYWHERE)
+    before = rays_in(earlier, FULL_CIRCLE)
     if len(known.elevation) != len(lattice.elevation):
         raise ValueError(
             f"the earlier sweep must be of the same sensor with {len(lattice.elevation)} rings, got "
             f"{len(known.elevation)}; play one of the same drive"
         )
     depth_m = np.full(known.rows.shape, NO_RETURN)
-    placed = (before.row >= 0) & (before.ring >= 0)
-    depth_m[before.ring[placed], before.column[placed]] = before.depth_m[placed]
+    known_pixel = (before.row >= 0) & (before.ring >= 0)
+    depth_m[before.ring[known_pixel], before.column[known_pixel]] = before.depth_m[known_pixel]
     columns = len(known.firing.azimuth)
     azimuth = lattice.firing.azimuth[rays.column] - known.firing.azimuth[0]
     column = np.rint(azimuth * (columns / (2 * np.pi))).astype(np.intp) % columns
-    found: NDArray[np.float64] = depth_m[rays.ring, column]
-    return found
+    result: NDArray[np.float64] = depth_m[rays.ring, column]
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +179,7 @@ class CoherentPhantom:
     velocity_mps: tuple[float, float] = (0.0, 0.0)
     reach_m: tuple[float, float] = (3.0, 50.0)
     size_m: tuple[float, float, float] = CAR_M
-    spoofer: Spoofer = AS_MEASURED
+    spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
         require_budget(self.budget)

@@ -1,6 +1,6 @@
 """What a laser that fires at a sensor achieves: which beams it wins and how exactly it sets their ranges.
 
-What an attacker knows of the scene: level frame, ground and obstacles, as the victim's own sweep tells them.
+Where it aims: the level frame, ground and obstacles of the scene, by the victim's own sweep.
 """
 
 from __future__ import annotations
@@ -15,15 +15,35 @@ from numpy.typing import NDArray
 from viewshed.grid import GRIDS
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.assembly import Made, assembled, untouched
-from viewshed.threats.attacks.base import Tampered, Wedge, require
+from viewshed.threats.attacks.assembly import Forged, assemble, untouched
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, within
+from viewshed.threats.parameters import require
 
 Floats = NDArray[np.float64]
 
+Mask = NDArray[np.bool_]
+
+RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
+"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
+
+DEFAULT_RELIABILITY = 0.985
+"""The same for other sensors."""
+
+FINGERPRINT_RELIABILITY = 0.02
+"""The same for a sensor whose pulses carry a fingerprint."""
+
+LEAVE, NO_RETURN = np.nan, np.inf
+"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
+
+_MAX_RANGE_M = 100.0
+"""How far a sensor is taken to see that is not known."""
+
 _NEAR_M, _NEAR_SHARE = 25.0, 0.01
+"""A sweep is indoors where at most this share of its returns lies farther away."""
 
 _ROUNDS = 4
+"""Iterations on the height of the ground under a beam."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +71,7 @@ def scene_of(sweep: Sweep) -> LeveledSweep:
     return level(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
 
 
-def heights_m(sweep: Sweep) -> NDArray[np.float32]:
+def heights_above_ground(sweep: Sweep) -> NDArray[np.float32]:
     """Return the height (N,) in meters of each return above local ground; NaN for ego and null returns."""
     leveled = scene_of(sweep)
     heights = np.full(len(sweep), np.nan, np.float32)
@@ -61,12 +81,12 @@ def heights_m(sweep: Sweep) -> NDArray[np.float32]:
 
 def is_obstacle(sweep: Sweep, rays: Rays) -> NDArray[np.bool_]:
     """Return which rays (K,) returned from more than 0.3 m above local ground."""
-    heights = np.append(heights_m(sweep), np.float32(np.nan))[rays.row]
-    found: NDArray[np.bool_] = heights > OBSTACLE_HEIGHTS_M[0]
-    return found
+    heights = np.append(heights_above_ground(sweep), np.float32(np.nan))[rays.row]
+    result: NDArray[np.bool_] = heights > OBSTACLE_HEIGHTS_M[0]
+    return result
 
 
-def azimuth_of_obstacle(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
+def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
     """Return the azimuth, in the sensor's frame, of a return of an obstacle drawn at random; None without any."""
     leveled = scene_of(sweep)
     low, high = OBSTACLE_HEIGHTS_M
@@ -78,17 +98,17 @@ def azimuth_of_obstacle(sweep: Sweep, near_m: float, far_m: float, rng: np.rando
     return float(np.arctan2(y, x))
 
 
-def drawn_azimuth(azimuth: float | None, rng: np.random.Generator) -> float:
+def azimuth_or_random(azimuth: float | None, rng: np.random.Generator) -> float:
     """Return ``azimuth``, or one drawn at random where it is None."""
     return float(rng.uniform(-np.pi, np.pi)) if azimuth is None else azimuth
 
 
-def open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
+def random_open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
     """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
     leveled = scene_of(sweep)
     rows = leveled.rows[leveled.range_m > range_m]
     if len(rows) == 0:
-        return drawn_azimuth(None, rng)
+        return azimuth_or_random(None, rng)
     x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
     return float(np.arctan2(y, x))
 
@@ -99,8 +119,8 @@ def level_rays(sweep: Sweep, rays: Rays) -> tuple[Floats, Floats]:
     return to_level @ rays.start_m, rays.direction @ to_level.rotation.T
 
 
-def ahead(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, float]:
-    """Return the place (x, y) in the level frame at an azimuth of the sensor and a range, and its level azimuth."""
+def position_at(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, float]:
+    """Return x and y in the level frame at an azimuth of the sensor and a range, and their level azimuth."""
     rotation = scene_of(sweep).level_from_sensor.rotation
     x, y, _ = rotation @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     level_azimuth = float(np.arctan2(y, x))
@@ -123,18 +143,18 @@ def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> Floats:
     To the ground, found by iteration on its height, or to the wall, whichever is nearer.
     """
     ground = scene_of(sweep).ground
-    start, way = level_rays(sweep, rays)
-    flat = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-6)
+    start, direction = level_rays(sweep, rays)
+    flat = np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-6)
     wall = wall_m / flat
-    down = way[:, 2] < -1e-4
+    down = direction[:, 2] < -1e-4
     depth = wall.copy()
     for _ in range(_ROUNDS):
-        below = ground.at(start[:, :2] + depth[:, None] * way[:, :2]).astype(np.float64)
-        depth = np.where(down, np.clip((below - start[:, 2]) / np.minimum(way[:, 2], -1e-4), 0.0, wall), wall)
+        below = ground.at(start[:, :2] + depth[:, None] * direction[:, :2]).astype(np.float64)
+        depth = np.where(down, np.clip((below - start[:, 2]) / np.minimum(direction[:, 2], -1e-4), 0.0, wall), wall)
     return depth
 
 
-def chord_m(start: Floats, way: Floats, box: Box) -> tuple[Floats, Floats]:
+def chord_m(start: Floats, direction: Floats, box: Box) -> tuple[Floats, Floats]:
     """Return the depths (K,) in meters at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
 
     By slabs (Kay and Kajiya 1986).
@@ -142,30 +162,13 @@ def chord_m(start: Floats, way: Floats, box: Box) -> tuple[Floats, Floats]:
     c, s = np.cos(box.heading), np.sin(box.heading)
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     middle = np.array([*box.center, box.ground_m + box.size_m[2] / 2])
-    start, way = (start - middle) @ turn.T, way @ turn.T
-    way = np.where(np.abs(way) < 1e-12, 1e-12, way)
+    start, direction = (start - middle) @ turn.T, direction @ turn.T
+    direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     half = np.array(box.size_m) / 2
-    first, second = (-half - start) / way, (half - start) / way
+    first, second = (-half - start) / direction, (half - start) / direction
     enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
     hit = (enter > 0.0) & (enter <= leave)
     return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
-
-
-Mask = NDArray[np.bool_]
-
-RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
-"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
-
-DEFAULT_RELIABILITY = 0.985
-"""The same for other sensors."""
-
-FINGERPRINT_RELIABILITY = 0.02
-"""The same for a sensor whose pulses carry a fingerprint."""
-
-LEAVE, NO_RETURN = np.nan, np.inf
-"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
-
-_MAX_RANGE_M = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,8 +215,22 @@ class Spoofer:
         removed = np.zeros(len(sweep), np.bool_)
         removed[rays.row[stays & (rays.row >= 0)]] = True
         kept = reported & stays
-        made = Made(points[kept], rays.ring[kept], rays.column[kept], rays.row[kept])
-        return assembled(sweep, removed, made, wedge, rng)
+        forged = Forged(points[kept], rays.ring[kept], rays.column[kept], rays.row[kept])
+        return assemble(sweep, removed, forged, wedge, rng)
+
+    def spoof_nearest(
+        self,
+        sweep: Sweep,
+        rays: Rays,
+        candidates: Mask,
+        wanted_m: Floats,
+        wedge: Wedge,
+        budget: int | None,
+        rng: np.random.Generator,
+    ) -> Tampered:
+        """Spoof at most ``budget`` of the rays that ``candidates`` (K,) marks, those nearest to the wedge's middle."""
+        chosen = choose_nearest(rays, candidates, wedge, budget)
+        return self.spoof(sweep, rays, np.where(chosen, wanted_m, LEAVE), wedge, rng)
 
     def _noisy(self, sweep: Sweep, depth_m: Floats, rng: np.random.Generator) -> Floats:
         """Return depths (K,) with noise, in whole steps of the sensor's range where they are known."""
@@ -224,10 +241,10 @@ class Spoofer:
         return np.rint(noisy / step_m) * step_m if step_m > 0 else noisy
 
 
-AS_MEASURED = Spoofer()
+MEASURED_SPOOFER = Spoofer()
 """What was measured on commercial sensors."""
 
-NOISELESS = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
+NOISELESS_SPOOFER = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
 """For ranges that are random anyway, or recorded with the noise of their own sweep."""
 
 
@@ -241,21 +258,21 @@ def limits_m(sweep: Sweep) -> tuple[float, float]:
     return 0.5, max(_MAX_RANGE_M, float(np.sqrt(farthest2)))
 
 
-def nearest_first(rays: Rays, candidates: NDArray[Any], wedge: Wedge, budget: int | None) -> Mask:
+def choose_nearest(rays: Rays, candidates: NDArray[Any], wedge: Wedge, budget: int | None) -> Mask:
     """Return which rays (K,) to attack: those among ``candidates`` (K,) nearest to the wedge's middle, in azimuth."""
     if budget is None or int(candidates.sum()) <= budget:
         return np.asarray(candidates, np.bool_)
     azimuth = np.arctan2(rays.direction[:, 1], rays.direction[:, 0])
     apart = np.abs((azimuth - wedge.azimuth + np.pi) % (2 * np.pi) - np.pi)
-    among = np.flatnonzero(candidates)
+    rows = np.flatnonzero(candidates)
     chosen = np.zeros(len(rays), np.bool_)
-    chosen[among[np.argsort(apart[among], kind="stable")[:budget]]] = True
+    chosen[rows[np.argsort(apart[rows], kind="stable")[:budget]]] = True
     return chosen
 
 
-def some_of(candidates: Mask, budget: int | None, rng: np.random.Generator) -> Mask:
+def choose_random(candidates: Mask, budget: int | None, rng: np.random.Generator) -> Mask:
     """Return which rays (K,) to attack: at most ``budget`` of ``candidates`` (K,), drawn at random."""
-    among = np.flatnonzero(candidates)
+    rows = np.flatnonzero(candidates)
     chosen = np.zeros(len(candidates), np.bool_)
-    chosen[rng.permutation(among)[: len(among) if budget is None else budget]] = True
+    chosen[rng.permutation(rows)[: len(rows) if budget is None else budget]] = True
     return chosen

@@ -1,4 +1,4 @@
-"""Corruptions: what spoils a sweep without anybody's intent, in five severities each."""
+"""Corruptions: what degrades a sweep without anybody's intent, in five severities each."""
 
 from __future__ import annotations
 

@@ -20,21 +20,11 @@ Floats = NDArray[np.float32]
 
 
 class Corruption(Protocol):
-    """Anything benign that spoils a sweep. The clean sweep is never modified; the same generator, the same bytes."""
+    """Anything benign that degrades a sweep. The clean sweep is never modified; the same generator, the same bytes."""
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return the spoilt sweep: rows are removed or moved, never added, and keep their order and other columns."""
+        """Return the worse sweep: rows are removed or moved, never added, and keep their order and other columns."""
         ...
-
-
-def within(name: str, value: float, low: float, high: float) -> None:
-    """Check that a parameter lies in [``low``, ``high``].
-
-    Raises:
-        ValueError: it does not.
-    """
-    if not low <= value <= high:
-        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
 
 
 def ranges_of(sweep: Sweep) -> Floats:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid, attitude_of, polar, rotation_from_quaternion
 from viewshed.sweep import Sweep
-from viewshed.threats.corruptions.base import at_ranges, ranges_of, within
+from viewshed.threats.corruptions.base import at_ranges, ranges_of
+from viewshed.threats.parameters import require
 
 PERIOD_S = 0.1
 """Duration of a revolution where the sweep has no times."""
@@ -26,7 +27,7 @@ class RangeNoise:
     sigma_m: float
 
     def __post_init__(self) -> None:
-        within("sigma_m", self.sigma_m, 0, 10)
+        require("sigma_m", self.sigma_m, 0, 10)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with noisy ranges."""
@@ -49,8 +50,8 @@ class MotionDistortion:
     yaw_rate_degps: float
 
     def __post_init__(self) -> None:
-        within("speed_mps", self.speed_mps, 0, 100)
-        within("yaw_rate_degps", self.yaw_rate_degps, 0, 360)
+        require("speed_mps", self.speed_mps, 0, 100)
+        require("yaw_rate_degps", self.yaw_rate_degps, 0, 360)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared by the motion; firing azimuths and times are as before."""
@@ -81,7 +82,7 @@ class Miscalibration:
     tilt_deg: float
 
     def __post_init__(self) -> None:
-        within("tilt_deg", self.tilt_deg, 0, 45)
+        require("tilt_deg", self.tilt_deg, 0, 45)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with a wrong attitude, and a wrong rotation of its pose; the points are as measured."""
@@ -115,8 +116,8 @@ class Slope:
     start_m: float
 
     def __post_init__(self) -> None:
-        within("grade", self.grade, -1, 1)
-        within("start_m", self.start_m, 0, 1000)
+        require("grade", self.grade, -1, 1)
+        require("start_m", self.start_m, 0, 1000)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared along the sensor's z; x, y and the rings stay."""

@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.geometry import polar
 from viewshed.preprocess.ring_recovery import rings_of_sweep
 from viewshed.sweep import Sweep
-from viewshed.threats.corruptions.base import within
+from viewshed.threats.parameters import require
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class DroppedBeams:
     share: float
 
     def __post_init__(self) -> None:
-        within("share", self.share, 0, 1)
+        require("share", self.share, 0, 1)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the share."""
@@ -45,8 +45,8 @@ class DroppedSectors:
     width_deg: float
 
     def __post_init__(self) -> None:
-        within("sectors", self.sectors, 0, 360)
-        within("width_deg", self.width_deg, 0, 360)
+        require("sectors", self.sectors, 0, 360)
+        require("width_deg", self.width_deg, 0, 360)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without returns in the sectors, by the azimuths of its points."""
@@ -69,7 +69,7 @@ class DeadRings:
     share: float
 
     def __post_init__(self) -> None:
-        within("share", self.share, 0, 1)
+        require("share", self.share, 0, 1)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the rings, drawn from all that the sensor has.
@@ -97,8 +97,8 @@ class FewerBeams:
     of: int
 
     def __post_init__(self) -> None:
-        within("of", self.of, 1, 4096)
-        within("kept", self.kept, 1, self.of)
+        require("of", self.of, 1, 4096)
+        require("kept", self.kept, 1, self.of)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the other rings; nothing is random, and ``rng`` is left as it was.

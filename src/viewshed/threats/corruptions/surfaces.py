@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from viewshed.sim.assets.shapes import PER_M, material_index
 from viewshed.sweep import Sweep
-from viewshed.threats.corruptions.base import at_ranges, heights_of, ranges_of, within
+from viewshed.threats.corruptions.base import at_ranges, heights_of, ranges_of
+from viewshed.threats.parameters import require
 
 ABOVE_GROUND_M = 0.3
 """Surfaces whose returns lie higher than this above local ground may be panes, if there are any."""
@@ -34,8 +35,8 @@ class GlassPatches:
     radius_m: float
 
     def __post_init__(self) -> None:
-        within("patches", self.patches, 0, 1000)
-        within("radius_m", self.radius_m, 0, 100)
+        require("patches", self.patches, 0, 1000)
+        require("radius_m", self.radius_m, 0, 100)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the patches; their middles are returns above the ground, where there are any."""
@@ -65,9 +66,9 @@ class Vegetation:
     per_m: float = float(PER_M[material_index("leaves")])
 
     def __post_init__(self) -> None:
-        within("bushes", self.bushes, 0, 1000)
-        within("radius_m", self.radius_m, 0, BUSH_RANGES_M[0] - 0.5)
-        within("per_m", self.per_m, 0, 1e6)
+        require("bushes", self.bushes, 0, 1000)
+        require("radius_m", self.radius_m, 0, BUSH_RANGES_M[0] - 0.5)
+        require("per_m", self.per_m, 0, 1e6)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with the returns that the leaves stopped moved nearer along their rays."""
@@ -76,26 +77,26 @@ class Vegetation:
         hidden = np.flatnonzero(flat_m * BEFORE_SURFACE[0] > BUSH_RANGES_M[0])
         if len(hidden) == 0:
             return sweep
-        way = sweep.points / np.maximum(range_m, 1e-9)[:, None]
+        direction = sweep.points / np.maximum(range_m, 1e-9)[:, None]
         chosen = hidden[rng.integers(len(hidden), size=self.bushes)]
         share = np.minimum(rng.uniform(*BEFORE_SURFACE, self.bushes), BUSH_RANGES_M[1] / flat_m[chosen])
         for middle in sweep.points[chosen] * share[:, None]:
-            self._grow(middle, way, range_m, rng)
+            self._grow(middle, direction, range_m, rng)
         return at_ranges(sweep, range_m)
 
     def _grow(
         self,
         middle: NDArray[np.float64],
-        way: NDArray[np.float64],
+        direction: NDArray[np.float64],
         range_m: NDArray[np.float64],
         rng: np.random.Generator,
     ) -> None:
         """Shorten the ranges (N,) of the beams that stop in the ball around ``middle``."""
-        nearest = way @ middle
+        nearest = direction @ middle
         half2 = self.radius_m**2 - (middle @ middle - nearest**2)
-        met = np.flatnonzero((half2 > 0) & (nearest > 0) & (range_m > 0))
-        half = np.sqrt(half2[met])
-        path = rng.standard_exponential(len(met)) / max(self.per_m, 1e-9)
-        stop = nearest[met] - half + path
-        stopped = (path < 2 * half) & (stop < range_m[met])
-        range_m[met[stopped]] = stop[stopped]
+        crossing = np.flatnonzero((half2 > 0) & (nearest > 0) & (range_m > 0))
+        half = np.sqrt(half2[crossing])
+        path = rng.standard_exponential(len(crossing)) / max(self.per_m, 1e-9)
+        stop = nearest[crossing] - half + path
+        stopped = (path < 2 * half) & (stop < range_m[crossing])
+        range_m[crossing[stopped]] = stop[stopped]

@@ -76,13 +76,13 @@ class Weather:
 
 def _between(table: NDArray[np.float32], luck: Floats) -> Floats:
     """Return the entry at each luck (N,) in [0, 1), interpolated; infinite where the next one is."""
-    place = luck * (len(table) - 1)
-    low = place.astype(np.intp)
+    position = luck * (len(table) - 1)
+    low = position.astype(np.intp)
     ends = table.astype(np.float64)[np.stack([low, low + 1])]
     finite = np.isfinite(ends[1])
-    found = np.full(len(luck), np.inf)
-    found[finite] = ends[0][finite] + (ends[1][finite] - ends[0][finite]) * (place - low)[finite]
-    return np.asarray(np.maximum(found, 1e-3), np.float64)
+    range_m = np.full(len(luck), np.inf)
+    range_m[finite] = ends[0][finite] + (ends[1][finite] - ends[0][finite]) * (position - low)[finite]
+    return np.asarray(np.maximum(range_m, 1e-3), np.float64)
 
 
 def _sensor(model: LidarModel | None) -> tuple[Optics, tuple[float, float]]:

@@ -42,7 +42,7 @@ class OneReturnPerBeam:
     """Drops all returns of a beam but the nearest. Needs rings.
 
     Two returns share a beam if they share a ring and their firing azimuths (those of the points where the sweep has
-    none) lie within ``tolerance`` of a firing step. Which one is real cannot be told; the nearest one is kept because a
+    none) lie within ``tolerance`` of a firing step. Which one is real is not known; the nearest one is kept because a
     claim to see through a surface is the dangerous one. Returns nearer than 1 m, and those of no ring, are left alone.
 
     Attributes:
@@ -71,12 +71,12 @@ class OneReturnPerBeam:
         rows = rows[np.lexsort((range_m[rows], azimuth[rows], beams.ring[rows]))]
         nearest_first = np.argsort(range_m[rows], kind="stable")
         reach = self.tolerance * beams.azimuth_step
-        dropped[rows] = _farther(beams.ring[rows], azimuth[rows].astype(np.float64), nearest_first, reach)
+        dropped[rows] = _farther_on_beam(beams.ring[rows], azimuth[rows].astype(np.float64), nearest_first, reach)
         return without(sweep, dropped)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _farther(ring: Any, azimuth: Any, nearest_first: Any, reach: float) -> Any:  # pragma: no cover - compiled
+def _farther_on_beam(ring: Any, azimuth: Any, nearest_first: Any, reach: float) -> Any:  # pragma: no cover - compiled
     """Return (N,) bool: returns that lie within ``reach`` of a kept nearer one; sorted by ring and azimuth."""
     count = len(ring)
     starts = np.searchsorted(ring, ring, side="left")

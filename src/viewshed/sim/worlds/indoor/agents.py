@@ -15,7 +15,7 @@ from viewshed.sim.assets.street import drive, person
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Agent, AgentPlan, Thing, World
 from viewshed.sim.worlds.indoor.floor_plan import FloorPlan, Rect
-from viewshed.sim.worlds.indoor.routes import Network, Points, RoadMap, follow, open_floor
+from viewshed.sim.worlds.indoor.routes import Network, Points, RoadMap, drive_route, open_floor
 
 ROBOT_RADIUS_M = 0.18
 
@@ -43,7 +43,7 @@ class Building:
     haunts: tuple[Rect, ...] = ()
 
 
-def inhabited(site: FloorPlan, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
+def inhabited(floor_plan: FloorPlan, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
     """Return the world of a finished building with robots, walking people and sensors below its ceiling.
 
     Raises:
@@ -52,32 +52,32 @@ def inhabited(site: FloorPlan, terrain: Terrain, building: Building, plan: Agent
     low, high = _SENSOR_M
     if plan.moving and not low <= plan.sensor_height_m <= high:
         raise ValueError(f"sensor_height_m must lie in [{low}, {high}] indoors, got {plan.sensor_height_m}; change it")
-    solids = bounds(site.things)
-    roads = _roads(site, building, solids, max(1.9, min(plan.sensor_height_m, high) + 0.15))
-    people, roads = _walkers(site.rng, roads, building.walkers, plan.duration_s)
+    solids = bounds(floor_plan.things)
+    roads = _roads(floor_plan, building, solids, max(1.9, min(plan.sensor_height_m, high) + 0.15))
+    people, roads = _walkers(floor_plan.rng, roads, building.walkers, plan.duration_s)
     robots = [
-        _robot(site.rng, network, building.haunts, plan)
+        _robot(floor_plan.rng, network, building.haunts, plan)
         for network in _territories(roads, building.haunts, plan.moving)
     ]
-    hung = _hung(site.rng, roads, solids, building.ceiling_m, plan.roadside)
+    hung = _hung(floor_plan.rng, roads, solids, building.ceiling_m, plan.roadside)
     mount = Rigid(np.eye(3), np.array([0.0, 0.0, plan.sensor_height_m]))
     agents = [Agent(f"robot_{k}", plan.sensor, mount, k) for k in range(len(robots))]
     agents += [Agent(f"ceiling_{k}", plan.roadside_sensor, pose) for k, pose in enumerate(hung)]
     rods = [_rod(pose, building.ceiling_m) for pose in hung]
-    return World(building.name, terrain, (*robots, *people, *rods, *site.things), tuple(agents), indoor=True)
+    return World(building.name, terrain, (*robots, *people, *rods, *floor_plan.things), tuple(agents), indoor=True)
 
 
-def _roads(site: FloorPlan, building: Building, solids: NDArray[np.float64], below_m: float) -> RoadMap:
+def _roads(floor_plan: FloorPlan, building: Building, solids: NDArray[np.float64], below_m: float) -> RoadMap:
     """Return the road map around all solids that begin below a height, over sills and thresholds, off steps."""
     near = solids[(solids[:, 4] < below_m) & (solids[:, 5] > 0.03), :4]
-    near = np.concatenate([near, np.array(site.steps).reshape(-1, 4)])
+    near = np.concatenate([near, np.array(floor_plan.steps).reshape(-1, 4)])
     doors = [
         (one.x_m + off * (not one.along_x), one.y_m + off * one.along_x)
-        for one in site.doorways
+        for one in floor_plan.doorways
         for off in (-0.9, 0.0, 0.9)
     ]
     floor = open_floor(building.inside).without(near, _CLEAR_M)
-    return RoadMap.over(floor, site.rng, np.array([*doors, *site.spots]).reshape(-1, 2))
+    return RoadMap.over(floor, floor_plan.rng, np.array([*doors, *floor_plan.spots]).reshape(-1, 2))
 
 
 def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: float) -> tuple[list[Thing], RoadMap]:
@@ -86,14 +86,14 @@ def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: f
     nodes = roads.largest(every)
     least = 0.6 * len(nodes)
     for _ in range(4 * count):
-        way = _beat(rng, roads, nodes)
-        if len(people) == count or way is None:
+        path = _beat(rng, roads, nodes)
+        if len(people) == count or path is None:
             continue
-        left = roads.off(way, _CLEAR_M + _PERSON_M)
+        left = roads.off(path, _CLEAR_M + _PERSON_M)
         kept = left.largest(every)
         if len(kept) > max(least, 0.75 * len(nodes)):
             roads, nodes = left, kept
-            people.append(_walker(rng, way, duration_s))
+            people.append(_walker(rng, path, duration_s))
     return people, roads
 
 
@@ -106,9 +106,9 @@ def _beat(rng: np.random.Generator, roads: RoadMap, nodes: NDArray[np.intp]) -> 
         return None
     goal, corner = int(rng.choice(goals)), int(rng.choice(goals))
     for rows in ([start, goal], [start, corner], [start, corner, goal]):
-        way = roads.nodes_m[rows]
-        if len(set(rows)) == len(rows) and roads.floor.sees(way[:-1], way[1:]).all():
-            return way
+        path = roads.nodes_m[rows]
+        if len(set(rows)) == len(rows) and roads.floor.sees(path[:-1], path[1:]).all():
+            return path
     return None
 
 
@@ -116,9 +116,9 @@ def _walker(rng: np.random.Generator, beat: Points, duration_s: float) -> Thing:
     speed = rng.uniform(0.7, 1.5)
     length = float(np.hypot(*np.diff(beat, axis=0).T).sum())
     rounds = int((duration_s + _LEAD_S + 2.0) * speed / (2 * length)) + 1
-    way = np.concatenate([beat, *[beat[-2::-1], beat[1:]] * rounds])
-    pause = np.where((way == beat[0]).all(axis=1) | (way == beat[-1]).all(axis=1), rng.uniform(0, 3, len(way)), 0.0)
-    return drive(person(rng, walking=True), follow(way, speed, 3.0, -rng.uniform(1.0, _LEAD_S), pause))
+    path = np.concatenate([beat, *[beat[-2::-1], beat[1:]] * rounds])
+    pause = np.where((path == beat[0]).all(axis=1) | (path == beat[-1]).all(axis=1), rng.uniform(0, 3, len(path)), 0.0)
+    return drive(person(rng, walking=True), drive_route(path, speed, 3.0, -rng.uniform(1.0, _LEAD_S), pause))
 
 
 def _territories(roads: RoadMap, haunts: tuple[Rect, ...], count: int) -> list[Network]:
@@ -132,8 +132,8 @@ def _territories(roads: RoadMap, haunts: tuple[Rect, ...], count: int) -> list[N
         edges = np.quantile(at[liked], np.linspace(0, 1, count + 1))
         edges[0], edges[-1] = -np.inf, np.inf
         parts = [roads.largest((at > low + _APART_M / 2) & (at < high - _APART_M / 2)) for low, high in pairwise(edges)]
-        found = sorted(len(np.intersect1d(part, liked)) for part in parts)
-        best, sizes = (parts, found) if found > sizes else (best, sizes)
+        counts = sorted(len(np.intersect1d(part, liked)) for part in parts)
+        best, sizes = (parts, counts) if counts > sizes else (best, sizes)
     return [Network.of(roads, part) for part in best]
 
 
@@ -142,14 +142,14 @@ def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...],
     speed = rng.uniform(0.2, 0.8)
     nodes = _within(haunts, network.roads.nodes_m, np.flatnonzero(network.rows))
     at = _goal(rng, haunts, network.roads.nodes_m, nodes)
-    way, left = [network.roads.nodes_m[[at]]], (plan.duration_s + _LEAD_S + 2.0) * speed
+    path, left = [network.roads.nodes_m[[at]]], (plan.duration_s + _LEAD_S + 2.0) * speed
     while left > 0 and len(nodes) > 1:
         goal = _goal(rng, haunts, network.roads.nodes_m, nodes[nodes != at])
         leg = network.path(at, goal)
         left -= float(np.hypot(*np.diff(leg, axis=0).T).sum())
-        way.append(leg[1:])
+        path.append(leg[1:])
         at = goal
-    track = follow(np.concatenate(way), speed, rng.uniform(0.5, 1.2), -rng.uniform(1.0, _LEAD_S))
+    track = drive_route(np.concatenate(path), speed, rng.uniform(0.5, 1.2), -rng.uniform(1.0, _LEAD_S))
     return drive(Thing("robot", robot_parts(rng, plan.sensor_height_m)), track)
 
 

@@ -51,7 +51,7 @@ class Office:
 
 def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a floor of offices in blocks, with a grid of corridors between them."""
-    site, top = FloorPlan(rng), rng.uniform(2.5, 2.9)
+    floor_plan, top = FloorPlan(rng), rng.uniform(2.5, 2.9)
     xs, ys = _spans(rng, rng.uniform(19.0, 22.0)), _spans(rng, rng.uniform(17.0, 20.0))
     inside = (xs[0][0], ys[0][0], xs[-1][1], ys[-1][1])
     offices, walls = _offices(rng, xs, ys)
@@ -63,21 +63,21 @@ def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
         walls += _faces(rng, *entries[-1], niches)
     rise = _raised(rng, walls, entries) if rng.random() < 0.5 else None
     passages = _passages(xs, ys)
-    build(site, [*walls, *_fire_doors(rng, passages)], top)
+    build(floor_plan, [*walls, *_fire_doors(rng, passages)], top)
     if rise is not None:
-        lay(site, rise)
+        lay(floor_plan, rise)
     for rect, side in niches:
-        furnish(site, rect, "niche", (side,))
+        furnish(floor_plan, rect, "niche", (side,))
     for rect, sides in passages:
-        furnish(site, rect, "corridor", sides)
+        furnish(floor_plan, rect, "corridor", sides)
         if rng.random() < 0.12:
-            site.inside(rect, standing)
+            floor_plan.inside(rect, standing)
     hub = (rng.uniform(-8.0, 8.0), rng.uniform(-8.0, 8.0))
-    lived = furnish_all(site, [(one.inner, _USES[k % len(_USES)]) for k, one in enumerate(offices)], hub, 520)
-    site.things.extend((*ceiling(inside, top), *_ducts(rng, passages, top)))
+    lived = furnish_all(floor_plan, [(one.inner, _USES[k % len(_USES)]) for k, one in enumerate(offices)], hub, 520)
+    floor_plan.things.extend((*ceiling(inside, top), *_ducts(rng, passages, top)))
     haunts = (*(rect for rect, _ in passages), *lived, *((rise.rect,) * 3 if rise else ()))
     building = Building("corridors", inside, top, 4, haunts)
-    return inhabited(site, floor(rise, inside, "concrete", "grass"), building, plan)
+    return inhabited(floor_plan, floor(rise, inside, "concrete", "grass"), building, plan)
 
 
 def _spans(rng: np.random.Generator, half_m: float) -> list[Span]:

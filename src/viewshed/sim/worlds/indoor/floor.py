@@ -48,7 +48,7 @@ class Rise:
             split = [(at, y0, at, b), (at, d, at, y1), (a, b, c, b), (a, d, c, d)]
         return [*sides[: self.side], *sides[self.side + 1 :], *split]
 
-    def way(self) -> list[tuple[float, float]]:
+    def path(self) -> list[tuple[float, float]]:
         """Return points (x, y) in meters up the ramp: before it, three on it, behind it."""
         a, b, c, d = self.ramp
         long = (d - b) if self.side % 2 else (c - a)
@@ -75,11 +75,11 @@ def raised_room(rect: Rect, side: int, door_m: tuple[float, float], height_m: fl
     return Rise(rect, height_m, ramp, side)
 
 
-def lay(site: FloorPlan, rise: Rise) -> None:
-    """Note a raised floor on a site: its steps, its ramp, and room to turn at both ends of that."""
-    site.steps += rise.steps()
-    site.spots += rise.way()
-    site.reserve(rise.ramp, *((x - 0.5, y - 0.5, x + 0.5, y + 0.5) for x, y in (rise.way()[0], rise.way()[-1])))
+def lay(floor_plan: FloorPlan, rise: Rise) -> None:
+    """Note a raised floor on a floor plan: its steps, its ramp, and room to turn at both ends of that."""
+    floor_plan.steps += rise.steps()
+    floor_plan.spots += rise.path()
+    floor_plan.reserve(rise.ramp, *((x - 0.5, y - 0.5, x + 0.5, y + 0.5) for x, y in (rise.path()[0], rise.path()[-1])))
 
 
 def floor(rise: Rise | None, inside: Rect, material: str, outside: str = "asphalt") -> Terrain:

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.assets.furniture import Group, Maker, bounds, footprint, placed
+from viewshed.sim.assets.furniture import Group, Maker, bounds, footprint, place_group
 from viewshed.sim.world import Thing
 
 Rect = tuple[float, float, float, float]
@@ -57,9 +57,9 @@ class FloorPlan:
     def clear(self, rect: Rect, gap_m: float = _GAP_M) -> bool:
         """Return whether nothing reserved or standing lies within ``gap_m`` meters of a rectangle."""
         taken, (x0, y0, x1, y1) = self._taken[: self._count], rect
-        apart = (taken[:, 0] >= x1 + gap_m) | (taken[:, 2] <= x0 - gap_m)
-        apart |= (taken[:, 1] >= y1 + gap_m) | (taken[:, 3] <= y0 - gap_m)
-        return bool(apart.all())
+        separate = (taken[:, 0] >= x1 + gap_m) | (taken[:, 2] <= x0 - gap_m)
+        separate |= (taken[:, 1] >= y1 + gap_m) | (taken[:, 3] <= y0 - gap_m)
+        return bool(separate.all())
 
     def reserve(self, *rects: Rect) -> None:
         """Keep rectangles free of furniture."""
@@ -94,36 +94,36 @@ class FloorPlan:
             corner: whether it should stand in a corner.
         """
         group = maker(self.rng)
-        own = footprint(group)
+        outline = footprint(group)
         for _ in range(6):
             side = sides[int(self.rng.integers(len(sides)))]
             share = float(self.rng.integers(2)) if corner else float(self.rng.random())
-            spot = _at_wall(room, turned(own, side * math.pi / 2), side, share)
-            if spot is not None and self._stand(group, own, (*spot, side * math.pi / 2)):
+            spot = _at_wall(room, turned(outline, side * math.pi / 2), side, share)
+            if spot is not None and self._stand(group, outline, (*spot, side * math.pi / 2)):
                 return True
         return False
 
     def inside(self, room: Rect, maker: Maker, yaws: tuple[float, ...] = (), gap_m: float = 0.2) -> bool:
         """Put a group anywhere in a room, at one of ``yaws`` or at any, ``gap_m`` from others; say whether it fits."""
         group = maker(self.rng)
-        own = footprint(group)
+        outline = footprint(group)
         for _ in range(8):
             u, v, w = self.rng.random(3).tolist()
             yaw = yaws[int(w * len(yaws))] if yaws else w * 2 * math.pi
-            a, b, c, d = turned(own, yaw)
+            a, b, c, d = turned(outline, yaw)
             wide, deep = room[2] - room[0] - (c - a), room[3] - room[1] - (d - b)
             spot = (room[0] - a + u * wide, room[1] - b + v * deep, yaw)
-            if min(wide, deep) > 0 and self._stand(group, own, spot, gap_m):
+            if min(wide, deep) > 0 and self._stand(group, outline, spot, gap_m):
                 return True
         return False
 
-    def _stand(self, group: Group, own: Rect, pose: tuple[float, float, float], gap_m: float = _GAP_M) -> bool:
+    def _stand(self, group: Group, outline: Rect, pose: tuple[float, float, float], gap_m: float = _GAP_M) -> bool:
         x, y, yaw = pose
-        a, b, c, d = turned(own, yaw)
+        a, b, c, d = turned(outline, yaw)
         rect = (x + a, y + b, x + c, y + d)
         if not self.clear(rect, gap_m):
             return False
-        self.things.extend(placed(group, x, y, yaw))
+        self.things.extend(place_group(group, x, y, yaw))
         self.reserve(rect)
         return True
 
@@ -140,16 +140,16 @@ def turned(rect: Rect, yaw: float) -> Rect:
     return min(xs), min(ys), max(xs), max(ys)
 
 
-def shrunk(rect: Rect, by_m: float) -> Rect:
+def shrunk(rect: Rect, margin_m: float) -> Rect:
     """Return a rectangle with all four sides moved inward."""
-    return rect[0] + by_m, rect[1] + by_m, rect[2] - by_m, rect[3] - by_m
+    return rect[0] + margin_m, rect[1] + margin_m, rect[2] - margin_m, rect[3] - margin_m
 
 
-def _at_wall(room: Rect, own: Rect, side: int, share: float) -> tuple[float, float] | None:
+def _at_wall(room: Rect, outline: Rect, side: int, share: float) -> tuple[float, float] | None:
     """Return where the origin of a group lies whose turned footprint touches a wall, or None if it is too large."""
     gap = 1.1 * _GAP_M
-    x0, y0 = room[0] + gap - own[0], room[1] + gap - own[1]
-    x1, y1 = room[2] - gap - own[2], room[3] - gap - own[3]
+    x0, y0 = room[0] + gap - outline[0], room[1] + gap - outline[1]
+    x1, y1 = room[2] - gap - outline[2], room[3] - gap - outline[3]
     if x1 < x0 or y1 < y0:
         return None
     if side % 2:

@@ -76,25 +76,25 @@ FURNISHING: dict[str, tuple[Wish, ...]] = {
 _BARE_PARTS = 75
 
 
-def furnish(site: FloorPlan, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2, 3)) -> None:
+def furnish(floor_plan: FloorPlan, room: Rect, use: str, sides: tuple[int, ...] = (0, 1, 2, 3)) -> None:
     """Furnish a room whose walls have the inner faces ``room``; what does not fit is left out.
 
     Args:
-        site: the building.
+        floor_plan: the building.
         room: meters.
         use: a name of ``FURNISHING``.
         sides: which of its sides have walls: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y.
     """
-    for where, maker, mean in FURNISHING[use]:
-        for _ in range(int(mean) + (site.rng.random() < mean % 1)):
-            if where in ("wall", "corner"):
-                site.against(room, maker, sides, corner=where == "corner")
+    for spot, maker, mean in FURNISHING[use]:
+        for _ in range(int(mean) + (floor_plan.rng.random() < mean % 1)):
+            if spot in ("wall", "corner"):
+                floor_plan.against(room, maker, sides, corner=spot == "corner")
             else:
-                site.inside(_part(room, where), maker, tuple(np.arange(4) * np.pi / 2) if where == "middle" else ())
+                floor_plan.inside(_part(room, spot), maker, tuple(np.arange(4) * np.pi / 2) if spot == "middle" else ())
 
 
 def furnish_all(
-    site: FloorPlan, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
+    floor_plan: FloorPlan, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
 ) -> tuple[Rect, ...]:
     """Furnish rooms from the nearest to a hub on; once the building has so many parts, the others are bare or empty.
 
@@ -110,17 +110,17 @@ def furnish_all(
     lived: list[Rect] = []
     for k in sorted(range(len(rooms)), key=far):
         room, use = rooms[k]
-        over = site.parts - parts
+        over = floor_plan.parts - parts
         if over < 0:
             lived.append(room)
         if over < _BARE_PARTS:
-            furnish(site, room, use if over < 0 else "bare")
+            furnish(floor_plan, room, use if over < 0 else "bare")
     return tuple(lived)
 
 
-def _part(room: Rect, where: str) -> Rect:
+def _part(room: Rect, spot: str) -> Rect:
     """Return the room, or only its middle."""
-    if where == "anywhere":
+    if spot == "anywhere":
         return room
     x0, y0, x1, y1 = room
     dx, dy = 0.16 * (x1 - x0), 0.16 * (y1 - y0)

@@ -10,7 +10,7 @@ import numpy as np
 from viewshed.sim.assets import furniture
 from viewshed.sim.assets import furniture as fittings
 from viewshed.sim.assets import warehouse as stock
-from viewshed.sim.assets.furniture import Group, placed
+from viewshed.sim.assets.furniture import Group, place_group
 from viewshed.sim.assets.shapes import Box, Cylinder
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.indoor.agents import Building, inhabited
@@ -31,26 +31,29 @@ _WISHES = (
 
 def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a large hall, as of a station or a fair."""
-    site, top = FloorPlan(rng), rng.uniform(5.0, 9.5)
+    floor_plan, top = FloorPlan(rng), rng.uniform(5.0, 9.5)
     half_x, half_y = rng.uniform(19.0, 24.0), rng.uniform(17.0, 21.0)
     inside = (-half_x, -half_y, half_x, half_y)
     front = int(rng.integers(4))
-    build(site, [_front(rng, wall, top) if k == front else _back(rng, wall)
+    build(floor_plan, [_front(rng, wall, top) if k == front else _back(rng, wall)
                  for k, wall in enumerate(around(inside, 0.35, "concrete"))], top)  # fmt: skip
-    site.things.extend(ceiling(inside, top, "concrete"))
+    floor_plan.things.extend(ceiling(inside, top, "concrete"))
     if rng.random() < 0.6:
-        _gallery(site, inside, (front + 2) % 4)
-    rise = _stage(site, inside) if rng.random() < 0.5 else None
-    _pillars(site, inside, top)
-    _seating(site, inside)
+        _gallery(floor_plan, inside, (front + 2) % 4)
+    rise = _stage(floor_plan, inside) if rng.random() < 0.5 else None
+    _pillars(floor_plan, inside, top)
+    _seating(floor_plan, inside)
     sides = tuple(side for side in range(4) if side != front)
     for maker, count, sides_ in ((stock.reception, 1, None), (stock.stall, 3, None), (stock.stall, 3, sides)):
         for _ in range(int(rng.integers(1, count + 1))):
-            site.against(inside, maker, sides_) if sides_ else site.inside(shrunk(inside, 4.0), maker, _QUARTERS)
-    _scattered(site, inside, sides)
-    _overhead(site, inside, top)
+            if sides_:
+                floor_plan.against(inside, maker, sides_)
+            else:
+                floor_plan.inside(shrunk(inside, 4.0), maker, _QUARTERS)
+    _scattered(floor_plan, inside, sides)
+    _overhead(floor_plan, inside, top)
     building = Building("hall", inside, top, 7, (inside,) * 3 + ((rise.rect,) if rise else ()))
-    return inhabited(site, floor(rise, inside, "concrete"), building, plan)
+    return inhabited(floor_plan, floor(rise, inside, "concrete"), building, plan)
 
 
 def _front(rng: np.random.Generator, wall: Wall, top_m: float) -> Wall:
@@ -73,19 +76,19 @@ def _back(rng: np.random.Generator, wall: Wall) -> Wall:
     return replace(wall, openings=tuple(one for one in doors if rng.random() < 0.45))
 
 
-def _pillars(site: FloorPlan, inside: Rect, top_m: float) -> None:
-    pitch, side = site.rng.uniform(6.0, 9.0, 2), site.rng.uniform(0.4, 0.8)
-    one = fittings.pillar(site.rng, top_m, side)
+def _pillars(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
+    pitch, side = floor_plan.rng.uniform(6.0, 9.0, 2), floor_plan.rng.uniform(0.4, 0.8)
+    one = fittings.pillar(floor_plan.rng, top_m, side)
     for x in np.arange(inside[0] + pitch[0] / 1.5, inside[2] - 2.0, pitch[0]).tolist():
         for y in np.arange(inside[1] + pitch[1] / 1.5, inside[3] - 2.0, pitch[1]).tolist():
-            site.put(placed(one, x, y))
+            floor_plan.put(place_group(one, x, y))
 
 
-def _gallery(site: FloorPlan, inside: Rect, side: int) -> None:
+def _gallery(floor_plan: FloorPlan, inside: Rect, side: int) -> None:
     """Add a gallery along a wall, on posts, with a balustrade of glass and stairs that lead up to it."""
     x0, y0, x1, y1 = inside
     along_x = side % 2 == 1
-    deep, level = site.rng.uniform(2.5, 4.0), site.rng.uniform(2.9, 3.6)
+    deep, level = floor_plan.rng.uniform(2.5, 4.0), floor_plan.rng.uniform(2.9, 3.6)
     half = (x1 - x0 if along_x else y1 - y0) / 2
     edge = inside[side] + (deep if side < 2 else -deep)
     lines = np.linspace(-half + 1.0, half - 1.0, int(half / 3.0))
@@ -94,9 +97,9 @@ def _gallery(site: FloorPlan, inside: Rect, side: int) -> None:
     size = (2 * half, deep) if along_x else (deep, 2 * half)
     slab = Box(0.0 if along_x else middle, middle if along_x else 0.0, *size, level + 0.3, level, 0.0, "concrete")
     rail = Wall(along_x, edge, -half, half).box(-half, half, (level + 0.3, level + 1.35), "glass", 0.02)
-    site.add((Thing("gallery", (slab, rail, *posts), z_m=0.0),))
+    floor_plan.add((Thing("gallery", (slab, rail, *posts), z_m=0.0),))
     strip = _beside(inside, side, deep)
-    site.inside(strip, lambda rng: stock.stairs(rng, level), (np.pi / 2 if along_x else 0.0,), 0.01)
+    floor_plan.inside(strip, lambda rng: stock.stairs(rng, level), (np.pi / 2 if along_x else 0.0,), 0.01)
 
 
 def _beside(inside: Rect, side: int, deep_m: float) -> Rect:
@@ -107,9 +110,9 @@ def _beside(inside: Rect, side: int, deep_m: float) -> Rect:
     return rect[0], rect[1], rect[2], rect[3]
 
 
-def _stage(site: FloorPlan, inside: Rect) -> Rise | None:
+def _stage(floor_plan: FloorPlan, inside: Rect) -> Rise | None:
     """Return a raised part of the floor with a ramp; what stands on it is put there, with a rail of glass."""
-    rng = site.rng
+    rng = floor_plan.rng
     wide, deep, height = rng.uniform(6.0, 9.0), rng.uniform(4.0, 7.0), rng.uniform(0.12, 0.4)
     for _ in range(8):
         x, y = (
@@ -117,24 +120,24 @@ def _stage(site: FloorPlan, inside: Rect) -> Rise | None:
             rng.uniform(inside[1] + 2.0, inside[3] - 2.0 - deep),
         )
         rect = (x, y, x + wide, y + deep)
-        if site.clear(rect, 0.4):
+        if floor_plan.clear(rect, 0.4):
             ramp = (x, y + 0.3, x + min(height / 0.1, wide - 1.5), y + 1.8)
             rise = Rise(rect, height, ramp, 0)
-            lay(site, rise)
+            lay(floor_plan, rise)
             rails = Wall(True, y + deep - 0.1, x + 0.2, x + wide - 0.2).box(
                 x + 0.2, x + wide - 0.2, (0.0, 1.0), "glass", 0.02
             )
-            site.add((Thing("rail", (rails,), z_m=height),))
+            floor_plan.add((Thing("rail", (rails,), z_m=height),))
             for _ in range(3):
-                site.inside(shrunk(rect, 0.4), stock.bistro)
-            site.reserve(*((a - 0.3, b - 0.3, c + 0.3, d + 0.3) for a, b, c, d in rise.steps()))
+                floor_plan.inside(shrunk(rect, 0.4), stock.bistro)
+            floor_plan.reserve(*((a - 0.3, b - 0.3, c + 0.3, d + 0.3) for a, b, c, d in rise.steps()))
             return rise
     return None
 
 
-def _seating(site: FloorPlan, inside: Rect) -> None:
+def _seating(floor_plan: FloorPlan, inside: Rect) -> None:
     """Add a field of seats in rows, all turned the same way."""
-    rng = site.rng
+    rng = floor_plan.rng
     maker = stock.double_seats if rng.random() < 0.6 else stock.seats
     group = maker(rng)
     a, b, c, d = furniture.footprint(group)
@@ -145,30 +148,31 @@ def _seating(site: FloorPlan, inside: Rect) -> None:
     for i in range(rows):
         for j in range(columns):
             u, v = (i * pitch[0], j * pitch[1])
-            site.put(placed(group, x + (v if turn else u), y + (u if turn else v), np.pi / 2 if turn else 0.0))
+            x_m, y_m = (x + v, y + u) if turn else (x + u, y + v)
+            floor_plan.put(place_group(group, x_m, y_m, np.pi / 2 if turn else 0.0))
 
 
-def _scattered(site: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> None:
-    for maker, most, where in _WISHES:
-        for _ in range(int(site.rng.integers(0, most + 1))):
-            if where == "wall":
-                site.against(inside, maker, sides)
+def _scattered(floor_plan: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> None:
+    for maker, limit, spot in _WISHES:
+        for _ in range(int(floor_plan.rng.integers(0, limit + 1))):
+            if spot == "wall":
+                floor_plan.against(inside, maker, sides)
             else:
-                site.inside(shrunk(inside, 2.0), maker, _QUARTERS if where == "inside" else (), 0.5)
+                floor_plan.inside(shrunk(inside, 2.0), maker, _QUARTERS if spot == "inside" else (), 0.5)
 
 
-def _overhead(site: FloorPlan, inside: Rect, top_m: float) -> None:
+def _overhead(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
     """Add beams below the ceiling, hanging signs, and what stands outside the glass."""
-    for x in np.linspace(inside[0] + 3.0, inside[2] - 3.0, int(site.rng.integers(3, 7))).tolist():
+    for x in np.linspace(inside[0] + 3.0, inside[2] - 3.0, int(floor_plan.rng.integers(3, 7))).tolist():
         beam = Box(x, 0.0, 0.3, inside[3] - inside[1], top_m, top_m - 0.5, 0.0, "concrete")
-        site.things.append(Thing("beam", (beam,), z_m=0.0))
-    for x, y in site.rng.uniform(-12.0, 12.0, (int(site.rng.integers(2, 6)), 2)).tolist():
-        wide, yaw = site.rng.uniform(1.5, 3.0), float(site.rng.choice(_QUARTERS))
-        if site.clear((x - wide / 2, y - wide / 2, x + wide / 2, y + wide / 2)):
+        floor_plan.things.append(Thing("beam", (beam,), z_m=0.0))
+    for x, y in floor_plan.rng.uniform(-12.0, 12.0, (int(floor_plan.rng.integers(2, 6)), 2)).tolist():
+        wide, yaw = floor_plan.rng.uniform(1.5, 3.0), float(floor_plan.rng.choice(_QUARTERS))
+        if floor_plan.clear((x - wide / 2, y - wide / 2, x + wide / 2, y + wide / 2)):
             plate = Box(0.0, 0.0, 0.12, wide, 3.3, 2.7, 0.0, "paint")
-            site.reserve((x - 1.5, y - 1.5, x + 1.5, y + 1.5))
-            site.things.append(Thing("sign", (plate,), x_m=x, y_m=y, yaw=yaw, z_m=0.0))
-    site.things.extend(_outside(site.rng, inside))
+            floor_plan.reserve((x - 1.5, y - 1.5, x + 1.5, y + 1.5))
+            floor_plan.things.append(Thing("sign", (plate,), x_m=x, y_m=y, yaw=yaw, z_m=0.0))
+    floor_plan.things.extend(_outside(floor_plan.rng, inside))
 
 
 def _outside(rng: np.random.Generator, inside: Rect) -> Iterator[Thing]:
@@ -183,4 +187,4 @@ def _outside(rng: np.random.Generator, inside: Rect) -> Iterator[Thing]:
 
 def _out(group: Group, at_m: float, inside: Rect, rng: np.random.Generator) -> Group:
     high = rng.random() < 0.5
-    return placed(group, at_m, inside[3] + 3.0 if high else inside[1] - 3.0, np.pi / 2)
+    return place_group(group, at_m, inside[3] + 3.0 if high else inside[1] - 3.0, np.pi / 2)

@@ -45,7 +45,7 @@ class Shared:
 
 def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a floor of rooms along a hallway: offices or apartments."""
-    site = FloorPlan(rng)
+    floor_plan = FloorPlan(rng)
     half_x, half_y, top = rng.uniform(18.0, 22.0), rng.uniform(17.0, 20.0), rng.uniform(2.45, 3.1)
     inside = (-half_x, -half_y, half_x, half_y)
     hub = (rng.uniform(-8.0, 8.0), rng.uniform(-6.0, 6.0))
@@ -54,16 +54,19 @@ def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
     rise = _raised(rng, spaces, doors) if rng.random() < 0.5 else None
     walls = [_inner(rng, cut, [d for d in doors if d[0].cut == k], rise) for k, cut in enumerate(cuts)]
     outer = [_with_windows(rng, wall, spaces) for wall in around(inside, 0.3)]
-    build(site, [*walls, *outer], top)
+    build(floor_plan, [*walls, *outer], top)
     if rise is not None:
-        lay(site, rise)
+        lay(floor_plan, rise)
     wishes = [(shrunk(space, 0.07), use) for space, use in zip(spaces[1:], _uses(rng, spaces[1:]), strict=True)]
-    furnish(site, shrunk(spaces[0], 0.07), "hallway", (1, 3))
-    lived = furnish_all(site, wishes, hub, 560)
-    site.things.extend(ceiling(inside, top))
+    furnish(floor_plan, shrunk(spaces[0], 0.07), "hallway", (1, 3))
+    lived = furnish_all(floor_plan, wishes, hub, 560)
+    floor_plan.things.extend(ceiling(inside, top))
     ground = floor(rise, inside, "wood" if rng.random() < 0.6 else "concrete", "grass")
     return inhabited(
-        site, ground, Building("rooms", inside, top, 2, (*lived, spaces[0], *((rise.rect,) if rise else ()))), plan
+        floor_plan,
+        ground,
+        Building("rooms", inside, top, 2, (*lived, spaces[0], *((rise.rect,) if rise else ()))),
+        plan,
     )
 
 
@@ -111,7 +114,7 @@ def _split(rng: np.random.Generator, rect: Rect, least_m2: float, cuts: list[Cut
 
 def _stretches(spaces: list[Rect], cuts: list[Cut]) -> list[Shared]:
     """Return every stretch of a cut that two rooms share and that a door fits in."""
-    found = []
+    shared = []
     for k, cut in enumerate(cuts):
         across, along = (1, 0) if cut.along_x else (0, 1)
         low = [i for i, one in enumerate(spaces) if abs(one[across + 2] - cut.at_m) < 1e-9]
@@ -120,8 +123,8 @@ def _stretches(spaces: list[Rect], cuts: list[Cut]) -> list[Shared]:
             start = max(spaces[i][along], spaces[j][along], cut.start_m)
             stop = min(spaces[i][along + 2], spaces[j][along + 2], cut.stop_m)
             if stop - start >= _DOOR_M:
-                found.append(Shared(k, i, j, start, stop))
-    return found
+                shared.append(Shared(k, i, j, start, stop))
+    return shared
 
 
 def _doors(rng: np.random.Generator, stretches: list[Shared]) -> list[tuple[Shared, Opening]]:

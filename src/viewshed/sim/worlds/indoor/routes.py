@@ -136,35 +136,35 @@ class Network:
     def path(self, start: int, goal: int) -> Points:
         """Return the corners (k, 2) of a short way between two connected nodes, both ends included."""
         _, before = dijkstra(self.lengths, directed=False, indices=goal, return_predecessors=True)
-        way = [start]
-        while way[-1] != goal:
-            way.append(int(before[way[-1]]))
-        return _straightened(self.roads.floor, self.roads.nodes_m[way])
+        path = [start]
+        while path[-1] != goal:
+            path.append(int(before[path[-1]]))
+        return _straightened(self.roads.floor, self.roads.nodes_m[path])
 
 
-def _straightened(floor: FreeFloor, way: Points) -> Points:
+def _straightened(floor: FreeFloor, path: Points) -> Points:
     """Return the way without corners that can be cut: from each corner on to the farthest that it sees."""
     kept = [0]
-    while kept[-1] < len(way) - 1:
-        ahead = way[kept[-1] + 1 :]
-        seen = np.flatnonzero(floor.sees(np.broadcast_to(way[kept[-1]], ahead.shape), ahead))
+    while kept[-1] < len(path) - 1:
+        ahead = path[kept[-1] + 1 :]
+        seen = np.flatnonzero(floor.sees(np.broadcast_to(path[kept[-1]], ahead.shape), ahead))
         kept.append(kept[-1] + 1 + int(seen[-1] if seen.size else 0))
-    return way[kept]
+    return path[kept]
 
 
-def follow(way: Points, speed_mps: float, turn_rate: float, start_s: float, pause_s: ArrayLike = ()) -> Track:
+def drive_route(path: Points, speed_mps: float, turn_rate: float, start_s: float, pause_s: ArrayLike = ()) -> Track:
     """Return the track along corners (k, 2): straight at one speed, turning in place at ``turn_rate`` radians a second.
 
     Args:
-        way: corners, no two in a row the same.
+        path: corners, no two in a row the same.
         speed_mps: meters a second.
         turn_rate: radians a second.
         start_s: when it leaves the first corner.
         pause_s: seconds to stand at each corner, before turning; none if left out.
     """
-    if len(way) < 2:
-        return Track(np.array([start_s]), way[:1], np.zeros(1))
-    step = np.diff(way, axis=0)
+    if len(path) < 2:
+        return Track(np.array([start_s]), path[:1], np.zeros(1))
+    step = np.diff(path, axis=0)
     yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     turn = np.maximum(np.abs(np.diff(yaw)) / turn_rate, 0.02)
     pauses = np.asarray(pause_s, np.float64)
@@ -173,8 +173,8 @@ def follow(way: Points, speed_mps: float, turn_rate: float, start_s: float, paus
     stages = np.empty(3 * len(drive) - 2)
     stages[0::3], stages[1::3], stages[2::3] = drive, stand + 0.02, turn
     t_s = start_s + np.r_[0.0, np.cumsum(stages)]
-    corner = np.r_[0, np.repeat(np.arange(1, len(way) - 1), 3), len(way) - 1]
+    corner = np.r_[0, np.repeat(np.arange(1, len(path) - 1), 3), len(path) - 1]
     heading = np.r_[
         0, np.column_stack([np.arange(len(turn)), np.arange(len(turn)), np.arange(1, len(turn) + 1)]).ravel()
     ]
-    return Track(t_s, way[corner], yaw[np.r_[heading, len(yaw) - 1]])
+    return Track(t_s, path[corner], yaw[np.r_[heading, len(yaw) - 1]])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.sim.assets.furniture import DOOR_TOP_M, Group, bounds, door, footprint, placed
+from viewshed.sim.assets.furniture import DOOR_TOP_M, Group, bounds, door, footprint, place_group
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.world import Thing
 from viewshed.sim.worlds.indoor.floor_plan import Doorway, FloorPlan, Rect
@@ -111,8 +111,8 @@ def _filled(wall: Wall, one: Opening, start: float, stop: float, top_m: float) -
             yield wall.box(edge - 0.025, edge + 0.025, (0.08, head), "metal", 0.07)
 
 
-def build(site: FloorPlan, walls: Iterable[Wall], top_m: float) -> None:
-    """Add walls up to ``top_m`` meters to a site, hang the doors and keep the doorways free."""
+def build(floor_plan: FloorPlan, walls: Iterable[Wall], top_m: float) -> None:
+    """Add walls up to ``top_m`` meters to a floor plan, hang the doors and keep the doorways free."""
     walls = list(walls)
     gates = [wall.rect(one, 1.6) for wall in walls for one in wall.openings if one.kind in ("gate", "roller")]
     panes = [wall.rect(one, 0.15) for wall in walls for one in wall.openings if one.kind == "pane"]
@@ -122,47 +122,48 @@ def build(site: FloorPlan, walls: Iterable[Wall], top_m: float) -> None:
     solids = [bounds((shell,))[:, :4] for shell in shells]
     for row, (k, wall, one) in enumerate(doors):
         middle = (one.middle_m, wall.at_m) if wall.along_x else (wall.at_m, one.middle_m)
-        site.doorways.append(Doorway(*middle, wall.along_x))
+        floor_plan.doorways.append(Doorway(*middle, wall.along_x))
         others = np.concatenate([zones[:row], zones[row + 1 :], *solids[:k], *solids[k + 1 :]])
-        if one.kind == "passage" or not _hang(site, wall, one, others):
-            _threshold(site, wall, one)
-    site.reserve(*gates, *panes, *((a, b, c, d) for a, b, c, d in zones.tolist()))
+        if one.kind == "passage" or not _hang(floor_plan, wall, one, others):
+            _threshold(floor_plan, wall, one)
+    floor_plan.reserve(*gates, *panes, *((a, b, c, d) for a, b, c, d in zones.tolist()))
     for shell in shells:
-        site.add((shell,))
+        floor_plan.add((shell,))
 
 
-def _hang(site: FloorPlan, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
+def _hang(floor_plan: FloorPlan, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
     """Hang the leaf of a door so that it stands in no other doorway and hits no other leaf or wall, if that can be."""
-    angle = {"open": site.rng.uniform(1.5, 1.9), "ajar": site.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
-    for way in site.rng.permutation(4).tolist():
-        if one.swing == (-1 if way % 2 else 1):
+    angle = {"open": floor_plan.rng.uniform(1.5, 1.9), "ajar": floor_plan.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
+    for path in floor_plan.rng.permutation(4).tolist():
+        if one.swing == (-1 if path % 2 else 1):
             continue
-        leaf = _leaf(wall, one, angle, way)
+        leaf = _leaf(wall, one, angle, path)
         x0, y0, x1, y1 = footprint(leaf)
         apart = (others[:, 0] >= x1) | (others[:, 2] <= x0) | (others[:, 1] >= y1) | (others[:, 3] <= y0)
-        if apart.all() and site.clear((x0, y0, x1, y1)):
-            site.add(leaf)
+        if apart.all() and floor_plan.clear((x0, y0, x1, y1)):
+            floor_plan.add(leaf)
             return True
     return False
 
 
-def _leaf(wall: Wall, one: Opening, angle: float, way: int) -> Group:
+def _leaf(wall: Wall, one: Opening, angle: float, path: int) -> Group:
     """Return the leaf of a door: ``way`` 0 to 3 says at which end it is hinged and to which side it opens."""
-    far, side = way // 2, 1 if way % 2 else -1
+    far, side = path // 2, 1 if path % 2 else -1
     offset = (one.width_m / 2 - _POST_M - 0.03) * (1 if far else -1)
     across = side * (wall.thick_m / 2 + 0.045)
     turn = (math.pi - side * angle) if far else side * angle
-    leaf = placed(door(one.width_m - 2 * _POST_M - 0.04, 0.0), offset, across, turn)
+    leaf = place_group(door(one.width_m - 2 * _POST_M - 0.04, 0.0), offset, across, turn)
     if wall.along_x:
-        return placed(leaf, one.middle_m, wall.at_m)
-    return placed(leaf, wall.at_m, one.middle_m, math.pi / 2)
+        return place_group(leaf, one.middle_m, wall.at_m)
+    return place_group(leaf, wall.at_m, one.middle_m, math.pi / 2)
 
 
-def _threshold(site: FloorPlan, wall: Wall, one: Opening) -> None:
-    if site.rng.random() < 0.4:
+def _threshold(floor_plan: FloorPlan, wall: Wall, one: Opening) -> None:
+    if floor_plan.rng.random() < 0.4:
         half = one.width_m / 2 - _POST_M
-        strip = wall.box(one.middle_m - half, one.middle_m + half, (-0.01, site.rng.uniform(0.008, 0.02)), "metal", 0.1)
-        site.things.append(Thing("threshold", (strip,)))
+        heights = (-0.01, floor_plan.rng.uniform(0.008, 0.02))
+        strip = wall.box(one.middle_m - half, one.middle_m + half, heights, "metal", 0.1)
+        floor_plan.things.append(Thing("threshold", (strip,)))
 
 
 def around(rect: Rect, thick_m: float, material: str = "plaster") -> list[Wall]:

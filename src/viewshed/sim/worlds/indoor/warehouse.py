@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.sim.assets import furniture
 from viewshed.sim.assets import furniture as fittings
 from viewshed.sim.assets import warehouse as stock
-from viewshed.sim.assets.furniture import Maker, placed
+from viewshed.sim.assets.furniture import Maker, place_group
 from viewshed.sim.assets.shapes import Box
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.indoor.agents import Building, inhabited
@@ -29,28 +29,28 @@ _STAGED: tuple[tuple[Maker, int], ...] = (
 
 def warehouse(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a warehouse with racks along y and gates at one end."""
-    site, top = FloorPlan(rng), rng.uniform(6.5, 10.0)
+    floor_plan, top = FloorPlan(rng), rng.uniform(6.5, 10.0)
     half_x, half_y = rng.uniform(19.0, 23.0), rng.uniform(18.0, 21.0)
     inside = (-half_x, -half_y, half_x, half_y)
     gates = 3 if rng.random() < 0.5 else 1
     walls = around(inside, 0.25, "metal" if rng.random() < 0.5 else "concrete")
     walls[gates] = _with_gates(rng, walls[gates])
     walls[gates - 1] = replace(walls[gates - 1], openings=(Opening(rng.uniform(-6, 6), 1.1, "ajar"),))
-    build(site, walls, top)
+    build(floor_plan, walls, top)
     trucks = [one for one in walls[gates].openings if one.kind == "gate"]
-    site.things.extend(truck for one in trucks for truck in _truck(rng, one, walls[gates], gates))
-    site.things.extend(ceiling(inside, top, "metal"))
+    floor_plan.things.extend(truck for one in trucks for truck in _truck(rng, one, walls[gates], gates))
+    floor_plan.things.extend(ceiling(inside, top, "metal"))
     staging, store = _zones(inside, gates)
-    edge = _racks(site, store, top)
-    _floor_storage(site, (edge, store[1] + 1.5, store[2] - 1.0, store[3] - 1.0))
-    rise = _dock(site, staging, gates) if rng.random() < 0.5 else None
-    for maker, most in _STAGED:
-        for _ in range(int(rng.integers(most // 2, most + 1))):
-            site.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not fittings.standing else ())
-    _along_walls(site, inside, gates)
-    _roof(site, inside, top)
+    edge = _racks(floor_plan, store, top)
+    _floor_storage(floor_plan, (edge, store[1] + 1.5, store[2] - 1.0, store[3] - 1.0))
+    rise = _dock(floor_plan, staging, gates) if rng.random() < 0.5 else None
+    for maker, limit in _STAGED:
+        for _ in range(int(rng.integers(limit // 2, limit + 1))):
+            floor_plan.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not fittings.standing else ())
+    _along_walls(floor_plan, inside, gates)
+    _roof(floor_plan, inside, top)
     building = Building("warehouse", inside, top, 3, (store, staging, staging) + ((rise.rect,) if rise else ()))
-    return inhabited(site, floor(rise, inside, "concrete"), building, plan)
+    return inhabited(floor_plan, floor(rise, inside, "concrete"), building, plan)
 
 
 def _with_gates(rng: np.random.Generator, wall: Wall) -> Wall:
@@ -66,7 +66,7 @@ def _truck(rng: np.random.Generator, gate: Opening, wall: Wall, side: int) -> tu
         return ()
     out = 4.0 + wall.thick_m
     turn = -np.pi / 2 if side == 3 else np.pi / 2
-    return placed(stock.trailer(rng), gate.middle_m, wall.at_m + (out if side == 3 else -out), turn)
+    return place_group(stock.trailer(rng), gate.middle_m, wall.at_m + (out if side == 3 else -out), turn)
 
 
 def _zones(inside: Rect, gates: int) -> tuple[Rect, Rect]:
@@ -77,71 +77,72 @@ def _zones(inside: Rect, gates: int) -> tuple[Rect, Rect]:
     return (x0, y0, x1, y0 + _STAGING_M), (x0, y0 + _STAGING_M, x1, y1)
 
 
-def _racks(site: FloorPlan, store: Rect, top_m: float) -> float:
+def _racks(floor_plan: FloorPlan, store: Rect, top_m: float) -> float:
     """Add racks back to back along y with a cross aisle, and return the x where they end."""
-    rng = site.rng
+    rng = floor_plan.rng
     aisle, levels = rng.uniform(2.6, 3.6), int(rng.integers(2, 4)) if top_m > 8.8 else 2
     long = store[3] - store[1] - 2 * _CROSS_M
     bays = int((long - _CROSS_M) / 2 / (stock.BAY_M + 0.1))
     x = store[0] + 0.7
-    _rack_row(site, x, store, bays, levels)
+    _rack_row(floor_plan, x, store, bays, levels)
     x += 0.6 + aisle
     for _ in range(min(5 - levels, int((store[2] - x - 7.0) / (2.4 + aisle)))):
-        _rack_row(site, x + 0.57, store, bays, levels)
-        _rack_row(site, x + 0.57 + 1.2, store, bays, levels)
+        _rack_row(floor_plan, x + 0.57, store, bays, levels)
+        _rack_row(floor_plan, x + 0.57 + 1.2, store, bays, levels)
         x += 2.4 + aisle
     return x
 
 
-def _rack_row(site: FloorPlan, x_m: float, store: Rect, bays: int, levels: int) -> None:
+def _rack_row(floor_plan: FloorPlan, x_m: float, store: Rect, bays: int, levels: int) -> None:
     """Add the two halves of a row and guards at its ends."""
     middle, half = (store[1] + store[3]) / 2, bays * (stock.BAY_M + 0.1) / 2
     for side in (-1, 1):
         y = middle + side * (_CROSS_M / 2 + half)
-        site.put(placed(stock.rack(site.rng, bays, levels), x_m, y))
-        site.put(placed(stock.bollard(site.rng), x_m, y + side * (half + 0.25)))
+        floor_plan.put(place_group(stock.rack(floor_plan.rng, bays, levels), x_m, y))
+        floor_plan.put(place_group(stock.bollard(floor_plan.rng), x_m, y + side * (half + 0.25)))
 
 
-def _floor_storage(site: FloorPlan, rect: Rect) -> None:
+def _floor_storage(floor_plan: FloorPlan, rect: Rect) -> None:
     """Add blocks of stacked pallets with lanes between them."""
-    rng = site.rng
+    rng = floor_plan.rng
     x = rect[0]
     while x + 2.8 < rect[2]:
         y = rect[1]
         while y + 1.3 < rect[3]:
-            if rng.random() < 0.4 and site.parts < _MOST_PARTS:
+            if rng.random() < 0.4 and floor_plan.parts < _MOST_PARTS:
                 for k in range(int(rng.integers(1, 4))):
-                    site.put(placed(stock.stack(rng), x + 0.45 + 0.9 * k, y + 0.65, rng.normal(0.0, 0.015)))
+                    floor_plan.put(place_group(stock.stack(rng), x + 0.45 + 0.9 * k, y + 0.65, rng.normal(0.0, 0.015)))
             y += 1.4 if rng.random() < 0.7 else 3.0
         x += 2.8 + rng.uniform(2.2, 3.2)
 
 
-def _dock(site: FloorPlan, staging: Rect, gates: int) -> Rise | None:
+def _dock(floor_plan: FloorPlan, staging: Rect, gates: int) -> Rise | None:
     """Return a strip of floor before some gates that lies higher, with a ramp up to it."""
-    rng = site.rng
+    rng = floor_plan.rng
     long, deep, height = rng.uniform(6.0, 12.0), 3.2, rng.uniform(0.1, 0.25)
     x = rng.uniform(staging[0] + 1.0, staging[2] - long - 1.0)
     y = staging[3] - deep if gates == 3 else staging[1]
     rect = (x, y, x + long, y + deep)
     rise = Rise(rect, height, (x, y, x + height / 0.08, y + deep), 0)
-    lay(site, rise)
-    site.reserve(*((a - 0.3, b - 0.3, c + 0.3, d + 0.3) for a, b, c, d in rise.steps()))
+    lay(floor_plan, rise)
+    floor_plan.reserve(*((a - 0.3, b - 0.3, c + 0.3, d + 0.3) for a, b, c, d in rise.steps()))
     return rise
 
 
-def _along_walls(site: FloorPlan, inside: Rect, gates: int) -> None:
+def _along_walls(floor_plan: FloorPlan, inside: Rect, gates: int) -> None:
     sides = tuple(side for side in range(4) if side != gates)
-    for maker, most in ((fittings.extinguisher, 4), (fittings.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
+    for maker, limit in ((fittings.extinguisher, 4), (fittings.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
                         (stock.cage, 2), (furniture.desk, 2)):  # fmt: skip
-        for _ in range(int(site.rng.integers(1, most + 1))):
-            site.against(inside, maker, sides)
+        for _ in range(int(floor_plan.rng.integers(1, limit + 1))):
+            floor_plan.against(inside, maker, sides)
 
 
-def _roof(site: FloorPlan, inside: Rect, top_m: float) -> None:
+def _roof(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
     """Add girders below the roof, columns along the walls, and lamps over the floor."""
     lines = np.linspace(inside[0] + 1.0, inside[2] - 1.0, 6).tolist()
     for x in lines:
         girder = Box(x, 0.0, 0.25, inside[3] - inside[1], top_m, top_m - 0.7, 0.0, "metal")
-        site.things.append(Thing("beam", (girder,), z_m=0.0))
+        floor_plan.things.append(Thing("beam", (girder,), z_m=0.0))
         for y in (inside[1] + 0.2, inside[3] - 0.2):
-            site.put((Thing("pillar", (Box(0.0, 0.0, 0.25, 0.3, top_m - 0.7, -1.0, 0.0, "metal"),), x_m=x, y_m=y),))
+            post = Box(0.0, 0.0, 0.25, 0.3, top_m - 0.7, -1.0, 0.0, "metal")
+            floor_plan.put((Thing("pillar", (post,), x_m=x, y_m=y),))

@@ -1,13 +1,18 @@
-"""Loops of the definitions of visible that go by azimuth bins."""
+"""Definitions of visible that go by azimuth bins: farthest return, first blocker, line of sight."""
 
 from __future__ import annotations
 
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from viewshed._numba import atan2
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.sim.truth.beam_lines import ALONG_X, ALONG_Y, BEND, RISE, SLOPE, STOP
+from viewshed.sim.truth.count import ranges_of
 
 BLOCKS, RETURNS, OPEN = 1, 2, 4
 """What a beam met, as flags: a thing that is not the sensor's own vehicle; what sends light back; nothing."""
@@ -16,18 +21,48 @@ LANES = 32
 """Cells of a bin are seen by so many at a time."""
 
 FARTHEST, BLOCKER, SIGHT, BETWEEN = 1, 2, 4, 8
-"""What is told of a cell, as flags: the definitions that see it, and that a line passes over it."""
+"""What is known of a cell, as flags: the definitions that see it, and that a line passes over it."""
 
 _PI = np.float32(np.pi)
 
 
+class Batches(NamedTuple):
+    """The cells of each azimuth bin by ascending range, LANES at a time; the last ones of a bin are repeated.
+
+    Attributes:
+        cells: (B, LANES) int32.
+        ranges: (B, LANES) float32 of their centers.
+        bins: (B,) int32.
+    """
+
+    cells: NDArray[np.int32]
+    ranges: NDArray[np.float32]
+    bins: NDArray[np.int32]
+
+
+@lru_cache(maxsize=2)
+def batches_of(grid: BevGrid, bins: int) -> Batches:
+    """Return the cells of each bin of azimuth."""
+    azimuth = polar_of_cells(grid)[1].reshape(-1)
+    own = ((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi))).astype(np.int64).clip(0, bins - 1)
+    order = np.lexsort((ranges_of(grid), own))
+    starts = np.flatnonzero(np.diff(own[order], prepend=-1))
+    counts = np.diff(starts, append=len(order))
+    batches = -(-counts // LANES)
+    first = np.repeat(np.cumsum(batches) - batches, batches)
+    step = (np.arange(len(first)) - first)[:, None] * LANES + np.arange(LANES)
+    rows = np.repeat(starts, batches)[:, None] + np.minimum(step, np.repeat(counts, batches)[:, None] - 1)
+    cells = order[rows].astype(np.int32)
+    return Batches(cells, ranges_of(grid)[cells], own[cells[:, 0]].astype(np.int32))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def what_stopped(depth: Any, thing: Any, material: Any, own: Any, reflectivity: Any) -> Any:  # pragma: no cover
-    """Return the flags (C·R,) uint8 of the beams."""
+def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity: Any) -> Any:  # pragma: no cover
+    """Return the flags (C·R,) uint8 of beams by depth, thing and material (C, R); ``vehicle`` carries the sensor."""
     depths, things, materials = depth.reshape(-1), thing.reshape(-1), material.reshape(-1)
     out = np.empty(depths.size, np.uint8)
     for n in range(depths.size):
-        blocks = BLOCKS if things[n] >= 0 and things[n] != own else 0
+        blocks = BLOCKS if things[n] >= 0 and things[n] != vehicle else 0
         returns = RETURNS if reflectivity[materials[n]] > 0 else 0
         out[n] = blocks + returns if depths[n] < np.inf else OPEN
     return out
@@ -35,13 +70,17 @@ def what_stopped(depth: Any, thing: Any, material: Any, own: Any, reflectivity: 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:  # pragma: no cover - compiled
-    """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks."""
+    """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks.
+
+    Lines (6, C·R), see :mod:`viewshed.sim.truth.beam_lines`, and flags (C·R,); a stop lies in the bin of its own
+    azimuth, not of its beam's.
+    """
     out = np.empty((2, bins), np.float32)
     out[0], out[1] = np.float32(-1.0), np.float32(np.inf)
     per_rad = np.float32(bins / (2 * np.pi))
     range_m, azimuth = np.empty(flags.size, np.float32), np.empty(flags.size, np.float32)
     for n in range(flags.size):
-        bend, ux, uy, run = beams[0, n], beams[1, n], beams[2, n], beams[5, n]
+        bend, ux, uy, run = beams[BEND, n], beams[ALONG_X, n], beams[ALONG_Y, n], beams[STOP, n]
         x, y = ux * run - bend * uy, uy * run + bend * ux
         range_m[n], azimuth[n] = np.sqrt(x * x + y * y), atan2(y, x)
     for n in range(flags.size):
@@ -65,9 +104,9 @@ def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -
     ring = 0
     for n in range(azimuth.size):
         b = min(max(int((azimuth[n] + _PI) * per_rad), 0), bins - 1)
-        run = np.float32(np.inf) if flags[n] & OPEN else beams[5, n]
+        run = np.float32(np.inf) if flags[n] & OPEN else beams[STOP, n]
         if run > table[b, ring, 2]:
-            table[b, ring, 0], table[b, ring, 1] = beams[4, n], beams[3, n]
+            table[b, ring, 0], table[b, ring, 1] = beams[SLOPE, n], beams[RISE, n]
             table[b, ring, 2], table[b, ring, 3] = run, np.float32(flags[n])
         ring = ring + 1 if ring < rings - 1 else 0
     for step in range(1, 2 * bins):
@@ -80,44 +119,48 @@ def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def see_cells(limits: Any, table: Any, batches: Any, ground: Any, shape: Any, out: Any) -> None:  # pragma: no cover
-    """Fill ``out`` (cells,) uint8 with FARTHEST, BLOCKER and SIGHT of the definitions that see a cell.
+def see_cells(
+    limits: Any, table: Any, batches: Any, ground: Any, high: Any, below: Any, cell: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` (cells²,) uint8 with FARTHEST, BLOCKER and SIGHT of the definitions that see a cell.
 
     Args:
-        limits: from ``stop_limits``.
-        table: from ``beams_of_bins``.
-        batches: the cells of each bin by ascending range, LANES at a time, the last ones repeated: places (B, LANES),
-            ranges (B, LANES), bins (B,).
-        ground: of the cells, from the sensor's height.
-        shape: height of the column above a cell, tolerance below ground, and the cell's side.
+        limits: (2, bins) from :func:`stop_limits`.
+        table: (bins, R, 4) from :func:`beams_of_bins`.
+        batches: :class:`Batches`.
+        ground: (cells²,) z from the sensor's height.
+        high: height of the column above a cell.
+        below: how far below the ground it begins.
+        cell: side of a cell.
         out: as above.
     """
-    (places, ranges, bins), (high, below, cell) = batches, shape
-    room, met, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
-    for n in range(bins.shape[0]):
-        b = bins[n]
+    room, seen, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
+    for n in range(batches.bins.shape[0]):
+        b, ranges = batches.bins[n], batches.ranges[n]
         farthest, blocker = limits[0, b], limits[1, b]
         for k in range(LANES):
-            room[0, k] = ground[places[n, k]]
+            room[0, k] = ground[batches.cells[n, k]]
         low, top = _extremes(room)
+        # The two definitions that compare ranges, and range, foot and top of each cell's column.
         for k in range(LANES):
-            r, height = ranges[n, k], room[0, k]
+            r, height = ranges[k], room[0, k]
             room[0, k], room[1, k], room[2, k] = r, height - below, height + high
             near = FARTHEST | BLOCKER if r - cell <= blocker else FARTHEST
-            met[k] = near if r <= farthest else 0
-        view = (b, ranges[n, 0], ranges[n, LANES - 1], cell)
-        first = _first_above(table, view, low - below, first)
-        if _meet_columns(table, view, (first, top + high), room, met) < LANES:
+            seen[k] = near if r <= farthest else 0
+        # Line of sight: a beam of the bin passes over the cell, or the gap between two rings lets see it.
+        near_m, far_m = ranges[0], ranges[LANES - 1]
+        first = _first_above(table, b, near_m, far_m, low - below, first)
+        if _meet_columns(table, b, near_m, far_m, cell, first, top + high, room, seen) < LANES:
             for k in range(LANES):
-                if met[k] < BETWEEN:
-                    met[k] |= _through_gap(table, b, first, (room[0, k], room[1, k], cell))
+                if seen[k] < BETWEEN:
+                    seen[k] |= _through_gap(table, b, first, room[0, k], room[1, k], cell)
         for k in range(LANES):
-            out[places[n, k]] = met[k]
+            out[batches.cells[n, k]] = seen[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _extremes(room: Any) -> Any:  # pragma: no cover - compiled
-    """Return the least and the largest of the first row."""
+    """Return the least and the largest of the first row (3, LANES), by halves: that fills vector registers."""
     for k in range(LANES):
         room[1, k], room[2, k] = room[0, k], room[0, k]
     for half in (16, 8, 4, 2, 1):
@@ -128,9 +171,8 @@ def _extremes(room: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first_above(table: Any, view: Any, foot: Any, ring: Any) -> Any:  # pragma: no cover - compiled
+def _first_above(table: Any, b: Any, near: Any, far: Any, foot: Any, ring: Any) -> Any:  # pragma: no cover - compiled
     """Return the first ring that is not below the feet of all columns between two ranges, found from a guess."""
-    b, near, far, _ = view
     while ring > 0 and _highest(table, b, ring - 1, near, far) >= foot:
         ring -= 1
     while ring < table.shape[1] and _highest(table, b, ring, near, far) < foot:
@@ -140,14 +182,19 @@ def _first_above(table: Any, view: Any, foot: Any, ring: Any) -> Any:  # pragma:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:  # pragma: no cover - compiled
+    """Return the larger height of a ring's line at two ranges."""
     slope, rise = table[b, ring, 0], table[b, ring, 1]
     return max(rise + near * slope, rise + far * slope)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet_columns(table: Any, view: Any, rings: Any, room: Any, met: Any) -> Any:  # pragma: no cover - compiled
-    """Tell in ``met`` whether lines pass between foot and top of columns, and reach them; return how many have such."""
-    (b, near, far, cell), (ring, top) = view, rings
+def _meet_columns(
+    table: Any, b: Any, near: Any, far: Any, cell: Any, ring: Any, top: Any, room: Any, seen: Any
+) -> Any:  # pragma: no cover - compiled
+    """Flag in ``seen`` whether lines pass between foot and top of columns, and reach them; return how many have such.
+
+    ``room`` (3, LANES) is range, foot and top of the columns; rings from ``ring`` on, up to one above ``top``.
+    """
     while ring < table.shape[1]:
         slope, rise, run = table[b, ring, 0], table[b, ring, 1], table[b, ring, 2]
         if min(rise + near * slope, rise + far * slope) > top:
@@ -156,18 +203,17 @@ def _meet_columns(table: Any, view: Any, rings: Any, room: Any, met: Any) -> Any
             height = rise + room[0, k] * slope
             between = (height >= room[1, k]) & (height <= room[2, k])
             worth = np.int32(BETWEEN | SIGHT) if run >= room[0, k] - cell else np.int32(BETWEEN)
-            met[k] |= worth if between else np.int32(0)
+            seen[k] |= worth if between else np.int32(0)
         ring += 1
     some = 0
     for k in range(LANES):
-        some += 1 if met[k] >= BETWEEN else 0
+        some += 1 if seen[k] >= BETWEEN else 0
     return some
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _through_gap(table: Any, b: Any, ring: Any, column: Any) -> Any:  # pragma: no cover - compiled
+def _through_gap(table: Any, b: Any, ring: Any, r: Any, foot: Any, cell: Any) -> Any:  # pragma: no cover - compiled
     """Return SIGHT where the rings above and below the foot of a column let see between them, or 0."""
-    r, foot, cell = column
     rings = table.shape[1]
     while ring < rings and table[b, ring, 1] + r * table[b, ring, 0] < foot:
         ring += 1
@@ -177,7 +223,7 @@ def _through_gap(table: Any, b: Any, ring: Any, column: Any) -> Any:  # pragma: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def tell_definitions(met: Any, out: Any) -> None:  # pragma: no cover - compiled
+def definition_masks(seen: Any, out: Any) -> None:  # pragma: no cover - compiled
     """Fill ``out`` (3, cells) bool with what ``see_cells`` found of each definition."""
-    for n in range(met.shape[0]):
-        out[0, n], out[1, n], out[2, n] = met[n] & FARTHEST != 0, met[n] & BLOCKER != 0, met[n] & SIGHT != 0
+    for n in range(seen.shape[0]):
+        out[0, n], out[1, n], out[2, n] = seen[n] & FARTHEST != 0, seen[n] & BLOCKER != 0, seen[n] & SIGHT != 0

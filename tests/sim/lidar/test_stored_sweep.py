@@ -8,7 +8,7 @@ import pytest
 from viewshed.geometry import Rigid
 from viewshed.sensors import lidar_model
 from viewshed.sim.lidar.firing import firing
-from viewshed.sim.lidar.range_image import RangeImage
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.raycast.scan import STILL, Motion
 
 MODEL = replace(lidar_model("os1_32g"), azimuth_columns=360)
@@ -16,11 +16,11 @@ POSE = Rigid.from_yaw(0.7, (4.0, -1.0, 1.8))
 MOTION = Motion((9.0, -2.0, 0.5), 0.6, 0.1)
 
 
-def image(motion: Motion = STILL) -> RangeImage:
+def image(motion: Motion = STILL) -> StoredSweep:
     rng = np.random.default_rng(3)
     steps = rng.integers(0, 20_000, (360, 32)).astype(np.uint16) * (rng.random((360, 32)) < 0.7)
     level = (steps % 255 + 1).astype(np.uint8) * (steps > 0)
-    return RangeImage(MODEL, steps.astype(np.uint16), level.astype(np.uint8), 0.002, POSE, motion, 1.8, 12, "robot")
+    return StoredSweep(MODEL, steps.astype(np.uint16), level.astype(np.uint8), 0.002, POSE, motion, 1.8, 12, "robot")
 
 
 def test_points_lie_on_their_beams() -> None:
@@ -75,12 +75,12 @@ def test_firing_starts_and_points_where_the_returns_are(motion: Motion) -> None:
 
 def test_an_empty_image_is_an_empty_sweep() -> None:
     empty = np.zeros((360, 32), np.uint16)
-    assert len(RangeImage(MODEL, empty, empty.astype(np.uint8), 0.002, POSE).sweep()) == 0
+    assert len(StoredSweep(MODEL, empty, empty.astype(np.uint8), 0.002, POSE).sweep()) == 0
 
 
 def test_wrong_arrays_are_refused() -> None:
     empty = np.zeros((360, 32), np.uint16)
     with pytest.raises(ValueError, match="steps must be uint16"):
-        RangeImage(MODEL, empty.T, empty.astype(np.uint8), 0.002, POSE)
+        StoredSweep(MODEL, empty.T, empty.astype(np.uint8), 0.002, POSE)
     with pytest.raises(ValueError, match="step_m must lie in"):
-        RangeImage(MODEL, empty, empty.astype(np.uint8), 2.0, POSE)
+        StoredSweep(MODEL, empty, empty.astype(np.uint8), 2.0, POSE)

@@ -1,4 +1,4 @@
-"""RangeImage: one revolution as the sensor stores it, whole steps of range for each column and ring."""
+"""StoredSweep: one revolution as the sensor stores it, whole steps of range for each column and ring."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from viewshed.sweep import Sweep
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RangeImage:
+class StoredSweep:
     """One measured revolution. C columns in firing order, R rings from the lowest up.
 
     Attributes:
@@ -59,7 +59,7 @@ class RangeImage:
         start_m, direction, _ = still_firing(self.model)
         turn, shift_m, time_s = column_poses(self.model, self.motion, self.world_from_sensor)
         points, intensity, ring, time_s = _returns(
-            (self.steps, self.intensity), np.float32(self.step_m), (start_m, direction), (turn, shift_m, time_s)
+            self.steps, self.intensity, np.float32(self.step_m), start_m, direction, turn, shift_m, time_s
         )
         return Sweep(
             points=points,
@@ -75,11 +75,14 @@ class RangeImage:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _returns(image: Any, step_m: Any, beams: Any, poses: Any) -> Any:  # pragma: no cover - compiled
-    """Return points (N, 3), intensity, ring and time of the beams that returned, column after column."""
-    steps, level = image
-    start_m, direction = beams
-    turn, shift_m, column_s = poses
+def _returns(
+    steps: Any, level: Any, step_m: Any, start_m: Any, direction: Any, turn: Any, shift_m: Any, column_s: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return points (N, 3), intensity, ring and time of the beams that returned, column after column.
+
+    Steps and intensity (C, R); heights of starts (R,) and directions (C, R, 3) in the sensor's frame when it fired;
+    rotations (C, 3, 3), positions (C, 3) and times (C,) of the columns.
+    """
     columns, rings = steps.shape
     points = np.empty((steps.size, 3), np.float32)
     intensity, time_s = np.empty(steps.size, np.float32), np.empty(steps.size, np.float32)
