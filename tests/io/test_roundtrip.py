@@ -46,7 +46,7 @@ def same(first: Any, second: Any) -> bool:
     return bool(np.array_equal(first, second))
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(sweep=sweeps())
 @pytest.mark.parametrize("suffix", [".npz", ".npz.gz"])
 def test_npz_keeps_everything(suffix: str, sweep: Sweep, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_npz_keeps_everything(suffix: str, sweep: Sweep, tmp_path: Path) -> None
             assert same(getattr(sweep.model, name), getattr(back.model, name)), name
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(sweep=sweeps())
 @pytest.mark.parametrize("suffix", [".pcd", ".ply", ".pcd.gz"])
 def test_pcd_and_ply_keep_every_column(suffix: str, sweep: Sweep, tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_pcd_and_ply_keep_every_column(suffix: str, sweep: Sweep, tmp_path: Path
         assert same(getattr(sweep, name), getattr(back, name)), name
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(sweep=sweeps())
 def test_rows_keep_points_and_intensity(sweep: Sweep, tmp_path: Path) -> None:
     wanted = np.zeros(len(sweep), np.float32) if sweep.intensity is None else sweep.intensity

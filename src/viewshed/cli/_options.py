@@ -74,11 +74,10 @@ class Reading:
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            if model is not None:
-                sweep = sweep.replace(model=model)
-            elif self.sensor == NO_SENSOR:
-                sweep = sweep.replace(model=None, infer_sensor=False)
-            yield sweep
+            if self.sensor == AUTO:
+                yield sweep
+            else:
+                yield sweep.replace(model=model, infer_sensor=False)
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps

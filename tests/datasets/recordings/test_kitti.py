@@ -536,6 +536,7 @@ def test_real_odometry_comes_back_bit_for_bit(real_data: Path, tmp_path: Path) -
     assert _gap_m(first, last) > 2 * right_m
 
 
+@pytest.mark.slow
 def test_a_real_drive_comes_back_bit_for_bit(real_data: Path, tmp_path: Path) -> None:
     entries = [entry for entry in read_index(real_data / "index.json") if "drive_0001" in str(entry.seq)]
     assert len(entries) == 8
@@ -587,6 +588,7 @@ def test_a_box_about_real_returns_holds_them_in_the_world(real_data: Path, tmp_p
     assert there > 0.3 * here
 
 
+@pytest.mark.slow
 def test_a_real_sweep_lies_on_the_beams_of_its_table(real_data: Path, tmp_path: Path) -> None:
     """Its rings are those of the file's order; beams without a return are explained, and open ground far ahead."""
     entry = next(entry for entry in read_index(real_data / "index.json") if "drive_0001" in str(entry.seq))

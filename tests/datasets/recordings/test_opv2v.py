@@ -80,6 +80,7 @@ def test_the_published_example_is_read_as_its_page_explains_it(tmp_path: Path) -
     assert box.size_m == pytest.approx((4.9, 2.12, 1.5))
 
 
+@pytest.mark.slow
 def test_two_real_cars_see_one_world(real_data: Path, tmp_path: Path) -> None:
     wanted = {"ego1_1793.ply.gz": "31", "ego2_1794.ply.gz": "207"}
     for entry in read_index(real_data / "index.json"):
