@@ -1,22 +1,35 @@
-# Two commands need nothing but Python 3.11 or newer: `make demo` and `make test`.
+# These need nothing but Python 3.11 or newer: `make demo`, `make check` and `make test`.
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= demo
+JOBS ?= 2
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# One thread for each process. Bytecode of the tests is kept: without it each process rewrites all their files. Workers
+# take neighbors in a file, so that most fixtures are made once.
+PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
+# What a command does, and how long it took, passed or not.
+timed = begin=$$(date +%s); $(MAKE) --no-print-directory $(2); code=$$?; \
+	echo "make $(1): $$([ $$code = 0 ] && echo passed || echo FAILED) after $$(($$(date +%s) - begin)) s"; exit $$code
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types imports unit docs bench clean
+.PHONY: help demo check test properties lint types imports quick unit docs bench clean
 
 help:  ## list the commands
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.core  ## own environment, install, then estimate what a sensor sees in an embedded sample
 	$(BIN)/viewshed demo --out $(OUT)
 
-test: lint types imports unit  ## lint, types, import contracts, tests and doctests
+check: $(VENV)/.test  ## for each commit: lint, types, import contracts, the tests that are not slow (3 minutes)
+	@echo "make check: about 3 minutes on two cores; the first run compiles for some more"
+	@$(call timed,check,lint types imports quick)
+
+test: $(VENV)/.test  ## lint, types, import contracts, all tests and doctests (12 minutes)
+	@echo "make test: about 12 minutes on two cores; the first run compiles for some more"
+	@$(call timed,test,lint types imports unit)
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -28,8 +41,14 @@ types: $(VENV)/.test
 imports: $(VENV)/.test
 	$(BIN)/lint-imports
 
+quick: $(VENV)/.test
+	$(PYTEST) -m "not slow"
+
 unit: $(VENV)/.test
-	$(BIN)/pytest
+	$(PYTEST)
+
+properties: $(VENV)/.test  ## the property tests with new examples, drawn by chance
+	VIEWSHED_HYPOTHESIS=random $(PYTEST) -m hypothesis tests
 
 docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

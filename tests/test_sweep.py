@@ -60,12 +60,37 @@ def test_the_pose_gives_the_attitude_where_none_is_given() -> None:
         ({"points": np.zeros((2, 3)), "attitude": np.zeros(4)}, "norm 1"),
         ({"points": np.zeros((2, 3)), "sensor_height_m": -1.0}, "sensor_height_m must lie in"),
         ({"points": np.zeros((2, 3)), "sensor_height_m": float("nan")}, "sensor_height_m must lie in"),
+        ({"points": np.zeros((2, 3)), "ring": np.array(["a", "b"])}, "ring must be real numbers, got dtype <U1"),
+        ({"points": np.zeros((2, 3)), "time_s": [0.0, np.nan]}, "time_s must be finite seconds within one revolution"),
+        ({"points": np.zeros((2, 3)), "time_s": [0.0, 2.01]}, r"time_s must be .* got 0…2\.01"),
+        ({"points": np.zeros((2, 3)), "time_s": [0.0, 1e300]}, "time_s must be finite seconds"),
+        ({"points": np.zeros((2, 3)), "azimuth": [np.nan, 0.0]}, "azimuth must be finite radians within ±2π"),
+        ({"points": np.zeros((2, 3)), "azimuth": [0.0, -6.3]}, r"azimuth must be .* got -6\.3…0"),
+        (
+            {"points": np.zeros((2, 3)), "t_ns": 2**63},
+            "t_ns must be nanoseconds that fit int64, got 9223372036854775808",
+        ),
+        ({"points": np.zeros((2, 3)), "t_ns": -(2**63) - 1}, "t_ns must be nanoseconds that fit int64"),
+        ({"points": np.zeros((2, 3)), "dropped_points": -5}, "dropped_points must not be negative, got -5"),
     ],
 )
 def test_bad_columns_are_refused_in_one_line(columns: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         Sweep(**columns)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
+
+
+def test_columns_at_their_limits_are_taken() -> None:
+    sweep = Sweep(
+        np.zeros((2, 3), np.float32), azimuth=np.array([-2 * np.pi, 2 * np.pi]), time_s=np.array([-2.0, 2.0]),
+        t_ns=2**63 - 1,
+    )  # fmt: skip
+    assert sweep.time_s is not None
+    assert sweep.time_s.tolist() == [-2.0, 2.0]
+    # what a point that is not finite has in its columns goes with it
+    dropped = Sweep(np.array([[1.0, 2, 3], [np.nan, 0, 0]]), time_s=np.array([0.5, np.nan]))
+    assert dropped.time_s is not None
+    assert dropped.time_s.tolist() == [0.5]
 
 
 def test_a_ring_beyond_the_sensors_is_refused() -> None:

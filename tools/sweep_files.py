@@ -7,13 +7,14 @@ import io
 import json
 import struct
 from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid
-from viewshed.io.numpy_files import write_npz
-from viewshed.sweep import Sweep
+from viewshed import Rigid, Sweep
+from viewshed.io import write_sweep
 
 POINTS = np.array(
     [[5.0, 1.0, -1.5], [8.0, -2.0, -1.0], [3.0, 4.0, 0.0], [-6.0, 2.5, 0.5], [-7.0, -3.0, 1.0], [0.5, 9.0, 2.0]],
@@ -215,6 +216,13 @@ def sample_sweep() -> Sweep:
     )  # fmt: skip
 
 
+def written_npz(sweep: Sweep) -> bytes:
+    """Return the NPZ file that this package writes."""
+    with TemporaryDirectory() as folder:
+        write_sweep(sweep, Path(folder) / "a.npz")
+        return (Path(folder) / "a.npz").read_bytes()
+
+
 def samples() -> dict[str, SampleFile]:
     """Return a small valid file of every kind that the readers know, by a name of its own."""
     table = np.column_stack((POINTS, INTENSITY))
@@ -230,7 +238,7 @@ def samples() -> dict[str, SampleFile]:
         "ply big endian": SampleFile("ply", "c.ply", ply(rows(table, order=">"), "binary_big_endian")),
         "npy": SampleFile("npy", "a.npy", npy(POINTS)),
         "npz": SampleFile("npz", "a.npz", npz(points=(POINTS * 1000).astype(np.int32))),
-        "npz of viewshed": SampleFile("npz", "b.npz", write_npz(sample_sweep())),
+        "npz of viewshed": SampleFile("npz", "b.npz", written_npz(sample_sweep())),
         "argoverse2 lz4": SampleFile("argoverse2", "a.feather", feather()),
         "argoverse2 zstd": SampleFile("argoverse2", "b.feather", feather("zstd")),
         "velodyne payloads": SampleFile("velodyne", "v.bin", b"".join(turns)),

@@ -31,6 +31,12 @@ MAX_POINTS = 20_000_000
 """The largest sweep that is accepted; a revolution of the densest sensors has about 300,000 returns."""
 
 
+REVOLUTION_S = 2.0
+"""The longest revolution that is accepted; sensors turn at 5 to 20 Hz."""
+
+_INT64 = 1 << 63
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
     """One revolution of one LiDAR, in the sensor's own frame (x forward, y left, z up, sensor at the origin).
@@ -39,9 +45,9 @@ class Sweep:
         points: (N, 3) float32, meters. Rows that are not finite are dropped, with their other columns.
         intensity: (N,) float32 in the sensor's own scale, or None.
         ring: (N,) int16 beam index, 0 the lowest beam, or None where the format has none.
-        azimuth: (N,) float32 firing azimuth in radians as the sensor reported it, or None.
-        time_s: (N,) float32 seconds since the start of the sweep, or None.
-        t_ns: time of the sweep in nanoseconds, or None.
+        azimuth: (N,) float32 firing azimuth in radians within ±2π as the sensor reported it, or None.
+        time_s: (N,) float32 seconds since the start of the sweep, within ±2 s, or None.
+        t_ns: time of the sweep in nanoseconds, as far as int64 reaches, or None.
         attitude: quaternion (w, x, y, z) of ``level_from_sensor``, or None where it must be estimated.
         sensor_height_m: mounting height above the ground below the sensor, or None where it must be estimated.
         world_from_sensor: pose in the map, or None.
@@ -86,7 +92,13 @@ class Sweep:
                 column = _column(name, value, len(points), dtype)
                 _set(self, name, _frozen(column if keep is None else column[keep]))
         self._check_ring()
+        self._check_span("azimuth", 2 * np.pi + 1e-3, "finite radians within ±2π")
+        self._check_span("time_s", REVOLUTION_S, f"finite seconds within one revolution (±{REVOLUTION_S:g} s)")
         self._check_attitude()
+        if self.t_ns is not None and not -_INT64 <= self.t_ns < _INT64:
+            raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
+        if self.dropped_points < 0:
+            raise ValueError(f"dropped_points must not be negative, got {self.dropped_points}")
         height = self.sensor_height_m
         if height is not None and not (np.isfinite(height) and 0.0 < height < 1000.0):
             raise ValueError(f"sensor_height_m must lie in (0, 1000), got {height}")
@@ -99,6 +111,14 @@ class Sweep:
         if low < 0 or high >= limit:
             of = "" if self.model is None else f" of {self.model.name}"
             raise ValueError(f"ring must lie in [0, {limit}){of}, got {low}…{high}; name the right sensor")
+
+    def _check_span(self, name: str, limit: float, rule: str) -> None:
+        column = getattr(self, name)
+        if column is None or column.size == 0:
+            return
+        low, high = float(column.min()), float(column.max())
+        if not (low >= -limit and high <= limit):  # NaN fails both
+            raise ValueError(f"{name} must be {rule}, got {low:g}…{high:g}")
 
     def _check_attitude(self) -> None:
         if self.attitude is None:
@@ -165,9 +185,12 @@ def _column(name: str, value: ArrayLike, count: int, dtype: type[np.generic]) ->
     array = np.asarray(value)
     if array.shape != (count,):
         raise ValueError(f"{name} must have shape ({count},) like points, got {array.shape}")
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name} must be real numbers, got dtype {array.dtype}")
     if dtype is np.int16 and array.size and array.dtype != np.int16:
         if array.dtype.kind not in "iub" and not (np.isfinite(array) & (array == np.floor(array))).all():
             raise ValueError(f"{name} must be whole numbers")
         if array.min() < -32768 or array.max() > 32767:
             raise ValueError(f"{name} must lie in [0, 4096), got {array.min()}…{array.max()}")
-    return array.astype(dtype, copy=False)
+    with np.errstate(over="ignore"):
+        return array.astype(dtype, copy=False)

@@ -11,6 +11,8 @@ from viewshed import Archive, Sweep, read_sweep, write_sweep
 from viewshed.cli import main
 from viewshed.estimators.ray_trace import ContinuousRayTrace
 
+pytestmark = pytest.mark.slow
+
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as stop:

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,18 @@ def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProc
     return subprocess.CompletedProcess(words, int(exit_.value.code or 0), out.getvalue(), err.getvalue())
 
 
-def start(*arguments: object, stderr: int = subprocess.PIPE) -> subprocess.Popen[str]:
-    code = "from viewshed.cli import main; main()"
+@contextlib.contextmanager
+def start(*arguments: object, stderr: int = subprocess.PIPE) -> Iterator[subprocess.Popen[str]]:
+    """Run a command in a process of its own, which heeds Ctrl-C even where the tests run in the background."""
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom viewshed.cli import main; main()"
+    )
     words = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=stderr, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +83,7 @@ def test_one_bad_file_does_not_stop_the_rest(kitti_like: Path, tmp_path: Path) -
     assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000001"}
 
 
+@pytest.mark.slow
 def test_files_of_one_name_do_not_overwrite_each_other(kitti_like: Path, tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
@@ -271,6 +281,7 @@ def test_output_names_never_meet() -> None:
     assert len({name.casefold() for name in names}) == len(files)
 
 
+@pytest.mark.slow
 def test_a_file_of_several_sweeps_gives_each_its_results(real_data: Path, tmp_path: Path) -> None:
     [capture] = real_data.rglob("OS-1-128_v2.3.0_1024x10.pcap*")
     done = run("estimate", capture, "--out", tmp_path)
@@ -279,21 +290,23 @@ def test_a_file_of_several_sweeps_gives_each_its_results(real_data: Path, tmp_pa
     assert {file.stem[-4:] for file in tmp_path.iterdir()} == {"_000", "_001", "_002"}
 
 
+@pytest.mark.slow
 def test_interruption_is_130_without_a_trace_and_without_half_files(kitti_like: Path, tmp_path: Path) -> None:
-    process = start("estimate", *[kitti_like] * 300, "--out", tmp_path)
-    assert process.stdout is not None
-    assert "visible" in process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    with start("estimate", *[kitti_like] * 300, "--out", tmp_path) as process:
+        assert process.stdout is not None
+        assert "visible" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=300)
     assert process.returncode == 130
     assert err == ""
     assert {file.suffix for file in tmp_path.iterdir()} <= {".png", ".geojson", ".npz"}
 
 
+@pytest.mark.slow
 def test_progress_goes_to_the_terminal_and_lines_to_the_pipe(kitti_like: Path, tmp_path: Path) -> None:
     master, slave = pty.openpty()
-    process = start("estimate", kitti_like, kitti_like, "--out", tmp_path, stderr=slave)
-    out, _ = process.communicate(timeout=60)
+    with start("estimate", kitti_like, kitti_like, "--out", tmp_path, stderr=slave) as process:
+        out, _ = process.communicate(timeout=300)
     os.close(slave)
     shown = os.read(master, 100_000).decode(errors="replace")
     os.close(master)

@@ -33,6 +33,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, tmp_path: Path) -> None:
     words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--out")
     assert run(*words, tmp_path / "past", "--history", 3)[0] == 0

@@ -9,6 +9,8 @@ import pytest
 from viewshed.cli import main
 from viewshed.datasets import Archive
 
+pytestmark = pytest.mark.slow
+
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as stop:

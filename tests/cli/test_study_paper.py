@@ -11,6 +11,8 @@ from viewshed.cli import main
 from viewshed.studies.paper.plan import plan_named
 from viewshed.studies.paper.store import JobStore
 
+pytestmark = pytest.mark.slow
+
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
     with pytest.raises(SystemExit) as stop:
@@ -63,7 +65,7 @@ def test_without_torch_trainings_say_what_to_install(
 
 
 def test_without_a_graphics_card_cuda_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="torch is not installed: training is not tested")
     if torch.cuda.is_available():
         pytest.skip("there is a graphics card")
     code, err = _run(capsys, "--preset", "tiny", "--out", str(tmp_path), "--only", "pairs", "--device", "cuda")

@@ -7,6 +7,8 @@ import pytest
 
 from viewshed.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as stop:

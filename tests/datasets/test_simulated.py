@@ -23,6 +23,8 @@ from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import ScenePlan, jobs_of, simulate_frame, simulate_shard, world_of
 from viewshed.sim.observe import motion_of
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["nuscenes-small", "--sweeps", "100", "--grid", "32x32"]
 """Five shards: four scenes to train on and one to test with, of 20 sweeps each."""
 

@@ -27,6 +27,8 @@ from viewshed.io import read_sweeps
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.attacks.base import Tampered
 
+pytestmark = pytest.mark.slow
+
 ONE = LocalEngine(1)
 
 

@@ -66,6 +66,7 @@ def test_a_batch_says_what_its_sweeps_say_one_by_one(heads: str, passes: int, ba
     assert np.ptp([each.visible_prob.mean() for each in found]) > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(CLASSICAL))
 def test_without_a_network_it_is_the_same_to_the_bit(name: str) -> None:
     estimator = CLASSICAL[name](GRID)

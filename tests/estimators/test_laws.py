@@ -48,7 +48,7 @@ def _points(seed: int, count: int = 3000) -> NDArray[np.float32]:
 
 
 @pytest.mark.parametrize("name", POLAR)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds)
 def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> None:
     points = _points(seed)
@@ -59,10 +59,11 @@ def test_turns_with_the_scene(make_level: MakeLevel, name: str, seed: int) -> No
     assert (np.rot90(before.state) != after.state).mean() <= (0.05 if name == "continuous" else 0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator", [ConcaveHull(GRID), Delaunay(GRID), ShadowMap(GRID)], ids=lambda e: type(e).__name__
 )
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(seed=seeds)
 def test_turns_with_the_scene_but_for_slivers(make_level: MakeLevel, estimator: Any, seed: int) -> None:
     points = _points(seed, 20_000)
@@ -73,7 +74,7 @@ def test_turns_with_the_scene_but_for_slivers(make_level: MakeLevel, estimator: 
 
 
 @pytest.mark.parametrize("name", ["continuous", "quantized", "quantized_ranges", "trimmed"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=seeds, more=st.integers(1, 400))
 def test_more_returns_never_remove_visibility_of_farthest(
     make_level: MakeLevel, name: str, seed: int, more: int
@@ -101,7 +102,7 @@ def _with_occluder(leveled: LeveledSweep, seed: int) -> LeveledSweep:
     [POLAR["first_blocker"], POLAR["second_blocker"], POLAR["median_blocker"], ShadowMap(GRID)],
     ids=["first", "second", "median", "shadow_map"],
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=seeds)
 def test_more_occluders_never_add_visibility(make_level: MakeLevel, street: Sweep, estimator: Any, seed: int) -> None:
     points = street.points + np.array([0, 0, 1.8], np.float32)
@@ -113,7 +114,7 @@ def test_more_occluders_never_add_visibility(make_level: MakeLevel, street: Swee
 
 
 @pytest.mark.parametrize("name", POLAR)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds)
 def test_an_azimuth_without_returns_is_unknown(make_level: MakeLevel, name: str, seed: int) -> None:
     points = _points(seed)
@@ -126,7 +127,7 @@ def test_an_azimuth_without_returns_is_unknown(make_level: MakeLevel, name: str,
     assert (estimate.visible_prob[inside] == 0).all()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds, window=st.sampled_from([0.004, 0.05, 0.3, 1.5]))
 def test_continuous_agrees_with_its_definition_cell_by_cell(make_level: MakeLevel, seed: int, window: float) -> None:
     points, grid = _points(seed, 200).astype(np.float64), BevGrid(16, 12.0, (1.0, -2.0))
@@ -140,7 +141,7 @@ def test_continuous_agrees_with_its_definition_cell_by_cell(make_level: MakeLeve
     assert sure.mean() > 0.9
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds)
 def test_hull_and_polygon_masks_agree_with_shapely(make_level: MakeLevel, seed: int) -> None:
     leveled = make_level(_points(seed, 400))
@@ -154,7 +155,7 @@ def test_hull_and_polygon_masks_agree_with_shapely(make_level: MakeLevel, seed: 
         assert np.array_equal(estimator.estimate(leveled).visible(), want)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds, rank=st.integers(1, 4))
 def test_first_blocker_is_the_nearest_of_rank(make_level: MakeLevel, seed: int, rank: int) -> None:
     points = _points(seed)

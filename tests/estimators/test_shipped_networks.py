@@ -13,6 +13,8 @@ from viewshed.estimators.unet import load_network
 from viewshed.geometry import Rigid
 from viewshed.networks.weights import manifest
 
+pytestmark = pytest.mark.slow
+
 ROAD = GRIDS["road"]
 FILES = ("nuscenes/*.pcd.bin", "kitti/object/*.bin")
 Mask = NDArray[np.bool_]

@@ -37,7 +37,7 @@ def _by_hand(beams: Beams, height_m: float, cell: tuple[int, int], target: Targe
     return int((aims & (beams.depth_m >= r - GRID.cell_m)).sum()), int(aims.sum())
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([CAR, PEDESTRIAN]), st.sampled_from([0.6, 1.8, 5.0]))
 def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, target: Target, height_m: float) -> None:
     rng = np.random.default_rng(seed)

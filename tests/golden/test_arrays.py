@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from tests.golden import recorder, stored
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_sweep_and_method_has_an_array() -> None:
     assert (len(recorder.REAL), len(recorder.SIMULATED)) == (20, 50)

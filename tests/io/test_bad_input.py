@@ -7,6 +7,7 @@ import struct
 import sys
 import tracemalloc
 import zipfile
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,11 @@ BAD = {
     "rows.pcd": (files.pcd(files.text(TABLE[:4]) + b" " * 99, "ascii"), "must hold 6 rows of 4 numbers, got 4 of 4"),
     "lzf.pcd": (PACKED[: AT + 4] + struct.pack("<I", 2**31) + PACKED[AT + 8 :], "PCD sizes do not agree"),
     "lzf2.pcd": (PACKED[:AT] + struct.pack("<I", 2**31) + PACKED[AT + 4 :], "should hold 2147483648 compressed bytes"),
+    "ratio.pcd": (
+        PACKED[:AT].replace(b"WIDTH 240", b"WIDTH 9000").replace(b"POINTS 240", b"POINTS 9000")
+        + struct.pack("<II", 1000, 16 * 9000) + bytes(1000),
+        "PCD sizes do not agree: 9000 points are 144000 bytes, got 144000 from 1000",
+    ),
     "lzf3.pcd": (PACKED[: AT + 8] + b"\xff" * (len(PACKED) - AT - 8), "PCD compressed data is damaged"),
     "cut.ply": (PLY[:-1], "PLY data is cut off: 6 vertices need 96 bytes, the file holds 95"),
     "huge.ply": (PLY.replace(b"vertex 6", b"vertex 19999999"), "PLY data is cut off: 19999999 vertices need"),
@@ -77,7 +83,26 @@ BAD = {
         header_only(b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999999, 3), }\n"),
         r"NPY shape \(999999999, 3\) of float64 needs 23999999976 bytes, the array holds 0",
     ),
+    "blanks.npy": (
+        header_only(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1" + b" " * 9_900 + b"!"),
+        "NPY header is damaged",
+    ),
+    "sizes.npy": (
+        header_only(b"{'descr': '<f4', 'fortran_order': False, 'shape': (1, 1, 1, 1, 3), }\n"),
+        "NPY shape must be up to 4 sizes of up to 12 digits",
+    ),
     "object.npy": (files.npy(np.array([[1, 2, None]], dtype=object)), "pickled and structured are refused"),
+    "text.npz": (
+        files.npz(viewshed_sweep=np.array(1), points=P, agent=np.array("a"), dropped_points=np.array(0),
+                  ring=np.array(["a"] * 6)),
+        "ring must be real numbers, got dtype <U1",
+    ),
+    "negative.npz": (
+        files.npz(viewshed_sweep=np.array(1), points=P, agent=np.array("a"), dropped_points=np.array(-5)),
+        "dropped_points must not be negative, got -5",
+    ),
+    "agentless.npz": (files.npz(viewshed_sweep=np.array(1), points=P), "is damaged or of a kind that is not read: Key"),
+    "entries.npz": (SAMPLES["npz"].content + b"PK\x01\x02" * 64, "NPZ must have at most 64 arrays, got 65"),
     "none.npz": (files.npz(cloud=P), "NPZ must have an array 'points'"),
     "object.npz": (files.npz(points=np.array([[1, 2, None]], dtype=object)), "pickled and structured are refused"),
     "cut.npz": (SAMPLES["npz"].content[:-30], "NPZ is damaged or cut off"),
@@ -86,6 +111,8 @@ BAD = {
     "bomb.bin.gz": (gzip.compress(bytes(3_000_000)), "unpacks to more than 1000000 bytes"),
     "cut.ply.gz": (SAMPLES["ply gzipped"].content[:-12], "the gzip content is damaged or cut off"),
     "twice.ply.gz": (gzip.compress(SAMPLES["ply gzipped"].content), "is gzipped twice"),
+    "members.bin.gz": (gzip.compress(b"", mtime=0) * 50_001, "gzip content must have at most 50000 members"),
+    "after.bin.gz": (gzip.compress(files.rows(TABLE)) + b"garbage", "the gzip content is damaged or cut off"),
     "cut.feather": (SAMPLES["argoverse2 lz4"].content[:400], "feather content is damaged or cut off"),
     "bag.db3": (b"SQLite format 3\x00" + bytes(100), "is a ROS 2 bag .*open_source"),
     "new.pcap": (b"\x0a\x0d\x0d\x0a" + bytes(100), "is a pcapng capture"),
@@ -120,6 +147,37 @@ def read_sweep_of_sample(folder: Path) -> None:
     for name in ("kitti", "nuscenes", "argoverse2 lz4", "velodyne payloads"):
         (folder / f"warm {SAMPLES[name].name}").write_bytes(SAMPLES[name].content)
         read_sweep(folder / f"warm {SAMPLES[name].name}")
+
+
+def test_gzip_members_follow_each_other_and_padding_is_left_out(tmp_path: Path) -> None:
+    content = files.rows(TABLE)
+    (tmp_path / "a.bin.gz").write_bytes(
+        gzip.compress(content[:40]) + gzip.compress(b"") + gzip.compress(content[40:]) + bytes(40_000)
+    )
+    assert read_sweep(tmp_path / "a.bin.gz", format="kitti").points.tolist() == P.tolist()
+
+
+def test_whatever_a_reader_raises_names_the_file_and_the_next_file_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from viewshed.cli import main
+    from viewshed.io import FORMATS, formats
+
+    def faulty(*_: object) -> None:
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setitem(formats.FORMATS, "ply", replace(FORMATS["ply"], read=faulty))  # type: ignore[arg-type]
+    (tmp_path / "bad.ply").write_bytes(PLY)
+    (tmp_path / "bad.npz").write_bytes(BAD["text.npz"][0])
+    (tmp_path / "good.bin").write_bytes(files.rows(np.repeat(TABLE, 3, axis=0)))
+    names = [str(tmp_path / name) for name in ("bad.ply", "bad.npz", "good.bin")]
+    with pytest.raises(SystemExit) as left:
+        main(["estimate", *names, "--method", "first_blocker", "--results", "npz", "--out", str(tmp_path / "out")])
+    assert left.value.code == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == f"viewshed: {names[0]}: is damaged or of a kind that is not read: ZeroDivisionError: two lines"
+    assert second.startswith(f"viewshed: {names[1]}: ring must be real numbers")
+    assert (tmp_path / "out" / "good.npz").is_file()
 
 
 def test_missing_file_folder_and_pipe_are_os_errors(tmp_path: Path) -> None:

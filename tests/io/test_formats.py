@@ -129,7 +129,53 @@ def test_pcd_azimuth_of_any_unit_and_sign_becomes_ours(scale: float, sign: float
 
 def test_azimuth_that_does_not_fit_the_points_is_left_out(put: Any) -> None:
     content = files.pcd(files.rows(P, [0.3, 9.1, 4.4, 2.2, 7.7, 1.1]), "binary", "x y z azimuth")
-    assert read_sweep(put("a.pcd", content)).azimuth is None
+    with pytest.warns(UserWarning, match=r"a\.pcd: azimuth is left out: no unit, sign and zero"):
+        sweep = read_sweep(put("a.pcd", content))
+    assert sweep.azimuth is None
+    assert sweep.points.tolist() == P.tolist()
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "rule"),
+    [
+        ("ring", [0, 1, 1.5, 3, 4, 5], "ring is left out: it must be whole numbers"),
+        ("ring", [0, 1, -1, 3, 4, 5], "ring is left out"),
+        ("ring", [0, 1, np.nan, 3, 4, 5], "ring is left out"),
+        ("ring", [0, 1, 70_000, 3, 4, 5], "ring is left out"),
+        ("time", [0, 0.1, np.nan, 0.3, 0.4, 0.5], "time is left out: it must be finite and within one revolution"),
+        ("time", [0, 0.1, 0.2, 0.3, 0.4, 2.1], "time is left out"),
+    ],
+)
+def test_columns_of_others_that_cannot_be_are_left_out_with_a_warning(
+    field: str, values: list[float], rule: str, put: Any
+) -> None:
+    content = files.pcd(files.rows(P, values), "binary", f"x y z {field}")
+    with pytest.warns(UserWarning, match=rf"a\.pcd: {rule}"):
+        sweep = read_sweep(put("a.pcd", content))
+    assert sweep.points.tolist() == P.tolist()
+    assert (sweep.ring, sweep.time_s) == (None, None)
+
+
+@pytest.mark.parametrize(("last_s", "kept"), [(1.9, True), (2.1, False)])
+def test_times_longer_than_a_revolution_are_left_out(last_s: float, kept: bool) -> None:
+    from viewshed.io._rings import matched_time_s
+
+    for value in (
+        np.array([0.0, last_s]),
+        np.array([0, round(last_s * 1e9)]),
+        np.array([0, round(last_s * 1e9)], ">u4"),
+    ):
+        assert (matched_time_s(value) is not None) == kept
+
+
+def test_times_whose_difference_leaves_int64_do_not_wrap() -> None:
+    from viewshed.io._rings import matched_time_s
+
+    ends = np.iinfo(np.int64)
+    assert matched_time_s(np.array([ends.min, 0, ends.max])) is None
+    near = matched_time_s(np.array([ends.min, ends.min + 5_000_000]))
+    assert near is not None
+    np.testing.assert_allclose(near, [0, 0.005], rtol=1e-6)
 
 
 def test_npy_of_int32_is_millimeters_and_of_floats_meters(put: Any) -> None:

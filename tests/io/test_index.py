@@ -51,7 +51,7 @@ def test_names_and_links_that_leave_the_folder_are_refused(name: str, tmp_path: 
     (folder / "in").mkdir(parents=True)
     (folder / "link").symlink_to(tmp_path)
     (folder / "link.bin").symlink_to(tmp_path / "a.bin")
-    with pytest.raises(ValueError, match=r"index\.json: entry 0: .* leads out of the folder of the index; refused"):
+    with pytest.raises(ValueError, match=r"index\.json: entry 0: .* leads out of .*; refused"):
         read_index(index(folder, {"file": name, "sensor": "x"}))
 
 
@@ -65,7 +65,7 @@ def test_links_inside_the_folder_are_followed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "pattern"),
     [
-        (5, "entry 0: "),
+        (5, "row 0 must be an object, got int"),
         ({"sensor": "x"}, "entry 0 has no 'file'"),
         ({"file": "a.bin"}, "entry 0 has no 'sensor'"),
         ({"file": "a\0.bin", "sensor": "x"}, "entry 0: "),

@@ -15,6 +15,7 @@ def elevation_deg(sweep: Sweep) -> np.ndarray:
     return np.rad2deg(np.arctan2(sweep.points[:, 2], np.hypot(sweep.points[:, 0], sweep.points[:, 1])))
 
 
+@pytest.mark.slow
 def test_every_real_sweep_has_the_points_and_ranges_of_the_index(real_data: Path) -> None:
     entries = read_index(real_data / "index.json")
     raw: list[dict[str, Any]] = json.loads((real_data / "index.json").read_text())

@@ -12,10 +12,14 @@ from tests.jobs import jobs
 
 from viewshed._jobs import ENGINES, TRIES, Done, engine_named
 
+RAY = pytest.param("ray", marks=pytest.mark.slow)
 CASES = [("local", 1), ("local", 2), ("local", None), ("ray", 1), ("ray", 2), ("ray", None)]
 
 
-@pytest.fixture(params=CASES, ids=lambda case: f"{case[0]}-{case[1]}")
+@pytest.fixture(
+    params=[pytest.param(case, marks=pytest.mark.slow if case[0] == "ray" else ()) for case in CASES],
+    ids=lambda case: f"{case[0]}-{case[1]}",
+)
 def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
     name, workers = request.param
     if name == "ray":
@@ -67,13 +71,13 @@ def test_jobs_are_made_when_a_worker_is_free(engine: Any) -> None:
     assert len(counted.asked) <= 3 + (engine.workers or os.cpu_count() or 1)
 
 
-@pytest.mark.parametrize("case", [("local", 2), ("ray", 2)], ids=["local", "ray"])
-def test_what_cannot_travel_is_an_error_of_its_job(case: tuple[str, int], request: pytest.FixtureRequest) -> None:
-    if case[0] == "ray":
+@pytest.mark.parametrize("name", ["local", RAY])
+def test_what_cannot_travel_is_an_error_of_its_job(name: str, request: pytest.FixtureRequest) -> None:
+    if name == "ray":
         request.getfixturevalue("monkeypatch").setenv("RAY_ADDRESS", request.getfixturevalue("cluster").address)
-    engine: Any = ENGINES[case[0]](2)
+    engine: Any = ENGINES[name](2)
     done = _in_order(engine.run(jobs.unlike, [0, 1, 2]))
-    if case[0] == "local":  # Ray can send functions
+    if name == "local":  # Ray can send functions
         assert "job 1 cannot travel between processes" in str(done[1].error)
     assert [done[0].result, done[2].result] == [0, 2]
     unsent = _in_order(engine.run(jobs.unlike, [5, (_ for _ in ()), 6]))
@@ -83,7 +87,7 @@ def test_what_cannot_travel_is_an_error_of_its_job(case: tuple[str, int], reques
 
 
 @pytest.mark.parametrize(("times", "result"), [(TRIES - 1, 4), (TRIES, None)], ids=["recovers", "gives-up"])
-@pytest.mark.parametrize("name", ["local", "ray"])
+@pytest.mark.parametrize("name", ["local", RAY])
 def test_a_killed_worker_is_replaced(
     name: str, times: int, result: int | None, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -159,7 +159,7 @@ def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
 )
 def test_engines_that_run_no_bytes_are_refused(tmp_path: Path, engine: str, why: str) -> None:
     if engine == "openvino":
-        pytest.importorskip("openvino")
+        pytest.importorskip("openvino", reason="openvino is not installed: networks do not run in it")
     made(SHAPES[0], tmp_path)
     content = quantize_network((tmp_path / "log.onnx").read_bytes(), "made", maps(1, SHAPES[0]))
     line = f"engine must be onnxruntime for bytes, a network in bytes, got {engine}, which {why}"

@@ -12,7 +12,8 @@ from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.world import Snapshot
 
 Array = NDArray[np.float64]
-BEAMS_AT_ONCE = 4_000
+BEAMS_AT_ONCE = 1_000
+NEAREST_M = 1e-3
 
 
 def rays_of(scan: ExactScan) -> tuple[Array, Array, Array]:
@@ -35,13 +36,14 @@ def solid_interval(snapshot: Snapshot, s: int, origin: Array, direction: Array, 
 
 def _faces(o: Array, d: Array, half: Array) -> tuple[Array, Array]:
     """A beam crosses the face of axis k at ±half[k] where the other two coordinates lie within theirs."""
+    starts, ways = np.ascontiguousarray(o.T), np.ascontiguousarray(d.T)
     crossings = []
     for k in range(3):
-        others = [n for n in range(3) if n != k]
+        m, n = (axis for axis in range(3) if axis != k)
         for side in (-1.0, 1.0):
-            t = (side * half[k] - o[:, k]) / d[:, k]
-            at = o + t[:, None] * d
-            on = (np.abs(at[:, others]) <= half[others] + 1e-9).all(axis=1) & np.isfinite(t)
+            t = (side * half[k] - starts[k]) / ways[k]
+            on = np.isfinite(t) & (np.abs(starts[m] + t * ways[m]) <= half[m] + 1e-9)
+            on &= np.abs(starts[n] + t * ways[n]) <= half[n] + 1e-9
             crossings.append(np.where(on, t, np.nan))
     return np.fmin.reduce(crossings), np.fmax.reduce(crossings)
 
@@ -62,14 +64,20 @@ def _quadric(o: Array, d: Array, half: Array, cylinder: bool) -> tuple[Array, Ar
     return np.fmin.reduce(crossings), np.fmax.reduce(crossings)
 
 
-def triangle_depth(corners: Array, origin: Array, direction: Array) -> Array:
-    """Return depths (N,) at which beams cross a triangle (3, 3); NaN where they do not."""
-    first, e1, e2 = corners[0], corners[1] - corners[0], corners[2] - corners[0]
-    normal = np.cross(e1, e2)
-    t = ((first - origin) @ normal) / (direction @ normal)
-    at = origin + t[:, None] * direction - first
-    gram = np.linalg.inv(np.array([[e1 @ e1, e1 @ e2], [e1 @ e2, e2 @ e2]]))
-    u, v = gram @ np.stack([at @ e1, at @ e2])
+def triangle_depths(corners: Array, origin: Array, direction: Array) -> Array:
+    """Return depths (T, N) at which beams cross each triangle (T, 3, 3); NaN where they do not."""
+    first, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+
+    def along(axis: Array) -> tuple[Array, Array]:
+        """Along an axis (T, 3) of each triangle: how far each beam begins from the first corner, and its speed."""
+        return axis @ origin.T - (first * axis).sum(axis=1, keepdims=True), axis @ direction.T
+
+    off, speed = along(np.cross(e1, e2))
+    t = -off / speed
+    on1, on2 = (start + t * speed for start, speed in map(along, (e1, e2)))
+    g11, g12, g22 = ((a * b).sum(axis=1, keepdims=True) for a, b in ((e1, e1), (e1, e2), (e2, e2)))
+    scale = g11 * g22 - g12 * g12
+    u, v = (g22 * on1 - g12 * on2) / scale, (g11 * on2 - g12 * on1) / scale
     return np.where((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9), t, np.nan)
 
 
@@ -101,13 +109,13 @@ def opaque_depth(
             o, d, t = (array[part] for array in rays)
             for s in solids:
                 _keep(depth[part], winner[part], solid_interval(snapshot, s, o, d, t)[0], s)
-            for triangle in corners:
-                _keep(depth[part], winner[part], triangle_depth(triangle, o, d), -1)
+            ground = triangle_depths(corners, o, d)
+            _keep(depth[part], winner[part], np.where(ground > NEAREST_M, ground, np.inf).min(axis=0), -1)
     beyond = depth > max_range_m
     depth[beyond], winner[beyond] = np.inf, -2
     return depth, winner
 
 
 def _keep(depth: Array, winner: NDArray[np.int64], t: Array, index: int) -> None:
-    better = (t > 1e-3) & (t < depth)
+    better = (t > NEAREST_M) & (t < depth)
     depth[better], winner[better] = t[better], index

@@ -15,6 +15,8 @@ from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import Snapshot, Thing, Track, World
 
+pytestmark = pytest.mark.slow
+
 TOLERANCE_M = 1e-3
 SILHOUETTE_M = 2e-3
 MIN_RAYS = 1_000_000

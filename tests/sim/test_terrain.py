@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.sim.oracle import triangle_depth, triangles_of
+from tests.sim.oracle import triangle_depths, triangles_of
 
 from viewshed.sim.assets.shapes import MATERIALS
 from viewshed.sim.terrain import Terrain
@@ -32,9 +32,7 @@ def test_heights_lie_on_the_triangles_that_beams_meet(x: float, y: float) -> Non
     down = np.array([[0.0, 0.0, -1.0]])
     above = np.array([[x, y, 100.0]])
     with np.errstate(all="ignore"):
-        depth = [
-            triangle_depth(corners, above, down)[0] for corners in triangles_of(World("hills", HILLS).snapshot(0.0))
-        ]
+        depth = triangle_depths(triangles_of(World("hills", HILLS).snapshot(0.0)), above, down)
     assert HILLS.at([[x, y]])[0] == pytest.approx(100.0 - np.nanmin(depth), abs=1e-6)
 
 

@@ -35,6 +35,8 @@ from viewshed.studies.preview import (
 )
 from viewshed.sweep import Sweep
 
+pytestmark = pytest.mark.slow
+
 GRID = BevGrid(64, 16.0)
 BRICK = Thing("block", (Box(0.0, 0.0, 4.0, 2.0, 3.0, material="brick"),), 8.0, 6.0)
 ROAD = Track(np.array([0.0, 4.0]), np.array([[0.0, 0.0], [8.0, 0.0]]), np.array([0.0, 0.0]))

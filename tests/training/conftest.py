@@ -16,7 +16,7 @@ from viewshed.training import TrainConfig, read_config
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
     """Tiny networks are slower with more threads."""
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="torch is not installed: training is not tested")
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield

@@ -18,6 +18,8 @@ from viewshed.training import TrainConfig
 from viewshed.training import calibrate_int8 as module
 from viewshed.training.calibrate_int8 import quantize
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def fresh(config: TrainConfig, tmp_path: Path) -> tuple[TrainConfig, Path]:

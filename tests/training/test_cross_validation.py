@@ -14,6 +14,8 @@ from viewshed.cli import main
 from viewshed.training import TrainConfig, train
 from viewshed.training.cross_validation import Search, Setting, crossval, toml_of
 
+pytestmark = pytest.mark.slow
+
 SMALL = Search(folds=2, widths=(2, 4), dropouts=(0.1,), learning_rates=(1e-2,))
 
 

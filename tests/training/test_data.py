@@ -15,6 +15,8 @@ from viewshed.training import Fold, TrainConfig
 from viewshed.training.data import TrainingData, prepare, processes_for
 from viewshed.training.sources import ArchivedSamples
 
+pytestmark = pytest.mark.slow
+
 
 def _scenes(frames: TrainingData) -> tuple[set[str], set[str]]:
     sources = (cast(ArchivedSamples, part.source) for part in (frames.train, frames.validation))

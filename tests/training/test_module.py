@@ -11,6 +11,8 @@ from viewshed.networks.runtime import OnnxRunner
 from viewshed.training import TrainConfig, train
 from viewshed.training.data import prepare
 
+pytestmark = pytest.mark.slow
+
 
 def test_it_learns_where_the_passes_differ_and_nothing_else_changes(
     config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -28,6 +28,8 @@ from viewshed.training.fit import read_checkpoint
 from viewshed.training.log import TIMES, Epoch, is_finished, scores_of
 from viewshed.training.module import Learner, Step
 
+pytestmark = pytest.mark.slow
+
 KILLED_AT = 3
 
 

@@ -26,6 +26,8 @@ from viewshed.training.data import prepare
 from viewshed.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
 from viewshed.training.sources import ArchivedSamples, OnlineSimulation
 
+pytestmark = pytest.mark.slow
+
 
 def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
     """The samples behind the frames, found by their truth."""

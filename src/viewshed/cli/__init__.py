@@ -19,7 +19,6 @@ from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
 from viewshed.cli.quantize import quantize
-from viewshed.cli.record import record_app
 from viewshed.cli.simulate import dataset_app, simulate
 from viewshed.cli.study import report_app, reproduce
 from viewshed.cli.train import crossval, train
@@ -42,8 +41,6 @@ for _command in _COMMANDS:
 app.add_typer(evaluate_app, name="evaluate")
 
 app.add_typer(dataset_app, name="dataset")
-
-app.add_typer(record_app, name="record")
 
 app.add_typer(report_app, name="report")
 

@@ -5,6 +5,7 @@ Options of the estimators that are networks.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,11 +74,10 @@ class Reading:
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            if model is not None:
-                sweep = sweep.replace(model=model)
-            elif self.sensor == NO_SENSOR:
-                sweep = sweep.replace(model=None, infer_sensor=False)
-            yield sweep
+            if self.sensor == AUTO:
+                yield sweep
+            else:
+                yield sweep.replace(model=model, infer_sensor=False)
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
@@ -192,9 +192,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
     if not files:
         yield from ((file, entry) for file, entry in entries.items() if entry.points)
     for file in files:
-        if file.resolve() not in entries:
+        entry = entries.get(Path(os.path.realpath(file)))
+        if entry is None:
             raise ValueError(f"{file} is not in the index {index}")
-        yield file, entries[file.resolve()]
+        yield file, entry
 
 
 Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]

@@ -107,7 +107,13 @@ def _limit_by_face(
     for k in range(int(np.floor((base + first) / step + 1e-9)), int(np.ceil((base + last) / step - 1e-9))):
         start, end = max(first, k * step - base), min(last, (k + 1) * step - base)
         offset = 0.0 if start <= 0.0 <= end else min(abs(start), abs(end))
-        ranges[k % len(ranges)] = min(ranges[k % len(ranges)], distance / np.cos(offset))
+        if offset == abs(first):  # a corner: seen along the face, the cosine of its angle has no digits left
+            reach = np.hypot(distance, low)
+        elif offset == abs(last):
+            reach = np.hypot(distance, high)
+        else:
+            reach = distance / np.cos(offset)
+        ranges[k % len(ranges)] = min(ranges[k % len(ranges)], reach)
 
 
 def star_vertices(ranges: FloatArray, price_m2: float) -> FloatArray:

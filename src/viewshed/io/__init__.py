@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from viewshed._files import write_atomic
 from viewshed.geometry import Rigid
-from viewshed.io._columns import Given, sweep_of
-from viewshed.io._source import FILE_FRAMES, Source, file_frame_named, open_source
+from viewshed.io._columns import FILE_FRAMES, Given, file_frame_named, sweep_of
+from viewshed.io._input import InputFile, open_input
 from viewshed.io.formats import FORMATS, Format, format_named, format_of
 from viewshed.io.index import IndexEntry, read_index
 from viewshed.sensors import LidarModel, lidar_model
@@ -54,7 +54,7 @@ def read_sweep(
         ImportError: the format needs an extra that is not installed.
     """
     given = _given(sensor, file_frame, sensor_height_m, attitude, world_from_sensor)
-    with open_source(path) as source:
+    with open_input(path) as source:
         return next(_sweeps(source, format, given))
 
 
@@ -70,7 +70,7 @@ def read_sweeps(
 ) -> Iterator[Sweep]:
     """Yield every complete sweep in a file; arguments and errors are those of :func:`read_sweep`."""
     given = _given(sensor, file_frame, sensor_height_m, attitude, world_from_sensor)
-    with open_source(path) as source:
+    with open_input(path) as source:
         yield from _sweeps(source, format, given)
 
 
@@ -88,7 +88,7 @@ def _given(
     )  # fmt: skip
 
 
-def _sweeps(source: Source, name: str, given: Given) -> Iterator[Sweep]:
+def _sweeps(source: InputFile, name: str, given: Given) -> Iterator[Sweep]:
     if name == "auto":
         name = format_of(source)
     elif name not in FORMATS:

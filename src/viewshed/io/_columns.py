@@ -1,26 +1,58 @@
-"""What a reader found in a file, before it is a Sweep; and the step from one to the other.
-
-From named columns (PCD fields, PLY properties, feather columns) to Columns.
-
-Rows of numbers in text, as ascii PCD and PLY hold them.
-"""
+"""From what a file holds to a Sweep: columns under their usual names, frames, and rows of numbers in text."""
 
 from __future__ import annotations
 
-import io
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._ring_numbers import matched_azimuth, matched_time_s, move_points, rings_by_elevation
-from viewshed.io._source import IDENTITY, Source, is_identity
+from viewshed.io._input import InputFile
+from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, whole_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
+
+_U = np.uint64
+
+FILE_FRAMES: dict[str, Rigid] = {
+    "sensor": Rigid.identity(),
+    "nuscenes": Rigid(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)),
+    "carla": Rigid(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.zeros(3)),
+    "argoverse2": Rigid(np.eye(3), np.array([-1.35018, 0.0, -1.64042])),
+    "pandaset": Rigid(np.eye(3), np.array([0.0, 0.0, -1.8])),
+}
+"""Name → ``sensor_from_file``, the frames that files come in (sensor: x forward, y left, z up).
+
+sensor: as it is. nuscenes: x right, y forward. carla: raw files of CARLA ≤ 0.9.9, x right, y backward, z down.
+argoverse2: the car's frame (rear axle) → its ``up_lidar``. pandaset: the car's frame → a sensor 1.8 m above its origin
+(inferred from the innermost ring, not documented by the data set).
+"""
+
+
+def file_frame_named(frame: str | Rigid) -> Rigid:
+    """Return the ``sensor_from_file`` of a name in :data:`FILE_FRAMES`; a transform is returned as it is.
+
+    >>> (file_frame_named("nuscenes") @ np.array([0.0, 5.0, 0.0])).tolist()
+    [5.0, 0.0, 0.0]
+    """
+    if isinstance(frame, Rigid):
+        return frame
+    if frame not in FILE_FRAMES:
+        raise ValueError(f"file_frame must be one of {', '.join(FILE_FRAMES)} or a Rigid, got {frame!r}")
+    return FILE_FRAMES[frame]
+
+
+def is_identity(frame: Rigid) -> bool:
+    """Return whether a transform changes nothing."""
+    return bool((frame.rotation == np.eye(3)).all() and not frame.translation.any())
+
+
+IDENTITY = FILE_FRAMES["sensor"]
 
 
 @dataclass(slots=True, eq=False)
@@ -38,11 +70,12 @@ class Columns:
         model: beams as the file describes them, or None.
         frame: what is still to be done: ``sensor_from_columns``.
         saved: the other attributes of a Sweep that this package wrote, or None.
+        left_out: what was in the file and cannot be what its name says, one line each.
     """
 
     points: NDArray[np.float32]
     intensity: NDArray[np.float32] | None = None
-    ring: NDArray[np.int16] | None = None
+    ring: NDArray[Any] | None = None
     laser: NDArray[np.int64] | None = None
     azimuth: NDArray[np.float32] | None = None
     time_s: NDArray[np.float32] | None = None
@@ -50,6 +83,7 @@ class Columns:
     model: LidarModel | None = None
     frame: Rigid = IDENTITY
     saved: Saved | None = None
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,11 +119,11 @@ class Given:
 _NOTHING_SAVED = Saved()
 
 
-def sweep_of(columns: Columns, source: Source, given: Given) -> Sweep:
-    """Return the Sweep of a file's columns, in the sensor's frame.
+def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
+    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of.
 
     Raises:
-        ValueError: a column is not as a Sweep needs it, or no point is finite; one line with the file's name.
+        ValueError: a column is not as a Sweep needs it, or no point is finite.
     """
     points, azimuth = columns.points, columns.azimuth
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
@@ -97,22 +131,31 @@ def sweep_of(columns: Columns, source: Source, given: Given) -> Sweep:
         azimuth = None if azimuth is None else _turned(azimuth, columns.frame)
     model = given.model if given.model is not None else columns.model
     saved = columns.saved or _NOTHING_SAVED
-    ring: NDArray[np.int16] | None = columns.ring
-    try:
-        if columns.laser is not None:
-            ring = rings_by_elevation(columns.laser, points, model)
-        sweep = Sweep(
-            points, columns.intensity, ring, azimuth, columns.time_s, columns.t_ns,
-            attitude=saved.attitude if given.attitude is None else np.asarray(given.attitude),
-            sensor_height_m=saved.sensor_height_m if given.sensor_height_m is None else given.sensor_height_m,
-            world_from_sensor=given.world_from_sensor or saved.world_from_sensor,
-            model=model, agent=saved.agent, dropped_points=saved.dropped_points,
-        )  # fmt: skip
-    except ValueError as error:
-        raise source.error(error) from error
+    ring = columns.ring if columns.laser is None else rings_by_elevation(columns.laser, points, model)
+    sweep = Sweep(
+        points, columns.intensity, ring, azimuth, columns.time_s, columns.t_ns,
+        attitude=saved.attitude if given.attitude is None else np.asarray(given.attitude),
+        sensor_height_m=saved.sensor_height_m if given.sensor_height_m is None else given.sensor_height_m,
+        world_from_sensor=given.world_from_sensor or saved.world_from_sensor,
+        model=model, agent=saved.agent, dropped_points=saved.dropped_points,
+    )  # fmt: skip
     if len(sweep) == 0 and len(points) > 0:
-        raise source.error(f"none of the {len(points)} points is finite")
+        raise ValueError(f"none of the {len(points)} points is finite")
+    for problem in columns.left_out:
+        warnings.warn(f"{source.path}: {problem}", stacklevel=2)
     return sweep
+
+
+@njit(cache=True, nogil=True)
+def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None:
+    """Replace points (N, 3) by ``rotation @ point + shift``, computed in float64, in place."""
+    for i in range(_U(points.shape[0])):
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        z = np.float64(points[i, 2])
+        for k in range(3):
+            moved = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + shift[k]
+            points[i, k] = np.float32(moved)
 
 
 def _turned(azimuth: NDArray[np.float32], frame: Rigid) -> NDArray[np.float32]:
@@ -138,10 +181,12 @@ WANTED = frozenset(("x", "y", "z", *_INTENSITY, *_RING, *_AZIMUTH, *_TIME))
 
 
 def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, ours: bool) -> Columns:
-    """Return Columns from lower-case names → (N,) numbers; ``ours`` tells that this package wrote the file.
+    """Return Columns from lower-case names → (N,) numbers; ``ours`` says that this package wrote the file.
+
+    Other programs mean many things by ring, azimuth and time: a column that cannot be what its name says is left out.
 
     Raises:
-        ValueError: x, y or z is missing, or rings are not whole numbers.
+        ValueError: x, y or z is missing.
     """
     missing = [name for name in "xyz" if name not in table]
     if missing:
@@ -152,30 +197,24 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
             points[:, axis] = table[name]
         intensity = _first(table, _INTENSITY)
         intensity = None if intensity is None else intensity.astype(np.float32)
-    laser = _whole(_first(table, _RING))
-    time, azimuth = _first(table, _TIME), _first(table, _AZIMUTH)
-    if not ours:
-        azimuth = None if azimuth is None else matched_azimuth(azimuth, points)
-        time = None if time is None else matched_time_s(time)
-    return Columns(
-        points, intensity,
-        ring=laser.astype(np.int16) if ours and laser is not None else None,
-        laser=None if ours else laser,
-        azimuth=azimuth, time_s=time, frame=IDENTITY if frame is None else frame,
-    )  # fmt: skip
+    ring, azimuth, time = (_first(table, names) for names in (_RING, _AZIMUTH, _TIME))
+    place = IDENTITY if frame is None else frame
+    if ours:
+        return Columns(points, intensity, ring, azimuth=azimuth, time_s=time, frame=place)
+    laser = None if ring is None else whole_rings(ring)
+    angle = None if azimuth is None else matched_azimuth(azimuth, points)
+    time_s = None if time is None else matched_time_s(time)
+    rules = (
+        (ring, laser, "ring is left out: it must be whole numbers in [0, 4096)"),
+        (azimuth, angle, "azimuth is left out: no unit, sign and zero make it agree with the points"),
+        (time, time_s, "time is left out: it must be finite and within one revolution (2 s)"),
+    )
+    left_out = tuple(problem for column, usable, problem in rules if column is not None and usable is None)
+    return Columns(points, intensity, laser=laser, azimuth=angle, time_s=time_s, frame=place, left_out=left_out)
 
 
 def _first(table: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[Any] | None:
     return next((table[name] for name in names if name in table), None)
-
-
-def _whole(laser: NDArray[Any] | None) -> NDArray[np.int64] | None:
-    if laser is None:
-        return None
-    number = laser.astype(np.float64)
-    if number.size and not ((number >= 0) & (number < 4096) & (number == np.floor(number))).all():
-        raise ValueError("ring must be whole numbers in [0, 4096)")
-    return number.astype(np.int64)
 
 
 def table_of_sweep(sweep: Sweep) -> NDArray[Any]:
@@ -192,25 +231,54 @@ def table_of_sweep(sweep: Sweep) -> NDArray[Any]:
     return table
 
 
-def number_rows(content: bytes, start: int, rows: int, width: int) -> NDArray[np.float64]:
-    r"""Return (rows, width) float64 numbers from the text at ``start``.
+def number_columns(
+    content: bytes, start: int, rows: int, width: int, wanted: Mapping[str, int]
+) -> dict[str, NDArray[np.float64]]:
+    r"""Return the columns (rows,) float64 of text with ``width`` numbers a line, for ``wanted`` names → positions.
+
+    Text takes two bytes a number and numpy eight, so it is read a part at a time and only wanted columns are kept.
 
     Raises:
         ValueError: there are fewer rows, a row has another width, or a word is not a number.
 
-    >>> number_rows(b"1 2 nan\n", 0, 1, 3).tolist()
-    [[1.0, 2.0, nan]]
+    >>> number_columns(b"1 2 nan\n", 0, 1, 3, {"y": 1})["y"].tolist()
+    [2.0]
     """
-    if rows == 0:
-        return np.empty((0, width))
-    if rows * max(1, 2 * width - 1) > len(content) - start:
-        raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {len(content) - start} bytes")
-    if not content[start:].strip():
-        raise ValueError(f"text is cut off: {rows} rows were promised, got none")
-    stream = io.TextIOWrapper(io.BytesIO(memoryview(content)[start:]), encoding="latin-1")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about empty lines, which the shape shows
-        table = np.loadtxt(stream, dtype=np.float64, comments=None, max_rows=rows, ndmin=2)
-    if table.shape != (rows, width):
-        raise ValueError(f"text must hold {rows} rows of {width} numbers, got {table.shape[0]} of {table.shape[1]}")
-    return table
+    columns = {name: np.empty(rows) for name in wanted} if rows * max(1, 2 * width - 1) <= len(content) - start else {}
+    if rows and not columns:
+        held = len(content) - start
+        raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {held} bytes")
+    done = 0
+    for part in _text_blocks(content, start, width):
+        lines = part[: rows - done]
+        if lines:
+            table = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+            if table.shape != (len(lines), width):
+                got = f"{done + len(table)} of {table.shape[1]}"
+                raise ValueError(f"text must hold {rows} rows of {width} numbers, got {got}")
+            for name, position in wanted.items():
+                columns[name][done : done + len(lines)] = table[:, position]
+            done += len(lines)
+        if done == rows:
+            return columns
+    if done < rows:
+        raise ValueError(f"text must hold {rows} rows of {width} numbers, got {done} of {width}; it is cut off")
+    return columns
+
+
+_TEXT_BLOCK_BYTES = 1 << 18
+
+_TEXT_BYTES_A_NUMBER = 64
+
+
+def _text_blocks(content: bytes, start: int, width: int) -> Iterator[list[str]]:
+    """Yield the lines that are not empty, block by block; one far too long for its numbers is refused."""
+    longest = 256 + _TEXT_BYTES_A_NUMBER * width
+    block = max(_TEXT_BLOCK_BYTES, longest)
+    while start < len(content):
+        end = content.rfind(b"\n", start, start + block) + 1 or min(len(content), start + block)
+        lines = content[start:end].decode("latin-1").split("\n")
+        if max(map(len, lines)) >= longest:
+            raise ValueError(f"text must hold {width} numbers a line, got a line of more than {longest} bytes")
+        yield [line for line in lines if line and not line.isspace()]
+        start = end

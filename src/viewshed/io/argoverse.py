@@ -11,30 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import WANTED, Columns, columns_of_table
-from viewshed.io._source import FILE_FRAMES, Source, unpack_limit
+from viewshed.io._columns import FILE_FRAMES, WANTED, Columns, columns_of_table
+from viewshed.io._input import InputFile, unpack_limit
 from viewshed.sweep import MAX_POINTS
 
 _NANOSECONDS = re.compile(r"(\d{18})\.feather$")
 
 _MAGIC_BYTES = 8
 
+_BATCHES_MAX = 10_000
 
-def read_argoverse2(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+
+def read_argoverse2(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of an Argoverse 2 feather file, by default moved from the car's frame to ``up_lidar``."""
-    content = source.content()
-    try:
-        table = _table(content)
-        if frame is None and "laser_number" not in table:
-            raise ValueError("is no Argoverse 2 sweep (it has no laser_number); name the frame of its points")
-        columns = columns_of_table(table, frame or FILE_FRAMES["argoverse2"], ours=False)
-    except ValueError as error:
-        raise source.error(error) from error
+    table = _table(source.content())
+    if frame is None and "laser_number" not in table:
+        raise ValueError("is no Argoverse 2 sweep (it has no laser_number); name the frame of its points")
+    columns = columns_of_table(table, frame or FILE_FRAMES["argoverse2"], ours=False)
     named = _NANOSECONDS.search(source.name)
-    yield Columns(
-        columns.points, columns.intensity, laser=columns.laser, azimuth=columns.azimuth, time_s=columns.time_s,
-        t_ns=int(named[1]) if named else None, frame=columns.frame,
-    )  # fmt: skip
+    columns.t_ns = int(named[1]) if named else None
+    yield columns
 
 
 def _table(content: bytes) -> dict[str, NDArray[Any]]:
@@ -71,6 +67,8 @@ def _check_messages(pa: Any, stream: Any, limit: int) -> None:
             raise ValueError("feather must hold plain number columns, got a dictionary")
         if message.type == "record batch":
             batches += 1
+            if batches > _BATCHES_MAX:
+                raise ValueError(f"feather must have at most {_BATCHES_MAX} record batches")
             claimed += _claimed_bytes(message.metadata.to_pybytes(), message.body.to_pybytes())
         if claimed > limit:
             raise ValueError(f"feather buffers claim {claimed} bytes, more than {limit}; refused")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from viewshed.geometry import Rigid
 from viewshed.io._columns import Columns
-from viewshed.io._source import Source
+from viewshed.io._input import InputFile
 from viewshed.io.argoverse import read_argoverse2
 from viewshed.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from viewshed.io.ouster import metadata_path, read_ouster
@@ -17,7 +17,7 @@ from viewshed.io.raw_floats import columns_of_bin, read_kitti, read_nuscenes, wr
 from viewshed.io.velodyne import PCAP_BEGINS, is_velodyne, looks_like_payloads, read_velodyne, udp_payloads
 from viewshed.sweep import Sweep
 
-Reader = Callable[[Source, Rigid | None], Iterator[Columns]]
+Reader = Callable[[InputFile, Rigid | None], Iterator[Columns]]
 
 Writer = Callable[[Sweep], bytes]
 
@@ -70,7 +70,7 @@ _NOT_READ = {
 _BEGINS = (*_NOT_READ, *PCAP_BEGINS, *(begins for known in FORMATS.values() for begins in known.begins))
 
 
-def format_of(source: Source) -> str:
+def format_of(source: InputFile) -> str:
     """Return the name in :data:`FORMATS` of an opened file, by its first bytes, then its name, then its rows.
 
     Raises:
@@ -83,38 +83,35 @@ def format_of(source: Source) -> str:
         return _format_by_name(source)
     for begins, problem in _NOT_READ.items():
         if head.startswith(begins):
-            raise source.error(problem)
+            raise ValueError(problem)
     for name, known in FORMATS.items():
         if known.begins and head.startswith(known.begins):
             return name
     return _maker_of_capture(source)
 
 
-def _format_by_name(source: Source) -> str:
+def _format_by_name(source: InputFile) -> str:
     if source.name.endswith(".bin"):
         if looks_like_payloads(source.size, source.head):
             return "velodyne"
         return "kitti" if columns_of_bin(source) == 4 else "nuscenes"
     for name, known in FORMATS.items():
         if source.name.endswith(known.suffixes):
-            raise source.error(f"is named like {name} but does not begin like it; it is damaged or of another format")
-    raise source.error(f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format")
+            raise ValueError(f"is named like {name} but does not begin like it; it is damaged or of another format")
+    raise ValueError(f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format")
 
 
-def _maker_of_capture(source: Source) -> str:
+def _maker_of_capture(source: InputFile) -> str:
     """Return "velodyne" where one of the first payloads is one, else "ouster"."""
     content = source.content()
-    try:
-        for index, (_, payload) in enumerate(udp_payloads(content)):
-            if is_velodyne(payload):
-                return "velodyne"
-            if index >= _PACKETS_TRIED:
-                break
-    except ValueError as error:
-        raise source.error(error) from error
+    for index, (_, payload) in enumerate(udp_payloads(content)):
+        if is_velodyne(payload):
+            return "velodyne"
+        if index >= _PACKETS_TRIED:
+            break
     if metadata_path(source.path).is_file():
         return "ouster"
-    raise source.error(
+    raise ValueError(
         f"holds no Velodyne packets; if it is an Ouster capture, put its metadata beside it as "
         f"{metadata_path(source.path).name}"
     )
@@ -131,7 +128,7 @@ def format_named(name: str, path: str) -> str:
         plain = path.lower().removesuffix(".gz")
         name = next((known for known in writable if plain.endswith(FORMATS[known].suffixes)), "")
         if not name:
-            raise ValueError(f"{path}: format is not told by the name; name one of {', '.join(writable)}")
+            raise ValueError(f"{path}: format cannot be known by the name; name one of {', '.join(writable)}")
     if name not in writable:
         raise ValueError(f"{path}: format must be one of {', '.join(writable)} to write, got {name!r}")
     return name

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from viewshed.geometry import Rigid
-from viewshed.io._source import one_line, open_source
+from viewshed.io._input import inside, open_input
+from viewshed.io._json import json_rows
 
-_INDEX_BYTES = 64_000_000
+_ENTRIES_MAX = 50_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,19 +46,14 @@ def read_index(path: str | os.PathLike[str]) -> list[IndexEntry]:
         OSError: the file cannot be read.
         ValueError: it is no such index, or names a file outside its folder.
     """
-    where = Path(path)
-    with open_source(where) as source:
-        if source.size > _INDEX_BYTES:
-            raise source.error(f"must be at most {_INDEX_BYTES} bytes, got {source.size}")
-        content = source.content()
-    try:
-        entries = json.loads(content)
-        if not isinstance(entries, list):
-            raise ValueError("must be a JSON list of entries")
-        folder = where.parent.resolve()
-        return [_entry(folder, position, entry) for position, entry in enumerate(entries)]
-    except (ValueError, RecursionError) as error:
-        raise ValueError(one_line(f"{where}: {error}")) from error
+    folder = Path(path).parent
+    entries: list[IndexEntry] = []
+    with open_input(path) as source:
+        for row in json_rows(source):
+            if len(entries) >= _ENTRIES_MAX:
+                raise ValueError(f"an index must have at most {_ENTRIES_MAX} entries")
+            entries.append(_entry(folder, len(entries), row))
+    return entries
 
 
 def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
@@ -66,7 +61,7 @@ def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
         frame = entry.get("sensor_from_file")
         pose, stats = entry.get("world_from_sensor"), entry.get("stats")
         return IndexEntry(
-            file=inside(folder, entry["file"]), sensor=str(entry["sensor"]),
+            file=inside(folder, folder / entry["file"]).resolve(), sensor=str(entry["sensor"]),
             sensor_from_file=Rigid.identity() if frame is None else Rigid.from_matrix(frame),
             sensor_height_m=_optional(float, entry.get("sensor_height_m")),
             world_from_sensor=None if pose is None else Rigid.from_matrix(pose),
@@ -81,15 +76,3 @@ def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
 
 def _optional(kind: type[Any], value: Any) -> Any:
     return None if value is None else kind(value)
-
-
-def inside(folder: Path, name: str) -> Path:
-    """Return the file called ``name`` in a folder, with links followed.
-
-    Raises:
-        ValueError: the name or a link leads out of the folder.
-    """
-    file = (folder / name).resolve()
-    if not file.is_relative_to(folder.resolve()):
-        raise ValueError(f"{name!r} leads out of the folder of the index; refused")
-    return file

@@ -12,17 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import Columns, Saved
-from viewshed.io._source import IDENTITY, Source, read_bounded, unpack_limit
+from viewshed.io._columns import IDENTITY, Columns, Saved
+from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
 from viewshed.sweep import MAX_POINTS, Sweep
 
-_HEADER = re.compile(
-    r"\s*\{\s*'descr'\s*:\s*'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*,\s*'fortran_order'\s*:\s*(True|False)\s*,"
-    r"\s*'shape'\s*:\s*\(((?:\d{1,12}\s*,?\s*){0,4})\)\s*,?\s*\}\s*"
+_HEADER = re.compile(  # possessive (*+): a damaged header fails in one pass, whatever it is filled with
+    r"\s*+\{\s*+'descr'\s*+:\s*+'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*+,\s*+'fortran_order'\s*+:\s*+(True|False)"
+    r"\s*+,\s*+'shape'\s*+:\s*+\(([\d\s,]*+)\)\s*+(?:,\s*+)?\}\s*+"
 )
 
+_SIZES_MAX = 4
+
 _MEMBERS_MAX = 64
+
+_ZIP_ENTRY = b"PK\x01\x02"
 
 _VERSION = 1
 
@@ -47,7 +51,10 @@ def parse_npy(content: bytes) -> NDArray[Any]:
     if match is None:
         raise ValueError("NPY header is damaged or its type is not plain numbers (pickled and structured are refused)")
     kind = np.dtype(match[1])
-    shape = tuple(int(size) for size in re.findall(r"\d+", match[3]))
+    sizes = match[3].replace(",", " ").split()
+    if len(sizes) > _SIZES_MAX or any(len(size) > 12 for size in sizes):
+        raise ValueError(f"NPY shape must be up to {_SIZES_MAX} sizes of up to 12 digits")
+    shape = tuple(map(int, sizes))
     count = 1
     for size in shape:
         count *= size
@@ -58,12 +65,9 @@ def parse_npy(content: bytes) -> NDArray[Any]:
     return flat.reshape(shape, order="F" if match[2] == "True" else "C")
 
 
-def read_npy(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_npy(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of an NPY file of shape (N, 3+): meters, or millimeters where it is int32."""
-    try:
-        yield _columns_of_points(parse_npy(source.content()), frame)
-    except ValueError as error:
-        raise source.error(error) from error
+    yield _columns_of_points(parse_npy(source.content()), frame)
 
 
 def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
@@ -80,26 +84,24 @@ def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
     return Columns(points, intensity, frame=IDENTITY if frame is None else frame)
 
 
-def read_npz(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_npz(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of an NPZ file: key ``points`` (N, 3+), and all of a Sweep where this package wrote it."""
-    try:
-        members = _members(source)
-        if "points" not in members:
-            raise ValueError(f"NPZ must have an array 'points', got {', '.join(sorted(members)) or 'none'}")
-        columns = _columns_of_points(members["points"], frame)
-        yield _with_saved(columns, members) if "viewshed_sweep" in members else columns
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        raise source.error(error) from error
+    members = _members(source)
+    if "points" not in members:
+        raise ValueError(f"NPZ must have an array 'points', got {', '.join(sorted(members)) or 'none'}")
+    columns = _columns_of_points(members["points"], frame)
+    yield _with_saved(columns, members) if "viewshed_sweep" in members else columns
 
 
-def _members(source: Source) -> dict[str, NDArray[Any]]:
+def _members(source: InputFile) -> dict[str, NDArray[Any]]:
     """Return the arrays of a zip file by name; sizes are measured while unpacking, not believed."""
     limit = unpack_limit(source.size)
     members: dict[str, NDArray[Any]] = {}
+    entries = source.content().count(_ZIP_ENTRY)  # before zipfile makes an object of each
+    if entries > _MEMBERS_MAX:
+        raise ValueError(f"NPZ must have at most {_MEMBERS_MAX} arrays, got {entries}")
     try:
         with zipfile.ZipFile(source.file) as archive:
-            if len(archive.infolist()) > _MEMBERS_MAX:
-                raise ValueError(f"NPZ must have at most {_MEMBERS_MAX} arrays, got {len(archive.infolist())}")
             for info in archive.infolist():
                 if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError("NPZ must be stored or deflated, not packed in another way")
@@ -128,9 +130,9 @@ def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Column
         int(members["dropped_points"]),
     )
     t_ns = int(members["t_ns"]) if "t_ns" in members else None
-    found: dict[str, Any] = {name: members.get(name) for name in _SAVED}
     return Columns(
-        columns.points, **found, t_ns=t_ns, model=_saved_model(members), frame=columns.frame, saved=saved
+        columns.points, members.get("intensity"), members.get("ring"), azimuth=members.get("azimuth"),
+        time_s=members.get("time_s"), t_ns=t_ns, model=_saved_model(members), frame=columns.frame, saved=saved
     )  # fmt: skip
 
 

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import Columns
-from viewshed.io._source import IDENTITY, Source
+from viewshed.io._columns import IDENTITY, Columns
+from viewshed.io._input import InputFile, one_line
 from viewshed.io.velodyne import udp_payloads
 from viewshed.sensors import LidarModel
 
 _METADATA_BYTES = 1_000_000
 
-_ROWS_MAX, _COLUMNS_MAX = 512, 8192
+_ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 columns; tables take 48 bytes a pixel
 
 _INSTALL = "needs ouster-sdk; install it with: pip install 'viewshed[packets]'"
 
@@ -33,7 +33,7 @@ def metadata_path(path: str) -> Path:
     return (file.with_suffix("") if file.suffix.lower() == ".gz" else file).with_suffix(".json")
 
 
-def read_ouster(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_ouster(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the revolutions of an Ouster capture, in the sensor's frame; incomplete ones only where there is no other.
 
     Ring 0 is the lowest beam; azimuth is the encoder's angle of the column, without the beams' own offsets.
@@ -42,12 +42,9 @@ def read_ouster(source: Source, frame: Rigid | None) -> Iterator[Columns]:
     try:
         from ouster.sdk import core
     except ImportError as error:
-        raise ImportError(f"{source.path}: {_INSTALL}") from error
-    try:
-        info = _sensor_info(core, metadata_path(source.path))
-        yield from _revolutions(core, info, content, IDENTITY if frame is None else frame)
-    except Exception as error:  # the SDK is compiled code with exceptions of its own
-        raise source.error(error) from error
+        raise ImportError(_INSTALL) from error
+    info = _sensor_info(core, metadata_path(source.path))
+    yield from _revolutions(core, info, content, IDENTITY if frame is None else frame)
 
 
 def _sensor_info(core: Any, path: Path) -> Any:
@@ -69,15 +66,22 @@ def _sensor_info(core: Any, path: Path) -> Any:
 def _check_shape(metadata: Any) -> None:
     """Refuse image sizes out of range wherever the metadata says them, before the SDK allocates."""
     limits = {"pixels_per_column": _ROWS_MAX, "columns_per_frame": _COLUMNS_MAX, "columns_per_packet": _COLUMNS_MAX}
+    largest = dict.fromkeys(limits, 1)
     stack = [metadata]
     while stack:
         node = stack.pop()
-        children = node.items() if isinstance(node, dict) else enumerate(node)
-        for key, value in children:
-            if key in limits and not (isinstance(value, int) and 1 <= value <= limits[key]):
-                raise ValueError(f"{key} must be a whole number in [1, {limits[key]}], got {value}")
-            if isinstance(value, (dict, list)):
-                stack.append(value)
+        if isinstance(node, list):
+            stack += node
+        if not isinstance(node, dict):
+            continue
+        stack += node.values()
+        for key in limits.keys() & node.keys():
+            value = node[key]
+            if not (isinstance(value, int) and 1 <= value <= limits[key]):
+                raise ValueError(f"{key} must be a whole number in [1, {limits[key]}], got {one_line(value, 40)}")
+            largest[key] = max(largest[key], value)
+    if largest["pixels_per_column"] * largest["columns_per_frame"] > _PIXELS_MAX:
+        raise ValueError(f"a revolution must have at most {_PIXELS_MAX} pixels, got {largest}")
 
 
 def _revolutions(core: Any, info: Any, content: bytes, frame: Rigid) -> Iterator[Columns]:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_rows, table_of_sweep
-from viewshed.io._ring_numbers import unpack_lzf
-from viewshed.io._source import Source
+from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_columns, table_of_sweep
+from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _HEADER_BYTES = 65_536
@@ -53,15 +53,11 @@ class _Header:
         return sum(field.size * field.count for field in self.fields)
 
 
-def read_pcd(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_pcd(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of a PCD file; an organized cloud is read row by row, its NaN points are dropped later."""
     content = source.content()
-    try:
-        header = _parse_header(content)
-        table = _BODIES[header.data](content, header)
-        yield columns_of_table(table, frame, ours=header.ours)
-    except ValueError as error:
-        raise source.error(error) from error
+    header = _parse_header(content)
+    yield columns_of_table(_BODIES[header.data](content, header), frame, ours=header.ours)
 
 
 def _parse_header(content: bytes) -> _Header:
@@ -130,14 +126,14 @@ def _wanted(header: _Header) -> dict[str, _Field]:
     return {field.name: field for field in reversed(fields) if field.name in WANTED}
 
 
-def _ascii(content: bytes, header: _Header) -> dict[str, NDArray[Any]]:
+def _ascii(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     width = sum(field.count for field in header.fields)
-    rows = number_rows(content, header.start, header.points, width)
     position = {field.name: sum(other.count for other in header.fields[:at]) for at, field in enumerate(header.fields)}
-    return {name: rows[:, position[name]] for name in _wanted(header)}
+    wanted = {name: position[name] for name in _wanted(header)}
+    return number_columns(content, header.start, header.points, width, wanted)
 
 
-def _binary(content: bytes, header: _Header) -> dict[str, NDArray[Any]]:
+def _binary(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     held, needed = len(content) - header.start, header.points * header.row_bytes
     if held < needed:
         raise ValueError(f"PCD data is cut off: {header.points} points need {needed} bytes, the file holds {held}")
@@ -158,7 +154,7 @@ def _binary(content: bytes, header: _Header) -> dict[str, NDArray[Any]]:
     return {name: rows[name] for name in fields}
 
 
-def _compressed(content: bytes, header: _Header) -> dict[str, NDArray[Any]]:
+def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     """Return the columns of an LZF block that holds one field after the other."""
     held, needed = len(content) - header.start - 8, header.points * header.row_bytes
     if held < 0:
@@ -178,6 +174,47 @@ def _compressed(content: bytes, header: _Header) -> dict[str, NDArray[Any]]:
         name: data[field.offset * header.points :][: field.size * header.points].view(field.dtype)
         for name, field in _wanted(header).items()
     }
+
+
+@njit(cache=True, nogil=True)
+def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int:
+    """Decode an LZF stream into ``unpacked``; return the bytes written, or -1 where the stream is damaged.
+
+    Stream of M. Lehmann's liblzf: control < 32 is a run of control + 1 literals, else a back reference of length
+    (control >> 5) + 2 (+ one more byte if that field is 7) at distance ((control & 31) << 8 | byte) + 1.
+    No index leaves either array.
+    """
+    at = 0
+    end = 0
+    while at < packed.size:
+        control = np.int64(packed[at])
+        at += 1
+        if control < 32:
+            length = np.int64(control + 1)
+            if at + length > packed.size or end + length > unpacked.size:
+                return -1
+            for _ in range(length):
+                unpacked[end] = packed[at]
+                at += 1
+                end += 1
+            continue
+        length = np.int64(control >> 5)
+        if length == 7:
+            if at >= packed.size:
+                return -1
+            length += np.int64(packed[at])
+            at += 1
+        length += 2
+        if at >= packed.size:
+            return -1
+        start = end - ((control & 31) << 8) - np.int64(packed[at]) - 1
+        at += 1
+        if start < 0 or end + length > unpacked.size:
+            return -1
+        for k in range(length):
+            unpacked[end + k] = unpacked[start + k]
+        end += int(length)
+    return end
 
 
 _BODIES = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}

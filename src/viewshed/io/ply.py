@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_rows, table_of_sweep
-from viewshed.io._source import Source
+from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_columns, table_of_sweep
+from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _HEADER_BYTES = 65_536
@@ -37,14 +39,11 @@ class _Header:
     in_vertex: bool = False
 
 
-def read_ply(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_ply(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of a PLY file's vertices; elements after them are ignored."""
     content = source.content()
-    try:
-        header = _parse_header(content)
-        yield columns_of_table(_vertices(content, header), frame, ours=header.ours)
-    except ValueError as error:
-        raise source.error(error) from error
+    header = _parse_header(content)
+    yield columns_of_table(_vertices(content, header), frame, ours=header.ours)
 
 
 def _parse_header(content: bytes) -> _Header:
@@ -58,14 +57,14 @@ def _parse_header(content: bytes) -> _Header:
         start = end + 1
         if line == "end_header":
             break
-        _take_line(header, line)
+        _parse_line(header, line)
     if header.order is None or header.vertices is None:
         raise ValueError("PLY header must have lines 'format' and 'element vertex'")
     header.start = start
     return header
 
 
-def _take_line(header: _Header, line: str) -> None:
+def _parse_line(header: _Header, line: str) -> None:
     words = line.split()
     match words:
         case ["format", order, _] if order in _ORDERS:
@@ -73,16 +72,16 @@ def _take_line(header: _Header, line: str) -> None:
         case ["format", *_]:
             raise ValueError(f"PLY format must be {', '.join(_ORDERS)}, got {line!r}")
         case ["element", name, count]:
-            _take_element(header, name, count)
+            _parse_element(header, name, count)
         case ["property", *rest] if header.in_vertex:
-            _take_property(header, rest)
+            _parse_property(header, rest)
         case ["comment", *_]:
             header.ours = header.ours or line == f"comment {MARK}"
         case _:
             return
 
 
-def _take_element(header: _Header, name: str, count: str) -> None:
+def _parse_element(header: _Header, name: str, count: str) -> None:
     header.in_vertex = name == "vertex"
     if header.vertices is None and not header.in_vertex:
         raise ValueError(f"PLY element vertex must come first, got {name!r}")
@@ -95,7 +94,7 @@ def _take_element(header: _Header, name: str, count: str) -> None:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, PLY header says {count}")
 
 
-def _take_property(header: _Header, words: list[str]) -> None:
+def _parse_property(header: _Header, words: list[str]) -> None:
     if len(words) != 2 or words[0] not in _KINDS:
         raise ValueError(f"PLY vertex property must be one number of a known type, got {' '.join(words)!r}")
     name = words[1].lower()
@@ -104,11 +103,11 @@ def _take_property(header: _Header, words: list[str]) -> None:
     header.properties[name] = _KINDS[words[0]]
 
 
-def _vertices(content: bytes, header: _Header) -> dict[str, np.ndarray]:
+def _vertices(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     count, names = header.vertices or 0, list(header.properties)
     if not header.order:
-        rows = number_rows(content, header.start, count, len(names))
-        return {name: rows[:, at] for at, name in enumerate(names) if name in WANTED}
+        wanted = {name: at for at, name in enumerate(names) if name in WANTED}
+        return number_columns(content, header.start, count, len(names), wanted)
     kind = np.dtype([(name, header.order + header.properties[name]) for name in names])
     held, needed = len(content) - header.start, count * kind.itemsize
     if held < needed:

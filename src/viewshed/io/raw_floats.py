@@ -7,13 +7,15 @@ import threading
 from collections.abc import Iterator
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import Columns
-from viewshed.io._ring_numbers import plausible_rows, split_xyzi, split_xyzir, whole_numbers
-from viewshed.io._source import FILE_FRAMES, IDENTITY, Source
+from viewshed.io._columns import FILE_FRAMES, IDENTITY, Columns
+from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
+
+_U = np.uint64
 
 _CHUNK_ROWS = 65_536
 
@@ -24,7 +26,7 @@ _SAMPLE_BYTES = 4_800
 _MICROSECONDS = re.compile(r"__(\d{16})\.pcd\.bin$")
 
 
-def read_kitti(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_kitti(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of a KITTI ``.bin`` file."""
     rows = _rows(source, 4)
     block = np.empty(4 * rows, np.float32)
@@ -39,7 +41,7 @@ def read_kitti(source: Source, frame: Rigid | None) -> Iterator[Columns]:
     yield Columns(points.reshape(rows, 3), intensity, frame=IDENTITY if frame is None else frame)
 
 
-def read_nuscenes(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of a nuScenes ``.pcd.bin`` file; its time is the one in nuScenes' file names."""
     rows = _rows(source, 5)
     block = np.empty(9 * rows, np.int16)
@@ -54,7 +56,7 @@ def read_nuscenes(source: Source, frame: Rigid | None) -> Iterator[Columns]:
         bad += whole_numbers(rings[:count], ring[start:stop])
         start = stop
     if bad:
-        raise source.error(f"the fifth column must be whole ring numbers, {bad} of {rows} are not; is it nuScenes?")
+        raise ValueError(f"the fifth column must be whole ring numbers, {bad} of {rows} are not; is it nuScenes?")
     named = _MICROSECONDS.search(source.name)
     yield Columns(
         points.reshape(rows, 3), intensity, ring,
@@ -71,31 +73,31 @@ def _scratch() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return buffers
 
 
-def _rows(source: Source, columns: int) -> int:
+def _rows(source: InputFile, columns: int) -> int:
     rows, rest = divmod(source.size, 4 * columns)
     if rest:
-        raise source.error(
+        raise ValueError(
             f"must hold rows of {columns} float32 ({4 * columns} bytes), got {source.size} bytes; "
             "it is cut off or of another format"
         )
     if rows > MAX_POINTS:
-        raise source.error(f"a sweep must have at most {MAX_POINTS} points, got {rows}")
+        raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {rows}")
     return rows
 
 
-def _fill(source: Source, buffer: NDArray[np.float32], rows: int, columns: int) -> int:
+def _fill(source: InputFile, buffer: NDArray[np.float32], rows: int, columns: int) -> int:
     """Read up to a buffer of whole rows; return how many."""
     view = buffer.data.cast("B")[: 4 * columns * min(rows, _CHUNK_ROWS)]
     got = 0
     while got < len(view):
         count = source.file.readinto(view[got:])  # type: ignore[attr-defined]
         if not count:
-            raise source.error("the file became shorter while it was read")
+            raise ValueError("the file became shorter while it was read")
         got += count
     return got // (4 * columns)
 
 
-def columns_of_bin(source: Source) -> int:
+def columns_of_bin(source: InputFile) -> int:
     """Return 4 or 5: how many float32 columns a nameless ``.bin`` file has, judged by its size and its first rows.
 
     Raises:
@@ -108,8 +110,8 @@ def columns_of_bin(source: Source) -> int:
     if len(fits) == 1:
         return fits[0]
     if fits:
-        raise source.error("could be 4 or 5 float32 columns; say which with --format kitti or --format nuscenes")
-    raise source.error(
+        raise ValueError("could be 4 or 5 float32 columns; say which with --format kitti or --format nuscenes")
+    raise ValueError(
         f"does not look like rows of 4 or 5 float32 columns ({source.size} bytes); "
         "it is cut off or of another format (name one with --format)"
     )
@@ -138,3 +140,77 @@ def write_nuscenes(sweep: Sweep) -> bytes:
         rows[:, 3] = sweep.intensity
     rows[:, 4] = sweep.ring
     return rows.tobytes()
+
+
+@njit(cache=True, nogil=True)
+def split_xyzi(raw: NDArray[np.float32], points: NDArray[np.float32], intensity: NDArray[np.float32]) -> None:
+    """Split rows x, y, z, intensity (4 N,) into points (3 N,) and intensity (N,)."""
+    for i in range(_U(intensity.size)):
+        j = _U(4) * i
+        k = _U(3) * i
+        points[k] = raw[j]
+        points[k + _U(1)] = raw[j + _U(1)]
+        points[k + _U(2)] = raw[j + _U(2)]
+        intensity[i] = raw[j + _U(3)]
+
+
+@njit(cache=True, nogil=True)
+def split_xyzir(
+    raw: NDArray[np.float32],
+    points: NDArray[np.float32],
+    intensity: NDArray[np.float32],
+    ring: NDArray[np.float32],
+    quarter_turn: bool,
+) -> None:
+    """Split rows x, y, z, intensity, ring (5 N,) into points (3 N,), intensity (N,) and ring (N,).
+
+    With ``quarter_turn`` points are (y, -x, z): nuScenes' x right, y forward becomes x forward, y left.
+    """
+    if quarter_turn:
+        for i in range(_U(intensity.size)):
+            j = _U(5) * i
+            k = _U(3) * i
+            points[k] = raw[j + _U(1)]
+            points[k + _U(1)] = -raw[j]
+            points[k + _U(2)] = raw[j + _U(2)]
+            intensity[i] = raw[j + _U(3)]
+            ring[i] = raw[j + _U(4)]
+    else:
+        for i in range(_U(intensity.size)):
+            j = _U(5) * i
+            k = _U(3) * i
+            points[k] = raw[j]
+            points[k + _U(1)] = raw[j + _U(1)]
+            points[k + _U(2)] = raw[j + _U(2)]
+            intensity[i] = raw[j + _U(3)]
+            ring[i] = raw[j + _U(4)]
+
+
+@njit(cache=True, nogil=True)
+def whole_numbers(values: NDArray[np.float32], whole: NDArray[np.int16]) -> int:
+    """Write values (N,) as 16-bit integers; return how many are not such numbers."""
+    bad = np.int32(0)
+    for i in range(_U(values.size)):
+        number = np.int16(np.int32(values[i]))
+        whole[i] = number
+        bad += np.int32(np.float32(number) != values[i])
+    return int(bad)
+
+
+@njit(cache=True, nogil=True)
+def plausible_rows(raw: NDArray[np.float32], columns: int) -> bool:
+    """Return whether rows (N · columns,) read as meters within 10 km, an intensity ≥ 0 and, if five, a ring in 0…127.
+
+    Rows that are not finite say nothing.
+    """
+    for start in range(0, raw.size // columns * columns, columns):
+        finite = True
+        for k in range(columns):
+            finite &= np.isfinite(raw[start + k])
+        far = max(abs(raw[start]), abs(raw[start + 1]), abs(raw[start + 2]))
+        if finite and (far > 1e4 or raw[start + 3] < 0 or raw[start + 3] > 1e6):
+            return False
+        ring = raw[start + columns - 1]
+        if finite and columns == 5 and (ring < 0 or ring > 127 or ring != np.floor(ring)):
+            return False
+    return True

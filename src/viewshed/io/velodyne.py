@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import Columns
-from viewshed.io._source import IDENTITY, Source
+from viewshed.io._columns import IDENTITY, Columns
+from viewshed.io._input import InputFile
 from viewshed.sensors import lidar_model
 
 _MAGICS = {
@@ -33,6 +34,16 @@ _PARTS_MAX = 512
 
 _DATAGRAM_MAX = 65_535
 
+
+@dataclass(slots=True)
+class _Datagram:
+    """A datagram that comes in fragments: offset → bytes, how many bytes these are, and its length once it is known."""
+
+    parts: dict[int, bytes] = field(default_factory=dict)
+    held: int = 0
+    length: int | None = None
+
+
 _UDP = 17
 
 
@@ -49,7 +60,7 @@ def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
     if link not in _LINK_HEADER_BYTES:
         raise ValueError(f"packet capture must be of Ethernet or raw IP, got link type {link}")
     record = struct.Struct(order + "IIII")
-    fragments: dict[bytes, dict[int, bytes]] = {}
+    fragments: dict[bytes, _Datagram] = {}
     at = 24
     while at < len(content):
         if at + 16 > len(content):
@@ -64,7 +75,7 @@ def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
             yield seconds + fraction * unit, datagram
 
 
-def _datagram(packet: bytes, link: int, fragments: dict[bytes, dict[int, bytes]]) -> bytes | None:
+def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> bytes | None:
     """Return the UDP payload that this packet holds or completes, else None."""
     ip = _ip_packet(packet, link)
     if len(ip) < 20 or ip[0] >> 4 != 4 or ip[9] != _UDP:
@@ -73,10 +84,10 @@ def _datagram(packet: bytes, link: int, fragments: dict[bytes, dict[int, bytes]]
     body = ip[header : total if total >= header else None]
     flags = int.from_bytes(ip[6:8], "big")
     if flags & 0x3FFF:
-        whole = _joined(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
-        if whole is None:
+        joined = _join_fragments(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
+        if joined is None:
             return None
-        body = whole
+        body = joined
     length = int.from_bytes(body[4:6], "big")
     return body[8:length] if 8 <= length <= len(body) else None
 
@@ -91,27 +102,29 @@ def _ip_packet(packet: bytes, link: int) -> bytes:
     return packet[start:]
 
 
-def _joined(
-    key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, dict[int, bytes]]
-) -> bytes | None:  # fmt: skip
-    """Keep a fragment; return the datagram once it is complete. The last fragment is kept under offset -1 too."""
+def _join_fragments(
+    key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, _Datagram]
+) -> bytes | None:
+    """Keep a fragment; return the datagram once as many bytes are there as it has, None before.
+
+    The parts are put together once, so that fragments that never fit cost no more than those that do.
+    """
     if key not in fragments and len(fragments) >= _DATAGRAMS_OPEN:
         fragments.pop(next(iter(fragments)))
-    parts = fragments.setdefault(key, {})
-    if offset + len(body) > _DATAGRAM_MAX or len(parts) > _PARTS_MAX or not body:
+    datagram = fragments.setdefault(key, _Datagram())
+    if offset + len(body) > _DATAGRAM_MAX or len(datagram.parts) >= _PARTS_MAX or not body:
         return None
-    parts[offset] = body
+    datagram.held += len(body) - len(datagram.parts.get(offset, b""))
+    datagram.parts[offset] = body
     if not more:
-        parts[-1] = b""
-    if -1 not in parts or 0 not in parts:
-        return None
-    whole = bytearray()
-    while len(whole) in parts and parts[len(whole)]:
-        whole += parts[len(whole)]
-    if sum(map(len, parts.values())) != len(whole):
+        datagram.length = offset + len(body)
+    if datagram.held != datagram.length:
         return None
     del fragments[key]
-    return bytes(whole)
+    joined = bytearray()
+    while len(joined) in datagram.parts:
+        joined += datagram.parts[len(joined)]
+    return bytes(joined) if len(joined) == datagram.length else None
 
 
 PACKET_BYTES = 1206
@@ -135,19 +148,14 @@ def looks_like_payloads(size: int, head: bytes) -> bool:
     return size % PACKET_BYTES == 0 and head[:2] == b"\xff\xee"
 
 
-def read_velodyne(source: Source, frame: Rigid | None) -> Iterator[Columns]:
+def read_velodyne(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the revolutions of a capture or a file of bare payloads.
 
     A revolution begins at the first packet's azimuth. The rest at the end is left out, unless it is all there is.
     """
     content = source.content()
     bare = looks_like_payloads(source.size, source.head)
-    try:
-        yield from _revolutions(_bare(content) if bare else udp_payloads(content), frame)
-    except ImportError as error:
-        raise ImportError(f"{source.path}: {_INSTALL}") from error
-    except ValueError as error:
-        raise source.error(error) from error
+    yield from _revolutions(_bare(content) if bare else udp_payloads(content), frame)
 
 
 def _bare(content: bytes) -> Iterator[tuple[float, bytes]]:
@@ -158,10 +166,12 @@ def _bare(content: bytes) -> Iterator[tuple[float, bytes]]:
 
 
 def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) -> Iterator[Columns]:
-    import velodyne_decoder
-
+    try:
+        import velodyne_decoder
+    except ImportError as error:
+        raise ImportError(_INSTALL) from error
     decoder = name = None
-    found = False
+    any_returns = False
     for seconds, payload in packets:
         if not is_velodyne(payload):
             continue
@@ -170,14 +180,14 @@ def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) ->
             decoder = _decoder(velodyne_decoder, name)
         scan = _call(decoder.decode, seconds, payload)
         if scan is not None and len(scan[1]):
-            found = True
+            any_returns = True
             yield _columns(scan, name or "", frame)
     if decoder is None:
         raise ValueError("holds no Velodyne data packets (1206 bytes that begin with ff ee)")
     rest = _call(decoder.finish)
-    if not found and rest is not None:
+    if not any_returns and rest is not None:
         yield _columns(rest, name or "", frame)
-    elif not found:
+    elif not any_returns:
         raise ValueError("holds no revolution with a return")
 
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import lru_cache
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ from viewshed.training.sources import CleanSamples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttackedSweep:
-    """A sweep as the network is shown it.
+    """A sweep as the network is shown it, and the attack on it, so that earlier sweeps can be attacked alike.
 
     Attributes:
         sweep: attacked, or as it was measured.
@@ -57,15 +57,19 @@ class AttackedSweep:
         return tuple(self._attack(sweep, rng) for sweep in earlier)
 
     def _attack(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        attack, now, then = self.attack, self.sweep.world_from_sensor, sweep.world_from_sensor
+        attack: Any = self.attack
+        now, then = self.sweep.world_from_sensor, sweep.world_from_sensor
         if attack is None:
             return sweep
-        if self.wedge is not None and hasattr(attack, "azimuth") and now is not None and then is not None:
-            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))  # type: ignore[type-var]
+        aimed = "azimuth" in {setting.name for setting in fields(attack)}
+        if aimed and self.wedge is not None and now is not None and then is not None:
+            # The same direction of the map: the sensor's heading may have changed in between.
+            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))
         try:
-            return attack.apply(sweep, rng).sweep
+            attacked: Sweep = attack.apply(sweep, rng).sweep
         except ValueError:
             return sweep
+        return attacked
 
 
 def draw_attacked_sweep(

@@ -4,7 +4,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from viewshed.datasets import Archive, Storage
+
+pytestmark = pytest.mark.slow
 
 COMMAND = "from viewshed.cli import main; main()"
 SMALL = ["nuscenes-small", "--sweeps", "60", "--grid", "32x32", "--workers", "2"]

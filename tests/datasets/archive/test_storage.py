@@ -21,7 +21,9 @@ import pytest
 from viewshed.datasets.archive.storage import Storage
 
 
-@pytest.fixture(params=["folder", "file", "s3", "gs"])
+@pytest.fixture(
+    params=["folder", "file", pytest.param("s3", marks=pytest.mark.slow), pytest.param("gs", marks=pytest.mark.slow)]
+)
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
     if request.param == "folder":
         return Storage.of(tmp_path / "new folder é" / "deep")
@@ -91,8 +93,9 @@ def test_names_stay_inside(store: Storage, name: str) -> None:
         store.write(name, b"1")
 
 
+@pytest.mark.slow
 def test_another_library_sees_the_same_objects(s3: str, tmp_path: Path) -> None:
-    boto3 = pytest.importorskip("boto3")
+    boto3 = pytest.importorskip("boto3", reason="boto3 is not installed: S3 is not compared with it")
     store = Storage.of(f"s3://data/{tmp_path.name}?{s3}")
     store.write("a/b", b"ours" * 3_000_000)
     endpoint = "http://" + s3.partition("endpoint_override=")[2].partition("&")[0]
@@ -164,6 +167,7 @@ def test_a_file_where_the_folder_must_be(tmp_path: Path) -> None:
         store.names()
 
 
+@pytest.mark.slow
 def test_a_bucket_that_does_not_exist(s3: str, gs: str) -> None:
     for bucket, options in (("s3://nobody", s3), ("gs://nobody", gs)):
         store = Storage.of(f"{bucket.replace('gs://', 'gs://anonymous@')}/has/this?{options}")
@@ -204,6 +208,7 @@ def test_no_credentials_and_no_secret_in_the_message(refusing: str) -> None:
         assert "\n" not in str(raised.value)
 
 
+@pytest.mark.slow
 def test_a_server_that_is_not_there() -> None:
     store = Storage.of("s3://k:s@data/x?endpoint_override=127.0.0.1:1&scheme=http&region=us-east-1")
     start_s = time.monotonic()

@@ -20,6 +20,8 @@ from viewshed.datasets.simulated import simulate
 from viewshed.fov.truth import Truth
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 
+pytestmark = pytest.mark.slow
+
 
 class _Here:
     """Runs the jobs here, in an order of its own, and stops after some."""

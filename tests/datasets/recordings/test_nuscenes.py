@@ -9,14 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from viewshed.datasets.recordings import _nuscenes_tables as json_rows_module
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings._nuscenes_tables import json_rows
 from viewshed.datasets.recordings.source import SweepRef, SweepSource, each_sweep
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.io import read_index, read_sweep
@@ -256,7 +252,7 @@ def _shift_a_number(tables: Tables) -> None:
             _change("sample_data", 2, "ego_pose_token", None),
             r"^\|.*sample_data.json: row 2 must have text as 'ego_pose",
         ),
-        (_change("sample_data", 2, "filename", "../LIDAR_TOP"), r"103\|.* must stay inside the recording, got '../LID"),
+        (_change("sample_data", 2, "filename", "../LIDAR_TOP"), r"103\|.* leads out of .*; refused"),
         (_change("sample_data", 2, "filename", "sweeps/LIDAR_TOP/gone.pcd.bin"), r"103\|.*gone.pcd.bin: No such file"),
         (_change("sample", 1, "scene_token", "x"), r"^\|.*sample.json: row 'sa1' names no row of scene.json, 'x'"),
         (_change("ego_pose", 1, "rotation", [0.0, 0.0, 0.0, 0.0]), r"597590.*ego_pose.json, row 'sd1': .*norm 1"),
@@ -329,44 +325,6 @@ def test_a_ref_of_another_recording_is_refused(tree: tuple[Path, Tables]) -> Non
         source.read(SweepRef("scene-0103", 1, "x.bin", key="sd0"))
     with pytest.raises(ValueError, match=r"scene must be one of the 2 of .*, got 'scene-9'"):
         source.refs("scene-9")
-
-
-_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.text(),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
-    max_leaves=6,
-)
-
-
-@given(
-    rows=st.lists(st.dictionaries(st.text(), _VALUES, max_size=4), max_size=8),
-    block=st.integers(1, 80),
-    indent=st.sampled_from([None, 0, 2]),
-    ascii_only=st.booleans(),
-)
-def test_rows_are_those_of_the_json_library_whatever_the_blocks(
-    rows: list[dict[str, Any]],
-    block: int,
-    indent: int | None,
-    ascii_only: bool,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    place = tmp_path_factory.getbasetemp() / "rows.json"
-    place.write_text(json.dumps(rows, indent=indent, ensure_ascii=ascii_only), encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_rows_module, "_BLOCK_BYTES", block)
-        assert list(json_rows(place)) == rows
-
-
-@pytest.mark.parametrize("text", ["[,{}]", "[{},,{}]", "[{}", "[{},", "[{}]]", '[{"a": 1} {"b": 2]', "", " "])
-@pytest.mark.parametrize("block", [1, 3, 1000])
-def test_what_is_no_list_is_refused_whatever_the_blocks(
-    text: str, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(json_rows_module, "_BLOCK_BYTES", block)
-    (tmp_path / "rows.json").write_text(text)
-    with pytest.raises(ValueError, match=r"rows\.json: (must be a JSON list of objects|the file is empty)"):
-        list(json_rows(tmp_path / "rows.json"))
 
 
 def _gap_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:

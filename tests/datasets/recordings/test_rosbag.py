@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from viewshed.io import read_sweep
 from viewshed.sweep import Sweep
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not tested")
+pytest.importorskip("mcap", reason="mcap is not installed: its files are not compared")
+recording_files: Any = import_module("recording_files")
 CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 S = 1_000_000_000
 POINTS = np.array([[5.0, 3.0, -1.5], [8.0, -2.0, 0.5], [-4.0, 1.0, 0.25]], np.float32)
@@ -277,6 +280,79 @@ def test_mcap_chunks_of_every_packing(tmp_path: Path, packing: str) -> None:
     np.testing.assert_array_equal(sweeps[1].points, POINTS)
 
 
+def test_an_mcap_chunk_that_claims_too_much_is_refused(tmp_path: Path) -> None:
+    # 300 bytes of zstd that unpack to 3 MB of zeros: more than 200 times as many, and more than 1 MB
+    for size, words in ((3_000_000, "bytes; refused"), (900_000, "is damaged")):
+        packed = bytes(pa.Codec("zstd").compress(bytes(size), asbytes=True))
+        head = struct.pack("<QQQI", 0, 0, size, 0) + _text("zstd") + struct.pack("<Q", len(packed))
+        (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + _record(0x06, head + packed) + _record(0x0F, bytes(4)))
+        with pytest.raises(ValueError, match=words):
+            open_source(tmp_path / "a.mcap")
+
+
+def test_records_that_only_keep_a_reader_busy_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + _record(0x85, b"") * 100_001)
+    with pytest.raises(ValueError, match="100001 records before byte 900008 hold no message"):
+        open_source(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("packing", ["NONE", "LZ4", "ZSTD"])
+def test_files_of_the_mcap_package_are_read(tmp_path: Path, packing: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(recording_files.mcap(packing))
+    sweeps = [sweep for _, sweep in each_sweep(open_source(tmp_path / "a.mcap"))]
+    assert [len(sweep) for sweep in sweeps] == [6, 6]
+    np.testing.assert_array_equal(sweeps[1].points, recording_files.POINTS)
+
+
+@pytest.mark.parametrize("packing", ["", "bz2", "lz4"])
+def test_ros1_chunks_of_every_packing_and_what_lies_before_a_cut(tmp_path: Path, packing: str) -> None:
+    content = recording_files.ros1_bag(packing)
+    for end, count in ((len(content), 2), (len(content) - 300, 2)):
+        (tmp_path / "a.bag").write_bytes(content[:end])
+        source = open_source(tmp_path / "a.bag")
+        assert [len(sweep) for _, sweep in each_sweep(source, on_damage=lambda *_: None)] == [6] * count
+        assert any("cut off" in line for line in source.damage()) == (end < len(content))
+
+
+def test_a_folder_of_several_files_keeps_what_can_be_read(tmp_path: Path) -> None:
+    recording_files.write(tmp_path / "bag", {
+        "metadata.yaml": b"", "a_0.db3": recording_files.db3(), "a_1.db3": recording_files.db3()[:5000],
+        "a_2.mcap": recording_files.mcap(),
+        "a_3.db3.zstd": bytes(pa.compress(recording_files.db3(), codec="zstd", asbytes=True)),
+    })  # fmt: skip
+    source = open_source(tmp_path / "bag")
+    assert [len(sweep) for _, sweep in each_sweep(source, on_damage=lambda *_: None)] == [6] * 6
+    [line] = [line for line in source.damage() if "a_1.db3" in line]
+    assert "is damaged" in line
+
+
+def test_packed_messages_are_unpacked_and_bounded(tmp_path: Path) -> None:
+    _, raw = recording_files.cloud(ros1=False)
+    (tmp_path / "a.db3").write_bytes(recording_files.db3(raw=bytes(pa.compress(raw, codec="zstd", asbytes=True))))
+    assert [len(sweep) for _, sweep in each_sweep(open_source(tmp_path / "a.db3"))] == [6, 6]
+    bomb = bytes(pa.compress(bytes(3_000_000), codec="zstd", asbytes=True))
+    (tmp_path / "b.db3").write_bytes(recording_files.db3(raw=bomb))
+    with pytest.raises(ValueError, match=r"b\.db3: is damaged|unpacks to more than 1000000 bytes"):
+        open_source(tmp_path / "b.db3")
+
+
+@pytest.mark.parametrize(
+    ("statements", "problem"),
+    [
+        (("DROP TABLE topics", "CREATE VIEW topics AS SELECT 1 AS id"), "must have tables named topics and messages"),
+        (("DROP TABLE messages", "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, "
+          "data AS (zeroblob(1000)))"), "without computed columns"),
+        (("UPDATE messages SET data = 'text'",), "message 1 is no bytes"),
+        (("UPDATE messages SET timestamp = 'late'",), "message 1 has no time"),
+    ],
+)  # fmt: skip
+def test_sqlite_files_that_are_no_bag_are_one_line(statements: tuple[str, ...], problem: str, tmp_path: Path) -> None:
+    (tmp_path / "a.db3").write_bytes(recording_files.db3(statements))
+    with pytest.raises(ValueError, match=rf"a\.db3: .*{problem}") as caught:
+        open_source(tmp_path / "a.db3")
+    assert "\n" not in str(caught.value)
+
+
 def test_an_mcap_file_that_was_cut_off_keeps_what_lies_before(tmp_path: Path) -> None:
     place = write_mcap(tmp_path / "a", [("/points", k, ROS2.cloud(k * S)) for k in range(1, 5)])
     content = place.read_bytes()
@@ -342,16 +418,24 @@ def test_a_truncated_bag_is_one_line_and_its_neighbors_are_read(tmp_path: Path, 
 def test_wrong_magic_and_missing_metadata(tmp_path: Path) -> None:
     for name in ("a.bag", "a.mcap"):
         (tmp_path / name).write_bytes(b"GIF89a" + bytes(100))
-        with pytest.raises(ValueError, match=rf"{name}: is (damaged|no MCAP file)"):
+        with pytest.raises(ValueError, match=rf"{name}: is no (ROS 1|MCAP) file: its first bytes are others"):
             open_source(tmp_path / name)
-    folder = write_ros2(tmp_path / "b", [("/points", 1, ROS2.cloud(S))])
-    (folder / "metadata.yaml").unlink()
-    with pytest.raises(ValueError, match=r"\.db3: is one file of a ROS 2 bag; name its folder.*metadata\.yaml"):
-        open_source(folder)
-    folder = write_ros2(tmp_path / "c", [("/points", 1, ROS2.cloud(S))])
-    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
-    with pytest.raises(ValueError, match=r"c: is damaged"):
-        open_source(folder)
+
+
+def test_ros2_bags_need_no_metadata(tmp_path: Path) -> None:
+    for number, metadata in enumerate((None, "rosbag2_bagfile_information: [", "version: 99\n")):
+        folder = write_ros2(tmp_path / f"b{number}", [("/points", 1, ROS2.cloud(S))])
+        (folder / "metadata.yaml").unlink()
+        if metadata is not None:
+            (folder / "metadata.yaml").write_text(metadata)
+        [(ref, sweep)] = each_sweep(open_source(folder))
+        assert (ref.t_ns, len(sweep)) == (S, 3)
+        [(_, again)] = each_sweep(open_source(next(folder.glob("*.db3"))))
+        np.testing.assert_array_equal(again.points, sweep.points)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "metadata.yaml").write_text("x: 1\n")
+    with pytest.raises(ValueError, match=r"empty: is damaged: it holds no \.db3 and no \.mcap file"):
+        open_source(tmp_path / "empty", "bag")
 
 
 @KINDS

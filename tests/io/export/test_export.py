@@ -121,7 +121,7 @@ def test_unknown_format_and_missing_folder(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 1000), st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_npz_loses_nothing(tmp_path_factory: pytest.TempPathFactory, seed: int, posed: bool) -> None:
     made = random_estimate(seed, pose=POSE if posed else None)
     path = tmp_path_factory.mktemp("npz") / "fov.npz"
@@ -151,7 +151,7 @@ def test_broken_npz_gets_one_line(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 2**32), st.integers(0, 2000))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_mutated_npz_never_crashes(tmp_path_factory: pytest.TempPathFactory, seed: int, at: int) -> None:
     path = tmp_path_factory.mktemp("npz") / "fov.npz"
     write_npz(random_estimate(3), path)

@@ -171,8 +171,9 @@ def test_wrong_plans_are_refused(change: dict[str, object], message: str) -> Non
         AblationPlan.from_json(ablation_named("tiny").to_json() | change)
 
 
+@pytest.mark.slow
 def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
+    pytest.importorskip("torch", reason="torch is not installed: the plan is not run")
     plan, told = ablation_named("tiny"), list[tuple[str, int, int]]()
     store = JobStore.open(tmp_path, plan)
     assert list(run_steps(store, ("validation",), 1, lambda *step: None)) == [

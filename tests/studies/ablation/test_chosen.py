@@ -1,6 +1,7 @@
 """Points chosen against their victim."""
 
 import numpy as np
+import pytest
 
 from viewshed.estimators import Estimator
 from viewshed.estimators.ray_trace import ContinuousRayTrace
@@ -8,6 +9,8 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.grid import BevGrid
 from viewshed.studies.ablation.contest import UNTOUCHED, Said, attack_on, duels
 from viewshed.studies.suite import Subject
+
+pytestmark = pytest.mark.slow
 
 GRID = BevGrid(32, 64.0)
 

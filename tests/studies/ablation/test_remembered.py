@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from viewshed.estimators import Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
@@ -26,6 +27,8 @@ from viewshed.studies.ablation.results import Results
 from viewshed.studies.ablation.tables import ablation_table, views_table
 from viewshed.studies.suite import Subject
 from viewshed.threats.attacks import ATTACKS
+
+pytestmark = pytest.mark.slow
 
 GRID = BevGrid(32, 64.0)
 SM = ShadowMap(GRID)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from viewshed.metrics import Scores
 from viewshed.studies.ablation.contest import BENIGN, CASES, CLEAR, UNTOUCHED, Said
@@ -18,6 +19,7 @@ def _said(right: int, wrong: int) -> Said:
     return Said(scores, scores, [])
 
 
+@pytest.mark.slow
 def test_targets_are_met_or_missed_by_what_was_said() -> None:
     """A network that is right in 99 of 100 claims meets the first; one attack below the vote is named."""
     plan, every = ablation_named("small"), dict.fromkeys(CASES)

@@ -21,6 +21,8 @@ from viewshed.studies.paper.protocols import TOUCHING, setting_of
 from viewshed.studies.paper.results import Results
 from viewshed.studies.paper.store import JobStore
 
+pytestmark = pytest.mark.slow
+
 PLAN = replace(
     plan_named("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,), test_times=(5,),
     interval_s=(0.5,), strict_frames=1, strengths=False, trade_widths=(4,), frames_per_epoch=4, epochs=1,

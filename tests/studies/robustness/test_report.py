@@ -180,6 +180,7 @@ def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path)
     assert tables_short.summary_table(found, "ugv").rows[0][-1] == "**1 of 1**"
 
 
+@pytest.mark.slow
 def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
     table = tables_adaptive.duel_table(_asked(tmp_path), "ugv", "adaptive_over_claim")
     assert table.header == ["", "vote, untouched", "vote, defense not known", "vote, defense known"]
@@ -195,6 +196,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
     assert "Samples: ugv 1." in asking
 
 
+@pytest.mark.slow
 def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) -> None:
     found = _results(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
     blocks = list(blocks_of(found, ["ugv 1 corruptions: no more memory"]))

@@ -16,6 +16,8 @@ from viewshed.studies.robustness.jobs import run_study
 from viewshed.studies.robustness.plan import Study, study_named
 from viewshed.studies.robustness.store import FILE, ResultStore, key_of
 
+pytestmark = pytest.mark.slow
+
 SMALLEST = replace(
     study_named("tiny"), attacks=("uniform", "far_wall"), budgets=("0", "150"), corruptions=("fog",), severities=(2,),
     defenses=("radius",), defended=("quantized",), adaptive=("adaptive_over_claim",), adaptive_queries=4,

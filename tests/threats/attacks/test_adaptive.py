@@ -16,6 +16,8 @@ from viewshed.threats.attacks._search import BeamSearchSpace, Candidate, evoluti
 from viewshed.threats.attacks.adaptive import BlackBox, Evade, OverClaim, SearchResult, Trip, UnderClaim
 from viewshed.threats.attacks.ghosts import FarWall
 
+pytestmark = pytest.mark.slow
+
 EXACT = Spoofer(1.0, 0.0, 0.0)
 WIDE = BevGrid(64, 100.0)
 

@@ -5,6 +5,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from viewshed import Sweep
 from viewshed._page import table
 from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, Knowledge
@@ -38,6 +40,7 @@ def test_the_table_of_attacks_is_that_of_the_program() -> None:
     assert found[1].strip() == attacks_table(), "python tests/attacks/test_page.py writes it"
 
 
+@pytest.mark.slow
 def test_the_python_of_the_page_runs() -> None:
     scope: dict[str, object] = {}
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)

@@ -10,6 +10,8 @@ from viewshed.io import read_index, read_indexed
 from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.threats.attacks import ATTACKS, FREE_FORM, Knowledge
 
+pytestmark = pytest.mark.slow
+
 MOVE_RETURNS = {"frustum", "frustum_before", "far_wall", "removal", "relay"}
 FILES = ("nuscenes", "kitti/odometry00", "ouster/decoded/OS-1-128", "outdoor_vlp16_apollo")
 

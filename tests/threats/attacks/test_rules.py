@@ -37,6 +37,7 @@ def test_draws_at_random_keep_the_rules(name: str, simulated: list[Scene]) -> No
     assert effective >= 8 or name == "pose_spoof"
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.sampled_from(NAMES), st.integers(0, 9), st.integers(0, 2**63 - 1))
 def test_any_seed_keeps_the_rules(simulated: list[Scene], name: str, scene: int, seed: int) -> None:

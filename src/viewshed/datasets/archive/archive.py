@@ -54,7 +54,7 @@ class Archive:
         self.manifest = manifest
         self.shards = tuple(manifest.shards if shards is None else shards)
         self._ends = np.array(list(accumulate(shard.frames for shard in self.shards)), np.int64)
-        self._files = _Files(store, manifest.layout)
+        self._open_shards = _OpenShards(store, manifest.layout)
 
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Archive:
@@ -82,7 +82,7 @@ class Archive:
             OSError: its shard cannot be read.
         """
         shard, row = self.locate(index)
-        return self._files.shard(shard).sample(row)
+        return self._open_shards.shard(shard).sample(row)
 
     def locate(self, index: int) -> tuple[ShardFacts, int]:
         """Return the shard that a frame is in, and its row there.
@@ -114,7 +114,7 @@ class Archive:
         """
         for facts in self.shards:
             try:
-                shard = self._files.shard(facts)
+                shard = self._open_shards.shard(facts)
                 for index in range(facts.frames):
                     yield shard.sample(index)
             except (ValueError, OSError) as error:
@@ -124,7 +124,7 @@ class Archive:
 
     def abouts(self, shard: ShardFacts) -> list[dict[str, Any]]:
         """Return what one of the shards says of each frame beside its arrays; errors as ``[]``."""
-        return self._files.shard(shard).abouts()
+        return self._open_shards.shard(shard).abouts()
 
     @property
     def scenes(self) -> tuple[str, ...]:
@@ -185,7 +185,7 @@ class Archive:
 
 
 @dataclass(slots=True)
-class _Open:
+class _OpenFiles:
     """What one process has open: files (a few, the last used) and footers (all that were read)."""
 
     process: int
@@ -193,12 +193,12 @@ class _Open:
     footers: dict[str, pq.FileMetaData]
 
 
-class _Files:
+class _OpenShards:
     """Opens shards when they are first read, again in each process."""
 
     def __init__(self, store: Storage, layout: Layout) -> None:
         self._store, self._layout = store, layout
-        self._open = _Open(os.getpid(), OrderedDict(), {})
+        self._open = _OpenFiles(os.getpid(), OrderedDict(), {})
 
     def __getstate__(self) -> tuple[Storage, Layout]:
         return self._store, self._layout
@@ -209,7 +209,7 @@ class _Files:
     def shard(self, facts: ShardFacts) -> Shard:
         """Return an open shard that is the one of the manifest."""
         if self._open.process != os.getpid():
-            self._open = _Open(os.getpid(), OrderedDict(), self._open.footers)
+            self._open = _OpenFiles(os.getpid(), OrderedDict(), self._open.footers)
         name, files, footers = facts.name, self._open.files, self._open.footers
         if name not in files:
             shard = Shard(self._store, name, metadata=footers.get(name))

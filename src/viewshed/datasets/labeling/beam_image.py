@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from viewshed._numba import atan2
 from viewshed.geometry import Rigid
+from viewshed.preprocess.no_return import JITTER_COLUMNS
 from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 Floats = NDArray[np.float32]
-
-JITTER_COLUMNS = 4
-"""A point may lie this many columns from the firing that it belongs to."""
 
 MAX_GAP_S = 1.5
 """Poses farther apart than this say nothing about the motion in between."""

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from viewshed.datasets.recordings import carla, kitti, nuscenes, opv2v
 from viewshed.datasets.recordings import rosbag as bags
-from viewshed.datasets.recordings.source import SourceKind, SweepSource
+from viewshed.datasets.recordings.source import ObjectBox, SourceKind, SweepRef, SweepSource
+from viewshed.io._input import errors_named
+from viewshed.sweep import Sweep
 
 SOURCES: dict[str, SourceKind] = {
     "nuscenes": SourceKind(nuscenes.LAYOUT, nuscenes.is_nuscenes, nuscenes.open_nuscenes),
@@ -22,7 +26,7 @@ SOURCES: dict[str, SourceKind] = {
 
 
 def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSource:
-    """Return the recording at a place on disk.
+    """Return the recording at a place on disk; whatever its readers raise is one line that names a file of it.
 
     Args:
         place: the folder (or file) as the recording's makers hand it out.
@@ -32,15 +36,43 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSourc
         ValueError: there is no such kind, the layout is not known, or the recording is damaged.
         OSError: it cannot be read.
     """
-    path = Path(place).absolute()  # the folder above is told by it, also that of "."
+    path = Path(place).absolute()  # its folder's name counts too, also that of "."
     if kind != "auto" and kind not in SOURCES:
         raise ValueError(f"kind must be auto or one of {', '.join(SOURCES)}, got {kind!r}")
     if not path.exists():
-        raise FileNotFoundError(f"{path}: no such folder")
-    if kind != "auto":
-        return SOURCES[kind].open(path)
-    for known in SOURCES.values():
-        if known.fits(path):
-            return known.open(path)
-    looked = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
-    raise ValueError(f"{path}: no recording found here; looked for {looked}")
+        problem = "its links lead in a circle" if path.is_symlink() else "no such folder"
+        raise FileNotFoundError(f"{path}: {problem}")
+    with errors_named(path, path.parent):
+        known = (
+            SOURCES[kind] if kind != "auto" else next((known for known in SOURCES.values() if known.fits(path)), None)
+        )
+        if known is not None:
+            return _OneLineErrors(path.parent, known.open(path))
+    layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
+    raise ValueError(f"{path}: no recording found here; looked for {layouts}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OneLineErrors:
+    """A recording whose errors are all of one line that names a file, whatever its reader raises."""
+
+    root: Path
+    source: SweepSource
+
+    def scenes(self) -> tuple[str, ...]:
+        return self.source.scenes()
+
+    def refs(self, scene: str) -> Sequence[SweepRef]:
+        with errors_named(self.root / scene, self.root):
+            return self.source.refs(scene)
+
+    def read(self, ref: SweepRef) -> Sweep:
+        with errors_named(ref.file, self.root):
+            return self.source.read(ref)
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        with errors_named(ref.file, self.root):
+            return self.source.boxes(ref)
+
+    def damage(self) -> tuple[str, ...]:
+        return self.source.damage()

@@ -1,10 +1,9 @@
-"""Annotated objects of a drive of KITTI raw: ``tracklet_labels.xml``.
-
-Labels and calibration of KITTI's object set.
-"""
+"""Annotated objects of KITTI: ``tracklet_labels.xml`` of a raw drive, labels of the object set."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings.source import ObjectBox, named_texts, numbers_of, rigid_named, rigid_of, text_lines
+from viewshed.datasets.recordings.source import (
+    ObjectBox,
+    named_texts,
+    note_damage,
+    numbers_of,
+    rigid_named,
+    rigid_of,
+    text_lines,
+)
 from viewshed.geometry import Rigid
-from viewshed.io._source import one_line, open_source
+from viewshed.io._input import InputFile, one_line, open_input
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -25,7 +32,7 @@ _IGNORED = "DontCare"
 _NUMBERS = 14
 
 
-def velodyne_from_camera(calibration: Path) -> Rigid:
+def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
     """Return the transform from the rectified camera (x right, y down, z forward) to the LiDAR.
 
     The inverse of ``R0_rect * Tr_velo_to_cam``, as in the readme of KITTI's development kit.
@@ -34,13 +41,13 @@ def velodyne_from_camera(calibration: Path) -> Rigid:
         OSError: the file cannot be read.
         ValueError: it lacks one of the two, or that is not rigid.
     """
-    texts = named_texts(calibration)
+    texts = named_texts(root, calibration)
     where = f"{calibration}, R0_rect"
     rectification = rigid_of(numbers_of(texts.get("R0_rect", ""), 9, where).reshape(3, 3), np.zeros(3), where)
-    return (rectification @ rigid_named(calibration, "Tr_velo_to_cam")).inverse()
+    return (rectification @ rigid_named(root, calibration, "Tr_velo_to_cam")).inverse()
 
 
-def read_labels(labels: Path, calibration: Path) -> tuple[ObjectBox, ...]:
+def read_labels(root: Path, labels: Path, calibration: Path) -> tuple[ObjectBox, ...]:
     """Return the labeled objects in the LiDAR's frame; regions marked ``DontCare`` are left out.
 
     Raises:
@@ -49,8 +56,8 @@ def read_labels(labels: Path, calibration: Path) -> tuple[ObjectBox, ...]:
     """
     if labels.is_file() and labels.stat().st_size == 0:  # a frame without objects
         return ()
-    frame = velodyne_from_camera(calibration)
-    lines = ((f"{labels}, line {number + 1}", line) for number, line in enumerate(text_lines(labels)))
+    frame = velodyne_from_camera(root, calibration)
+    lines = ((f"{labels}, line {number + 1}", line) for number, line in enumerate(text_lines(root, labels)))
     return tuple(_box(line, where, frame) for where, line in lines if line.strip() and not line.startswith(_IGNORED))
 
 
@@ -73,6 +80,10 @@ FILE = "tracklet_labels.xml"
 """Name of the file, in the folder of the drive."""
 
 _MOST_BYTES = 64_000_000
+
+_MOST_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
+
+_DEPTH_MAX = 16
 
 _SIZE = ("l", "w", "h")
 
@@ -120,17 +131,19 @@ class Tracklets:
             OSError: it cannot be read.
             ValueError: it is no XML, or holds no tracklets.
         """
-        tracks, damage = [], []
-        for number, item in enumerate(_items(place)):
-            where = f"{place}, tracklet {number}"
-            try:
-                tracks.append(_track(item, str(number), where))
-            except ValueError as error:
-                damage.append(f"{error}; it is left out")
-            else:
-                told, found = item.findtext("poses/count", "").strip(), len(tracks[-1].poses)
-                if told != str(found):
-                    damage.append(one_line(f"{where}: must have as many poses as its count, {told!r}, got {found}"))
+        tracks: list[_Track] = []
+        damage: list[str] = []
+        with open_input(place) as source:
+            for number, item in enumerate(_items(source)):
+                where = f"{place}, tracklet {number}"
+                try:
+                    tracks.append(_track(item, str(number), where))
+                except ValueError as error:
+                    note_damage(damage, f"{error}; it is left out")
+                    continue
+                claimed, count = item.findtext("poses/count", "").strip(), len(tracks[-1].poses)
+                if claimed != str(count):
+                    note_damage(damage, f"{where}: must have as many poses as its count, {claimed!r}, got {count}")
         return cls(place, tuple(tracks), tuple(damage))
 
     def of(self, frame: int, world_from_velodyne: Rigid) -> tuple[ObjectBox, ...]:
@@ -155,22 +168,39 @@ class Tracklets:
             raise ValueError(one_line(f"{self.place}, tracklet {track.name}, frame {frame}: {error}")) from error
 
 
-def _items(place: Path) -> list[Element]:
+def _items(source: InputFile) -> Iterator[Element]:
+    """Yield the tracklets of a file one by one, so that they never all are in memory.
+
+    Raises:
+        ValueError: it is no XML, is too large or too deep, or holds no tracklets.
+    """
     from xml.etree import ElementTree
 
-    with open_source(place) as source:
-        if source.size > _MOST_BYTES:
-            raise source.error(f"must be at most {_MOST_BYTES} bytes, got {source.size}")
-        content = source.content()
-        if b"<!ENTITY" in content:  # such text can grow without end
-            raise source.error("must be XML without entities of its own")
-        try:
-            tracklets = ElementTree.fromstring(content).find("tracklets")
-        except (ElementTree.ParseError, ValueError, LookupError) as error:
-            raise source.error(f"must be XML: {error}") from error
-        if tracklets is None:
-            raise source.error("must hold tracklets, got none")
-    return tracklets.findall("item")
+    content = source.content(_MOST_BYTES)
+    if b"<!ENTITY" in content or b"\0" in content:  # such text can grow without end; UTF-16 could hide it
+        raise ValueError("must be XML without entities of its own")
+    path: list[Element] = []
+    elements = 0
+    any_tracklets = False
+    try:
+        for event, element in ElementTree.iterparse(io.BytesIO(content), ("start", "end")):
+            if event == "start":
+                path.append(element)
+                elements += 1
+                if len(path) > _DEPTH_MAX or elements > _MOST_ELEMENTS:
+                    raise ValueError(f"must have at most {_MOST_ELEMENTS} elements, {_DEPTH_MAX} deep")
+                continue
+            path.pop()
+            tags = [parent.tag for parent in path[1:]]
+            any_tracklets |= tags == [] and element.tag == "tracklets"
+            if tags == ["tracklets"] and element.tag == "item":
+                yield element
+            if path and tags in ([], ["tracklets"]):
+                path[-1].remove(element)
+    except (ElementTree.ParseError, LookupError) as error:
+        raise ValueError(f"must be XML: {error}") from error
+    if not any_tracklets:
+        raise ValueError("must hold tracklets, got none")
 
 
 def _track(item: Element, name: str, where: str) -> _Track:
@@ -201,5 +231,5 @@ def _pose(item: Element) -> NDArray[np.float64]:
 
 def _texts(item: Element, names: tuple[str, ...]) -> str:
     """Return what stands under some names, in their order; ``?`` where it is no single word."""
-    words = (item.findtext(name, "").split() for name in names)
-    return " ".join(found[0] if len(found) == 1 else "?" for found in words)
+    texts = (item.findtext(name, "").split() for name in names)
+    return " ".join(words[0] if len(words) == 1 else "?" for words in texts)

@@ -1,9 +1,4 @@
-"""What KITTI's three layouts share: sweeps named by numbers, and lines of text files that belong to them.
-
-Poses of KITTI's LiDAR: from inertial records, and from the odometry set's poses of the camera.
-
-KITTI's inertial records: poses from latitude, longitude, altitude, roll, pitch and yaw.
-"""
+"""What KITTI's three layouts share: sweeps named by numbers, their times, and their poses."""
 
 from __future__ import annotations
 
@@ -18,6 +13,7 @@ from numpy.typing import NDArray
 from viewshed.datasets.recordings.source import (
     SweepRef,
     named_texts,
+    note_damage,
     numbers_of,
     rigid_named,
     rigid_of,
@@ -26,7 +22,7 @@ from viewshed.datasets.recordings.source import (
 )
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
-from viewshed.io._source import one_line
+from viewshed.io._input import inside, one_line
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl64e"
@@ -37,10 +33,12 @@ SENSOR_HEIGHT_M = 1.73
 
 
 def sweep_files(folder: Path, damage: list[str]) -> list[Path]:
-    """Return the ``.bin`` files of a folder by their numbers; others are told in ``damage``."""
+    """Return the ``.bin`` files of a folder by their numbers; others are named in ``damage``."""
     files = sorted(folder.glob("*.bin"))
-    damage.extend(f"{file}: must be named by a number; it is left out" for file in files if not file.stem.isdecimal())
-    return sorted((file for file in files if file.stem.isdecimal()), key=lambda file: int(file.stem))
+    numbered = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
+    for file in sorted(set(files) - set(numbered)):
+        note_damage(damage, f"{file}: must be named by a number; it is left out")
+    return sorted(numbered, key=lambda file: int(file.stem))
 
 
 def timed_refs(scene: str, files: Sequence[Path], times: Sequence[int | None]) -> tuple[SweepRef, ...]:
@@ -52,19 +50,20 @@ def timed_refs(scene: str, files: Sequence[Path], times: Sequence[int | None]) -
     return tuple(replace(ref, index=index) for index, ref in enumerate(refs))
 
 
-def times_of(place: Path, files: Sequence[Path], damage: list[str], *, seconds: bool) -> list[int | None]:
+def times_of(root: Path, place: Path, files: Sequence[Path], damage: list[str], *, seconds: bool) -> list[int | None]:
     """Return the time of each file, nanoseconds: the line of its number, or its own where there is one a file.
 
     Args:
-        place: the text file; what is missing or wrong in it is told in ``damage``, and that time is None.
+        root: the recording, which links must not leave.
+        place: the text file; what is missing or wrong in it is named in ``damage``, and that time is None.
         files: the sweeps.
         damage: lines are added to it.
         seconds: whether the lines are seconds; else they are dates, taken as UTC.
     """
     try:
-        lines = text_lines(place)
+        lines = text_lines(root, place)
     except (ValueError, OSError) as error:
-        damage.append(f"{error}; the sweeps have no times")
+        note_damage(damage, f"{error}; the sweeps have no times")
         return [None] * len(files)
     numbers = [int(file.stem) for file in files]
     if numbers and numbers[-1] >= len(lines) == len(files):
@@ -75,17 +74,14 @@ def times_of(place: Path, files: Sequence[Path], damage: list[str], *, seconds: 
             text = line_of(lines, number, place)
             times.append(_seconds_ns(text, f"{place}, line {number + 1}") if seconds else _date_ns(text, place))
         except ValueError as error:
-            damage.append(f"{error}; that sweep has no time")
+            note_damage(damage, f"{error}; that sweep has no time")
             times.append(None)
-    _tell_order(times, place, damage)
-    return times
-
-
-def _tell_order(times: Sequence[int | None], place: Path, damage: list[str]) -> None:
     known = [t_ns for t_ns in times if t_ns is not None]
     back = next((late for late, early in zip(known[1:], known, strict=False) if late <= early), None)
     if back is not None:
-        damage.append(f"{place}: times must ascend, {back} ns is not after the one before; sweeps are sorted by time")
+        problem = f"times must ascend, {back} ns is not after the one before; sweeps are sorted by time"
+        note_damage(damage, f"{place}: {problem}")
+    return times
 
 
 def line_of(lines: Sequence[str], number: int, place: Path) -> str:
@@ -113,18 +109,19 @@ def _date_ns(text: str, place: Path) -> int:
         raise ValueError(f"{place}: must be dates and times, got {text[:40]!r}") from error
 
 
-def read_frame(ref: SweepRef, pose: Rigid | None) -> Sweep:
+def read_frame(root: Path, ref: SweepRef, pose: Rigid | None) -> Sweep:
     """Return the sweep of a ref with KITTI's beams and height.
 
     Raises:
         ValueError: it is damaged.
         OSError: its file cannot be read.
     """
-    sweep = read_sweep(ref.file, format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M, world_from_sensor=pose)
+    file = inside(root, ref.file)
+    sweep = read_sweep(file, format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M, world_from_sensor=pose)
     return sweep if ref.t_ns is None else sweep.replace(t_ns=ref.t_ns)
 
 
-def found(scenes: dict[str, tuple[SweepRef, ...]], scene: str) -> tuple[SweepRef, ...]:
+def refs_of(scenes: dict[str, tuple[SweepRef, ...]], scene: str) -> tuple[SweepRef, ...]:
     """Return the refs of a scene.
 
     Raises:
@@ -141,14 +138,14 @@ EARTH_RADIUS_M = 6378137.0
 _COLUMNS = 6
 
 
-def read_oxts(place: Path) -> NDArray[np.float64]:
+def read_oxts(root: Path, place: Path) -> NDArray[np.float64]:
     """Return latitude and longitude in degrees, altitude in meters, roll, pitch and yaw in radians, (6,) float64.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: its first line is not as above, or the latitude is that of a pole.
     """
-    record = numbers_of(text_lines(place)[0], _COLUMNS, str(place))
+    record = numbers_of(text_lines(root, place)[0], _COLUMNS, str(place))
     if abs(record[0]) >= 89.0:
         raise ValueError(f"{place}: latitude must lie in (-89, 89) degrees, got {record[0]}")
     return record
@@ -191,17 +188,19 @@ class InertialTrack:
     """Poses of one drive of KITTI raw.
 
     Attributes:
+        root: the recording.
         folder: the records, named by the numbers of the sweeps.
         first: the record (6,) where the world has its origin.
         imu_from_velodyne: calibration.
     """
 
+    root: Path
     folder: Path
     first: NDArray[np.float64]
     imu_from_velodyne: Rigid
 
     @classmethod
-    def read(cls, drive: Path) -> InertialTrack:
+    def read(cls, root: Path, drive: Path) -> InertialTrack:
         """Return the track of a drive; the world has its origin where the first readable record was taken.
 
         Raises:
@@ -209,12 +208,12 @@ class InertialTrack:
             ValueError: the calibration or every record is damaged.
         """
         calibration = drive.parent / "calib_imu_to_velo.txt"
-        texts = named_texts(calibration)
+        texts = named_texts(root, calibration)
         rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
         translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
         folder = drive / "oxts" / "data"
-        first = _first_readable(folder)
-        return cls(folder, first, rigid_of(rotation, translation, str(calibration)).inverse())
+        first = _first_readable(root, folder)
+        return cls(root, folder, first, rigid_of(rotation, translation, str(calibration)).inverse())
 
     def world_from_velodyne(self, key: str) -> Rigid:
         """Return the pose of the sweep with this number.
@@ -223,14 +222,14 @@ class InertialTrack:
             OSError: its record cannot be read.
             ValueError: its record is damaged.
         """
-        return world_from_imu(read_oxts(self.folder / f"{key}.txt"), self.first) @ self.imu_from_velodyne
+        return world_from_imu(read_oxts(self.root, self.folder / f"{key}.txt"), self.first) @ self.imu_from_velodyne
 
 
-def _first_readable(folder: Path) -> NDArray[np.float64]:
+def _first_readable(root: Path, folder: Path) -> NDArray[np.float64]:
     problem: Exception = FileNotFoundError(f"{folder}: must hold the records of the inertial unit, got none")
     for file in sorted(folder.glob("*.txt")):
         try:
-            return read_oxts(file)
+            return read_oxts(root, file)
         except (ValueError, OSError) as error:
             problem = error
     raise problem
@@ -251,14 +250,14 @@ class CameraTrack:
     camera_from_velodyne: Rigid
 
     @classmethod
-    def read(cls, place: Path, calibration: Path) -> CameraTrack:
+    def read(cls, root: Path, place: Path, calibration: Path) -> CameraTrack:
         """Return the track in a file of poses.
 
         Raises:
             OSError: a file cannot be read.
             ValueError: the calibration is damaged.
         """
-        return cls(place, text_lines(place), rigid_named(calibration, "Tr"))
+        return cls(place, text_lines(root, place), rigid_named(root, calibration, "Tr"))
 
     def world_from_velodyne(self, key: str) -> Rigid:
         """Return the pose of the sweep with this number, in the LiDAR's frame at the first sweep.
@@ -272,7 +271,7 @@ class CameraTrack:
         return self.camera_from_velodyne.inverse() @ first_from_camera @ self.camera_from_velodyne
 
 
-def posed(ref: SweepRef, pose: Callable[[str], Rigid]) -> Rigid:
+def pose_of(ref: SweepRef, pose: Callable[[str], Rigid]) -> Rigid:
     """Return the pose of a ref; errors name the sweep's file too.
 
     Raises:

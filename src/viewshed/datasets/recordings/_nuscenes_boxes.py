@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings._nuscenes_tables import json_rows
+from viewshed.datasets.recordings._nuscenes_tables import rows_of_table
 from viewshed.datasets.recordings.source import ObjectBox
 from viewshed.datasets.recordings.tf_tree import slerp
 from viewshed.geometry import Rigid, quaternion_from_rotation
-from viewshed.io._source import one_line
+from viewshed.io._input import one_line
 
 _DAMAGED = array("d", [np.nan] * 10)
 
@@ -47,15 +47,15 @@ class Annotations:
             OSError: a table is missing or cannot be read.
             ValueError: a table is no list of JSON objects.
         """
-        names = {str(row.get("token")): str(row.get("name")) for row in json_rows(folder / "category.json")}
+        names = {str(row.get("token")): str(row.get("name")) for row in rows_of_table(folder / "category.json")}
         objects = (
-            (str(row.get("token")), str(row.get("category_token"))) for row in json_rows(folder / "instance.json")
+            (str(row.get("token")), str(row.get("category_token"))) for row in rows_of_table(folder / "instance.json")
         )
         categories = {token: names[category] for token, category in objects if category in names}
         place = folder / "sample_annotation.json"
         rows: dict[str, array[int]] = {}
         values, instances = array("d"), []
-        for number, row in enumerate(json_rows(place)):
+        for number, row in enumerate(rows_of_table(place)):
             rows.setdefault(str(row.get("sample_token")), array("q")).append(number)
             instances.append(intern(str(row.get("instance_token"))))
             values.extend(_ten(row))

@@ -1,75 +1,29 @@
 """The tables of nuScenes (v1.0) as far as its LiDAR needs them, each read in one pass.
 
 The schema is that of https://www.nuscenes.org/nuscenes#data-format.
-
-Rows of a large JSON table, a block at a time.
 """
 
 from __future__ import annotations
 
-import json
-import os
 from array import array
 from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from sys import intern
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.datasets.recordings.source import note_damage
 from viewshed.geometry import Rigid
-from viewshed.io._source import one_line, open_source
-
-_BLOCK_BYTES = 1 << 16  # small ones spare the garbage collector: twice as fast as 8 MB
-
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-
-
-def json_rows(path: str | os.PathLike[str]) -> Iterator[dict[str, Any]]:
-    """Yield the objects of a JSON list of objects, in order; only a small part of the file is held at a time.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is no such list, or is cut off; rows before the damage may have been yielded.
-    """
-    number = 0
-    with open_source(path) as source:
-        try:
-            for rows in _lists(source.file):
-                for row in rows:
-                    if not isinstance(row, dict):
-                        raise ValueError(f"row {number} must be an object, got {type(row).__name__}")
-                    yield row
-                    number += 1
-        except (ValueError, RecursionError) as error:
-            raise source.error(f"must be a JSON list of objects, it is damaged or cut off: {error}") from error
-
-
-def _lists(file: BinaryIO) -> Iterator[list[Any]]:
-    pending = file.read(_BLOCK_BYTES).removeprefix(_BYTE_ORDER_MARK).lstrip()
-    if not pending.startswith(b"["):
-        raise ValueError("it does not begin with [")
-    pending, comma = pending[1:], b""
-    while block := file.read(_BLOCK_BYTES):
-        pending += block
-        end = pending.rfind(b"}") + 1
-        try:
-            rows = json.loads(b"[%b]" % pending[:end].lstrip().removeprefix(comma))
-        except ValueError:  # that brace ends no row: the damage is here, or there are objects in objects
-            pending += file.read()
-            break
-        yield rows
-        pending, comma = pending[end:], b"," if end else comma
-    tail = pending.lstrip()
-    yield json.loads(b"[" + tail.removeprefix(comma))
-
+from viewshed.io._input import inside, open_input
+from viewshed.io._json import json_rows
 
 CHANNEL = "LIDAR_TOP"
 """The sensor whose sweeps are read."""
 
-_MOST_LINES = 1000
+_MICROSECONDS_MAX = 2**63 // 1000
 
 _KINDS = {str: "text", int: "a whole number", bool: "true or false", list: "a list"}
 
@@ -158,7 +112,9 @@ class Tables:
             if row.sample in samples:
                 scenes[samples[row.sample]].append(row)
             else:
-                _tell(damage, folder / "sample_data.json", f"{row.file} names no sample of a scene, {row.sample!r}")
+                _leave_out(
+                    damage, folder / "sample_data.json", f"{row.file} names no sample of a scene, {row.sample!r}"
+                )
         for rows in scenes.values():
             rows.sort(key=lambda row: row.t_us)
         needed = {row.pose for rows in scenes.values() for row in rows}
@@ -173,7 +129,7 @@ def _scenes_of_samples(place: Path, names: dict[str, str], damage: list[str]) ->
         if scene in names:
             samples[token] = names[scene]
         else:
-            _tell(damage, place, f"row {token!r} names no row of scene.json, {scene!r}")
+            _leave_out(damage, place, f"row {token!r} names no row of scene.json, {scene!r}")
     return samples
 
 
@@ -188,8 +144,12 @@ def _sweep_rows(place: Path, lidar: dict[str, bool], damage: list[str]) -> Itera
         known = lidar.get(str(row.get("calibrated_sensor_token")))
         return CHANNEL in str(row.get("filename")) if known is None else known
 
-    for token, sample, calibration, pose, *rest in table_rows(place, kinds, damage, of_lidar):
-        yield SweepRow(token, intern(sample), intern(calibration), token if pose == token else pose, *rest)
+    for token, sample, calibration, pose, t_us, keyframe, file in table_rows(place, kinds, damage, of_lidar):
+        if abs(t_us) < _MICROSECONDS_MAX:
+            pose_token = token if pose == token else pose
+            yield SweepRow(token, intern(sample), intern(calibration), pose_token, t_us, keyframe, file)
+        else:
+            _leave_out(damage, place, f"row {token!r} must have microseconds as 'timestamp', got {str(t_us)[:30]}")
 
 
 def read_poses(place: Path, needed: Container[str], damage: list[str]) -> Poses:
@@ -228,7 +188,7 @@ def table_rows(
         ValueError: it is no list of JSON objects.
     """
     types = tuple(kinds.values())
-    for number, row in enumerate(json_rows(place)):
+    for number, row in enumerate(rows_of_table(place)):
         if not wanted(row):
             continue
         values = tuple(map(row.get, kinds))
@@ -237,11 +197,19 @@ def table_rows(
         else:
             key = next(key for key in kinds if type(row.get(key)) is not kinds[key])
             got = str(row.get(key))[:60]
-            _tell(damage, place, f"row {number} must have {_KINDS[kinds[key]]} as {key!r}, got {got!r}")
+            _leave_out(damage, place, f"row {number} must have {_KINDS[kinds[key]]} as {key!r}, got {got!r}")
 
 
-def _tell(damage: list[str], place: Path, problem: str) -> None:
-    if len(damage) < _MOST_LINES:
-        damage.append(one_line(f"{place}: {problem}; the row is left out"))
-    elif len(damage) == _MOST_LINES:
-        damage.append(f"{place.parent}: more rows are damaged; only the first {_MOST_LINES} are named")
+def rows_of_table(place: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a table, which must lie in its recording: the folder above that of the tables.
+
+    Raises:
+        OSError: the table cannot be read.
+        ValueError: it is no list of JSON objects, or a link leads out of the recording.
+    """
+    with open_input(inside(place.parents[1], place)) as source:
+        yield from json_rows(source)
+
+
+def _leave_out(damage: list[str], place: Path, problem: str) -> None:
+    note_damage(damage, f"{place}: {problem}; the row is left out")

@@ -1,10 +1,7 @@
 """Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses, see docs/recording.md.
 
-The tables of a CARLA recording: poses of an agent, actors of a tick. Everything in them is as CARLA says it.
-
-CARLA's left-handed frames (x forward, y right, z up; degrees) as our right-handed ones.
-
-Mirroring y, S = diag(1, -1, 1), turns one into the other: a pose (R, t) of CARLA becomes (S R S, S t).
+Poses and actors stand in the tables as CARLA says them, in left-handed frames (x forward, y right, z up; degrees).
+Mirroring y, S = diag(1, -1, 1), turns these into our right-handed ones: a pose (R, t) becomes (S R S, S t).
 """
 
 from __future__ import annotations
@@ -12,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -22,9 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings.source import ObjectBox, SweepRef
+from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in
 from viewshed.geometry import Rigid
-from viewshed.sensors import LidarModel
+from viewshed.io import read_sweep
+from viewshed.io._input import inside, one_line, open_input
+from viewshed.sensors import MAX_RINGS, LidarModel
 from viewshed.sweep import Sweep
 
 MIRROR = np.array([1.0, -1.0, 1.0])
@@ -67,12 +66,12 @@ def mirrored(sweep: Sweep) -> Sweep:
 
 def box_of_carla(world_from_box: Rigid, extent_m: Sequence[float], category: str, track: str | None) -> ObjectBox:
     """Return the box with CARLA's extent: half of its length, width and height, meters."""
-    length, width, height = (2.0 * float(half) for half in extent_m)
+    length, width, height = (2.0 * half for half in extent_m)
     return ObjectBox(world_from_box, (length, width, height), category, track)
 
 
 def lidar_of_carla(
-    channels: int,
+    channels: float,
     upper_fov_deg: float,
     lower_fov_deg: float,
     range_m: float,
@@ -89,15 +88,21 @@ def lidar_of_carla(
     >>> lidar_of_carla(64, 2.0, -25.0, 120.0, 1_300_000, 20.0).azimuth_columns
     1016
     """
-    if channels < 1 or rotation_hz <= 0:
-        raise ValueError(f"channels and rotation_frequency must be positive, got {channels} and {rotation_hz}")
+    if not (1 <= channels <= MAX_RINGS and channels == int(channels)):
+        raise ValueError(f"channels must be a whole number in [1, {MAX_RINGS}], got {channels}")
+    if not 1e-3 <= rotation_hz <= 1e6:
+        raise ValueError(f"rotation_frequency must lie in [0.001, 1000000], got {rotation_hz}")
     columns = round(points_per_second / (channels * rotation_hz))
-    elevation = np.deg2rad(np.linspace(lower_fov_deg, upper_fov_deg, channels))
-    source = f"CARLA sensor.lidar.ray_cast, {channels} channels, {lower_fov_deg:g} to {upper_fov_deg:g} degrees"
-    return LidarModel(f"CARLA {channels}", elevation, columns, min_range_m=0.3, max_range_m=range_m, source=source)
+    elevation = np.deg2rad(np.linspace(lower_fov_deg, upper_fov_deg, int(channels)))
+    source = f"CARLA sensor.lidar.ray_cast, {channels:g} channels, {lower_fov_deg:g} to {upper_fov_deg:g} degrees"
+    return LidarModel(f"CARLA {channels:g}", elevation, columns, min_range_m=0.3, max_range_m=range_m, source=source)
 
 
-MAX_TABLE_BYTES = 1_000_000_000
+_ROWS_MAX = 200_000  # 5 hours at 10 Hz
+
+_POSES_BYTES_MAX = 100_000_000
+
+_LINE_BYTES_MAX = 4_000_000
 
 POSE_COLUMNS = ("frame", "t_ns", "x", "y", "z", "roll", "pitch", "yaw")
 """``frame`` is the number in the file's name; meters and degrees, left-handed, as ``carla.Transform`` gives them."""
@@ -149,91 +154,116 @@ class Actors:
             file.seek(start)
             line = file.read(length)
         try:
-            rows = json.loads(line)["actors"]
+            rows = _json_object(line).get("actors")
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                raise ValueError("actors must be a list of objects")
             return tuple(_box(row) for row in rows if row.get("agent") != agent)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"{self.path}: frame {frame} has a damaged actor: {error!r}") from error
+        except ValueError as error:
+            raise ValueError(one_line(f"{self.path}: frame {frame} has a damaged actor: {error}")) from error
 
 
 def _box(row: Mapping[str, Any]) -> ObjectBox:
-    x, y, z, *angles = (float(row[name]) for name in _ACTOR_NUMBERS)
-    return box_of_carla(rigid_of_carla((x, y, z), *angles), row["extent"], str(row["type"]), str(row["id"]))
+    what = f"{', '.join(_ACTOR_NUMBERS)} of an actor"
+    x, y, z, *angles = numbers_in([row.get(name) for name in _ACTOR_NUMBERS], len(_ACTOR_NUMBERS), what)
+    extent = numbers_in(row.get("extent"), 3, "extent of an actor")
+    category, number = row.get("type"), row.get("id")
+    if not isinstance(category, str) or not isinstance(number, int):
+        raise ValueError("an actor must have text as type and a whole number as id")
+    return box_of_carla(rigid_of_carla((x, y, z), *angles), extent, category, str(number))
 
 
-def read_actors(path: Path, damage: list[str]) -> Actors | None:
+def _json_object(line: bytes | str) -> Mapping[str, Any]:
+    """Return the object on a line of JSON.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    try:
+        row = json.loads(line)
+    except RecursionError as error:
+        raise ValueError("is too deep") from error
+    if not isinstance(row, dict):
+        raise ValueError(f"must be an object, got {type(row).__name__}")
+    return row
+
+
+def read_actors(root: Path, path: Path, damage: list[str]) -> Actors | None:
     """Return the actors in a file, or None where there is no such file; lines that are damaged are added to a list."""
     if not path.is_file():
         return None
     places: dict[int, tuple[int, int]] = {}
     start = 0
-    for number, line in enumerate(_content(path).splitlines(keepends=True), 1):
-        try:
-            if line.strip():
-                places[int(json.loads(line)["frame"])] = (start, len(line))
-        except (ValueError, KeyError, TypeError) as error:
-            damage.append(f"{path}: line {number} must be an object with a frame: {_line(error)}")
-        start += len(line)
+    with inside(root, path).open("rb") as file:
+        for number in range(1, _ROWS_MAX + 1):
+            line = file.readline(_LINE_BYTES_MAX + 1)
+            if not line:
+                return Actors(path, places)
+            if len(line) > _LINE_BYTES_MAX:
+                note_damage(
+                    damage, f"{path}: line {number} must be at most {_LINE_BYTES_MAX} bytes; the rest is left out"
+                )
+                return Actors(path, places)
+            try:
+                if line.strip():
+                    places[_whole(_json_object(line).get("frame"), "frame")] = (start, len(line))
+            except ValueError as error:
+                note_damage(damage, f"{path}: line {number} must be an object with a frame: {error}")
+            start += len(line)
+    note_damage(damage, f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
     return Actors(path, places)
 
 
-def read_poses(folder: Path, damage: list[str]) -> dict[int, AgentPose]:
+def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPose]:
     """Return the poses of an agent by frame; what is wrong with them is added to a list, the other rows are kept."""
     path = next((folder / name for name in ("poses.jsonl", "poses.csv") if (folder / name).is_file()), None)
     if path is None:
-        damage.append(f"{folder}: has no poses.csv or poses.jsonl; its sweeps have no pose and no time")
+        note_damage(damage, f"{folder}: has no poses.csv or poses.jsonl; its sweeps have no pose and no time")
         return {}
     poses: dict[int, AgentPose] = {}
     try:
-        for number, row in _rows(path, _content(path).decode("utf-8", "replace")):
+        with open_input(inside(root, path)) as source:
+            text = source.content(_POSES_BYTES_MAX).decode("utf-8", "replace")
+        for number, row in _rows(path, text):
+            if number > _ROWS_MAX:
+                raise ValueError(f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
             try:
-                _take(poses, row)
-            except (ValueError, KeyError, TypeError, OverflowError) as error:
-                damage.append(f"{path}: line {number}: {_line(error)}")
-    except (OSError, csv.Error) as error:
-        damage.append(f"{path}: {_line(error)}")
+                _add_pose(poses, row if isinstance(row, dict) else _json_object(row))
+            except ValueError as error:
+                note_damage(damage, f"{path}: line {number}: {error}")
+    except csv.Error as error:
+        note_damage(damage, f"{path}: {error}")
+    except (OSError, ValueError) as error:
+        note_damage(damage, str(error))
     times = [poses[frame].t_ns for frame in sorted(poses)]
     if any(late <= early for early, late in pairwise(times)):
-        damage.append(f"{path}: t_ns does not ascend with frame; the sweeps are taken in the order of t_ns")
+        note_damage(damage, f"{path}: t_ns does not ascend with frame; the sweeps are taken in the order of t_ns")
     return poses
 
 
-def _take(poses: dict[int, AgentPose], row: Mapping[str, Any]) -> None:
-    frame, numbers = int(row["frame"]), tuple(float(row[name]) for name in POSE_COLUMNS[2:])
-    if not all(map(math.isfinite, numbers)):
-        raise ValueError(f"a pose must be finite numbers, got {numbers}")
+def _add_pose(poses: dict[int, AgentPose], row: Mapping[str, Any]) -> None:
+    frame, t_ns = _whole(row.get("frame"), "frame"), _whole(row.get("t_ns"), "t_ns")
+    numbers = numbers_in([row.get(name) for name in POSE_COLUMNS[2:]], 6, f"a pose ({', '.join(POSE_COLUMNS[2:])})")
     if frame in poses:
         raise ValueError(f"frame {frame} appears twice; the first is kept")
-    poses[frame] = AgentPose(int(row["t_ns"]), numbers)
+    poses[frame] = AgentPose(t_ns, numbers)
 
 
-def _rows(path: Path, text: str) -> Iterator[tuple[int, Mapping[str, Any]]]:
+def _whole(value: object, what: str) -> int:
+    """Return a whole number of JSON or CSV that fits int64."""
+    text = str(value).strip() if isinstance(value, str) or type(value) is int else ""
+    if re.fullmatch(r"-?[0-9]{1,18}|-?[1-8][0-9]{18}", text) is None:
+        raise ValueError(f"{what} must be a whole number, got {one_line(value, 40)}")
+    return int(text)
+
+
+def _rows(path: Path, text: str) -> Iterator[tuple[int, Any]]:
+    """Yield number and content of each line: the fields of CSV by name, or a line of JSON that is still text."""
     if path.suffix == ".csv":
         yield from enumerate(csv.DictReader(io.StringIO(text)), 2)
         return
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(io.StringIO(text), 1):
         if line.strip():
-            yield number, _object(line)
-
-
-def _object(line: str) -> Mapping[str, Any]:
-    """Return the object on a line of JSON, an empty one where it is damaged, which every key will miss."""
-    try:
-        row = json.loads(line)
-    except ValueError:
-        return {}
-    return row if isinstance(row, dict) else {}
-
-
-def _content(path: Path) -> bytes:
-    size = path.stat().st_size
-    if size > MAX_TABLE_BYTES:
-        raise OSError(f"{path}: must be at most {MAX_TABLE_BYTES} bytes, got {size}")
-    return path.read_bytes()
-
-
-def _line(error: Exception) -> str:
-    missing = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-    return " ".join(missing.split())
+            yield number, line
 
 
 LAYOUT = "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)"
@@ -241,6 +271,9 @@ LAYOUT = "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)"
 AXES = ("carla", "carla_0.9.9", "sensor")
 """Axes of the points in the files: carla is x forward, y right, z up (what CARLA 0.9.10 and newer give);
 carla_0.9.9 is x right, y backward, z down (0.9.9 and older); sensor is x forward, y left, z up (our own)."""
+
+BEAMS = ("channels", "upper_fov_deg", "lower_fov_deg", "range_m", "points_per_second", "rotation_hz")
+"""What ``recording.json`` says about a sensor's beams: arguments of :func:`lidar_of_carla`, in this order."""
 
 _SWEEPS = (".ply", ".npy", ".ply.gz", ".npy.gz")
 
@@ -259,6 +292,7 @@ class _Agent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
+    root: Path
     axes: str
     agents: Mapping[str, _Agent]
     actors: Actors | None
@@ -287,7 +321,7 @@ class CarlaRecording:
         if not folders:
             raise ValueError(f"{place}: must hold {LAYOUT}, found none")
         damage: list[str] = []
-        return cls({folder.name: _open_scene(folder, damage) for folder in folders}, tuple(damage))
+        return cls({folder.name: _open_scene(place, folder, damage) for folder in folders}, tuple(damage))
 
     def scenes(self) -> tuple[str, ...]:
         """Return the names of the recordings, in alphabetical order."""
@@ -299,7 +333,7 @@ class CarlaRecording:
         Raises:
             ValueError: there is no such recording.
         """
-        found = sorted(
+        in_order = sorted(
             (float("inf") if pose is None else pose.t_ns, agent, frame, str(file))
             for agent, folder in self._scene(scene).agents.items()
             for frame, file in folder.files.items()
@@ -307,7 +341,7 @@ class CarlaRecording:
         )
         return [
             SweepRef(scene, index, file, None if t_ns == float("inf") else int(t_ns), agent, key=str(frame))
-            for index, (t_ns, agent, frame, file) in enumerate(found)
+            for index, (t_ns, agent, frame, file) in enumerate(in_order)
         ]
 
     def read(self, ref: SweepRef) -> Sweep:
@@ -317,11 +351,10 @@ class CarlaRecording:
             ValueError: the file is damaged.
             OSError: it cannot be read.
         """
-        from viewshed.io import read_sweep
-
         scene = self._scene(ref.scene)
         agent = scene.agents[ref.agent]
-        sweep = read_sweep(ref.file, file_frame="carla" if scene.axes == "carla_0.9.9" else None)
+        file_frame = "carla" if scene.axes == "carla_0.9.9" else None
+        sweep = read_sweep(inside(scene.root, ref.file), file_frame=file_frame)
         sweep = mirrored(sweep) if scene.axes == "carla" else sweep
         pose = agent.poses.get(int(ref.key))
         fits = agent.model is not None and (sweep.ring is None or sweep.ring.max(initial=0) < agent.model.rings)
@@ -332,7 +365,7 @@ class CarlaRecording:
         )  # fmt: skip
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the actors of the sweep's tick, without the one that carries the sensor; None where none are told.
+        """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none.
 
         Raises:
             ValueError: ``actors.jsonl`` is damaged there.
@@ -372,70 +405,74 @@ def _is_recording(folder: Path) -> bool:
     return any((agent / name).is_file() for agent in folder.iterdir() if agent.is_dir() for name in _POSES)
 
 
-def _open_scene(folder: Path, damage: list[str]) -> _Scene:
-    about = _about(folder / "recording.json", damage)
-    told = about.get("agents")
-    told = told if isinstance(told, dict) else {}
+def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
+    about = _about(root, folder / "recording.json", damage)
+    sensors = about.get("agents")
+    sensors = sensors if isinstance(sensors, dict) else {}
     agents = {
-        path.name: _open_agent(path, told.get(path.name), damage)
+        path.name: _open_agent(root, path, sensors.get(path.name), damage)
         for path in sorted(folder.iterdir())
         if path.is_dir() and any(file.name.lower().endswith(_SWEEPS) for file in path.iterdir())
     }
     if not agents:
-        damage.append(f"{folder}: no agent has a sweep ({', '.join(_SWEEPS)})")
-    return _Scene(_axes(about, folder, damage), agents, read_actors(folder / "actors.jsonl", damage))
+        note_damage(damage, f"{folder}: no agent has a sweep ({', '.join(_SWEEPS)})")
+    return _Scene(root, _axes(about, folder, damage), agents, read_actors(root, folder / "actors.jsonl", damage))
 
 
-def _about(path: Path, damage: list[str]) -> Mapping[str, Any]:
+def _about(root: Path, path: Path, damage: list[str]) -> Mapping[str, Any]:
     if not path.is_file():
         return {}
     try:
-        about = json.loads(path.read_bytes())
-        if not isinstance(about, dict):
-            raise ValueError("must be an object")
-    except (ValueError, OSError, RecursionError) as error:
-        damage.append(f"{path}: is damaged and left out: {error}")
+        with open_input(inside(root, path)) as source:
+            return _json_object(source.content(_LINE_BYTES_MAX))
+    except (ValueError, OSError) as error:
+        note_damage(damage, f"{error}; left out")
         return {}
-    return about
 
 
 def _axes(about: Mapping[str, Any], folder: Path, damage: list[str]) -> str:
     axes = about.get("axes", "carla")
     if axes not in AXES:
-        damage.append(f"{folder / 'recording.json'}: axes must be one of {', '.join(AXES)}, got {axes!r}; took carla")
+        problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; took carla"
+        note_damage(damage, f"{folder / 'recording.json'}: {problem}")
         return "carla"
     return str(axes)
 
 
-def _open_agent(folder: Path, told: Any, damage: list[str]) -> _Agent:
+def _open_agent(root: Path, folder: Path, sensor: Any, damage: list[str]) -> _Agent:
     files: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.name.lower().endswith(_SWEEPS):
-            _take_file(files, path, damage)
-    poses = read_poses(folder, damage)
+            _add_file(files, path, damage)
+    poses = read_poses(root, folder, damage)
     missing = [frame for frame in files if frame not in poses]
     if poses and missing:
-        damage.append(f"{folder}: {len(missing)} of {len(files)} sweeps have no pose, the first is {missing[0]:06d}")
-    model, height_m = _sensor(told, folder, damage)
+        problem = f"{len(missing)} of {len(files)} sweeps have no pose, the first is {missing[0]:06d}"
+        note_damage(damage, f"{folder}: {problem}")
+    model, height_m = _sensor(sensor, folder, damage)
     return _Agent(files, poses, model, height_m)
 
 
-def _take_file(files: dict[int, Path], path: Path, damage: list[str]) -> None:
+def _add_file(files: dict[int, Path], path: Path, damage: list[str]) -> None:
     stem = path.name.split(".")[0]
-    if not (stem.isascii() and stem.isdigit()):
-        damage.append(f"{path}: a sweep must be named after its frame, like 000123{path.suffix}; left out")
+    if not (stem.isascii() and stem.isdigit() and len(stem) <= 18):
+        note_damage(damage, f"{path}: a sweep must be named after its frame, like 000123{path.suffix}; left out")
     elif int(stem) in files:
-        damage.append(f"{path}: frame {int(stem)} is there twice; left out")
+        note_damage(damage, f"{path}: frame {int(stem)} is there twice; left out")
     else:
         files[int(stem)] = path
 
 
-def _sensor(told: Any, folder: Path, damage: list[str]) -> tuple[LidarModel | None, float | None]:
-    if not isinstance(told, dict):
+def _sensor(sensor: Any, folder: Path, damage: list[str]) -> tuple[LidarModel | None, float | None]:
+    """Return beams and height of a sensor as ``recording.json`` describes it."""
+    if not isinstance(sensor, dict):
         return None, None
     try:
-        beams, height = told.get("lidar"), told.get("sensor_height_m")
-        return None if beams is None else lidar_of_carla(**beams), None if height is None else float(height)
-    except (TypeError, ValueError) as error:
-        damage.append(f"{folder}: recording.json describes its sensor wrongly: {error}")
+        beams, height = sensor.get("lidar"), sensor.get("sensor_height_m")
+        if beams is not None:
+            values = [beams.get(name) for name in BEAMS] if isinstance(beams, dict) else beams
+            beams = lidar_of_carla(*numbers_in(values, len(BEAMS), ", ".join(BEAMS)))
+        return beams, None if height is None else numbers_in([height], 1, "sensor_height_m")[0]
+    except ValueError as error:
+        note_damage(damage, f"{folder}: recording.json describes its sensor wrongly: {error}")
         return None, None

@@ -9,15 +9,16 @@ from viewshed.datasets.recordings._kitti_boxes import FILE, Tracklets, read_labe
 from viewshed.datasets.recordings._kitti_files import (
     CameraTrack,
     InertialTrack,
-    found,
-    posed,
+    pose_of,
     read_frame,
+    refs_of,
     sweep_files,
     timed_refs,
     times_of,
 )
-from viewshed.datasets.recordings.source import ObjectBox, SweepRef
+from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage
 from viewshed.geometry import Rigid
+from viewshed.io._input import inside
 from viewshed.sweep import Sweep
 
 RAW_LAYOUT = "KITTI's drives with velodyne_points/data/"
@@ -44,14 +45,17 @@ class KittiRaw:
         self._scenes: dict[str, tuple[SweepRef, ...]] = {}
         self._tracks: dict[str, InertialTrack] = {}
         self._tracklets: dict[str, Tracklets | None] = {}
-        for drive in _drives(place):
+        drives = _drives(place)
+        self._root = place.parent if place in drives else place  # calibration lies beside a drive
+        for drive in drives:
             files = sweep_files(drive / "velodyne_points" / "data", self._damage)
-            times = times_of(drive / "velodyne_points" / "timestamps.txt", files, self._damage, seconds=False)
+            stamps = drive / "velodyne_points" / "timestamps.txt"
+            times = times_of(self._root, stamps, files, self._damage, seconds=False)
             self._scenes[drive.name] = timed_refs(drive.name, files, times)
             try:
-                self._tracks[drive.name] = InertialTrack.read(drive)
+                self._tracks[drive.name] = InertialTrack.read(self._root, drive)
             except (ValueError, OSError) as error:
-                self._damage.append(f"{error}; the sweeps of {drive.name} have no poses")
+                note_damage(self._damage, f"{error}; the sweeps of {drive.name} have no poses")
         _check_any(self._scenes, place, RAW_LAYOUT)
 
     def scenes(self) -> tuple[str, ...]:
@@ -64,7 +68,7 @@ class KittiRaw:
         Raises:
             ValueError: there is no such drive.
         """
-        return found(self._scenes, scene)
+        return refs_of(self._scenes, scene)
 
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with time, beams and height, and its pose unless the whole drive has none.
@@ -73,7 +77,7 @@ class KittiRaw:
             ValueError: it or the record of its pose is damaged.
             OSError: one of these files cannot be read.
         """
-        return read_frame(ref, self._pose(ref))
+        return read_frame(self._root, ref, self._pose(ref))
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the objects of the drive's tracklets; None where it has no such file.
@@ -84,11 +88,13 @@ class KittiRaw:
         """
         drive = Path(ref.file).parents[2]
         if ref.scene not in self._tracklets:
-            tracklets = Tracklets.read(drive / FILE) if (drive / FILE).is_file() else None
+            file = drive / FILE
+            tracklets = Tracklets.read(inside(self._root, file)) if file.is_file() else None
             self._tracklets[ref.scene] = tracklets
-            self._damage += [] if tracklets is None else tracklets.damage
-        found = self._tracklets[ref.scene]
-        return None if found is None else found.of(int(ref.key), self._pose(ref) or Rigid.identity())
+            for problem in () if tracklets is None else tracklets.damage:
+                note_damage(self._damage, problem)
+        tracklets = self._tracklets[ref.scene]
+        return None if tracklets is None else tracklets.of(int(ref.key), self._pose(ref) or Rigid.identity())
 
     def damage(self) -> tuple[str, ...]:
         """Return one line for each file that is missing or damaged for a whole drive, and for times that are.
@@ -99,7 +105,7 @@ class KittiRaw:
 
     def _pose(self, ref: SweepRef) -> Rigid | None:
         track = self._tracks.get(ref.scene)
-        return None if track is None else posed(ref, track.world_from_velodyne)
+        return None if track is None else pose_of(ref, track.world_from_velodyne)
 
 
 class KittiOdometry:
@@ -116,20 +122,21 @@ class KittiOdometry:
     """
 
     def __init__(self, place: Path) -> None:
+        self._root = place
         self._damage: list[str] = []
         self._scenes: dict[str, tuple[SweepRef, ...]] = {}
         self._tracks: dict[str, CameraTrack] = {}
         for folder in sorted(place.glob("sequences/*/velodyne")):
             sequence = folder.parent
             files = sweep_files(folder, self._damage)
-            times = times_of(sequence / "times.txt", files, self._damage, seconds=True)
+            times = times_of(place, sequence / "times.txt", files, self._damage, seconds=True)
             self._scenes[sequence.name] = timed_refs(sequence.name, files, times)
             poses = _poses_of(place, sequence.name)
             try:
                 if poses is not None:
-                    self._tracks[sequence.name] = CameraTrack.read(poses, sequence / "calib.txt")
+                    self._tracks[sequence.name] = CameraTrack.read(place, poses, sequence / "calib.txt")
             except (ValueError, OSError) as error:
-                self._damage.append(f"{error}; the sweeps of sequence {sequence.name} have no poses")
+                note_damage(self._damage, f"{error}; the sweeps of sequence {sequence.name} have no poses")
         _check_any(self._scenes, place, ODOMETRY_LAYOUT)
 
     def scenes(self) -> tuple[str, ...]:
@@ -142,7 +149,7 @@ class KittiOdometry:
         Raises:
             ValueError: there is no such sequence.
         """
-        return found(self._scenes, scene)
+        return refs_of(self._scenes, scene)
 
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with time, beams and height, and its pose unless the whole sequence has none.
@@ -152,7 +159,7 @@ class KittiOdometry:
             OSError: its file cannot be read.
         """
         track = self._tracks.get(ref.scene)
-        return read_frame(ref, None if track is None else posed(ref, track.world_from_velodyne))
+        return read_frame(self._root, ref, None if track is None else pose_of(ref, track.world_from_velodyne))
 
     def boxes(self, ref: SweepRef) -> None:
         """Return None: the set has no annotated objects."""
@@ -194,7 +201,7 @@ class KittiObject:
         Raises:
             ValueError: there is no such scene.
         """
-        return found(self._scenes, scene)
+        return refs_of(self._scenes, scene)
 
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with beams and height.
@@ -203,7 +210,7 @@ class KittiObject:
             ValueError: it is damaged.
             OSError: its file cannot be read.
         """
-        return read_frame(ref, None)
+        return read_frame(self._place, ref, None)
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the labeled objects in front of the car, in the sensor's frame; None where there are no labels.
@@ -215,7 +222,7 @@ class KittiObject:
         scene = self._place / ref.scene
         if not (scene / "label_2").is_dir():
             return None
-        return read_labels(scene / "label_2" / f"{ref.key}.txt", scene / "calib" / f"{ref.key}.txt")
+        return read_labels(self._place, scene / "label_2" / f"{ref.key}.txt", scene / "calib" / f"{ref.key}.txt")
 
     def damage(self) -> tuple[str, ...]:
         """Return one line for each file that is no sweep."""

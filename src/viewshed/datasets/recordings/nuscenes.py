@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from viewshed.datasets.recordings._nuscenes_boxes import Annotations
 from viewshed.datasets.recordings._nuscenes_tables import CHANNEL, Poses, SweepRow, Tables
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef
 from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
-from viewshed.io._source import one_line
+from viewshed.io._input import inside, one_line
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl32e"
@@ -59,12 +59,11 @@ class Nuscenes:
             OSError: its file cannot be read.
         """
         row = self._row(ref)
-        if PurePosixPath(row.file).is_absolute() or ".." in PurePosixPath(row.file).parts:
-            raise ValueError(one_line(f"{ref.file}: the name must stay inside the recording, got {row.file!r}"))
+        file = inside(self._tables.folder.parent, ref.file)
         ego_from_file = self._pose(self._tables.calibrations, row.calibration, ref)
         world_from_ego = self._pose(self._tables.poses, row.pose, ref)
         sweep = read_sweep(
-            ref.file, format="nuscenes", sensor=SENSOR, sensor_height_m=float(ego_from_file.translation[2]),
+            file, format="nuscenes", sensor=SENSOR, sensor_height_m=float(ego_from_file.translation[2]),
             world_from_sensor=world_from_ego @ ego_from_file @ FILE_FRAMES["nuscenes"].inverse(),
         )  # fmt: skip
         return sweep if sweep.t_ns == ref.t_ns else sweep.replace(t_ns=ref.t_ns)

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from viewshed.datasets.recordings._yaml import load_pyyaml, read_yaml
 from viewshed.datasets.recordings.carla import box_of_carla, lidar_of_carla, mirrored, rigid_of_carla
-from viewshed.datasets.recordings.source import ObjectBox, SweepRef
+from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in
 from viewshed.geometry import Rigid
+from viewshed.io import read_sweep
+from viewshed.io._input import inside
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -26,13 +28,16 @@ _PROTOCOL = "data_protocol.yaml"
 
 _HEIGHTS_M = (0.5, 5.0)
 
-_MAX_YAML_BYTES = 64_000_000
+_FRAME_DIGITS = 9
+
+_LIDAR = ("channels", "upper_fov", "lower_fov", "range", "points_per_second", "rotation_frequency")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scenario:
-    """One scenario: agent → frame → file of points, the step of its frame numbers, and its sensors."""
+    """One scenario: its recording, agent → frame → file of points, the step of its frame numbers, and its sensors."""
 
+    root: Path
     agents: Mapping[str, Mapping[int, Path]]
     step_s: float
     vehicle_lidar: LidarModel | None
@@ -59,9 +64,9 @@ class Opv2v:
             ImportError: the extra ``opv2v`` is not installed.
             OSError: the folder cannot be read.
         """
-        _loader()
+        load_pyyaml()
         damage: list[str] = []
-        scenarios = {name: _open_scenario(folder, damage) for name, folder in _scenarios_in(place)}
+        scenarios = {name: _open_scenario(place, folder, damage) for name, folder in _scenarios_in(place)}
         if not scenarios:
             raise ValueError(f"{place}: must hold {LAYOUT}, found none")
         return cls(scenarios, tuple(damage))
@@ -77,14 +82,14 @@ class Opv2v:
             ValueError: there is no such scenario.
         """
         scenario = self._scenario(scene)
-        found = sorted(
-            (frame, at, agent, str(file))
-            for at, (agent, files) in enumerate(scenario.agents.items())
+        in_order = sorted(
+            (frame, position, agent, str(file))
+            for position, (agent, files) in enumerate(scenario.agents.items())
             for frame, file in files.items()
         )
         return [
             SweepRef(scene, index, file, round(frame * scenario.step_s * 1e9), agent)
-            for index, (frame, _, agent, file) in enumerate(found)
+            for index, (frame, _, agent, file) in enumerate(in_order)
         ]
 
     def read(self, ref: SweepRef) -> Sweep:
@@ -94,12 +99,11 @@ class Opv2v:
             ValueError: the points or the pose are damaged.
             OSError: a file cannot be read.
         """
-        from viewshed.io import read_sweep
-
-        scenario, about = self._scenario(ref.scene), _about(ref)
+        scenario = self._scenario(ref.scene)
+        about = _about(scenario.root, ref)
         pose = None if about is None else _pose(about, ref)
         model = scenario.roadside_lidar if _is_roadside(ref.agent) else scenario.vehicle_lidar
-        return mirrored(read_sweep(ref.file)).replace(
+        return mirrored(read_sweep(inside(scenario.root, ref.file))).replace(
             agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=pose, model=model,
             sensor_height_m=None if about is None or pose is None else _height_m(about, pose, ref),
         )  # fmt: skip
@@ -111,13 +115,16 @@ class Opv2v:
             ValueError: a vehicle is not as it must be.
             OSError: the file cannot be read.
         """
-        about = _about(ref)
+        about = _about(self._scenario(ref.scene).root, ref)
         if about is None:
             return None
+        vehicles = about.get("vehicles") or {}
+        if not isinstance(vehicles, dict):
+            raise ValueError(f"{_yaml_of(ref.file)}: vehicles must be a mapping, got {type(vehicles).__name__}")
         try:
-            return tuple(_box(str(name), row) for name, row in (about.get("vehicles") or {}).items())
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(f"{_yaml_of(ref.file)}: a vehicle is damaged: {error!r}") from error
+            return tuple(_box(str(name), row) for name, row in vehicles.items())
+        except ValueError as error:
+            raise ValueError(f"{_yaml_of(ref.file)}: a vehicle is damaged: {error}") from error
 
     def damage(self) -> tuple[str, ...]:
         """Return what was wrong with the files' names: points without YAML, YAML without points."""
@@ -154,7 +161,10 @@ def _folders(place: Path) -> list[Path]:
 
 
 def _numbered(folder: Path, suffix: str) -> Iterator[Path]:
-    return (path for path in folder.iterdir() if path.suffix == suffix and path.stem.isascii() and path.stem.isdigit())
+    return (
+        path for path in folder.iterdir()
+        if path.suffix == suffix and path.stem.isascii() and path.stem.isdigit() and len(path.stem) <= _FRAME_DIGITS
+    )  # fmt: skip
 
 
 def _is_roadside(agent: str) -> bool:
@@ -162,35 +172,35 @@ def _is_roadside(agent: str) -> bool:
     return agent.startswith("-")
 
 
-def _open_scenario(folder: Path, damage: list[str]) -> _Scenario:
+def _open_scenario(root: Path, folder: Path, damage: list[str]) -> _Scenario:
     agents: dict[str, dict[int, Path]] = {}
     for path in sorted(_folders(folder), key=lambda path: (len(path.name), path.name)):
         files = {int(file.stem): file for file in sorted(_numbered(path, ".pcd"))}
         frames = {int(file.stem) for file in _numbered(path, ".yaml")}
-        _tell(damage, path, files.keys() - frames, "without YAML, read without pose")
-        _tell(damage, path, frames - files.keys(), "without points (.pcd), left out")
+        _note_frames(damage, path, files.keys() - frames, "without YAML, read without pose")
+        _note_frames(damage, path, frames - files.keys(), "without points (.pcd), left out")
         if files:
             agents[path.name] = files
-    protocol = _protocol(folder / _PROTOCOL, damage)
+    protocol = _protocol(root, folder / _PROTOCOL, damage)
     vehicle, roadside = (_lidar(protocol, part, folder, damage) for part in ("vehicle_base", "rsu_base"))
     step_s = _at(protocol, ("world", "fixed_delta_seconds"))
     usable = isinstance(step_s, float) and 0 < step_s < 10
-    return _Scenario(agents, step_s if usable else STEP_S, vehicle, roadside)
+    return _Scenario(root, agents, step_s if usable else STEP_S, vehicle, roadside)
 
 
-def _tell(damage: list[str], folder: Path, frames: Iterable[int], problem: str) -> None:
+def _note_frames(damage: list[str], folder: Path, frames: Iterable[int], problem: str) -> None:
     numbers = sorted(frames)
     if numbers:
-        damage.append(f"{folder}: {len(numbers)} frame(s) {problem}, the first is {numbers[0]:06d}")
+        note_damage(damage, f"{folder}: {len(numbers)} frame(s) {problem}, the first is {numbers[0]:06d}")
 
 
-def _protocol(path: Path, damage: list[str]) -> Any:
+def _protocol(root: Path, path: Path, damage: list[str]) -> Any:
     if not path.is_file():
         return {}
     try:
-        return _parsed(path)
+        return read_yaml(inside(root, path))
     except (ValueError, OSError) as error:
-        damage.append(f"{error}; left out")
+        note_damage(damage, f"{error}; left out")
         return {}
 
 
@@ -201,23 +211,23 @@ def _at(tree: Any, keys: Iterable[str]) -> Any:
 
 
 def _lidar(protocol: Any, part: str, folder: Path, damage: list[str]) -> LidarModel | None:
-    told = _at(protocol, (part, "sensing", "perception", "lidar"))
-    if told is None:
+    about = _at(protocol, (part, "sensing", "perception", "lidar"))
+    if about is None:
         return None
-    names = ("upper_fov", "lower_fov", "range", "points_per_second", "rotation_frequency")
     try:
-        return lidar_of_carla(int(told["channels"]), *(float(told[name]) for name in names))
-    except (KeyError, TypeError, ValueError) as error:
-        damage.append(f"{folder / _PROTOCOL}: does not describe the lidar of {part}: {error!r}")
+        values = [about.get(name) for name in _LIDAR] if isinstance(about, dict) else about
+        return lidar_of_carla(*numbers_in(values, len(_LIDAR), ", ".join(_LIDAR)))
+    except ValueError as error:
+        note_damage(damage, f"{folder / _PROTOCOL}: does not describe the lidar of {part}: {error}")
         return None
 
 
-def _about(ref: SweepRef) -> Mapping[str, Any] | None:
+def _about(root: Path, ref: SweepRef) -> Mapping[str, Any] | None:
     """Return what the YAML file beside a sweep says, or None where there is no such file."""
     path = _yaml_of(ref.file)
     if not path.is_file():
         return None
-    about = _parsed(path)
+    about = read_yaml(inside(root, path))
     if not isinstance(about, dict):
         raise ValueError(f"{path}: must be a mapping, got {type(about).__name__}")
     return about
@@ -228,12 +238,9 @@ def _yaml_of(file: str) -> Path:
 
 
 def _pose(about: Mapping[str, Any], ref: SweepRef) -> Rigid:
-    try:
-        x, y, z, roll, yaw, pitch = map(float, about["lidar_pose"])
-        return rigid_of_carla((x, y, z), roll, pitch, yaw)
-    except (KeyError, TypeError, ValueError) as error:
-        problem = "lidar_pose must be six numbers x, y, z, roll, yaw, pitch"
-        raise ValueError(f"{_yaml_of(ref.file)}: {problem}: {error!r}") from error
+    what = f"{_yaml_of(ref.file)}: lidar_pose (x, y, z, roll, yaw, pitch)"
+    x, y, z, roll, yaw, pitch = numbers_in(about.get("lidar_pose"), 6, what)
+    return rigid_of_carla((x, y, z), roll, pitch, yaw)
 
 
 def _height_m(about: Mapping[str, Any], pose: Rigid, ref: SweepRef) -> float | None:
@@ -241,37 +248,17 @@ def _height_m(about: Mapping[str, Any], pose: Rigid, ref: SweepRef) -> float | N
     vehicle = about.get("true_ego_pos")
     if _is_roadside(ref.agent) or not isinstance(vehicle, list) or len(vehicle) < 3:
         return None
-    height = pose.translation[2] - float(vehicle[2])
+    _, _, z = numbers_in(vehicle[:3], 3, f"{_yaml_of(ref.file)}: true_ego_pos (x, y, z)")
+    height = float(pose.translation[2]) - z
     return height if _HEIGHTS_M[0] < height < _HEIGHTS_M[1] else None
 
 
-def _box(name: str, row: Mapping[str, Any]) -> ObjectBox:
-    roll, yaw, pitch = map(float, row["angle"])
-    vehicle = rigid_of_carla(row["location"], roll, pitch, yaw)
-    world_from_box = vehicle @ rigid_of_carla(row.get("center", (0.0, 0.0, 0.0)), 0.0, 0.0, 0.0)
-    return box_of_carla(world_from_box, row["extent"], str(row.get("obj_type", "vehicle")), name)
-
-
-def _parsed(path: Path) -> Any:
-    import yaml
-
-    size = path.stat().st_size
-    if size > _MAX_YAML_BYTES:
-        raise ValueError(f"{path}: must be at most {_MAX_YAML_BYTES} bytes, got {size}")
-    try:
-        return yaml.load(path.read_bytes(), _loader())
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
-
-
-@lru_cache(maxsize=1)
-def _loader() -> Any:
-    """Return PyYAML's safe loader, the fast one if it is there; objects of Python become None, nothing is run."""
-    try:
-        import yaml
-    except ImportError as error:
-        raise ImportError("OPV2V needs PyYAML: pip install 'viewshed[opv2v]'") from error
-    base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    loader: Any = type("_Loader", (base,), {})
-    loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix, node: None)
-    return loader
+def _box(name: str, row: Any) -> ObjectBox:
+    if not isinstance(row, dict):
+        raise ValueError(f"vehicle {name} must be a mapping, got {type(row).__name__}")
+    location, extent = (numbers_in(row.get(key), 3, f"{key} of vehicle {name}") for key in ("location", "extent"))
+    roll, yaw, pitch = numbers_in(row.get("angle"), 3, f"angle of vehicle {name}")
+    center = numbers_in(row.get("center", (0.0, 0.0, 0.0)), 3, f"center of vehicle {name}")
+    world_from_box = rigid_of_carla(location, roll, pitch, yaw) @ rigid_of_carla(center, 0.0, 0.0, 0.0)
+    category = row.get("obj_type", "vehicle")
+    return box_of_carla(world_from_box, extent, category if isinstance(category, str) else "vehicle", name)

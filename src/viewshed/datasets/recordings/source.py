@@ -1,9 +1,4 @@
-"""SweepSource: the role of a recording that somebody else made, read where it lies.
-
-Numbers in text files: one row a line, or one name a line.
-
-An index of sweeps as a recording: the files that it names, drive by drive.
-"""
+"""SweepSource: the role of a recording that somebody else made, read where it lies; and what its readers share."""
 
 from __future__ import annotations
 
@@ -18,7 +13,7 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.io._source import one_line, open_source
+from viewshed.io._input import inside, one_line, open_input
 from viewshed.sweep import Sweep
 
 _A = TypeVar("_A")
@@ -151,12 +146,12 @@ def each_sweep(
     Args:
         source: the recording.
         scenes: which scenes; None is all of them.
-        on_damage: is told the scene ("" for none) and one line for whatever cannot be read, and the rest goes on;
+        on_damage: called with the scene ("" for none) and one line for whatever cannot be read, and the rest goes on;
             None raises instead.
 
     Raises:
-        ValueError: something is damaged, and nobody is told of it.
-        OSError: a file cannot be read, and nobody is told of it.
+        ValueError: something is damaged, and ``on_damage`` is None.
+        OSError: a file cannot be read, and ``on_damage`` is None.
     """
     if on_damage is not None:
         for problem in source.damage():
@@ -253,18 +248,51 @@ def _time(entry: IndexEntry) -> tuple[float, str]:
     return (0.0 if entry.t is None else entry.t, str(entry.file))
 
 
-def text_lines(place: Path) -> list[str]:
-    """Return the lines of a text file.
+_DAMAGE_LINES_MAX = 1000
+
+_TEXT_BYTES_MAX = 64_000_000
+
+_CALIBRATION_BYTES_MAX = 1_000_000
+
+_NUMBER_MAX = 1e12
+
+
+def note_damage(damage: list[str], problem: str) -> None:
+    """Add one line to a recording's damage; after the first thousand, only that there is more."""
+    if len(damage) < _DAMAGE_LINES_MAX:
+        damage.append(one_line(problem))
+    elif len(damage) == _DAMAGE_LINES_MAX:
+        damage.append(f"there is more damage; only the first {_DAMAGE_LINES_MAX} lines are named")
+
+
+def text_lines(root: Path, path: Path, limit_bytes: int = _TEXT_BYTES_MAX) -> list[str]:
+    """Return the lines of a text file of a recording.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is empty, or no text.
+        ValueError: it is empty, no text, too large, or a link leads out of the recording.
     """
-    with open_source(place) as source:
+    with open_input(inside(root, path)) as source:
+        return source.content(limit_bytes).decode("utf-8").splitlines()
+
+
+def numbers_in(values: object, count: int, what: str) -> tuple[float, ...]:
+    """Return a list of ``count`` numbers (or texts of numbers) of a JSON, YAML or CSV file as floats.
+
+    Raises:
+        ValueError: it is something else, or one is not finite or beyond 10¹²; the message begins with ``what``.
+
+    >>> numbers_in([1, "2.5"], 2, "size")
+    (1.0, 2.5)
+    """
+    if isinstance(values, list | tuple) and len(values) == count:
         try:
-            return source.content().decode("utf-8").splitlines()
-        except UnicodeDecodeError as error:
-            raise source.error(f"must be text: {error}") from error
+            numbers = tuple(float(value) for value in values if isinstance(value, int | float | str))
+        except (ValueError, OverflowError):
+            numbers = ()
+        if len(numbers) == count and all(abs(number) <= _NUMBER_MAX for number in numbers):
+            return numbers
+    raise ValueError(f"{what} must be {count} finite numbers, got {one_line(values, 60)}")
 
 
 def numbers_of(text: str, count: int, where: str) -> NDArray[np.float64]:
@@ -273,23 +301,17 @@ def numbers_of(text: str, count: int, where: str) -> NDArray[np.float64]:
     Raises:
         ValueError: there are fewer, or one is not finite; the message begins with ``where``.
     """
-    try:
-        numbers = np.array([float(word) for word in text.split()[:count]])
-    except ValueError as error:
-        raise ValueError(one_line(f"{where}: must be {count} numbers: {error}")) from error
-    if len(numbers) < count or not np.isfinite(numbers).all():
-        raise ValueError(one_line(f"{where}: must be {count} finite numbers, got {text[:60]!r}"))
-    return numbers
+    return np.array(numbers_in(text.split(None, count)[:count], count, f"{where}:"))
 
 
-def named_texts(place: Path) -> dict[str, str]:
-    """Return name → what follows it, of lines ``name: …``.
+def named_texts(root: Path, path: Path) -> dict[str, str]:
+    """Return name → what follows it, of lines ``name: …`` of a calibration file.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is empty, or no text.
+        ValueError: it is empty, no text, too large, or a link leads out of the recording.
     """
-    parts = (line.partition(":") for line in text_lines(place))
+    parts = (line.partition(":") for line in text_lines(root, path, _CALIBRATION_BYTES_MAX))
     return {name.strip(): rest for name, colon, rest in parts if colon}
 
 
@@ -315,14 +337,14 @@ def rigid_of_line(text: str, where: str) -> Rigid:
     return rigid_of(matrix[:, :3], matrix[:, 3], where)
 
 
-def rigid_named(place: Path, name: str) -> Rigid:
-    """Return the transform of the line ``name: 12 numbers``.
+def rigid_named(root: Path, path: Path, name: str) -> Rigid:
+    """Return the transform of the line ``name: 12 numbers`` of a calibration file.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: it has no such line, or the line is damaged.
     """
-    texts = named_texts(place)
+    texts = named_texts(root, path)
     if name not in texts:
-        raise ValueError(f"{place}: must have a line {name}: …, got {', '.join(texts)[:80] or 'none'}")
-    return rigid_of_line(texts[name], f"{place}, {name}")
+        raise ValueError(f"{path}: must have a line {name}: …, got {', '.join(texts)[:80] or 'none'}")
+    return rigid_of_line(texts[name], f"{path}, {name}")

@@ -68,7 +68,7 @@ def _rigid(row: NDArray[np.float64]) -> Rigid:
 
 @dataclass(slots=True, eq=False)
 class TransformBuffer:
-    """All transforms of a recording; filled first, asked afterwards.
+    """All transforms of a recording; filled first, looked up afterwards.
 
     >>> buffer = TransformBuffer()
     >>> buffer.add("map", "lidar", 0, (1.0, 2.0, 0.0), (1.0, 0.0, 0.0, 0.0), static=True)
@@ -135,11 +135,11 @@ class TransformBuffer:
         """
         chain = self._chain(frame.lstrip("/"))
         worlds = tuple(worlds)
-        found = next((world for world in worlds if world in chain), None)
-        if found is None:
+        first = next((world for world in worlds if world in chain), None)
+        if first is None:
             known = ", ".join(self.frames()) or "none"
             raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {known}")
-        return found
+        return first
 
     def _up(self, frames: list[str], t_ns: int) -> Rigid | None:
         """Return the transform from the first of these frames to the parent of the last."""

@@ -8,8 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.io._ring_numbers import matched_azimuth, rings_by_elevation
-from viewshed.sensors import MAX_RINGS
+from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, whole_rings
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -19,8 +18,6 @@ _INTENSITY = ("intensity", "i", "reflectivity", "reflectance", "signal", "remiss
 _RING = ("ring", "channel", "laser_id", "ring_id", "line", "row")
 
 _TIME = ("time", "t", "timestamp", "time_stamp", "time_offset", "offset_time")
-
-_REVOLUTION_S = 2.0
 
 _NEAR_M = 3.0
 
@@ -83,14 +80,14 @@ def _finite(points: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def _sweep(points: NDArray[np.float32], columns: Mapping[str, NDArray[Any]], dropped: int) -> Sweep:
-    intensity, azimuth = columns.get("intensity"), columns.get("azimuth")
+    intensity, azimuth, time = columns.get("intensity"), columns.get("azimuth"), columns.get("time")
     with np.errstate(over="ignore", invalid="ignore"):
         return Sweep(
             points,
             None if intensity is None else intensity.astype(np.float32),
             _ring(columns.get("ring"), points),
             None if azimuth is None else matched_azimuth(azimuth, points),
-            _time_s(columns.get("time")),
+            None if time is None else matched_time_s(time),
             dropped_points=dropped,
         )
 
@@ -135,15 +132,15 @@ def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np
     """Return the ring (N,), 0 the lowest, of a field that counts beams in any order; None where it counts none."""
     if laser is None:
         return None
-    whole = laser.astype(np.int64)
-    if laser.size == 0:
-        return whole.astype(np.int16)
-    if not (whole == laser).all() or whole.min() < 0 or whole.max() >= MAX_RINGS:
+    number = whole_rings(laser)
+    if number is None:
         return None
-    order = _order(whole, points)
+    if number.size == 0:
+        return number.astype(np.int16)
+    order = _order(number, points)
     if order == 0:
-        return rings_by_elevation(whole, points)
-    return (whole if order > 0 else whole.max() - whole).astype(np.int16)
+        return rings_by_elevation(number, points)
+    return (number if order > 0 else number.max() - number).astype(np.int16)
 
 
 def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
@@ -160,14 +157,3 @@ def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
     count = np.bincount(laser)
     rising = np.diff(np.bincount(laser, slope)[count > 0] / count[count > 0])
     return int((rising > 0).all()) - int((rising < 0).all())
-
-
-def _time_s(value: NDArray[Any] | None) -> NDArray[np.float32] | None:
-    """Return seconds (N,) since the earliest point, or None where the field does not lie within one revolution."""
-    if value is None or value.size == 0:
-        return None
-    low, high = value.min(), value.max()
-    scale = 1e-9 if value.dtype.kind in "iu" else 1.0
-    if not (np.isfinite(high) and (float(high) - float(low)) * scale <= _REVOLUTION_S):
-        return None
-    return np.asarray((value - low) * np.float32(scale), dtype=np.float32)

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed.preprocess.no_return import JITTER_COLUMNS
 from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sim.lidar.optics import step_of
@@ -23,9 +24,6 @@ from viewshed.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, 
 Floats = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
-
-JITTER_COLUMNS = 4
-"""Where azimuths jitter, a return may lie this many columns from its firing."""
 
 _SAMPLED = 4000
 """Returns from which the phase of the columns is estimated."""

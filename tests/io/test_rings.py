@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from viewshed import LidarModel
-from viewshed.io._ring_numbers import rings_by_elevation
+from viewshed.io._rings import rings_by_elevation
 
 ELEVATIONS = np.deg2rad([-20.0, -12.0, -7.0, -1.0, 2.0, 9.0])
 

@@ -1,0 +1,137 @@
+"""Ring numbers, azimuths and times of files that have their own order, sign and unit for them."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.sensors import MAX_RINGS, LidarModel
+from viewshed.sweep import REVOLUTION_S
+
+_TIGHT = np.deg2rad(1.0)
+
+_ORDERED = 0.9
+
+_AGREES = np.deg2rad(6.0)
+
+_READINGS = tuple(product((1.0, np.pi / 180, np.pi / 18000), (1.0, -1.0), (0.0, np.pi / 2, np.pi, -np.pi / 2)))
+
+
+def rings_by_elevation(
+    laser: NDArray[np.int64], points: NDArray[np.float32], model: LidarModel | None = None
+) -> NDArray[np.int16]:
+    """Return the ring (N,) int16, 0 the lowest, of beams numbered in a file's own order.
+
+    The order is judged by each beam's median elevation. Ascending numbers are kept and descending ones are counted from
+    the other end, so that a beam without returns keeps its place. Any other order is replaced by the rank of the median
+    elevation, or with a model of more beams by the model's nearest beam. Where elevations are too loose to rank (points
+    that are not in the sensor's frame), the number is only kept or turned over.
+
+    >>> up = np.array([[5.0, 0.0, 1.0], [5.0, 0.0, 0.0], [5.0, 0.0, -1.0]], np.float32)
+    >>> rings_by_elevation(np.array([0, 1, 2]), up).tolist()
+    [2, 1, 0]
+    """
+    if laser.size == 0:
+        return laser.astype(np.int16)
+    if laser.min() < 0 or laser.max() >= MAX_RINGS:
+        raise ValueError(f"ring must lie in [0, {MAX_RINGS}), got {laser.min()}…{laser.max()}")
+    beams, median, tight = _beam_elevations(laser, points)
+    last = int(laser.max()) if model is None else max(model.rings - 1, int(laser.max()))
+    table = np.arange(last + 1)
+    order = _order(median)
+    if order == 0 and tight and beams.size > 2:
+        table[beams] = _ranks(median, model)
+    elif order < 0:
+        table = table[::-1]
+    return np.asarray(table[laser], dtype=np.int16)
+
+
+def _beam_elevations(
+    laser: NDArray[np.int64], points: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], bool]:
+    """Return the beams (K,) that have finite returns, their median elevations, and if these are sharp."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]), dtype=np.float64)
+        usable = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+    if not usable.any():
+        return np.unique(laser), np.zeros(np.unique(laser).size), False
+    laser, elevation = laser[usable], elevation[usable]
+    order = np.argsort(laser, kind="stable")
+    beams, first = np.unique(laser[order], return_index=True)
+    groups = np.split(elevation[order], first[1:])
+    quarters = np.array([np.percentile(group, (25, 50, 75)) for group in groups])
+    return beams, quarters[:, 1], bool(np.median(quarters[:, 2] - quarters[:, 0]) < _TIGHT)
+
+
+def _order(median: NDArray[np.float64]) -> int:
+    """Return +1 where elevations ascend with the number, -1 where they descend, 0 where they are in another order."""
+    if median.size < 2 or (np.diff(median) >= 0).all():
+        return 1
+    if (np.diff(median) <= 0).all():
+        return -1
+    rank = np.argsort(np.argsort(median))
+    correlation = float(np.corrcoef(np.arange(median.size), rank)[0, 1])
+    return 0 if abs(correlation) < _ORDERED else int(np.sign(correlation))
+
+
+def _ranks(median: NDArray[np.float64], model: LidarModel | None) -> NDArray[np.int64]:
+    if model is not None and model.rings > median.size:
+        nearest: NDArray[np.int64] = np.abs(model.elevation[None, :] - median[:, None]).argmin(axis=1)
+        if np.unique(nearest).size == nearest.size:
+            return nearest
+    return np.argsort(np.argsort(median, kind="stable"))
+
+
+def matched_azimuth(value: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    """Return a file's azimuth column (N,) as radians in [-π, π], counter-clockwise from x, or None if it is not one.
+
+    Formats differ in unit, sign and zero. The reading that agrees best with the points is taken; one that is more than
+    6° off in the median (no azimuth at all, or of another frame) is refused.
+    """
+    usable = np.isfinite(points).all(axis=1) & (points[:, :2] != 0).any(axis=1) & np.isfinite(value)
+    if not usable.any():
+        return None
+    sample = np.flatnonzero(usable)[:: max(1, int(usable.sum()) // 2000)]
+    seen = np.arctan2(points[sample, 1], points[sample, 0], dtype=np.float64)
+    angle = value[sample].astype(np.float64)
+    best = (np.inf, 1.0, 0.0)
+    for scale, sign, zero in _READINGS:
+        off = float(np.median(np.abs(_wrapped(sign * scale * angle + zero - seen))))
+        best = min(best, (off, sign * scale, zero))
+    if best[0] > _AGREES:
+        return None
+    filled = np.where(np.isfinite(value), value, 0.0).astype(np.float64)
+    return _wrapped(best[1] * filled + best[2]).astype(np.float32)
+
+
+def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.mod(angle + np.pi, 2 * np.pi) - np.pi
+
+
+def matched_time_s(value: NDArray[np.generic]) -> NDArray[np.float32] | None:
+    """Return a file's time column (N,) as seconds since its earliest, or None where it is not within one revolution.
+
+    Whole numbers are nanoseconds, fractions are seconds; one revolution lasts at most :data:`REVOLUTION_S`.
+
+    >>> matched_time_s(np.array([5_000_000, 0], np.uint32)).tolist()
+    [0.004999999888241291, 0.0]
+    """
+    if value.size == 0:
+        return None
+    low, high = value.min().item(), value.max().item()  # Python's numbers: a difference of int64 may not fit int64
+    scale = 1e-9 if value.dtype.kind in "iu" else 1.0
+    if not (high - low) * scale <= REVOLUTION_S:  # not finite either
+        return None
+    since = value - value.min()
+    return np.asarray(since * np.float32(scale), dtype=np.float32)
+
+
+def whole_rings(value: NDArray[Any]) -> NDArray[np.int64] | None:
+    """Return a file's ring column (N,) as int64, or None where it is not whole numbers in [0, MAX_RINGS)."""
+    number = value.astype(np.float64)
+    if number.size and not ((number >= 0) & (number < MAX_RINGS) & (number == np.floor(number))).all():
+        return None
+    return number.astype(np.int64)
