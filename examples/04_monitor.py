@@ -10,7 +10,7 @@ import numpy as np
 
 from viewshed import ESTIMATORS, BevGrid, FovEstimate, Sweep
 from viewshed.integrity import DeviationMonitor
-from viewshed.studies.suite import subject_of
+from viewshed.studies.samples import sample_of
 from viewshed.threats.attacks import ATTACKS, Knowledge
 
 GRID = BevGrid(64, 16.0)
@@ -33,7 +33,7 @@ class Disagreement:
 
 def benign(number: int) -> Sweep:
     """Return a simulated sweep of an indoor robot, each from a scene of its own."""
-    return subject_of("ugv", number, 50, seed=1).sample.sweep
+    return sample_of("ugv", number, 50, seed=1).sweep
 
 
 estimator = Disagreement()

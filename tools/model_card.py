@@ -11,7 +11,7 @@ from viewshed.datasets.presets import Preset, preset_named
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.runtime import load_runner
 from viewshed.networks.weights import WEIGHTS, float32_name, manifest
-from viewshed.studies.ablation.contest import TOUCHING
+from viewshed.studies.cases import TOUCHING
 from viewshed.training.config import PAPER, read_config
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "model_card.md"
@@ -37,7 +37,7 @@ _WORTH = """\
 ## What they are worth
 
 On scenes of other seeds, beside every classical estimator, for each attack, band of range and sensor: [the networks and
-their parts](successor.md), which the weights in bytes are reported in; the published shape on
+their parts](ablation.md), which the weights in bytes are reported in; the published shape on
 [roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors [cross-view
 truth](crossview.md); [speed](network_speed.md).
 

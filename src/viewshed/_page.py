@@ -32,13 +32,13 @@ def facts(**more: str) -> dict[str, str]:
     }
 
 
-def page(title: str, told: Mapping[str, str], *parts: str) -> str:
+def page(title: str, provenance: Mapping[str, str], *parts: str) -> str:
     r"""Return a Markdown page: title, the facts as a list, then the parts.
 
     >>> page("Areas", {"seed": "0"}, "text")
     '# Areas\n\n- seed: 0\n\ntext\n'
     """
-    listed = "\n".join(f"- {name}: {value}" for name, value in told.items())
+    listed = "\n".join(f"- {name}: {value}" for name, value in provenance.items())
     return "\n\n".join([f"# {title}", listed, *parts]) + "\n"
 
 
@@ -117,13 +117,13 @@ class Picture:
 PageBlock = Heading | Text | Table | Picture
 
 
-def to_markdown(title: str, told: Mapping[str, str], blocks: Sequence[PageBlock]) -> str:
+def to_markdown(title: str, provenance: Mapping[str, str], blocks: Sequence[PageBlock]) -> str:
     r"""Return the report as a Markdown page; pictures are files beside it.
 
     >>> to_markdown("A", {"seed": "0"}, [Heading(2, "B"), Picture("c.png", b"", "d")])
     '# A\n\n- seed: 0\n\n## B\n\n![d](c.png)\n'
     """
-    return page(title, told, *(_markdown(block) for block in blocks))
+    return page(title, provenance, *(_markdown(block) for block in blocks))
 
 
 def _markdown(block: PageBlock) -> str:
@@ -136,10 +136,10 @@ def _markdown(block: PageBlock) -> str:
     return f"![{block.alt}]({block.name})"
 
 
-def to_html(title: str, told: Mapping[str, str], blocks: Sequence[PageBlock]) -> str:
+def to_html(title: str, provenance: Mapping[str, str], blocks: Sequence[PageBlock]) -> str:
     """Return the report as one HTML page; pictures are in it, and nothing is fetched."""
-    facts = Text("\n".join(f"- {name}: {value}" for name, value in told.items()))
-    body = "\n".join(_html(block) for block in [Heading(1, title), facts, *blocks])
+    listed = Text("\n".join(f"- {name}: {value}" for name, value in provenance.items()))
+    body = "\n".join(_html(block) for block in [Heading(1, title), listed, *blocks])
     return f"<!DOCTYPE html>\n<html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>{_STYLE}\n{body}\n"
 
 

@@ -24,8 +24,8 @@ class ConfusionCounts:
         area_m2: of all of them together.
         samples: how many samples.
 
-    >>> tally = ConfusionCounts(6, 2, 2, 10, area_m2=5.0)
-    >>> tally.precision, tally.recall, tally.f1, tally.iou, tally.over_m2
+    >>> counts = ConfusionCounts(6, 2, 2, 10, area_m2=5.0)
+    >>> counts.precision, counts.recall, counts.f1, counts.iou, counts.over_m2
     (0.75, 0.75, 0.75, 0.6, 0.5)
     """
 
@@ -37,10 +37,10 @@ class ConfusionCounts:
     samples: int = 1
 
     @classmethod
-    def of(cls, claimed: Mask, true: Mask, among: Mask, cell_area_m2: float) -> ConfusionCounts:
-        """Return the tally of two masks over the cells ``among``."""
-        cells, claims, trues = int(among.sum()), int((claimed & among).sum()), int((true & among).sum())
-        both = int((claimed & true & among).sum())
+    def of(cls, claimed: Mask, true: Mask, mask: Mask, cell_area_m2: float) -> ConfusionCounts:
+        """Return the counts of two masks over the cells of a third one."""
+        cells, claims, trues = int(mask.sum()), int((claimed & mask).sum()), int((true & mask).sum())
+        both = int((claimed & true & mask).sum())
         return cls(both, claims - both, trues - both, cells - claims - trues + both, cells * cell_area_m2)
 
     def __add__(self, other: ConfusionCounts) -> ConfusionCounts:
@@ -64,6 +64,11 @@ class ConfusionCounts:
     def recall(self) -> float:
         """Share of the visible cells that are claimed; NaN where none is visible."""
         return _rate(self.both, self.both + self.under)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of the cells on which both agree; NaN without cells."""
+        return _rate(self.both + self.neither, self.cells)
 
     @property
     def f1(self) -> float:
@@ -91,7 +96,7 @@ def _rate(part: float, whole: float) -> float:
 
 
 STEPS = 1000
-"""Probabilities are told apart in steps of 0.001; thresholds are whole steps."""
+"""Probabilities are counted in steps of 0.001; thresholds are whole steps."""
 
 BINS = 15
 """Bins of the calibration error, of equal width."""
@@ -102,7 +107,7 @@ _PROB_UNITS = 2**24
 
 _SQUARE_UNITS = 2**28
 
-_MOST_DOUBT = 0.5
+_MOST_STD = 0.5
 
 _CHUNK = 2**24
 
@@ -170,7 +175,7 @@ class Scores:
         if not ((probs >= 0) & (probs <= 1)).all():
             raise ValueError("prob must lie in [0, 1] and not be NaN")
         if std is not None:
-            self._doubt(probs, truth, np.asarray(std, np.float32))
+            self._count_std(probs, truth, np.asarray(std, np.float32))
         flat, seen = probs.reshape(-1), truth.reshape(-1)
         for start in range(0, flat.size, _CHUNK):
             self._count(flat[start : start + _CHUNK], seen[start : start + _CHUNK])
@@ -186,11 +191,11 @@ class Scores:
         )
         self.squares += int(np.rint((exact - seen) ** 2 * _SQUARE_UNITS).sum())
 
-    def _doubt(self, prob: NDArray[np.float32], seen: NDArray[np.bool_], std: NDArray[np.float32]) -> None:
+    def _count_std(self, prob: NDArray[np.float32], seen: NDArray[np.bool_], std: NDArray[np.float32]) -> None:
         if std.shape != prob.shape or not (std >= 0).all():
             raise ValueError(f"std must be {prob.shape} as prob is, not negative and not NaN, got {std.shape}")
-        doubt = np.rint(np.minimum(std, _MOST_DOUBT) * (STEPS / _MOST_DOUBT)).astype(np.intp)
-        self.doubts += _histogram(doubt.reshape(-1), ((prob >= _MOST_DOUBT) != seen).reshape(-1))
+        level = np.rint(np.minimum(std, _MOST_STD) * (STEPS / _MOST_STD)).astype(np.intp)
+        self.doubts += _histogram(level.reshape(-1), ((prob >= _MOST_STD) != seen).reshape(-1))
 
     def __add__(self, other: Scores) -> Scores:
         """Return both together."""
@@ -215,39 +220,36 @@ class Scores:
         (over, both), (neither, under) = self.steps[step:].sum(axis=0), self.steps[:step].sum(axis=0)
         return int(both), int(over), int(under), int(neither)
 
+    def confusion(self, threshold: float = 0.5) -> ConfusionCounts:
+        """Return the counts at a threshold; they know no area."""
+        return ConfusionCounts(*self.counts(threshold))
+
     def precision(self, threshold: float = 0.5) -> float:
         """Return the share of the claimed cells that are visible; NaN where none is claimed."""
-        both, over, _, _ = self.counts(threshold)
-        return _ratio(both, both + over)
+        return self.confusion(threshold).precision
 
     def recall(self, threshold: float = 0.5) -> float:
         """Return the share of the visible cells that are claimed; NaN where none is visible."""
-        both, _, under, _ = self.counts(threshold)
-        return _ratio(both, both + under)
+        return self.confusion(threshold).recall
 
     def accuracy(self, threshold: float = 0.5) -> float:
         """Return the share of the cells on which estimate and truth agree; NaN without cells."""
-        both, _, _, neither = self.counts(threshold)
-        return _ratio(both + neither, self.cells)
+        return self.confusion(threshold).accuracy
 
     def f1(self, threshold: float = 0.5) -> float:
         """Return the harmonic mean of precision and recall; NaN where nothing is claimed and nothing visible."""
-        both, over, under, _ = self.counts(threshold)
-        return _ratio(2 * both, 2 * both + over + under)
+        return self.confusion(threshold).f1
 
     def iou(self, threshold: float = 0.5) -> float:
         """Return the cells that both call visible over those that any does; NaN where none does."""
-        both, over, under, _ = self.counts(threshold)
-        return _ratio(both, both + over + under)
+        return self.confusion(threshold).iou
 
     def auprc(self) -> float:
         """Return average precision, Σ (Rₙ - Rₙ₋₁) Pₙ over thresholds in whole steps; NaN where no cell is visible.
 
         The sum of scikit-learn's ``average_precision_score``: no interpolation between thresholds.
         """
-        true, every = self.steps[::-1, 1].cumsum(), self.steps[::-1].sum(axis=1).cumsum()
-        rises = np.diff(true, prepend=0)
-        return _ratio(float((rises * (true / np.maximum(every, 1))).sum()), int(true[-1]))
+        return _average_precision(self.steps)
 
     def reliability(self) -> NDArray[np.float64]:
         """Return (15, 3) by calibration bin: mean probability, share of visible cells, cells; NaN in empty bins."""
@@ -261,11 +263,11 @@ class Scores:
         Over 15 bins of equal width (Naeini et al., AAAI 2015; Guo et al., ICML 2017), of the probability of visible.
         """
         gaps = np.abs(self.bins[:, 2] / _PROB_UNITS - self.bins[:, 1])
-        return _ratio(float(gaps.sum()), self.cells)
+        return _rate(float(gaps.sum()), self.cells)
 
     def brier(self) -> float:
         """Return the mean squared error of the probability (Brier, 1950); NaN without cells."""
-        return _ratio(self.squares / _SQUARE_UNITS, self.cells)
+        return _rate(self.squares / _SQUARE_UNITS, self.cells)
 
     def aurc(self) -> float:
         """Return the area under the risk-coverage curve with doubt 1 - max(p, 1 - p); NaN without cells.
@@ -297,19 +299,34 @@ class Scores:
         }  # fmt: skip
 
     @classmethod
-    def from_json(cls, told: Mapping[str, Any]) -> Scores:
-        """Return the scores that ``to_json`` told.
+    def from_json(cls, content: Mapping[str, Any]) -> Scores:
+        """Return the scores that ``to_json`` returned.
 
         Raises:
             ValueError: they are of another version or damaged.
         """
-        if told.get("version") != FORMAT_VERSION:
-            raise ValueError(f"scores must be of version {FORMAT_VERSION}, got {told.get('version')}; score again")
+        if content.get("version") != FORMAT_VERSION:
+            raise ValueError(f"scores must be of version {FORMAT_VERSION}, got {content.get('version')}; score again")
         try:
-            steps, doubts = (_table(told[name], STEPS + 1, 2) for name in ("steps", "doubts"))
-            return cls(steps, _table(told["bins"], BINS, 3), int(told["squares"]), doubts)
+            steps, doubts = (_table(content[name], STEPS + 1, 2) for name in ("steps", "doubts"))
+            return cls(steps, _table(content["bins"], BINS, 3), int(content["squares"]), doubts)
         except (KeyError, TypeError, IndexError, OverflowError, ValueError) as error:
             raise ValueError(f"scores must have steps, bins, squares and doubts, got damaged ones: {error}") from error
+
+
+def average_precision(prob: NDArray[np.float32], visible: Mask) -> float:
+    """Return :meth:`Scores.auprc` of K cells alone, without the other counts.
+
+    >>> average_precision(np.array([1, 1, 0, 0], np.float32), np.array([True, False, True, False]))
+    0.5
+    """
+    return _average_precision(_histogram(_step_of(prob), visible))
+
+
+def _average_precision(steps: Counts) -> float:
+    true, every = steps[::-1, 1].cumsum(), steps[::-1].sum(axis=1).cumsum()
+    rises = np.diff(true, prepend=0)
+    return _rate(float((rises * (true / np.maximum(every, 1))).sum()), int(true[-1]))
 
 
 def _step_of(prob: NDArray[np.float32]) -> NDArray[np.intp]:
@@ -328,11 +345,11 @@ def _histogram(row: NDArray[np.intp], column: NDArray[np.bool_]) -> Counts:
 def _area(counts: Counts) -> float:
     """Return the mean selective risk of cells in ascending doubt: (levels, 2) right and wrong."""
     counts = counts[counts.any(axis=1)]
-    here, wrong = counts.sum(axis=1), counts[:, 1]
-    before, wrong_before = here.cumsum() - here, wrong.cumsum() - wrong
-    harmonic = _harmonic(before + here) - _harmonic(before)
-    areas = wrong + (wrong_before - wrong * (before / here)) * harmonic
-    return _ratio(float(areas.sum()), int(here.sum()))
+    cells, wrong = counts.sum(axis=1), counts[:, 1]
+    before, wrong_before = cells.cumsum() - cells, wrong.cumsum() - wrong
+    harmonic = _harmonic(before + cells) - _harmonic(before)
+    areas = wrong + (wrong_before - wrong * (before / cells)) * harmonic
+    return _rate(float(areas.sum()), int(cells.sum()))
 
 
 def _harmonic(n: Counts) -> NDArray[np.float64]:
@@ -340,10 +357,6 @@ def _harmonic(n: Counts) -> NDArray[np.float64]:
     large = np.maximum(n, _SMALL).astype(np.float64)
     series = np.log(large) + _EULER + 1 / (2 * large) - 1 / (12 * large**2) + 1 / (120 * large**4)
     return np.where(n < _SMALL, _HARMONIC[np.minimum(n, _SMALL - 1)], series)
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else float("nan")
 
 
 def _rows(counts: Counts) -> list[list[int]]:

@@ -1,4 +1,4 @@
-"""``viewshed reproduce``: bad input is one line, and it goes on where it was."""
+"""``viewshed study paper``: bad input is one line, and it goes on where it was."""
 
 import re
 import sys
@@ -8,15 +8,17 @@ from pathlib import Path
 import pytest
 
 from viewshed.cli import main
-from viewshed.studies.paper.plan import plan_named
-from viewshed.studies.paper.store import JobStore
+from viewshed.studies.paper.plan import PaperPlan
+from viewshed.studies.store import ResultStore
 
 pytestmark = pytest.mark.slow
 
 
-def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+def _run(
+    capsys: pytest.CaptureFixture[str], *words: str, command: tuple[str, ...] = ("study", "paper")
+) -> tuple[int, str]:
     with pytest.raises(SystemExit) as stop:
-        main(["reproduce", *words])
+        main([*command, *words])
     return int(stop.value.code or 0), capsys.readouterr().err
 
 
@@ -42,7 +44,7 @@ def test_bad_input_is_one_line(
 
 
 def test_a_folder_of_another_plan_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    JobStore.open(tmp_path, replace(plan_named("tiny"), passes=7))
+    ResultStore.open(tmp_path, replace(PaperPlan.load("tiny"), passes=7))
     code, err = _run(capsys, "--preset", "tiny", "--out", str(tmp_path), "--only", "data")
     assert (code, err.count("\n")) == (2, 1)
     assert "got another plan; choose another folder" in err
@@ -71,3 +73,19 @@ def test_without_a_graphics_card_cuda_is_refused(tmp_path: Path, capsys: pytest.
     code, err = _run(capsys, "--preset", "tiny", "--out", str(tmp_path), "--only", "pairs", "--device", "cuda")
     assert (code, err.count("\n")) == (2, 1)
     assert "device cuda needs 1 graphics card" in err
+
+
+@pytest.mark.parametrize("words", [["paper"], [], ["successor"]])
+def test_the_former_command_runs_both_studies(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, err = _run(capsys, "--preset", "huge", "--out", str(tmp_path), command=("reproduce", *words))
+    names = "small, tiny" if words == ["successor"] else "paper, small, tiny"
+    assert (code, err) == (2, f"viewshed: preset must be one of {names}, got 'huge'\n")
+
+
+def test_the_former_command_refuses_what_it_does_not_know(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, err = _run(capsys, "magic", "--out", str(tmp_path), command=("reproduce",))
+    assert (code, err) == (2, "viewshed: STUDY must be paper or successor, got 'magic'\n")
+    code, err = _run(capsys, "successor", "--device", "cuda", "--out", str(tmp_path), command=("reproduce",))
+    assert (code, err.count("\n")) == (2, 1)

@@ -1,4 +1,4 @@
-"""``viewshed report vulnerability``: it runs, goes on, writes its pages, and refuses with one line."""
+"""``viewshed study robustness``: it runs, goes on, writes its pages, and refuses with one line."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 
 def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as stop:
-        main(["report", "vulnerability", *words])
+        main(["study", "robustness", *words])
     told = capsys.readouterr()
     return int(stop.value.code or 0), told.out, told.err
 
@@ -21,13 +21,13 @@ def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("report") / "study"
     with pytest.raises(SystemExit) as stop:
-        main(["report", "vulnerability", "--preset", "tiny", "--out", str(out), "--workers", "1"])
+        main(["study", "robustness", "--preset", "tiny", "--out", str(out), "--workers", "1"])
     assert not stop.value.code
     return out
 
 
 def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None:
-    page = (made / "vulnerability.md").read_text("utf-8")
+    page = (made / "robustness.md").read_text("utf-8")
     figures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)
     assert len(figures) == 6
     assert all((made / figure).read_bytes().startswith(b"\x89PNG") for figure in figures)
@@ -40,7 +40,7 @@ def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None
 
 def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
     """Far points stretch what the farthest return decides, and leave the nearest obstacle where it is."""
-    page = (made / "vulnerability_tables.md").read_text("utf-8")
+    page = (made / "robustness_tables.md").read_text("utf-8")
     table = page.split("### Who withstands what, up to a full wedge, ugv")[1].split("##")[0]
     header, uniform = (re.search(rf"^\| {word} ?\|.*$", table, re.MULTILINE) for word in ("", "uniform"))
     assert header is not None
@@ -60,8 +60,8 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, caps
     assert f"Markdown in {page}" in said
     assert "9/9" in progress
     assert (made / "results.jsonl").read_bytes() == before
-    assert (tmp_path / "vulnerability_scenes.png").exists()
-    assert "### vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
+    assert (tmp_path / "robustness_scenes.png").exists()
+    assert "### majority_vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
 
 
 def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,7 +69,7 @@ def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.
     assert (code, complaint) == (2, "viewshed: preset must be one of full, small, tiny, got 'nonsense'\n")
     code, _, complaint = _run(capsys, "--preset", "small", "--out", str(made), "--no-run")
     assert code == 2
-    assert "must hold this study, got results of another study; choose another folder" in complaint
+    assert "must hold results of this plan and version, got another plan; choose another folder" in complaint
     code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(tmp_path / "new"), "--no-run")
     assert code == 2
     assert complaint.endswith("must hold results, got none; run without --no-run\n")
@@ -84,3 +84,15 @@ def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.
     code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(damaged), "--no-run")
     assert (code, complaint.count("\n")) == (2, 1)
     assert "line 4 is damaged; delete that line, its job is done again" in complaint
+
+
+def test_the_former_command_does_the_same_and_is_not_listed(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["report", "vulnerability", "--preset", "tiny", "--out", str(made), "--no-run"])
+    assert not stop.value.code
+    assert f"Markdown in {made / 'robustness.md'}" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    listed = capsys.readouterr().out
+    assert re.search(r"^ +study +Studies", listed, re.MULTILINE)
+    assert not re.search(r"^ +(report|reproduce) ", listed, re.MULTILINE)

@@ -262,11 +262,12 @@ def config() -> dict[str, Any]:
 
 
 TINY_PAGES = {
-    "robustness": "robustness/vulnerability.md",
-    "robustness_tables": "robustness/vulnerability_tables.md",
-    "paper": "paper/reproduce_paper.md",
-    "paper_strict": "paper/reproduce_strict.md",
-    "ablation": "ablation/successor.md",
+    "robustness": "robustness/robustness.md",
+    "robustness_tables": "robustness/robustness_tables.md",
+    "paper": "paper/paper.md",
+    "paper_strict": "paper/paper_strict.md",
+    "ablation": "ablation/ablation.md",
+    "monitor_study": "monitor/monitor.md",
     "truth": "truth.md",
     "crossview": "crossview.md",
 }
@@ -277,9 +278,10 @@ _CLI = "from viewshed.cli import main; main()"
 def tiny_pages(folder: Path) -> dict[str, str]:
     """Run every study on its tiny plan in an empty ``folder``; return the Markdown of its pages by name."""
     run = partial(_run, folder)
-    run("report", "vulnerability", "--preset", "tiny", "--out", "robustness")
-    run("reproduce", "--preset", "tiny", "--out", "paper")
-    run("reproduce", "successor", "--preset", "tiny", "--out", "ablation")
+    run("study", "robustness", "--preset", "tiny", "--out", "robustness")
+    run("study", "paper", "--preset", "tiny", "--out", "paper")
+    run("study", "ablation", "--preset", "tiny", "--out", "ablation")
+    run("study", "monitor", "--preset", "tiny", "--out", "monitor")
     run("simulate", "nuscenes-small", "--sweeps", "24", "--out", "sweeps")
     run("evaluate", "truth", "sweeps", "--limit", "6", "--out", "truth.md")
     _write_index(folder / "posed")

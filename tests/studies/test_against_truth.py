@@ -1,5 +1,6 @@
 """Scores counted by hand on small masks, and on a simulated sample."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,8 @@ from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Thing, World
-from viewshed.studies.against_truth import ALL, CLEAR, FORMS, Contest, compare_definitions, evaluate_truth
+from viewshed.studies.against_truth import CLEAR, DEFINITION, FORMS, TruthEvaluation, form_case
+from viewshed.studies.records import VIEW, Results, Series
 from viewshed.sweep import bare_points, unorganized_no_sensor
 
 GRID = BevGrid(4, 8.0)
@@ -36,6 +38,23 @@ def _sample(counts: NDArray[np.uint8] = COUNTS, scene: str = "a") -> Sample:
     known = np.ones(GRID.shape, bool)
     known[3] = False
     return Sample(Sweep(np.ones((1, 3), np.float32)), Truth(GRID, {"car": counts}, {"car": state}, masks), known, scene)
+
+
+Counted = Callable[[str, str, str], ConfusionCounts]
+
+
+def _evaluate(samples: Sequence[Sample], evaluation: TruthEvaluation) -> Counted:
+    """Return the counts by estimator, form (empty for another definition) and region."""
+    results: Results[TruthEvaluation] = Results(evaluation)
+    results.add(evaluation.records(samples))
+    results.add(evaluation.definitions(samples))
+
+    def counted(method: str, form: str, region: str) -> ConfusionCounts:
+        series = Series("", method, form_case(form) if form else DEFINITION, region)
+        assert series in results
+        return results.counts(series)
+
+    return counted
 
 
 class _Fixed:
@@ -55,39 +74,40 @@ class _Fixed:
 
 def test_cells_are_counted_where_the_truth_is_known() -> None:
     """Column 1 is claimed; visible are (1, 0…3), (2, 0), (2, 1) of the three known rows."""
-    scores = evaluate_truth([_sample()], Contest({"fixed": _Fixed}, CAR, {"as it is": FORMS["rings known"]}))
-    assert scores["fixed", "as it is", ALL] == ConfusionCounts(2, 1, 4, 5, 12 * 16.0)
-    tally = scores["fixed", "as it is", ALL]
-    assert (tally.precision, tally.recall, tally.iou) == pytest.approx((2 / 3, 2 / 6, 2 / 7))
-    assert tally.f1 == pytest.approx(2 * (2 / 3) * (1 / 3) / (2 / 3 + 1 / 3))
-    assert (tally.over_m2, tally.under_m2) == (16.0, 64.0)
+    scores = _evaluate([_sample()], TruthEvaluation({"fixed": _Fixed}, CAR, {"as it is": FORMS["rings known"]}))
+    assert scores("fixed", "as it is", VIEW) == ConfusionCounts(2, 1, 4, 5, 12 * 16.0)
+    counts = scores("fixed", "as it is", VIEW)
+    assert (counts.precision, counts.recall, counts.iou) == pytest.approx((2 / 3, 2 / 6, 2 / 7))
+    assert counts.f1 == pytest.approx(2 * (2 / 3) * (1 / 3) / (2 / 3 + 1 / 3))
+    assert (counts.over_m2, counts.under_m2) == (16.0, 64.0)
 
 
 def test_clear_leaves_out_three_to_seven_returns_of_a_car() -> None:
-    scores = evaluate_truth([_sample()], Contest({"fixed": _Fixed}, CAR, {"x": FORMS["rings known"]}))
-    assert scores["fixed", "x", CLEAR] == ConfusionCounts(0, 1, 2, 3, 6 * 16.0)
+    scores = _evaluate([_sample()], TruthEvaluation({"fixed": _Fixed}, CAR, {"x": FORMS["rings known"]}))
+    assert scores("fixed", "x", CLEAR) == ConfusionCounts(0, 1, 2, 3, 6 * 16.0)
 
 
 def test_range_bands_part_the_known_cells() -> None:
-    scores = evaluate_truth([_sample()], Contest({"f": _Fixed}, CAR, {"x": FORMS["rings known"]}, bands=(0, 0.5, 2)))
-    near, far = scores["f", "x", "0 to 4 m"], scores["f", "x", "4 to 16 m"]
+    scores = _evaluate([_sample()], TruthEvaluation({"f": _Fixed}, CAR, {"x": FORMS["rings known"]}, bands=(0, 0.5, 2)))
+    near, far = scores("f", "x", "0 to 4 m"), scores("f", "x", "4 to 16 m")
     assert near == ConfusionCounts(2, 0, 1, 1, 4 * 16.0)
-    assert replace(near + far, samples=1) == scores["f", "x", ALL]
+    assert replace(near + far, samples=1) == scores("f", "x", VIEW)
 
 
 def test_samples_are_pooled_and_areas_are_of_one_sample() -> None:
-    contest = Contest({"fixed": _Fixed}, CAR, {"x": FORMS["rings known"]})
-    one = evaluate_truth([_sample()], contest)["fixed", "x", ALL]
-    three = evaluate_truth([_sample(), _sample(), _sample(np.zeros_like(COUNTS))], contest)["fixed", "x", ALL]
+    evaluation = TruthEvaluation({"fixed": _Fixed}, CAR, {"x": FORMS["rings known"]})
+    one = _evaluate([_sample()], evaluation)("fixed", "x", VIEW)
+    three = _evaluate([_sample(), _sample(), _sample(np.zeros_like(COUNTS))], evaluation)("fixed", "x", VIEW)
     assert (three.both, three.over, three.samples) == (2 * one.both, 2 * one.over + 3, 3)
     assert three.over_m2 == pytest.approx((2 + 3) * 16 / 3)
 
 
 def test_other_definitions_are_compared_with_ours() -> None:
-    scores = compare_definitions([_sample()], Contest({}, CAR, {}))
-    assert scores["farthest", "", ALL] == ConfusionCounts(6, 6, 0, 0, 12 * 16.0)
-    assert scores["first_blocker", "", ALL] == ConfusionCounts(1, 2, 5, 4, 12 * 16.0)
-    assert ("line_of_sight", "", ALL) not in scores
+    scores = _evaluate([_sample()], TruthEvaluation({}, CAR, {}))
+    assert scores("farthest", "", VIEW) == ConfusionCounts(6, 6, 0, 0, 12 * 16.0)
+    assert scores("first_blocker", "", VIEW) == ConfusionCounts(1, 2, 5, 4, 12 * 16.0)
+    with pytest.raises(AssertionError):
+        scores("line_of_sight", "", VIEW)
 
 
 def test_nothing_claimed_and_nothing_visible_is_no_rate() -> None:
@@ -97,12 +117,12 @@ def test_nothing_claimed_and_nothing_visible_is_no_rate() -> None:
 
 
 @given(st.integers(0, 2**16 - 1), st.integers(0, 2**16 - 1), st.integers(1, 2**16 - 1))
-def test_a_tally_counts_every_cell_once(claimed: int, true: int, among: int) -> None:
-    a, b, c = (np.array([value >> k & 1 for k in range(16)], bool) for value in (claimed, true, among))
-    tally = ConfusionCounts.of(a, b, c, 0.25)
-    assert (tally.both, tally.over) == (int((a & b & c).sum()), int((a & ~b & c).sum()))
-    assert (tally.under, tally.neither) == (int((~a & b & c).sum()), int((~a & ~b & c).sum()))
-    assert tally.cells * 0.25 == tally.area_m2
+def test_a_counts_counts_every_cell_once(claimed: int, true: int, mask: int) -> None:
+    a, b, c = (np.array([value >> k & 1 for k in range(16)], bool) for value in (claimed, true, mask))
+    counts = ConfusionCounts.of(a, b, c, 0.25)
+    assert (counts.both, counts.over) == (int((a & b & c).sum()), int((a & ~b & c).sum()))
+    assert (counts.under, counts.neither) == (int((~a & b & c).sum()), int((~a & ~b & c).sum()))
+    assert counts.cells * 0.25 == counts.area_m2
 
 
 def test_forms_hide_what_they_say() -> None:
@@ -134,9 +154,9 @@ def test_a_shadow_map_of_exact_beams_is_near_the_truth_and_a_mirrored_one_is_not
     sweep = Sweep(points, ring=ring.astype(np.int16), model=model, sensor_height_m=1.8, world_from_sensor=pose)
     mirror = sweep.replace(points=sweep.points * np.array([1, -1, 1], np.float32), world_from_sensor=None)
     truth, known = exact_truth(scan, world, grid)
-    contest = Contest({"shadow_map": ShadowMap}, CAR, {"x": FORMS["rings known"]})
-    score = evaluate_truth([Sample(sweep, truth, known)], contest)["shadow_map", "x", ALL]
-    wrong = evaluate_truth([Sample(mirror, truth, known)], contest)["shadow_map", "x", ALL]
+    evaluation = TruthEvaluation({"shadow_map": ShadowMap}, CAR, {"x": FORMS["rings known"]})
+    score = _evaluate([Sample(sweep, truth, known)], evaluation)("shadow_map", "x", VIEW)
+    wrong = _evaluate([Sample(mirror, truth, known)], evaluation)("shadow_map", "x", VIEW)
     assert score.f1 > 0.98
     assert wrong.f1 < 0.96
 

@@ -21,16 +21,16 @@ from viewshed.studies.preview import (
     HEADINGS,
     NOT_KNOWN,
     SIDE,
-    Shot,
+    PreviewSample,
     _choice,
     differences_view,
     marks,
     plan_view,
     points_view,
     preview_png,
+    preview_sample,
     row_of,
     sheet,
-    shot_of,
     state_view,
 )
 from viewshed.sweep import Sweep
@@ -182,11 +182,11 @@ def test_points_are_drawn_where_they_are_the_highest_on_top() -> None:
     assert image[tuple(painted[0])][0] > 200  # yellow
 
 
-def _shot(world: World) -> Shot:
+def _shot(world: World) -> PreviewSample:
     points = np.array([[3.0, -4.0, -1.5], [6.0, 6.0, 0.5], [11.0, 7.0, -1.3]], np.float32)  # grass, block, behind it
     state = np.full(GRID.shape, CellState.FREE, np.uint8)
     sweep = Sweep(points, sensor_height_m=1.5)
-    return Shot(world, 0, 0.0, sweep, _truth(state), np.ones(GRID.shape, np.bool_), "a yard")
+    return PreviewSample(world, 0, 0.0, sweep, _truth(state), np.ones(GRID.shape, np.bool_), "a yard")
 
 
 def test_a_row_has_a_picture_for_each_heading_and_hides_returns_behind_things() -> None:
@@ -220,7 +220,8 @@ def test_a_preset_shows_each_kind_of_world(preset: str, kinds: int) -> None:
 
 def test_a_row_is_the_same_each_time_and_another_for_another_seed() -> None:
     one, same, other = (
-        row_of(shot_of(*_choice(replace(preset_named("ugv-small"), seed=seed))[0])).pictures for seed in (1, 1, 2)
+        row_of(preview_sample(*_choice(replace(preset_named("ugv-small"), seed=seed))[0])).pictures
+        for seed in (1, 1, 2)
     )
     assert all((a == b).all() for a, b in zip(one, same, strict=True))
     assert all((a != b).any() for a, b in zip(one, other, strict=True))

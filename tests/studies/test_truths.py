@@ -13,8 +13,9 @@ from viewshed.sim.raycast.scan import STILL, ExactScan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Thing, World
-from viewshed.studies.cases import BENIGN, Case, apply, generator, kept_rings, visible_with, with_rings
-from viewshed.studies.suite import Subject, subject_of
+from viewshed.studies.cases import apply, case_generator, kept_rings, visible_with, with_rings
+from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.samples import StudySample, sample_of
 from viewshed.threats.corruptions import CORRUPTIONS, FewerBeams
 
 FLAT = Terrain.of(np.linspace(-40, 40, 5), np.linspace(-40, 40, 5), lambda x, y: 0.0 * x)
@@ -69,28 +70,28 @@ def test_kept_rings_by_hand() -> None:
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
-    return subject_of("nuscenes", 1, 3, 7)
+def sample() -> StudySample:
+    return sample_of("nuscenes", 1, 3, 7)
 
 
 @pytest.mark.parametrize("name", ["fewer_beams", "dead_rings"])
-def test_the_rings_of_the_truth_are_those_of_the_corrupted_sweep(name: str, subject: Subject) -> None:
+def test_the_rings_of_the_truth_are_those_of_the_corrupted_sweep(name: str, sample: StudySample) -> None:
     case = Case("corruption", name, "4")
-    clean, spoilt = subject.sample.sweep, apply(case, subject, generator(3, "nuscenes", 1, case)).sweep
+    clean, spoilt = sample.sweep, apply(case, sample, case_generator(3, "nuscenes", 1, case)).sweep
     assert clean.ring is not None
     assert spoilt.ring is not None
     assert clean.model is not None
-    kept = kept_rings(CORRUPTIONS[name](4), clean.model, generator(3, "nuscenes", 1, case))
+    kept = kept_rings(CORRUPTIONS[name](4), clean.model, case_generator(3, "nuscenes", 1, case))
     assert set(spoilt.ring.tolist()) == set(clean.ring.tolist()) & set(np.flatnonzero(kept).tolist())
-    visible = visible_with(case, subject, generator(3, "nuscenes", 1, case))
+    visible = visible_with(case, sample, case_generator(3, "nuscenes", 1, case))
     assert visible is not None
-    before = subject.sample.truth.visible()
+    before = sample.truth.visible()
     assert not (visible & ~before).any()
     assert 0 < visible.sum() < before.sum()
 
 
-def test_other_cases_and_recorded_samples_keep_their_truth(subject: Subject) -> None:
+def test_other_cases_and_recorded_samples_keep_their_truth(sample: StudySample) -> None:
     rng = np.random.default_rng(0)
-    assert visible_with(BENIGN, subject, rng) is None
-    assert visible_with(Case("corruption", "fog", "3"), subject, rng) is None
-    assert visible_with(Case("corruption", "fewer_beams", "3"), Subject(subject.sample), rng) is None
+    assert visible_with(BENIGN, sample, rng) is None
+    assert visible_with(Case("corruption", "fog", "3"), sample, rng) is None
+    assert visible_with(Case("corruption", "fewer_beams", "3"), StudySample(sample.sample), rng) is None

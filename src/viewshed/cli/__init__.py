@@ -20,7 +20,7 @@ from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
 from viewshed.cli.quantize import quantize
 from viewshed.cli.simulate import dataset_app, simulate
-from viewshed.cli.study import report_app, reproduce
+from viewshed.cli.study import report_app, reproduce, study_app
 from viewshed.cli.train import crossval, train
 
 BAD_INPUT = 2
@@ -32,17 +32,21 @@ _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typ
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (
-    estimate, info, compare, export, demo, simulate, label, attack, corrupt, train, crossval, quantize, reproduce,
+    estimate, info, compare, export, demo, simulate, label, attack, corrupt, train, crossval, quantize,
 )  # fmt: skip
 
 for _command in _COMMANDS:
     app.command()(_command)
 
+app.command(hidden=True)(reproduce)
+
 app.add_typer(evaluate_app, name="evaluate")
 
 app.add_typer(dataset_app, name="dataset")
 
-app.add_typer(report_app, name="report")
+app.add_typer(study_app, name="study")
+
+app.add_typer(report_app, name="report", hidden=True)
 
 app.add_typer(monitor_app, name="monitor")
 

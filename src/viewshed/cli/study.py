@@ -1,26 +1,41 @@
-"""``viewshed reproduce``: the published study made again.
+"""``viewshed study``: studies that run, go on where they were stopped, and write their pages.
 
-``viewshed report``: studies that run, go on where they were stopped, and write their pages.
+``viewshed report vulnerability`` and ``viewshed reproduce``: what robustness, paper and ablation were called before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from viewshed.studies.paper.jobs import Scope
-    from viewshed.studies.paper.plan import StudyPlan
-    from viewshed.studies.paper.store import JobStore
-    from viewshed.studies.robustness.plan import Study
-    from viewshed.studies.robustness.store import ResultStore
+from viewshed.cli.evaluate import crossview
 
+if TYPE_CHECKING:
+    from viewshed.studies.runner import Progress
+
+study_app = typer.Typer(help="Studies: they run, go on where they were stopped, and write their pages.")
 
 report_app = typer.Typer(help="Studies and their reports.")
+
+Out = Annotated[Path | None, typer.Option(help="Folder of data, models, results and pages; the study's name.")]
+
+Workers = Annotated[int | None, typer.Option(help="Jobs under way at a time; one a core if not given.")]
+
+EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
+
+Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the page.")]
+
+Pages = Annotated[Path | None, typer.Option("--page", help="Folder of the pages and figures; --out if not given.")]
+
+_BOTH = "both"
+
+
+@study_app.callback()
+def study() -> None:
+    """Studies: they run, go on where they were stopped, and write their pages."""
 
 
 @report_app.callback()
@@ -28,165 +43,190 @@ def report() -> None:
     """Studies and their reports."""
 
 
-@report_app.command()
-def vulnerability(
-    out: Annotated[Path, typer.Option(help="Folder of the results, the report and its figures.")] = Path(
-        "vulnerability"
-    ),
+@study_app.command()
+def robustness(
+    out: Out = None,
     preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
-    workers: Annotated[int | None, typer.Option(help="Jobs under way at a time; one a core if not given.")] = None,
-    engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
-    run: Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the report.")] = True,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    run: Run = True,
     page: Annotated[
         Path | None, typer.Option(help="Where the Markdown page goes; figures and NAME_tables.md beside it.")
     ] = None,
 ) -> None:
     """Estimators under attacks, corruptions and defenses. Stopped runs go on; the same figures for any --workers.
 
-    Example: viewshed report vulnerability --preset small --out study
+    Example: viewshed study robustness --preset small --out study
     """
-    from viewshed.studies.robustness.plan import study_named
-    from viewshed.studies.robustness.store import FILE, ResultStore
-
-    study = study_named(preset)
-    if not run and not (out / FILE).exists():
-        raise ValueError(f"{out} must hold results, got none; run without --no-run")
-    store = ResultStore.open(out, study)
-    failed = _run(study, store, engine, workers) if run else []
-    for line in failed:
-        typer.echo(f"viewshed: {line}", err=True)
-    _write_report(store, failed, out, page or out / "vulnerability.md")
-    if failed:
-        raise ValueError(f"{len(failed)} jobs failed; what is finished is kept, the same command tries them again")
-
-
-def _run(study: Study, store: ResultStore, engine: str, workers: int | None) -> list[str]:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
     from viewshed._jobs import engine_named
     from viewshed.studies.robustness.jobs import run_study
+    from viewshed.studies.robustness.page import files_of
+    from viewshed.studies.robustness.plan import RobustnessPlan
+    from viewshed.studies.store import ResultStore
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("jobs"),
-               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
-    runner = engine_named(engine, workers)
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(study.name, total=len(study.jobs()))
-        return run_study(study, store, runner, lambda _: bar.advance(task))
-
-
-def _write_report(store: ResultStore, failed: list[str], out: Path, page: Path) -> None:
-    """Write the report twice: one HTML file, and a Markdown page with its figures beside it."""
-    from viewshed._files import write_atomic
-    from viewshed._page import facts, to_html, to_markdown
-    from viewshed.studies.robustness.page import LONG_TITLE, TITLE, blocks_of, details_of, pictures_of, told
-    from viewshed.studies.robustness.results import Results
-
-    results = Results.read(store)
-    if not results.scores:
-        raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
-    blocks, details, about = list(blocks_of(results, failed)), list(details_of(results)), facts(**told(results))
-    write_atomic(out / "index.html", to_html(TITLE, about, [*blocks, *details]).encode())
-    for picture in pictures_of(blocks):
-        write_atomic(page.parent / picture.name, picture.png)
-    write_atomic(page, to_markdown(TITLE, about, blocks).encode())
-    write_atomic(page.with_name(f"{page.stem}_tables.md"), to_markdown(LONG_TITLE, about, details).encode())
-    typer.echo(f"Look at {(out / 'index.html').resolve()}; Markdown in {page}")
+    folder, plan = out or Path("robustness"), RobustnessPlan.load(preset)
+    _require_results(folder, run=run)
+    store, runner = ResultStore.open(folder, plan), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, progress)) if run else []
+    main_page = page or folder / "robustness.md"
+    files = files_of(store, failed, main_page.stem)
+    _write(folder, {"index.html": files.pop("index.html")})
+    _write(main_page.parent, files)
+    typer.echo(f"Look at {(folder / 'index.html').resolve()}; Markdown in {main_page}")
+    _require_all_done(failed)
 
 
-_BOTH = "both"
-
-
-def reproduce(
-    study: Annotated[
-        str, typer.Argument(help="paper, the published study, or successor, what the parts of our network are worth.")
-    ] = "paper",
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, paper; of successor tiny, small.")] = "small",
-    out: Annotated[Path, typer.Option(help="Folder of data, models and results.")] = Path("reproduce"),
+@study_app.command()
+def paper(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, paper.")] = "small",
+    out: Out = None,
     only: Annotated[
         str | None,
-        typer.Option(
-            metavar="STEPS",
-            help="With commas: data, models, pairs, strict, trade, monitor, pages; "
-            "of successor models, validation, test, chosen, page.",
-        ),
+        typer.Option(metavar="STEPS", help="With commas: data, models, pairs, strict, trade, monitor, pages."),
     ] = None,
     protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,
     device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
-    workers: Annotated[int | None, typer.Option(help="Jobs under way at a time; one a core if not given.")] = None,
-    page: Annotated[Path | None, typer.Option(help="Folder of the pages and figures; --out if not given.")] = None,
+    workers: Workers = None,
+    page: Pages = None,
 ) -> None:
-    """Train the study's models, score them, write its pages. Stopped runs go on: the same command again.
+    """Train the published study's models, score them, write its pages. Stopped runs go on: the same command again.
+
+    Example: viewshed study paper --preset tiny --out study
+    """
+    from viewshed.studies.paper.jobs import Scope, run_study
+    from viewshed.studies.paper.page import files_of
+    from viewshed.studies.paper.plan import PROTOCOLS, STEPS, PaperPlan
+    from viewshed.studies.paper.published import PaperResults
+    from viewshed.studies.store import ResultStore
+
+    protocols = PROTOCOLS if protocol == _BOTH else (protocol,)
+    scope = Scope(_steps(only, STEPS), protocols, device, workers)
+    folder = _folder(out, "paper")
+    store = ResultStore.open(folder, PaperPlan.load(preset))
+    failed = _with_bars(lambda progress: run_study(store, scope, progress))
+    if "pages" in scope.steps:
+        results = PaperResults.read(store)
+        for name in protocols:
+            _write(page or folder, files := files_of(results, name))
+            typer.echo(f"Look at {(page or folder) / next(reversed(files))}")
+    _require_all_done(failed)
+
+
+@study_app.command()
+def ablation(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small.")] = "small",
+    out: Out = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="STEPS", help="With commas: models, validation, test, chosen, page.")
+    ] = None,
+    workers: Workers = None,
+    page: Pages = None,
+) -> None:
+    """What the parts of our network are worth, and the shipped network beside the estimators.
+
+    Example: viewshed study ablation --preset tiny --out study
+    """
+    from viewshed.studies.ablation.jobs import run_study
+    from viewshed.studies.ablation.page import page_of
+    from viewshed.studies.ablation.plan import STEPS, AblationPlan
+    from viewshed.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "ablation")
+    store = ResultStore.open(folder, AblationPlan.load(preset))
+    failed = _with_bars(lambda progress: run_study(store, steps, workers, progress))
+    if "page" in steps:
+        _write(page or folder, {"ablation.md": page_of(store).encode()})
+        typer.echo(f"Look at {(page or folder) / 'ablation.md'}")
+    _require_all_done(failed)
+
+
+@study_app.command()
+def monitor(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small.")] = "small",
+    out: Out = None,
+    workers: Workers = None,
+    run: Run = True,
+    page: Pages = None,
+) -> None:
+    """The monitor of the deviation under attacks and corruptions, with the shipped network.
+
+    Example: viewshed study monitor --preset tiny --out study
+    """
+    from viewshed._jobs import LocalEngine
+    from viewshed.studies.monitor.jobs import run_study
+    from viewshed.studies.monitor.page import page_of
+    from viewshed.studies.monitor.plan import MonitorPlan
+    from viewshed.studies.store import ResultStore
+
+    folder, plan = _folder(out, "monitor"), MonitorPlan.load(preset)
+    _require_results(folder, run=run)
+    store = ResultStore.open(folder, plan)
+    failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
+    _write(page or folder, {"monitor.md": page_of(store).encode()})
+    typer.echo(f"Look at {(page or folder) / 'monitor.md'}")
+    _require_all_done(failed)
+
+
+study_app.command()(crossview)
+
+report_app.command(name="vulnerability")(robustness)
+
+
+def reproduce(
+    study: Annotated[str, typer.Argument(help="paper, or successor, which is now called ablation.")] = "paper",
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, paper; of successor tiny, small.")] = "small",
+    out: Annotated[Path, typer.Option(help="Folder of data, models and results.")] = Path("reproduce"),
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="Steps, with commas.")] = None,
+    protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,
+    device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
+    workers: Workers = None,
+    page: Pages = None,
+) -> None:
+    """Run the study of the paper or the ablation by the commands' former name; see viewshed study.
 
     Example: viewshed reproduce --preset tiny --out study
     """
-    if study not in ("paper", "successor"):
+    if study == "paper":
+        paper(preset, out, only, protocol, device, workers, page)
+    elif study != "successor":
         raise ValueError(f"STUDY must be paper or successor, got {study!r}")
-    problems = (_paper if study == "paper" else _successor)(_Asked(preset, out, only, protocol, device, workers, page))
-    if problems:
-        raise ValueError(f"{problems} jobs are not done; what is finished is kept, the same command goes on")
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """The options."""
-
-    preset: str
-    out: Path
-    only: str | None
-    protocol: str
-    device: str
-    workers: int | None
-    page: Path | None
-
-
-def _paper(asked: _Asked) -> int:
-    """Return how many jobs of the published study are not done."""
-    from viewshed.studies.paper.jobs import Scope, folder_of, named_steps, run_steps
-    from viewshed.studies.paper.plan import plan_named
-    from viewshed.studies.paper.protocols import PROTOCOLS
-    from viewshed.studies.paper.store import JobStore
-
-    protocols = PROTOCOLS if asked.protocol == _BOTH else (asked.protocol,)
-    scope = Scope(named_steps(asked.only), protocols, asked.device, asked.workers)
-    store = JobStore.open(folder_of(asked.out), plan_named(asked.preset))
-    problems = _told(lambda told: run_steps(store, scope, told))
-    if "pages" in scope.steps:
-        _write_pages(store, scope, asked.page or asked.out)
-    return problems
-
-
-def _successor(asked: _Asked) -> int:
-    """Return how many jobs of the ablation are not done."""
-    from viewshed._files import write_atomic
-    from viewshed.studies.ablation.jobs import STEPS, run_steps
-    from viewshed.studies.ablation.page import page_of
-    from viewshed.studies.ablation.plan import ablation_named
-    from viewshed.studies.paper.jobs import folder_of
-    from viewshed.studies.paper.store import JobStore
-
-    if asked.protocol != _BOTH or asked.device != "cpu":
+    elif protocol != _BOTH or device != "cpu":
         raise ValueError("--protocol and --device go with the published study, not with successor")
-    steps = STEPS if asked.only is None else tuple(asked.only.split(","))
-    store = JobStore.open(folder_of(asked.out), ablation_named(asked.preset))
-    problems = _told(lambda told: run_steps(store, steps, asked.workers, told))
-    if "page" in steps:
-        folder = asked.page or asked.out
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(folder / "successor.md", page_of(store).encode())
-        typer.echo(f"Look at {folder / 'successor.md'}")
-    return problems
+    else:
+        ablation(preset, out, only, workers, page)
 
 
-def _told(run: Callable[[Callable[[str, int, int], None]], Iterator[str]]) -> int:
-    """Return how many jobs are not done; why is told as it happens."""
+def _folder(out: Path | None, name: str) -> Path:
+    """Return the folder of a study with its whole path: jobs may be done elsewhere."""
+    return (out or Path(name)).expanduser().resolve()
+
+
+def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
+    return every if only is None else tuple(only.split(","))
+
+
+def _require_results(folder: Path, *, run: bool) -> None:
+    from viewshed.studies.store import FILE
+
+    if not run and not (folder / FILE).exists():
+        raise ValueError(f"{folder} must hold results, got none; run without --no-run")
+
+
+def _require_all_done(failed: list[str]) -> None:
+    if failed:
+        raise ValueError(f"{len(failed)} jobs are not done; what is finished is kept, the same command goes on")
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    from viewshed._files import write_atomic
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_atomic(folder / name, content)
+
+
+def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
+    """Return one line for each job that is not done; it is printed as it happens, and a bar shows each step."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -203,34 +243,19 @@ def _told(run: Callable[[Callable[[str, int, int], None]], Iterator[str]]) -> in
     tasks: dict[str, TaskID] = {}
     bars = Progress(*columns, console=Console(stderr=True))
 
-    def told(step: str, done: int, total: int) -> None:
+    def on_progress(step: str, done: int, total: int) -> None:
         if not tasks:
             bars.start()
         if step not in tasks:
             tasks[step] = bars.add_task(step, total=total)
         bars.update(tasks[step], completed=done)
 
-    problems = 0
+    failed = []
     try:
-        for line in run(told):
-            problems += 1
+        for line in run(on_progress):
+            failed.append(line)
             bars.console.print(f"viewshed: {line}", markup=False, highlight=False, soft_wrap=True)
-        return problems
+        return failed
     finally:
         if tasks:
             bars.stop()
-
-
-def _write_pages(store: JobStore[StudyPlan], scope: Scope, folder: Path) -> None:
-    """Write the pages of the protocols and their figures."""
-    from viewshed._files import write_atomic
-    from viewshed.studies.paper.page import files_of
-    from viewshed.studies.paper.results import Results
-
-    results = Results.read(store)
-    folder.mkdir(parents=True, exist_ok=True)
-    for protocol in scope.protocols:
-        files = files_of(results, protocol)
-        for name, content in files.items():
-            write_atomic(folder / name, content)
-        typer.echo(f"Look at {folder / next(reversed(files))}")

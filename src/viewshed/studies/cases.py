@@ -1,4 +1,4 @@
-"""The cases of a study: what is done to a sweep, in which order, and with which seed.
+"""The cases of the studies: what is done to a sweep, in which order, and with which seed.
 
 The truth of a sensor that a corruption made another one: fewer beams see less, and that is not an error.
 """
@@ -6,8 +6,8 @@ The truth of a sensor that a corruption made another one: fewer beams see less, 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,9 +18,9 @@ from viewshed.fov.visibility import CAR
 from viewshed.sensors import LidarModel
 from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
-from viewshed.studies.robustness.plan import FULL, Study
-from viewshed.studies.suite import ROOM_M, Subject
-from viewshed.sweep import Sweep
+from viewshed.studies.records import Case
+from viewshed.studies.samples import StudySample
+from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed.threats.attacks import (
     ATTACKS,
     BUDGETS,
@@ -31,57 +31,43 @@ from viewshed.threats.attacks import (
     at_severity,
 )
 from viewshed.threats.attacks import SEVERITIES as STRENGTHS
-from viewshed.threats.attacks.base import Attack, Wedge
+from viewshed.threats.attacks.base import Attack, Tampered
 from viewshed.threats.attacks.points import PaperAttack
 from viewshed.threats.corruptions import CORRUPTIONS, Corruption
 
-KINDS = ("benign", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
-"""Nothing; an attack with a budget; with a sector, share or offset; a corruption with a severity; the paper's attacks
-with a number of points; an attacker who asks the victim, and with it the defense if there is one; and one who asked the
-victim without knowing of the defense. The last two differ from victim to victim: see ``duels``."""
+KINDS = ("benign", "bare", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
+"""Nothing; without rings and sensor; an attack with a budget; with a sector, share or offset; a corruption with a
+severity; the paper's attacks with a number of points; an attacker who asks the victim, and with it the defense if there
+is one; and one who asked the victim without knowing of the defense. The last two differ from victim to victim: see
+``adaptive``."""
+
+FULL = "full"
+"""The budget of every beam in the wedge."""
+
+DEFAULT = "default"
+"""The budget that an attack has of itself."""
+
+BARE = Case("bare", "no rings")
+
+MIXTURE = Case("paper", "mixture")
+"""The paper's attacks, drawn anew for each sweep."""
+
+TOUCHING = tuple(name for name in ATTACKS if name != "pose_spoof")
+"""Attacks that touch returns; a spoofed pose only moves the estimate in the map."""
+
+ROOM_M = 20.0
+"""Grids with a smaller half side are indoors: the paper's indoor settings apply."""
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Case:
-    """What is done to a sweep before it is estimated.
-
-    Attributes:
-        kind: of ``KINDS``.
-        name: of the attack or corruption.
-        level: budget, severity or ``attribute value``.
-        defense: that the result goes through; empty for none.
-    """
-
-    kind: str
-    name: str = ""
-    level: str = ""
-    defense: str = ""
+def generator(seed: int, *words: str | int) -> np.random.Generator:
+    """Return a generator of its own for what the words and numbers say."""
+    numbers = [word if isinstance(word, int) else zlib.crc32(word.encode()) for word in words]
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *numbers])))
 
 
-BENIGN = Case("benign")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """A sweep as a case leaves it.
-
-    Attributes:
-        sweep: what is estimated from.
-        added: (N,) bool, rows that an attacker made, or None where there was none.
-        wedge: where the attacker works, or None if anywhere.
-    """
-
-    sweep: Sweep
-    added: NDArray[np.bool_] | None = None
-    wedge: Wedge | None = None
-
-
-def cases_of(study: Study, part: str) -> list[Case]:
-    """Return the cases of one of ``PARTS``, each once."""
-    makers = {
-        "attacks": _attacks, "corruptions": _corruptions, "defenses": _defenses, "paper": _paper, "adaptive": _adaptive,
-    }  # fmt: skip
-    return list(dict.fromkeys(makers[part](study)))
+def case_generator(seed: int, domain: str, number: int, case: Case) -> np.random.Generator:
+    """Return the generator of a case on one sweep: the same for all its levels and defenses, so that they compare."""
+    return generator(seed, number, domain, case.kind.replace("strength", "attack"), case.name)
 
 
 def budgets_of(name: str, budgets: tuple[str, ...]) -> list[str]:
@@ -94,107 +80,91 @@ def budgets_of(name: str, budgets: tuple[str, ...]) -> list[str]:
     return sorted({budget for budget in budgets if budget in known}, key=lambda budget: known[budget])
 
 
-def strongest_case(study: Study, name: str) -> Case:
-    """Return the attack with the largest budget of the study that fits it, or where none does the largest strength."""
-    levels = [level for level in budgets_of(name, study.budgets) if level != "0"]
+def strongest_case(name: str, budgets: tuple[str, ...]) -> Case:
+    """Return an attack with the largest of the budgets that fits it, or where none does its largest strength."""
+    levels = [level for level in budgets_of(name, budgets) if level != "0"]
     if levels or name not in STRENGTHS:
         return Case("attack", name, levels[-1] if levels else str(max(BUDGETS[name])))
     attribute = STRENGTHS[name][0][0]
     return Case("strength", name, f"{attribute} {max(v for a, v in STRENGTHS[name] if a == attribute):g}")
 
 
-def _attacks(study: Study) -> Iterator[Case]:
-    yield BENIGN
-    for name in study.attacks:
-        yield from (Case("attack", name, level) for level in budgets_of(name, study.budgets))
-        yield from _strengths(name) if study.strengths else []
-        yield strongest_case(study, name)
+def budget_cases(name: str, budgets: tuple[str, ...]) -> list[Case]:
+    """Return an attack with those of the budgets that it is tried with."""
+    return [Case("attack", name, level) for level in budgets_of(name, budgets)]
 
 
-def _strengths(name: str) -> Iterator[Case]:
-    for attribute, value in STRENGTHS.get(name, ()):
-        yield Case("strength", name, f"{attribute} {value:g}")
+def strength_cases(name: str, attribute: str = "") -> list[Case]:
+    """Return an attack with each of its sectors, shares and offsets, or with those of one attribute."""
+    values = [(a, value) for a, value in STRENGTHS.get(name, ()) if attribute in ("", a)]
+    return [Case("strength", name, f"{a} {value:g}") for a, value in values]
 
 
-def _corruptions(study: Study) -> Iterator[Case]:
-    for name in study.corruptions:
-        yield from (Case("corruption", name, str(severity)) for severity in study.severities)
+def corruption_cases(names: Sequence[str], severities: Sequence[int]) -> list[Case]:
+    """Return corruptions with severities."""
+    return [Case("corruption", name, str(severity)) for name in names for severity in severities]
 
 
-def _defenses(study: Study) -> Iterator[Case]:
-    faced = [BENIGN]
-    for name in study.attacks:
-        faced += [Case("attack", name, level) for level in budgets_of(name, study.defended_budgets) if level != "0"]
-        faced.append(strongest_case(study, name))
-    faced += [Case("corruption", name, str(study.defended_severity)) for name in study.corruptions]
-    for case in faced:
-        yield from (replace(case, defense=defense) for defense in study.defenses)
+def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
+    """Yield each case behind each defense."""
+    for case in cases:
+        yield from (replace(case, defense=defense) for defense in defenses)
 
 
-def _paper(study: Study) -> Iterator[Case]:
-    yield BENIGN
-    yield Case("paper", "mixture")
-    for name in ("uniform", "cluster"):
-        yield from (Case("paper", name, str(points)) for points in study.paper_points)
+def apply(case: Case, sample: StudySample, rng: np.random.Generator, half_extent_m: float | None = None) -> Tampered:
+    """Return the sweep as a case leaves it, without its defense; what a corruption does is no attacker's.
 
-
-def _adaptive(study: Study) -> Iterator[Case]:
-    budget = str(study.adaptive_budget)
-    for name in study.adaptive:
-        yield from (Case("adaptive", name, level) for level in ("0", budget))
-    for name in study.adaptive_against_defenses:
-        for defense in study.defenses:
-            yield Case("adaptive", name, "0", defense)
-            yield from (Case(kind, name, budget, defense) for kind in ("unaware", "adaptive"))
-
-
-def apply(case: Case, subject: Subject, rng: np.random.Generator) -> Trial:
-    """Return the subject's sweep as the case leaves it, without its defense.
+    Args:
+        case: what is done.
+        sample: the sweep, and what was measured before.
+        rng: all that is random.
+        half_extent_m: of the grid that attacks are scaled to; that of the truth if not given.
 
     Raises:
         ValueError: the attack or corruption cannot work on this sweep; the message says why.
     """
-    sweep = subject.sample.sweep
+    sweep = sample.sweep
     if case.kind == "benign":
-        return Trial(sweep)
+        return untouched(sweep)
+    if case.kind == "bare":
+        return untouched(unorganized_no_sensor(sweep))
     if case.kind == "corruption":
-        return Trial(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
-    tampered = attack_of(case, subject).apply(sweep, rng)
-    return Trial(tampered.sweep, tampered.added, tampered.wedge)
+        return untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
+    return attack_of(case, sample, half_extent_m or sample.truth.grid.half_extent_m).apply(sweep, rng)
 
 
-def attack_of(case: Case, subject: Subject) -> Attack:
-    """Return the attack of a case, scaled to the subject's grid.
+def untouched(sweep: Sweep) -> Tampered:
+    """Return a sweep to which no attacker did anything."""
+    none = np.zeros(len(sweep), np.bool_)
+    return Tampered(sweep, none, none)
+
+
+def attack_of(case: Case, sample: StudySample, half_extent_m: float) -> Attack:
+    """Return the attack of a case, scaled to a grid.
 
     Raises:
         ValueError: it needs an earlier sweep and there is none, or there is no attack of this kind.
     """
-    half_extent_m = subject.sample.truth.grid.half_extent_m
-    knowledge = Knowledge(subject.earlier[:1], half_extent_m=half_extent_m)
+    knowledge = Knowledge(sample.earlier[:1], half_extent_m=half_extent_m)
     if case.kind == "attack":
-        return ATTACKS[case.name](FULL_WEDGE if case.level == FULL else int(case.level), knowledge)
+        budget = FULL_WEDGE if case.level == FULL else None if case.level == DEFAULT else int(case.level)
+        return ATTACKS[case.name](budget, knowledge)
     if case.kind == "strength":
         attribute, value = case.level.split()
         return at_severity(case.name, attribute, int(value) if value.isdecimal() else float(value), knowledge)
     if case.kind == "paper":
-        return _papers(case, PAPER_INDOOR_ATTACK if half_extent_m < ROOM_M else PAPER_ATTACK)
+        return _paper_attack(case, PAPER_INDOOR_ATTACK if half_extent_m < ROOM_M else PAPER_ATTACK)
     raise ValueError(f"kind must be one that attacks, got {case.kind!r}")
 
 
-def _papers(case: Case, mixture: PaperAttack) -> PaperAttack:
-    if case.name == "mixture":
+def _paper_attack(case: Case, mixture: PaperAttack) -> PaperAttack:
+    if case == MIXTURE:
         return mixture
     points = (int(case.level), int(case.level))
     uniform = float(case.name == "uniform")
     return replace(
         mixture, uniform_share=uniform, cluster_share=1.0 - uniform, uniform_points=points, cluster_points=points
     )
-
-
-def generator(seed: int, domain: str, number: int, case: Case) -> np.random.Generator:
-    """Return the generator of a case on one sample: the same for all its levels and defenses, so that they compare."""
-    words = [zlib.crc32(word.encode()) for word in (domain, case.kind.replace("strength", "attack"), case.name)]
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, number, *words])))
 
 
 OTHER_SENSORS = ("fewer_beams", "dead_rings")
@@ -205,21 +175,21 @@ _PROBE_M = 10.0
 Mask = NDArray[np.bool_]
 
 
-def visible_with(case: Case, subject: Subject, rng: np.random.Generator) -> Mask | None:
+def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> Mask | None:
     """Return what the sensor that a case leaves could have seen (cells, cells), or None where it is the same sensor.
 
     Args:
         case: what is done to the sweep.
-        subject: that it is done to. A recorded one has no scene to look at again: None.
+        sample: that it is done to. A recorded one has no scene to look at again: None.
         rng: in the state in which the corruption finds it.
     """
-    if case.kind != "corruption" or case.name not in OTHER_SENSORS or subject.frame is None:
+    if case.kind != "corruption" or case.name not in OTHER_SENSORS or sample.frame is None:
         return None
-    scene, number = subject.frame
+    scene, number = sample.frame
     world, scan = world_of(scene), _scan(scene, number)
     kept = kept_rings(CORRUPTIONS[case.name](int(case.level)), scan.model, rng)
     agent = world.agents[number % scene.preset.agents]
-    return exact_truth(with_rings(scan, kept), world, subject.sample.truth.grid, (CAR,), agent)[0].visible(CAR)
+    return exact_truth(with_rings(scan, kept), world, sample.truth.grid, (CAR,), agent)[0].visible(CAR)
 
 
 @lru_cache(maxsize=1)
@@ -234,8 +204,8 @@ def kept_rings(corruption: Corruption, model: LidarModel, rng: np.random.Generat
     probe = Sweep(
         (_PROBE_M * direction).astype(np.float32), ring=np.arange(model.rings, dtype=np.int16), model=model
     )  # fmt: skip
-    left = corruption.apply(probe, rng).ring
-    return np.isin(np.arange(model.rings), np.arange(model.rings) if left is None else left)
+    rings = corruption.apply(probe, rng).ring
+    return np.isin(np.arange(model.rings), np.arange(model.rings) if rings is None else rings)
 
 
 def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:

@@ -80,31 +80,30 @@ def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
         (across * _MAP_INCHES + 0.5, len(rows) * (_MAP_INCHES + 0.25) + 0.6), dpi=_DPI, layout="constrained"
     )
     axes = figure.subplots(len(rows), across, squeeze=False)
-    most = max(
-        (float(each.values.max()) for row in rows.values() for each in row if each.kind == "deviation"), default=0
-    )
+    deviations = [picture.values for row in rows.values() for picture in row if picture.kind == "deviation"]
+    most = max((float(values.max()) for values in deviations), default=0.0)
     drawn: dict[Kind, Any] = {}
     for line, (name, maps) in zip(axes, rows.items(), strict=True):
         line[0].set_ylabel(name, fontsize=9)
-        for axis, each in zip(line, maps, strict=False):
-            drawn[each.kind] = _map(axis, each, max(most, 1e-3))
+        for axis, picture in zip(line, maps, strict=False):
+            drawn[picture.kind] = _map(axis, picture, max(most, 1e-3))
     half = across // 2
     for kind, columns in (("probability", axes[:, :half]), ("deviation", axes[:, half:])):
         if kind in drawn:
             bar = figure.colorbar(drawn[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
             bar.set_label("mean: probability of visible" if kind == "probability" else "deviation", fontsize=8)
             bar.ax.tick_params(labelsize=7)
-    return _map_png(figure)
+    return _png(figure, _MAP_COLORS)
 
 
-def _map(axis: Axes, each: Map, most: float) -> Any:
+def _map(axis: Axes, picture: Map, most: float) -> Any:
     """Draw values with forward up and left on the left."""
-    colors, high = _SCALES[each.kind]
+    colors, high = _SCALES[picture.kind]
     drawn = axis.imshow(
-        np.asarray(each.values, np.float64)[::-1, ::-1], cmap=colors, vmin=0.0, vmax=most if high is None else high,
+        np.asarray(picture.values, np.float64)[::-1, ::-1], cmap=colors, vmin=0.0, vmax=most if high is None else high,
         interpolation="nearest",
     )  # fmt: skip
-    axis.set_title(each.title, fontsize=8, pad=3)
+    axis.set_title(picture.title, fontsize=8, pad=3)
     axis.set(xticks=[], yticks=[])
     return drawn
 
@@ -123,9 +122,7 @@ def trade_figure(dots: Sequence[Dot], across: str, ups: Sequence[str]) -> bytes:
     for axis, up in zip(axes, ups, strict=True):
         for c, color in zip(cells, COLORS, strict=False):
             for d, mark in zip(depths, MARKERS, strict=False):
-                _shape_line(
-                    axis, [dot for dot in dots if (dot.cells, dot.depth) == (c, d)], (across, up), (color, mark)
-                )
+                _shape_line(axis, [dot for dot in dots if (dot.cells, dot.depth) == (c, d)], across, up, color, mark)
         axis.set_xscale("log")
         axis.xaxis.set_minor_locator(NullLocator())
         _decades(axis, [dot.values[across] for dot in dots])
@@ -134,19 +131,19 @@ def trade_figure(dots: Sequence[Dot], across: str, ups: Sequence[str]) -> bytes:
         axis.grid(linewidth=0.4, color="#cccccc")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
-    return _map_png(figure)
+    return _png(figure, _MAP_COLORS)
 
 
-def _shape_line(axis: Axes, dots: Sequence[Dot], names: tuple[str, str], look: tuple[str, str]) -> None:
+def _shape_line(axis: Axes, dots: Sequence[Dot], across: str, up: str, color: str, mark: str) -> None:
     """Draw networks of one resolution and depth, joined from narrow to wide."""
     if not dots:
         return
     chosen = sorted(dots, key=lambda dot: dot.width)
-    x, y = ([dot.values[name] for dot in chosen] for name in names)
+    x, y = ([dot.values[name] for dot in chosen] for name in (across, up))
     label = f"{chosen[0].cells} cells, depth {chosen[0].depth}, widths {', '.join(str(dot.width) for dot in chosen)}"
-    axis.plot(x, y, color=look[0], marker=look[1], markersize=4.5, linewidth=0.9, alpha=0.85, label=label)
-    for dot, left, up in zip(chosen, x, y, strict=True):
-        axis.annotate(str(dot.width), (left, up), textcoords="offset points", xytext=(4, 3), fontsize=6.5)
+    axis.plot(x, y, color=color, marker=mark, markersize=4.5, linewidth=0.9, alpha=0.85, label=label)
+    for dot, at_x, at_y in zip(chosen, x, y, strict=True):
+        axis.annotate(str(dot.width), (at_x, at_y), textcoords="offset points", xytext=(4, 3), fontsize=6.5)
 
 
 def _decades(axis: Axes, values: Sequence[float]) -> None:
@@ -155,16 +152,6 @@ def _decades(axis: Axes, values: Sequence[float]) -> None:
     ticks = [m * 10.0**e for e in range(-4, 6) for m in (1, 2, 5) if low / 1.6 <= m * 10.0**e <= high * 1.6]
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], fontsize=8)
     axis.tick_params(axis="y", labelsize=8)
-
-
-def _map_png(figure: Figure) -> bytes:
-    """Return the figure with few colors: some hundred kilobytes less."""
-    drawn, buffer = io.BytesIO(), io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(drawn, format="png")
-    image = Image.open(drawn).convert("RGB").quantize(_MAP_COLORS, dither=Image.Dither.NONE)
-    image.save(buffer, format="png", optimize=True)
-    return buffer.getvalue()
 
 
 PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#8FB8DE", "#D55E00")
@@ -248,26 +235,25 @@ def violin_figure(panels: Sequence[Violins], across: int, attacked: str) -> byte
 
 
 def _violins(axis: Axes, panel: Violins) -> None:
-    for place, (benign, attacked) in enumerate(panel.pairs.values()):
+    for position, (benign, attacked) in enumerate(panel.pairs.values()):
         for values, side, color in ((benign, "low", _BENIGN), (attacked, "high", _ATTACKED)):
-            _half(axis, values[~np.isnan(values)], place, (side, color))
+            _half(axis, values[~np.isnan(values)], position, side, color)
     axis.set_xticks(range(len(panel.pairs)), panel.pairs, rotation=35, ha="right", fontsize=7.5)
     axis.set_xlim(-0.6, len(panel.pairs) - 0.4)
     _rates(axis, panel.title)
 
 
-def _half(axis: Axes, values: Floats, place: int, look: tuple[Any, str]) -> None:
+def _half(axis: Axes, values: Floats, position: int, side: Any, color: str) -> None:
     """Half a violin; values that hardly differ have no density and are a line."""
-    side, color = look
     if len(values) == 0:
         return
     if np.ptp(values) > 1e-6:
-        drawn: Any = axis.violinplot([values], [place], widths=0.85, showextrema=False, side=side)
+        drawn: Any = axis.violinplot([values], [position], widths=0.85, showextrema=False, side=side)
         for body in drawn["bodies"]:
             body.set(facecolor=color, edgecolor="none", alpha=0.55)
     reach = (-0.3, 0.0) if side == "low" else (0.0, 0.3)
     median = float(np.median(values))
-    axis.plot([place + reach[0], place + reach[1]], [median, median], color=color, linewidth=1.6)
+    axis.plot([position + reach[0], position + reach[1]], [median, median], color=color, linewidth=1.6)
 
 
 def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
@@ -357,11 +343,11 @@ def _page(panels: int, across: int, size: tuple[float, float], legend: float = 0
     return figure, axes[:panels]
 
 
-def _png(figure: Figure) -> bytes:
+def _png(figure: Figure, colors: int = _COLORS) -> bytes:
     """Return the figure with few colors: some hundred kilobytes less."""
     drawn, buffer = io.BytesIO(), io.BytesIO()
     FigureCanvasAgg(figure)
     figure.savefig(drawn, format="png")
-    image = Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE)
+    image = Image.open(drawn).convert("RGB").quantize(colors, dither=Image.Dither.NONE)
     image.save(buffer, format="png", optimize=True)
     return buffer.getvalue()

@@ -139,7 +139,7 @@ def marks(world: World, snapshot: Snapshot, agent: int, pose: tuple[Rigid, float
     start = np.array([world.things[snapshot.thing[k]].pose_at(t_s)[:2] for k in first]).reshape(-1, 2)
     end = start + 2.0 * snapshot.velocity_mps[first, :2]
     others = [world.world_from_sensor(one, t_s).translation[:2] for k, one in enumerate(world.agents) if k != agent]
-    arrows = np.hstack([_pixels(place, world_from_level, grid) for place in (start, end)])
+    arrows = np.hstack([_pixels(xy, world_from_level, grid) for xy in (start, end)])
     agents = _pixels(np.array(others).reshape(-1, 2), world_from_level, grid)
     scale_m = 20.0 if grid.half_extent_m > 30 else 5.0
     pixels = scale_m * SIDE / (2 * grid.half_extent_m)
@@ -254,9 +254,9 @@ def _legend(axes: Axes, top: int) -> None:
         _swatch(axes, (1350 + 215 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
 
 
-def _swatch(axes: Axes, place: tuple[float, float], color: tuple[float, float, float], words: str) -> None:
-    axes.add_patch(Rectangle(place, 12, 10, facecolor=color, edgecolor="black", linewidth=0.4))
-    axes.text(place[0] + 18, place[1] + 5, words, fontsize=8, va="center")
+def _swatch(axes: Axes, corner: tuple[float, float], color: tuple[float, float, float], words: str) -> None:
+    axes.add_patch(Rectangle(corner, 12, 10, facecolor=color, edgecolor="black", linewidth=0.4))
+    axes.text(corner[0] + 18, corner[1] + 5, words, fontsize=8, va="center")
 
 
 HEADINGS = (
@@ -278,7 +278,7 @@ _ABOVE_ROBOT_M = np.array([[-5.0, 0.0, 6.5]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class PreviewSample:
     """One sample and what it was made from.
 
     Attributes:
@@ -309,11 +309,11 @@ def preview_png(preset: str, seed: int) -> bytes:
         ValueError: there is no such preset, or the seed is out of range.
     """
     composed = replace(preset_named(preset), seed=seed)
-    rows = [row_of(shot_of(scene, agent)) for scene, agent in _choice(composed)]
+    rows = [row_of(preview_sample(scene, agent)) for scene, agent in _choice(composed)]
     return sheet(rows, HEADINGS, f"viewshed simulate {preset} --preview --seed {seed}")
 
 
-def shot_of(scene: ScenePlan, agent: int) -> Shot:
+def preview_sample(scene: ScenePlan, agent: int) -> PreviewSample:
     """Return the frame in the middle of a scene, as one of its agents measured it."""
     preset, world = scene.preset, world_of(scene)
     time = -(-scene.frames // preset.agents) // 2
@@ -325,7 +325,7 @@ def shot_of(scene: ScenePlan, agent: int) -> Shot:
         f"{scene.world_kind}, {scene.conditions} · {who.name}, {who.sensor}, {sweep.sensor_height_m or 0:.1f} m up · "
         f"{len(sweep)} returns · a {target} would be seen in {seen:.0%} of the known cells"
     )
-    return Shot(world, agent, t_s, sweep, frame.truth, frame.known, title)
+    return PreviewSample(world, agent, t_s, sweep, frame.truth, frame.known, title)
 
 
 def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
@@ -339,37 +339,37 @@ def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
     return [(scene, turns[k % len(turns)]) for k, scene in enumerate(scenes)]
 
 
-def row_of(shot: Shot) -> Row:
-    """Return a shot as a line of pictures: above, camera, sweep, truth of both targets, other definitions."""
-    world, grid = shot.world, shot.truth.grid
-    snapshot = world.snapshot(shot.t_s)
-    sensor = world.world_from_sensor(world.agents[shot.agent], shot.t_s)
+def row_of(sample: PreviewSample) -> Row:
+    """Return a sample as a line of pictures: above, camera, sweep, truth of both targets, other definitions."""
+    world, grid = sample.world, sample.truth.grid
+    snapshot = world.snapshot(sample.t_s)
+    sensor = world.world_from_sensor(world.agents[sample.agent], sample.t_s)
     foot = [*sensor.translation[:2], float(world.terrain.at(sensor.translation[None])[0])]
     world_from_level = Rigid.from_yaw(sensor.yaw, foot)
-    returns = sensor @ shot.sweep.points
+    returns = sensor @ sample.sweep.points
     height_m = returns[:, 2] - world.terrain.at(returns)
     pictures = (
         plan_view(world, snapshot, world_from_level, grid),
-        _camera(shot, snapshot, sensor, returns),
+        _camera(sample, snapshot, sensor, returns),
         points_view((world_from_level.inverse() @ returns)[:, :2], height_m, grid),
-        *(state_view(shot.truth, shot.known, target) for target in ("car", "pedestrian")),
-        differences_view(shot.truth, shot.known),
+        *(state_view(sample.truth, sample.known, target) for target in ("car", "pedestrian")),
+        differences_view(sample.truth, sample.known),
     )
-    return Row(shot.title, marks(world, snapshot, shot.agent, (world_from_level, shot.t_s), grid), pictures)
+    return Row(sample.title, marks(world, snapshot, sample.agent, (world_from_level, sample.t_s), grid), pictures)
 
 
-def _camera(shot: Shot, snapshot: Snapshot, sensor: Rigid, returns: NDArray[np.float64]) -> Image:
+def _camera(sample: PreviewSample, snapshot: Snapshot, sensor: Rigid, returns: NDArray[np.float64]) -> Image:
     """Return the picture of a camera behind the sensor, with the returns that it would see."""
-    mast = shot.world.agents[shot.agent].carrier is None
+    mast = sample.world.agents[sample.agent].carrier is None
     ways, lens = (_BEHIND_MAST_M, _MAST_LENS) if mast else (_BEHIND_M, _VEHICLE_LENS)
-    if shot.world.indoor:
+    if sample.world.indoor:
         ways, lens = _ABOVE_ROBOT_M, _ROBOT_LENS
-    snapshot, top_m = without_ceiling(shot.world, snapshot)
-    shown = returns[_few_rings(shot.sweep)]
-    shown = shown[shown[:, 2] - shot.world.terrain.at(shown) < top_m - 0.1]
+    snapshot, top_m = without_ceiling(sample.world, snapshot)
+    shown = returns[_few_rings(sample.sweep)]
+    shown = shown[shown[:, 2] - sample.world.terrain.at(shown) < top_m - 0.1]
     pose = viewpoint(snapshot, sensor.translation + np.array([0.0, 0.0, 0.3]), sensor.yaw, ways)
-    photo = photograph(shot.world, snapshot, pose, lens)
-    return _with_returns(photo, lens, pose.inverse() @ shown, shown[:, 2] - shot.world.terrain.at(shown))
+    photo = photograph(sample.world, snapshot, pose, lens)
+    return _with_returns(photo, lens, pose.inverse() @ shown, shown[:, 2] - sample.world.terrain.at(shown))
 
 
 def _few_rings(sweep: Sweep) -> NDArray[np.bool_]:

@@ -1,81 +1,80 @@
-"""What is counted of one estimate: agreement with the truth, in the view and in the wedge, and average precision."""
+"""Rates of counted cells as arrays, and how far they depend on which scenes were drawn."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
-COUNTS = 4
-"""Counted, in this order: cells that both call visible, only the estimate, only the truth, and none."""
+Measure = Callable[[Floats], Floats]
+"""From counts (…, 4) of cells (both, over, under, neither) to a figure (…)."""
 
-_STEPS = 1000
+DRAWS = 1000
+
+NO_INTERVAL = (float("nan"), float("nan"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """What estimates are held against, on the K cells that count.
+def precision(counts: Floats) -> Floats:
+    """Return the share of the claimed cells that are visible (…); NaN where none is claimed."""
+    return _rate(counts[..., 0], counts[..., 0] + counts[..., 1])
 
-    Attributes:
-        among: (cells, cells) bool, the cells that count.
-        visible: (K,) bool, truth.
-        azimuth: (K,) float32 of the cells, in the sensor's heading.
+
+def recall(counts: Floats) -> Floats:
+    """Return the share of the visible cells that are claimed (…); NaN where none is visible."""
+    return _rate(counts[..., 0], counts[..., 0] + counts[..., 2])
+
+
+def accuracy(counts: Floats) -> Floats:
+    """Return the share of the cells that are called right (…); NaN where there are none.
+
+    >>> accuracy(np.array([6.0, 2.0, 2.0, 10.0])).item()
+    0.8
     """
-
-    among: Mask
-    visible: Mask
-    azimuth: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, visible: Mask, among: Mask, azimuth: NDArray[np.float32]) -> Reference:
-        """Return the reference of a mask of the grid over the cells ``among``."""
-        return cls(among, visible[among], azimuth[among])
+    return _rate(counts[..., 0] + counts[..., 3], counts.sum(axis=-1))
 
 
-def counts(claimed: Mask, visible: Mask) -> tuple[int, int, int, int]:
-    """Return how many of K cells both call visible, only the claim, only the truth, and none.
+def f1(counts: Floats) -> Floats:
+    """Return the harmonic mean of precision and recall (…); NaN where nothing is claimed and nothing visible.
 
-    >>> counts(np.array([True, True, False]), np.array([True, False, False]))
-    (1, 1, 0, 1)
+    >>> f1(np.array([6.0, 2.0, 2.0, 10.0])).item()
+    0.75
     """
-    both, claims, truths = int((claimed & visible).sum()), int(claimed.sum()), int(visible.sum())
-    return both, claims - both, truths - both, len(visible) - claims - truths + both
+    return _rate(2 * counts[..., 0], 2 * counts[..., 0] + counts[..., 1] + counts[..., 2])
 
 
-def average_precision(prob: NDArray[np.float32], visible: Mask) -> float:
-    """Return the area under the precision-recall curve, Σ (Rₙ - Rₙ₋₁) Pₙ over thresholds in steps of 0.001.
-
-    The sum is the one of scikit-learn's ``average_precision_score``. A mask has one threshold below 1: what it leaves
-    unclaimed comes at the share of visible cells. NaN where no cell is visible.
-
-    >>> average_precision(np.array([1, 1, 0, 0], np.float32), np.array([True, False, True, False]))
-    0.5
-    """
-    level = np.rint(prob * np.float32(_STEPS)).astype(np.intp)
-    every = np.bincount(level, minlength=_STEPS + 1)[::-1].cumsum()
-    true = np.bincount(level[visible], minlength=_STEPS + 1)[::-1].cumsum()
-    if not true[-1]:
-        return float("nan")
-    precision = true / np.maximum(every, 1)
-    return float((np.diff(true, prepend=0) * precision).sum() / true[-1])
+MEASURES: dict[str, Measure] = {"precision": precision, "recall": recall, "accuracy": accuracy, "F1": f1}
 
 
-def score(
-    prob: NDArray[np.float32], threshold: float, reference: Reference, wedge: Mask | None
-) -> list[float | int | None]:
-    """Return nine numbers: counts in the whole view, counts in the wedge, average precision.
+def _rate(part: Floats, whole: Floats) -> Floats:
+    rate: Floats = np.divide(part, whole, out=np.full(np.shape(whole), np.nan), where=whole > 0)
+    return rate
+
+
+def bootstrap(cases: Iterable[tuple[Floats, Sequence[str]]], measure: Measure) -> tuple[float, float]:
+    """Return the 95 % interval of the mean over cases of a pooled measure, by a bootstrap over scenes.
+
+    All sweeps of a scene are drawn together, and the draws are the same for all cases with as many scenes.
 
     Args:
-        prob: (cells, cells) probability of visible.
-        threshold: probability from which a cell is claimed.
-        reference: the truth.
-        wedge: (K,) bool, cells of the wedge; None for no wedge, whose counts are 0.
+        cases: counts (S, 4) of the sweeps of each case, and their scenes (S,).
+        measure: of pooled counts.
     """
-    of_cells = prob[reference.among]
-    claimed = of_cells >= np.float32(threshold)
-    inside = (0, 0, 0, 0) if wedge is None else counts(claimed[wedge], reference.visible[wedge])
-    area = average_precision(of_cells, reference.visible)
-    return [*counts(claimed, reference.visible), *inside, None if np.isnan(area) else round(area, 6)]
+    means = [measure(_drawn(counts, scenes)) for counts, scenes in cases if len(counts)]
+    mean = np.mean(means, axis=0) if means else np.array(np.nan)
+    if np.isnan(mean).all():
+        return NO_INTERVAL
+    low, high = np.nanquantile(mean, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _drawn(counts: Floats, scenes: Sequence[str]) -> Floats:
+    """Return (draws, 4) counts of scenes drawn with replacement."""
+    names, scene_of = np.unique(np.asarray(scenes, object).astype(str), return_inverse=True)
+    pooled = np.zeros((len(names), counts.shape[1]))
+    np.add.at(pooled, scene_of, counts)
+    rng = np.random.Generator(np.random.PCG64(len(names)))
+    weights = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), DRAWS)
+    return np.asarray(weights @ pooled, np.float64)

@@ -17,13 +17,24 @@ from viewshed.metrics import Scores
 from viewshed.networks.weights import manifest
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.studies.ablation.contest import BARE, BENIGN, CASES, CLEAR, Enveloped, Said, parts_of, score, shots_of
-from viewshed.studies.ablation.jobs import STEPS, run_steps
+from viewshed.studies.ablation.evaluate import (
+    ATTACKS,
+    CASES,
+    CLEAR,
+    Enveloped,
+    evaluate,
+    evaluation_of,
+    parts_of,
+)
+from viewshed.studies.ablation.jobs import run_study
 from viewshed.studies.ablation.page import page_of
-from viewshed.studies.ablation.plan import WHOLE, AblationPlan, ablation_named
-from viewshed.studies.ablation.results import OURS, Results, sure_from
-from viewshed.studies.paper.store import JobStore
-from viewshed.studies.suite import Subject
+from viewshed.studies.ablation.plan import STEPS, WHOLE, AblationPlan
+from viewshed.studies.ablation.results import OURS, SettingResults, sure_from
+from viewshed.studies.cases import BARE, DEFAULT
+from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case, Results, Series
+from viewshed.studies.runner import ignore_progress
+from viewshed.studies.samples import StudySample
+from viewshed.studies.store import ResultStore
 from viewshed.training.config import TrainConfig, read_config
 
 GRID = BevGrid(32, 64.0)
@@ -41,39 +52,47 @@ class Fixed(ClassicalEstimator):
         return FovEstimate(GRID, self.prob, np.full(GRID.shape, CellState.FREE, np.uint8))
 
 
-def test_every_case_is_shown_and_only_bare_clouds_lose_their_rings(subject: Subject) -> None:
-    shots = {shot.case: shot for shot in shots_of(subject, 1, 0)}
-    assert set(shots) == set(CASES)
-    for case, shot in shots.items():
-        assert (shot.sweep.model is None) == (case == BARE)
-        if case not in (BENIGN, BARE):
-            assert not np.array_equal(shot.sweep.points, subject.sample.sweep.points)
-    assert shots["far_wall"].wedge is not None
-    assert 0 < shots["far_wall"].wedge.mean() < 0.5
-    again = {shot.case: shot for shot in shots_of(subject, 1, 0)}
-    assert all(np.array_equal(shot.sweep.points, again[case].sweep.points) for case, shot in shots.items())
+WALL = Case("attack", "far_wall", DEFAULT)
 
 
-def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(subject: Subject) -> None:
-    visible, known = subject.sample.truth.visible(), subject.sample.known
-    right, none = Fixed(visible.astype(np.float32)), Fixed(np.zeros(GRID.shape, np.float32))
-    found = score({0: subject, 1: subject}, {"right": right, "none": none}, 1)
-    said = {name: {case: Said.from_json(told) for case, told in cases.items()} for name, cases in found.items()}
+def test_every_case_is_shown_and_only_bare_clouds_lose_their_rings(sample: StudySample) -> None:
+    one, again = (evaluation_of(sample, {}, "roads", 0, 1, CAR) for _ in range(2))
     for case in CASES:
-        assert said["right"][case].view.f1() == 1.0
-        assert said["none"][case].view.recall() == 0.0
-        assert said["right"][case].view.cells == 2 * known.sum()
-        assert said["right"][case].sweeps == [[int((visible & known).sum()), 0, 0, int((~visible & known).sum())]] * 2
-    assert 0 < said["right"]["far_wall"].wedge.cells < said["right"]["far_wall"].view.cells
-    assert said["right"][BENIGN].wedge.cells == 0
+        sweep = one.tampered(case).sweep
+        assert (sweep.model is None) == (case == BARE)
+        if case in ATTACKS:
+            assert not np.array_equal(sweep.points, sample.sweep.points)
+        assert np.array_equal(sweep.points, again.tampered(case).sweep.points)
+    wedge = one.tampered(WALL).wedge
+    assert wedge is not None
+    assert 0 < one.reference.inside(wedge).mean() < 0.5
 
 
-def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_it_was(subject: Subject) -> None:
-    truth = subject.sample.truth
-    parts = dict(parts_of(subject, CAR))
+def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(sample: StudySample) -> None:
+    visible, known = sample.truth.visible(), sample.known
+    methods = {"right": Fixed(visible.astype(np.float32)), "none": Fixed(np.zeros(GRID.shape, np.float32))}
+    found = Results(None)
+    found.add(evaluate({0: sample, 1: sample}, methods, "roads", 1))
+    for case in CASES:
+        right, none = (found.scores([Series("roads", name, case)]) for name in methods)
+        assert right.f1() == 1.0
+        assert none.recall() == 0.0
+        assert right.cells == 2 * known.sum()
+        counts = found.counts(Series("roads", "right", case))
+        assert (counts.both, counts.neither, counts.samples) == (
+            2 * (visible & known).sum(), 2 * (~visible & known).sum(), 2
+        )  # fmt: skip
+    wall = Series("roads", "right", WALL)
+    assert 0 < found.scores([wall.of(WEDGE)]).cells < found.scores([wall.of(VIEW)]).cells
+    assert Series("roads", "right", BENIGN, WEDGE) not in found
+
+
+def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_it_was(sample: StudySample) -> None:
+    truth = sample.truth
+    parts = dict(parts_of(sample, CAR))
     assert np.array_equal(parts[CLEAR], ~np.isin(truth.expected_returns["car"], [3, 4, 5, 6, 7]))
     assert np.array_equal(
-        dict(parts_of(subject, PEDESTRIAN))[CLEAR], ~np.isin(truth.expected_returns["pedestrian"], [1, 2, 3, 4, 5])
+        dict(parts_of(sample, PEDESTRIAN))[CLEAR], ~np.isin(truth.expected_returns["pedestrian"], [1, 2, 3, 4, 5])
     )
     range_m = np.hypot(GRID.centers[..., 0], GRID.centers[..., 1])
     bands = [parts[name] for name in ("0 to 20 m", "20 to 40 m", "40 to 64 m", "from 64 m on")]
@@ -82,36 +101,39 @@ def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_
     assert 40 < range_m[bands[2]].min() < range_m[bands[2]].max() < 64
     assert parts["sensor HDL-32E"].all()
     near = replace(truth, grid=BevGrid(32, 16.0))
-    indoor = Subject(replace(subject.sample, truth=near))
+    indoor = StudySample(replace(sample.sample, truth=near))
     assert [name for name, _ in parts_of(indoor, CAR)][1:4] == ["0 to 5 m", "5 to 10 m", "10 to 16 m"]
 
 
-def test_parts_are_counted_untouched_and_add_up(subject: Subject) -> None:
-    truth, known = subject.sample.truth.visible(), subject.sample.known
+def test_parts_are_counted_untouched_and_add_up(sample: StudySample) -> None:
+    truth, known = sample.truth.visible(), sample.known
     wrong_far = truth ^ (np.hypot(GRID.centers[..., 0], GRID.centers[..., 1]) >= 40)
-    told = score({0: subject, 1: subject}, {OURS: Fixed(wrong_far.astype(np.float32))}, 1)[OURS]
-    said = {case: Said.from_json(each) for case, each in told.items()}
-    assert not said["far_wall"].parts
-    found = Results(ablation_named("small"), "roads", {OURS: {case: each + each for case, each in said.items()}})
+    plan = AblationPlan.load("small")
+    results = Results(plan)
+    for _ in range(2):
+        results.add(evaluate({0: sample, 1: sample}, {OURS: Fixed(wrong_far.astype(np.float32))}, "roads", 1))
+    assert {s.case for s in results.series() if s.region not in (VIEW, WEDGE)} == {BENIGN}
+    found = SettingResults(plan, "roads", results)
     assert found.parts["sensor HDL-32E"] == 4
     assert list(found.parts)[-1] == "sensor HDL-32E"
     assert [found.f1_of_part(OURS, part) for part in ("0 to 20 m", "20 to 40 m", "40 to 64 m")] == [1.0, 1.0, 0.0]
-    assert sum(said[BENIGN].parts["0 to 20 m"][1:]) == 2 * (known & (np.hypot(*GRID.centers.T).T < 20)).sum()
+    near = results.counts(found.series(OURS, BENIGN, "0 to 20 m"))
+    assert near.cells == 4 * (known & (np.hypot(*GRID.centers.T).T < 20)).sum()
     assert found.f1_of_part(OURS, "sensor HDL-32E") == found.f1(OURS, [BENIGN])
 
 
-def test_truth_is_that_of_the_target(subject: Subject) -> None:
-    known = subject.sample.known
-    truth = subject.sample.truth.visible(PEDESTRIAN)
-    assert (truth != subject.sample.truth.visible(CAR))[known].any()
-    told = score({0: subject}, {"right": Fixed(truth.astype(np.float32))}, 1, PEDESTRIAN)
-    assert Said.from_json(told["right"][BENIGN]).view.f1() == 1.0
+def test_truth_is_that_of_the_target(sample: StudySample) -> None:
+    known, truth = sample.known, sample.truth.visible(PEDESTRIAN)
+    assert (truth != sample.truth.visible(CAR))[known].any()
+    found = Results(None)
+    found.add(evaluate({0: sample}, {"right": Fixed(truth.astype(np.float32))}, "roads", 1, PEDESTRIAN))
+    assert found.scores([Series("roads", "right")]).f1() == 1.0
 
 
-def test_nothing_behind_the_nearest_obstacle_is_claimed(subject: Subject) -> None:
+def test_nothing_behind_the_nearest_obstacle_is_claimed(sample: StudySample) -> None:
     bound = FirstBlocker(GRID, limit_farthest=False)
-    found = Enveloped(Fixed(np.ones(GRID.shape, np.float32)), bound).estimate(subject.sample.sweep)
-    assert np.array_equal(found.visible(), bound.estimate(subject.sample.sweep).visible())
+    found = Enveloped(Fixed(np.ones(GRID.shape, np.float32)), bound).estimate(sample.sweep)
+    assert np.array_equal(found.visible(), bound.estimate(sample.sweep).visible())
 
 
 def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
@@ -126,7 +148,7 @@ def test_the_threshold_of_sure_claims_reaches_its_precision() -> None:
 
 
 def test_networks_are_reported_for_every_grid_and_target_that_they_are_shipped_for() -> None:
-    plan = ablation_named("small")
+    plan = AblationPlan.load("small")
     reported = {plan.title_of(setting) for setting in plan.settings}
     assert reported == {"roads, car", "rooms, pedestrian", "roads, pedestrian", "rooms, car"}
     configs = [plan.config_in(setting) for setting in plan.settings]
@@ -137,15 +159,16 @@ def test_networks_are_reported_for_every_grid_and_target_that_they_are_shipped_f
 
 
 def test_variants_change_what_they_say_and_nothing_else() -> None:
-    plan = ablation_named("small")
+    plan = AblationPlan.load("small")
     whole = plan.config_of(WHOLE)
     assert whole == TrainConfig.from_json(read_config("viewnet_road").to_json() | dict(plan.base) | {"name": WHOLE})
     assert set(plan.base) == {"epochs", "frames_per_epoch", "doubt_frames"}
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
-    assert not set(Results(plan, plan.config, {}).trained) & set(Results(plan, plan.config, {}).unseen)
-    assert len(Results(plan, plan.config, {}).unseen) >= 5
+    none = SettingResults(plan, plan.config, Results(plan))
+    assert not set(none.trained) & set(none.unseen)
+    assert len(none.unseen) >= 5
 
 
 @pytest.mark.parametrize(
@@ -168,22 +191,20 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
 )
 def test_wrong_plans_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        AblationPlan.from_json(ablation_named("tiny").to_json() | change)
+        AblationPlan.from_json(AblationPlan.load("tiny").to_json() | change)
 
 
 @pytest.mark.slow
 def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is not installed: the plan is not run")
-    plan, told = ablation_named("tiny"), list[tuple[str, int, int]]()
-    store = JobStore.open(tmp_path, plan)
-    assert list(run_steps(store, ("validation",), 1, lambda *step: None)) == [
-        "validation: not all variants are trained"
-    ]
-    assert list(run_steps(store, STEPS, 1, lambda *step: told.append(step))) == []
-    assert ("test", 2, 2) in told
-    assert told[-1] == ("chosen", 1, 1)
+    plan, seen = AblationPlan.load("tiny"), list[tuple[str, int, int]]()
+    store = ResultStore.open(tmp_path, plan)
+    assert list(run_study(store, ("validation",), 1, ignore_progress)) == ["validation: not all variants are trained"]
+    assert list(run_study(store, STEPS, 1, lambda *step: seen.append(step))) == []
+    assert ("test", 2, 2) in seen
+    assert seen[-1] == ("chosen", 1, 1)
     page = page_of(store)
-    for words in ("| whole |", "| counts alone |", "| vote |", "far_wall \\*", "| relay |", "| sensor "):
+    for words in ("| whole |", "| counts alone |", "| majority_vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
     assert "| shadow_map | 20 | 1 |" in page
     road, indoor = page.split("## The shipped networks, nuscenes-small")[1].split("## The shipped networks, ugv-small")
@@ -197,9 +218,9 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert page.index("### Targets, ugv-small, pedestrian") < page.index("| F1, benign | ≥ 0.94 |")
     lines = store.path.read_text().splitlines()
     store.path.write_text("\n".join(lines[:-1]) + "\n")
-    assert list(run_steps(store, STEPS, 1, lambda *step: None)) == []
-    assert [json.loads(line).get("said") for line in store.path.read_text().splitlines()[1:]] == [
-        json.loads(line).get("said") for line in lines[1:]
+    assert list(run_study(store, STEPS, 1, ignore_progress)) == []
+    assert [json.loads(line)["records"] for line in store.path.read_text().splitlines()[1:]] == [
+        json.loads(line)["records"] for line in lines[1:]
     ]
     with pytest.raises(ValueError, match="only must be among models, validation, test, chosen, page, got 'trade'"):
-        list(run_steps(store, ("trade",), 1, lambda *step: None))
+        list(run_study(store, ("trade",), 1, ignore_progress))

@@ -1,32 +1,31 @@
 """What was aimed at, met or missed."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
+from tests.studies.ablation.by_hand import Claims, setting_results
 
-from viewshed.metrics import Scores
-from viewshed.studies.ablation.contest import BENIGN, CASES, CLEAR, UNTOUCHED, Said
-from viewshed.studies.ablation.plan import WHOLE, ablation_named
-from viewshed.studies.ablation.results import OURS, RIVAL, SEVERAL, Results, Sure, targets_elsewhere, targets_of
+from viewshed.metrics import ConfusionCounts, Scores
+from viewshed.studies.ablation.evaluate import CASES, CLEAR, UNTOUCHED, asked
+from viewshed.studies.ablation.plan import WHOLE
+from viewshed.studies.ablation.results import OURS, RIVAL, SEVERAL, Sure, targets_elsewhere, targets_of
 from viewshed.studies.ablation.tables import SURE, chosen_table, sure_table
+from viewshed.studies.cases import DEFAULT
+from viewshed.studies.records import BENIGN, Case
 from viewshed.training.config import read_config
 
-
-def _said(right: int, wrong: int) -> Said:
-    scores = Scores()
-    scores.add(np.full(right + wrong, 0.9, np.float32), np.arange(right + wrong) < right)
-    return Said(scores, scores, [])
+RELAY, JAMMING = Case("attack", "relay", DEFAULT), Case("attack", "jamming", DEFAULT)
+NONE = setting_results({})
 
 
-@pytest.mark.slow
-def test_targets_are_met_or_missed_by_what_was_said() -> None:
+def _every(right: int, wrong: int) -> dict[Case, Claims]:
+    return dict.fromkeys(CASES, (right, wrong))
+
+
+def test_targets_are_met_or_missed_by_what_was_found() -> None:
     """A network that is right in 99 of 100 claims meets the first; one attack below the vote is named."""
-    plan, every = ablation_named("small"), dict.fromkeys(CASES)
-    ours = {case: _said(99, 1) for case in every} | {"relay": _said(80, 20)}
-    vote = {case: _said(90, 10) for case in every}
-    test, none = Results(plan, plan.config, {OURS: ours, RIVAL: vote, SEVERAL: vote}), Results(plan, plan.config, {})
-    found = {each.what: each for each in targets_of(Results(plan, plan.config, {WHOLE: ours}), test, none)}
+    ours, vote = _every(99, 1) | {RELAY: (80, 20)}, _every(90, 10)
+    methods = {OURS: ours, RIVAL: vote, SEVERAL: vote}
+    whole = setting_results({WHOLE: ours})
+    found = {target.what: target for target in targets_of(whole, setting_results(methods), NONE)}
     assert found["F1, benign"].met
     assert found["F1, benign"].found == "0.995"
     assert found["the same less that of the vote"].met
@@ -36,52 +35,52 @@ def test_targets_are_met_or_missed_by_what_was_said() -> None:
     assert found["Brier score of one pass beside that of 20, benign"].met
     assert not found["ECE, benign"].met
     assert not any("sensor" in what or CLEAR in what for what in found)
-    for case in (ours, vote):
-        case[BENIGN].parts = {CLEAR: [2, 99, 1, 1, 0], "sensor A": [1, 9, 1, 1, 0], "sensor B": [1, 90, 0, 0, 0]}
-    found = {each.what: each for each in targets_of(Results(plan, plan.config, {WHOLE: ours}), test, none)}
+    parts = {
+        (method, BENIGN, part): ConfusionCounts(*cells)
+        for method in (OURS, RIVAL)
+        for part, cells in ((CLEAR, (99, 1, 1, 0)), ("sensor A", (9, 1, 1, 0)), ("sensor B", (90, 0, 0, 0)))
+    }
+    found = {target.what: target for target in targets_of(whole, setting_results(methods, parts=parts), NONE)}
     assert found[f"F1, benign, cells {CLEAR}"].met
     least = found["least F1 of any sensor, benign"]
     assert (least.met, least.found) == (False, "0.900 (A)")
-    assert targets_of(none, Results(plan, plan.config, {RIVAL: vote}), none) == []
+    assert targets_of(NONE, setting_results({RIVAL: vote}), NONE) == []
 
 
 def test_each_number_of_questions_has_a_target_and_the_untouched_sweep_none() -> None:
-    plan = ablation_named("small")
-    test = Results(plan, plan.config, {name: {case: _said(9, 1) for case in CASES} for name in (OURS, RIVAL)})
-    met = {UNTOUCHED: _said(1, 9), "200": _said(95, 5), "1000": replace(_said(85, 15), wedge=_said(1, 3).view)}
-    chosen = Results(plan, plan.config, {OURS: met, RIVAL: met})
-    found = {each.what: each for each in targets_of(Results(plan, plan.config, {}), test, chosen)}
-    few, many = (found[f"precision against 150 points chosen with {asked} questions"] for asked in (200, 1000))
+    test = setting_results({name: _every(9, 1) for name in (OURS, RIVAL)})
+    met: dict[Case, Claims] = {UNTOUCHED: (1, 9), asked(200): (95, 5), asked(1000): (85, 15)}
+    chosen = setting_results({OURS: met, RIVAL: met}, wedges={(OURS, asked(1000)): (1, 3)})
+    found = {target.what: target for target in targets_of(NONE, test, chosen)}
+    few, many = (found[f"precision against 150 points chosen with {count} questions"] for count in (200, 1000))
     assert (few.met, many.met, many.found) == (True, False, "0.850 (wedge 0.250)")
     assert sum("chosen" in what for what in found) == 2
-    twice = replace(met["200"], sweeps=[[95, 5, 0, 0], [0, 0, 0, 0]])
-    table = chosen_table(Results(plan, plan.config, {OURS: {"200": twice}}))
+    table = chosen_table(setting_results({OURS: {asked(200): (95, 5)}}, sweeps=2))
     assert table.rows == [[OURS, "200", "2", ".950 / 1.000", ".950 / 1.000", f"{5 * 0.25 / 2:.0f}"]]
 
 
 def test_other_settings_have_targets_of_their_own() -> None:
-    plan = ablation_named("small")
-    good = {case: _said(99, 1) for case in CASES}
-    level = good | {BENIGN: _said(90, 10)}
-    found = targets_elsewhere(Results(plan, "viewnet_indoor", {OURS: level, RIVAL: good}))
-    assert [(each.what, each.wanted, each.met) for each in found] == [
+    good = _every(99, 1)
+    level = good | {BENIGN: (90, 10)}
+    found = targets_elsewhere(setting_results({OURS: level, RIVAL: good}, "viewnet_indoor"))
+    assert [(target.what, target.wanted, target.met) for target in found] == [
         ("F1, benign", "≥ 0.94", True),
         ("mean F1 over the attacks, jamming apart", "≥ 0.93", True),
         ("least lead over the vote, benign and under any attack", "≥ 0", False),
     ]
     assert found[-1].found.endswith("(benign)")
-    level[BENIGN].parts = {CLEAR: [1, 99, 0, 1, 0]}
-    for_cars = targets_elsewhere(Results(plan, "viewnet_indoor_car", {OURS: level, RIVAL: good}))
-    assert [(each.what, each.wanted, each.met) for each in for_cars[:2]] == [
+    parts = {(OURS, BENIGN, CLEAR): ConfusionCounts(99, 0, 1, 0)}
+    for_cars = targets_elsewhere(setting_results({OURS: level, RIVAL: good}, "viewnet_indoor_car", parts=parts))
+    assert [(target.what, target.wanted, target.met) for target in for_cars[:2]] == [
         ("F1, benign", "≥ 0.96", False),
         (f"F1, benign, cells {CLEAR}", "≥ 0.98", True),
     ]
     assert for_cars[2:] == found[1:]
-    assert targets_elsewhere(Results(plan, "viewnet_indoor", {})) == []
-    assert Results(plan, "viewnet_indoor", {}).attacks == read_config("viewnet_indoor").attacks
+    assert targets_elsewhere(setting_results({}, "viewnet_indoor")) == []
+    assert setting_results({}, "viewnet_indoor").attacks == read_config("viewnet_indoor").attacks
 
 
-def test_what_is_sure_is_told_and_nothing_else() -> None:
+def test_what_is_sure_is_decided_and_nothing_else() -> None:
     rng = np.random.default_rng(3)
     prob = rng.random(5000).astype(np.float32)
     prob[:3] = 0.9, 0.1, np.nextafter(np.float32(0.1), np.float32(0))
@@ -98,10 +97,9 @@ def test_what_is_sure_is_told_and_nothing_else() -> None:
     assert np.isnan([Sure.of(Scores(), 0.9).share, Sure.of(Scores(), 0.9).claims, Sure.of(Scores(), 0.9).denials]).all()
 
 
-def test_what_is_sure_is_told_by_group_in_view_and_in_wedges() -> None:
-    plan = ablation_named("small")
-    said = {case: _said(99, 1) for case in CASES} | {"jamming": _said(1, 3), "relay": _said(1, 1)}
-    view, wedge = (sure_table(Results(plan, plan.config, {OURS: said}), wedge=wedge) for wedge in (False, True))
+def test_what_is_sure_is_decided_by_group_in_view_and_in_wedges() -> None:
+    results = setting_results({OURS: _every(99, 1) | {JAMMING: (1, 3), RELAY: (1, 1)}})
+    view, wedge = (sure_table(results, wedge=wedge) for wedge in (False, True))
     assert view.header == ["sure", "benign", "trained", "unseen", "jamming"]
     assert list(view.rows[4]) == ["0.9", "1.000 / .990 / –", "1.000 / .990 / –", "1.000 / .988 / –", "1.000 / .250 / –"]
     assert list(view.rows[5][1:]) == [".000 / – / –"] * 4

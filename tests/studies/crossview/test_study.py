@@ -8,7 +8,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
-from viewshed.studies.crossview.study import CrossViewRules, columns_of, crossview_truth, evaluate_crossview, rows_of
+from viewshed.studies.crossview.rates import CrossViewRules, columns_of, crossview_truth, evaluate_crossview, rows_of
 
 MODEL = LidarModel("test", np.deg2rad(np.linspace(-20, 8, 48)), azimuth_columns=900)
 GRID = BevGrid(256, 64.0)

@@ -1,58 +1,71 @@
-"""What is counted of contestants whose answers are known."""
+"""What is counted of estimators whose answers are known."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from viewshed import BevGrid, FovEstimate, Sweep
-from viewshed.studies.paper.data import Said, score_contestants
-from viewshed.studies.paper.data import TestSweep as Held
-from viewshed.studies.paper.jobs import field_of, strict_line
-from viewshed.studies.paper.plan import plan_named
+from viewshed.estimators.base import ClassicalEstimator
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR
+from viewshed.grid import BevGrid
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.studies.cases import DEFAULT, case_generator
+from viewshed.studies.evaluate import Evaluation
+from viewshed.studies.paper.data import reference_of
+from viewshed.studies.paper.jobs import ATTACKED, both_records, strict_cases
+from viewshed.studies.paper.plan import PaperPlan
 from viewshed.studies.paper.protocols import setting_of
-from viewshed.studies.suite import subject_of
+from viewshed.studies.records import BENIGN, UNTOUCHED, VIEW, WEDGE, Case, Results, Series
+from viewshed.studies.samples import sample_of
 
-PLAN = replace(plan_named("tiny"), strengths=False, cells=256)
-
-
-def _by_returns(sweep: Sweep) -> Said:
-    """All cells at .8 for a sweep of one return, at .6 for others."""
-    return np.full((1, 4), 0.8 if len(sweep) == 1 else 0.6, np.float32), None
+PLAN = replace(PaperPlan.load("tiny"), strengths=False, cells=256)
+SETTING = setting_of(PLAN, "strict", "ugv")
 
 
-def test_benign_and_attacked_sweeps_are_counted_apart_and_only_where_the_truth_is_known() -> None:
-    benign, attacked = Sweep(np.ones((1, 3), np.float32)), Sweep(np.ones((2, 3), np.float32))
-    visible, known = np.array([[True, True, False, True]]), np.array([[True, True, True, False]])
-    test = Held("here", "uniform", benign, attacked, visible, known)
-    line = score_contestants([test, test], {"one": _by_returns}, 0.7)
-    assert (line["scenes"], line["attacks"]) == (["here"] * 2, ["uniform"] * 2)
-    frames = {tested: [row[:4] for row in told["frames"]] for tested, told in line["scores"]["one"].items()}
-    assert frames == {"benign": [[2, 1, 0, 0]] * 2, "adversarial": [[0, 0, 2, 1]] * 2}
+class _Fooled(ClassicalEstimator):
+    """Claims everything of sweeps of one size and nothing of any other."""
 
+    target, name = CAR, "fooled"
 
-@dataclass(frozen=True)
-class _Fooled:
-    """Claims everything of one sweep and nothing of any other."""
+    def __init__(self, grid: BevGrid, returns: int) -> None:
+        self.grid, self.returns = grid, returns
 
-    grid: BevGrid
-    clean: Sweep
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        claimed = np.full(self.grid.shape, float(len(sweep) == len(self.clean)), np.float32)
+    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+        claimed = np.full(self.grid.shape, 0.8 if len(leveled.sweep) == self.returns else 0.3, np.float32)
         return FovEstimate(self.grid, claimed, np.zeros(self.grid.shape, np.uint8))
 
 
+def _evaluation() -> Evaluation:
+    sample = sample_of("ugv", 0, 2, 7)
+    suite = SETTING.suite({"fooled": _Fooled(SETTING.grid, len(sample.sweep))})
+    rng_of = partial(case_generator, PLAN.test_seed, "ugv", 0)
+    return Evaluation(sample, suite, reference_of(SETTING, sample), "ugv", 0, rng_of)
+
+
+def test_benign_and_attacked_sweeps_are_counted_apart_and_only_where_the_truth_is_known() -> None:
+    evaluation, results = _evaluation(), Results(PLAN)
+    records = list(both_records(evaluation, Case("attack", "removal", DEFAULT), PLAN.test_seed))
+    assert [(record.series.case, record.scores is None) for record in records] == [
+        (BENIGN, True), (BENIGN, False), (ATTACKED, True), (ATTACKED, False)
+    ]  # fmt: skip
+    results.add(records)
+    sample = evaluation.sample
+    visible, cells = int((sample.truth.visible() & sample.known).sum()), int(sample.known.sum())
+    benign, attacked = (results.counts(Series("ugv", "fooled", case)) for case in (BENIGN, ATTACKED))
+    assert (benign.both, benign.over, benign.under) == (visible, cells - visible, 0)
+    assert (attacked.both, attacked.under, attacked.neither) == (0, visible, cells - visible)
+    assert results.scores([Series("ugv", "fooled")]).counts(0.5)[:2] == (benign.both, benign.over)
+
+
 def test_the_untouched_wedge_is_that_of_the_clean_sweep() -> None:
-    subject, setting = subject_of("ugv", 0, 2, 7), setting_of(PLAN, "strict", "ugv")
-    field = field_of(setting, subject, {"fooled": _Fooled(setting.grid, subject.sample.sweep)})
-    line = strict_line(PLAN, subject, field, ("ugv", 0))
-    rows = {tuple(entry["case"][:2]): entry["scores"]["fooled"] for entry in line["cases"] if "scores" in entry}
-    view = rows["benign", ""][:4]
-    assert view[2:] == [0, 0]
-    assert sum(view) == subject.sample.known.sum()
-    assert view[0] == (subject.sample.truth.visible() & subject.sample.known).sum()
-    removed = rows["attack", "removal"]
-    assert removed[4:6] == [0, 0]
-    assert removed[9:11] == removed[6:8]  # all that was claimed before, and nothing of it now
-    assert removed[11:] == [0, 0]
-    assert 0 < sum(removed[9:]) < sum(view)
+    evaluation, results = _evaluation(), Results(PLAN)
+    results.add(evaluation.records(strict_cases(PLAN), untouched=True))
+    removal = Series("ugv", "fooled", Case("attack", "removal", DEFAULT))
+    view, wedge, untouched = (results.counts(removal.of(region)) for region in (VIEW, WEDGE, UNTOUCHED))
+    assert (wedge.both, wedge.over) == (0, 0)
+    assert (untouched.both, untouched.over) == (wedge.under, wedge.neither)  # all was claimed, and nothing is now
+    assert (untouched.under, untouched.neither) == (0, 0)
+    assert 0 < untouched.cells < view.cells == evaluation.sample.known.sum()
+    assert removal.under(BENIGN).of(UNTOUCHED) not in results

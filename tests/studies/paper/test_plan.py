@@ -5,19 +5,20 @@ from pathlib import Path
 
 import pytest
 
-from viewshed.studies.paper.jobs import Job, keys_of, needed
+from viewshed._config import preset_names
+from viewshed.studies.paper.jobs import needed
 from viewshed.studies.paper.models import config_of, trade_config
-from viewshed.studies.paper.plan import StudyPlan, plan_named, plan_names
-from viewshed.studies.paper.protocols import PROTOCOLS, Model, models_of, setting_of
+from viewshed.studies.paper.plan import PROTOCOLS, Model, PaperPlan
+from viewshed.studies.paper.protocols import setting_of
 from viewshed.threats.attacks import ATTACKS, FAMILY
 
-TINY = plan_named("tiny")
+TINY = PaperPlan.load("tiny")
 
 
-@pytest.mark.parametrize("name", plan_names())
+@pytest.mark.parametrize("name", preset_names("studies/paper/plans"))
 def test_a_plan_survives_its_plain_values(name: str) -> None:
-    plan = plan_named(name)
-    assert StudyPlan.from_json(plan.to_json()) == plan
+    plan = PaperPlan.load(name)
+    assert PaperPlan.from_json(plan.to_json()) == plan
 
 
 @pytest.mark.parametrize(
@@ -44,26 +45,26 @@ def test_a_plan_survives_its_plain_values(name: str) -> None:
 )
 def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
-        StudyPlan.from_json(TINY.to_json() | change)
+        PaperPlan.from_json(TINY.to_json() | change)
 
 
 def test_an_unknown_plan_is_refused() -> None:
     with pytest.raises(ValueError, match="preset must be one of paper, small, tiny, got 'huge'"):
-        plan_named("huge")
+        PaperPlan.load("huge")
 
 
 def test_there_are_72_pairs_of_12_models_in_each_protocol() -> None:
     for protocol in PROTOCOLS:
-        models = models_of(TINY, [protocol])
+        models = TINY.models([protocol])
         assert len(models) == len({model.name for model in models}) == 12
-        keys = [key for key in keys_of(TINY, "pairs", [protocol]) if key[2] != "classical"]
+        keys = [key for key in TINY.job_keys_of("pairs", [protocol]) if key[2] != "classical"]
         assert 2 * len(keys) == 2 * len(set(keys)) == 72
-    assert len(keys_of(TINY, "models", PROTOCOLS)) == 24
+    assert len(TINY.job_keys_of("models")) == 24
 
 
 def test_a_pair_waits_for_its_model_and_nothing_else() -> None:
     def wait(*key: str) -> list[tuple[str, ...]]:
-        return needed(Job(TINY, Path(), key))
+        return needed(TINY, key)
 
     assert wait("pairs", "paper", "mcd-benign-ugv", "carla") == [("models", "paper", "mcd-benign-ugv")]
     assert wait("pairs", "paper", "classical", "carla") == []
@@ -91,7 +92,7 @@ def test_settings_of_the_paper_are_its_own() -> None:
 
 
 def test_models_differ_in_what_their_names_say(tmp_path: Path) -> None:
-    configs = {model: config_of(TINY, tmp_path, model) for model in models_of(TINY)}
+    configs = {model: config_of(TINY, tmp_path, model) for model in TINY.models()}
     for model, config in configs.items():
         assert config.variant == model.variant
         assert config.data[0].endswith(f"{model.domain}-train")
@@ -104,7 +105,7 @@ def test_models_differ_in_what_their_names_say(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["small", "paper"])
 def test_most_families_are_never_trained_on(name: str) -> None:
-    trained = {FAMILY[attack] for attack in plan_named(name).trained_attacks}
+    trained = {FAMILY[attack] for attack in PaperPlan.load(name).trained_attacks}
     assert len(set(FAMILY.values()) - trained) == 10
 
 

@@ -1,83 +1,113 @@
-"""What one job finds, against the same steps taken one by one."""
+"""What one job finds, against the same steps taken one by one; a study that is stopped and goes on."""
 
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from viewshed import BevGrid, Sweep
-from viewshed.estimators import ESTIMATORS
+from viewshed._jobs import engine_named
+from viewshed.estimators import CLASSICAL
 from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.studies.cases import Case, apply, attack_of, generator, visible_with
-from viewshed.studies.robustness.jobs import Bench, do_job
-from viewshed.studies.robustness.plan import Job, study_named
-from viewshed.studies.suite import Subject, subject_of
+from viewshed.metrics import ConfusionCounts
+from viewshed.studies.cases import apply, attack_of, case_generator, visible_with
+from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case, Results, Series
+from viewshed.studies.robustness.jobs import do_job, evaluation_of, run_study
+from viewshed.studies.robustness.plan import RobustnessPlan
+from viewshed.studies.runner import Job
+from viewshed.studies.samples import StudySample, sample_of
+from viewshed.studies.store import FILE, JobResult, ResultStore
 from viewshed.threats.attacks import Wedge
 from viewshed.threats.attacks.adaptive import BlackBox, OverClaim
 from viewshed.threats.attacks.replay import Replay
 from viewshed.threats.defenses import DEFENSES, TemporalConsistency
 
-STUDY = replace(
-    study_named("tiny"), samples=(1,), attacks=("uniform", "replay"), corruptions=("fog",), severities=(3,),
+pytestmark = pytest.mark.slow
+
+PLAN = replace(
+    RobustnessPlan.load("tiny"), samples=(1,), attacks=("uniform", "replay"), corruptions=("fog",), severities=(3,),
     defenses=("radius", "temporal"), defended=("quantized",),
 )  # fmt: skip
 UNIFORM = Case("attack", "uniform", "150")
+rng_of = partial(case_generator, PLAN.seed, "ugv", 0)
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
-    return subject_of("ugv", 0, 1, STUDY.seed)
+def sample() -> StudySample:
+    return sample_of("ugv", 0, 1, PLAN.seed)
 
 
-def _entries(part: str) -> dict[tuple[str, ...], dict[str, Any]]:
-    return {tuple(entry["case"]): entry for entry in do_job(Job(STUDY, 0, 0, part))["cases"]}
+def _job(part: str, plan: RobustnessPlan = PLAN) -> Job[RobustnessPlan]:
+    return Job(plan, Path(), (part, "ugv", "0"))
 
 
-def test_a_defended_estimate_is_one_of_what_the_defense_leaves(subject: Subject) -> None:
-    entry = _entries("defenses")["attack", "uniform", "150", "radius"]
-    trial = apply(UNIFORM, subject, generator(STUDY.seed, "ugv", 0, UNIFORM))
-    defended = DEFENSES["radius"]().apply(trial.sweep)
-    assert trial.added is not None
-    by_hand = [0, 0, 0, 0, 0]
-    for dropped, added in zip(defended.dropped, trial.added, strict=True):
-        by_hand[1 if added else 3] += int(dropped)
-        by_hand[2 if added else 4] += 1
-    assert entry["defense"] == [None, *by_hand[1:]]
-    assert by_hand[1] != by_hand[3]
-    claimed = ESTIMATORS["quantized"](subject.sample.truth.grid).estimate(defended.sweep).visible()
-    true, known = subject.sample.truth.visible(), subject.sample.known
-    expected = [(claimed & true & known).sum(), (claimed & ~true & known).sum(), (~claimed & true & known).sum()]
-    assert entry["scores"]["quantized"][:3] == expected
+def _results(part: str, plan: RobustnessPlan = PLAN) -> Results[RobustnessPlan]:
+    results = Results(plan)
+    results.add(do_job(_job(part, plan)).records)
+    return results
+
+
+def _counted(sample: StudySample, method: str, sweep: Sweep, wedge: Wedge | None = None) -> ConfusionCounts:
+    """Counts by hand, in the view or in a wedge."""
+    grid = sample.truth.grid
+    claimed, true, cells = CLASSICAL[method](grid).estimate(sweep).visible(), sample.truth.visible(), sample.known
+    x, y = np.moveaxis(grid.centers, -1, 0)
+    cells = cells if wedge is None else cells & wedge.holds(np.arctan2(y, x))
+    masks = (claimed & true, claimed & ~true, ~claimed & true, ~claimed & ~true)
+    both, over, under, neither = (int((mask & cells).sum()) for mask in masks)
+    return ConfusionCounts(both, over, under, neither, int(cells.sum()) * grid.cell_area_m2)
+
+
+def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySample) -> None:
+    results, case = _results("defenses"), replace(UNIFORM, defense="radius")
+    tampered = apply(UNIFORM, sample, rng_of(UNIFORM))
+    defended = DEFENSES["radius"]().apply(tampered.sweep)
+    by_hand = {"caught": 0, "added": 0, "lost": 0, "others": 0}
+    for dropped, added in zip(defended.dropped, tampered.added, strict=True):
+        by_hand["caught" if added else "lost"] += int(dropped)
+        by_hand["added" if added else "others"] += 1
+    judged = Series("ugv", "", case)
+    assert {name: results.numbers(judged, name).tolist() for name in by_hand} == {n: [k] for n, k in by_hand.items()}
+    assert results.numbers(judged, "alarm").size == 0
+    assert by_hand["caught"] != by_hand["lost"]
+    assert results.counts(Series("ugv", "quantized", case)) == _counted(sample, "quantized", defended.sweep)
 
 
 def test_an_attack_with_nothing_to_spend_scores_as_none() -> None:
-    entries = _entries("attacks")
-    clean = entries["benign", "", "", ""]["scores"]
-    assert list(clean)[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
-    assert set(clean) == {*ESTIMATORS, "shadow_map_unknown"}
-    for name, values in entries["attack", "uniform", "0", ""]["scores"].items():
-        assert values == clean[name]
-    assert entries["attack", "uniform", "150", ""]["scores"]["quantized"] != clean["quantized"]
+    results = _results("attacks")
+    assert results.methods("ugv")[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
+    assert set(results.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
+    for name in results.methods("ugv"):
+        clean = results.counts(Series("ugv", name))
+        assert results.counts(Series("ugv", name, replace(UNIFORM, level="0"))) == clean
+    assert results.counts(Series("ugv", "quantized", UNIFORM)) != results.counts(Series("ugv", "quantized"))
 
 
-def test_the_attacker_replays_two_seconds_and_the_defense_recalls_half_a_second(subject: Subject) -> None:
-    now_ns = subject.sample.sweep.t_ns
-    replay = attack_of(Case("attack", "replay", "full"), subject)
+def test_the_attacker_replays_two_seconds_and_the_defense_recalls_half_a_second(sample: StudySample) -> None:
+    now_ns = sample.sweep.t_ns
+    replay = attack_of(Case("attack", "replay", "full"), sample, 16.0)
     assert isinstance(replay, Replay)
-    temporal = Bench.of(Job(STUDY, 0, 0, "defenses")).defenses["temporal"]
+    temporal = evaluation_of(_job("defenses")).defenses["temporal"]
     assert isinstance(temporal, TemporalConsistency)
     assert now_ns is not None
     before = [now_ns - sweep.t_ns for sweep in (replay.earlier, *temporal.earlier) if sweep.t_ns is not None]
     assert before == pytest.approx([2e9, 0.5e9])
 
 
-ASKING = replace(STUDY, adaptive=("adaptive_over_claim",), adaptive_queries=6, adaptive_defended=("quantized",))
+ASKING = replace(PLAN, adaptive=("adaptive_over_claim",), adaptive_queries=6, adaptive_defended=("quantized",))
 
 
 @pytest.fixture(scope="module")
-def asked() -> dict[tuple[str, ...], dict[str, Any]]:
-    return {tuple(entry["case"]): entry for entry in do_job(Job(ASKING, 0, 0, "adaptive"))["cases"]}
+def asked() -> Results[RobustnessPlan]:
+    return _results("adaptive", ASKING)
 
 
 @dataclass(frozen=True)
@@ -94,74 +124,117 @@ class _Filtered:
         return self.victim.estimate(DEFENSES["radius"]().apply(sweep).sweep)
 
 
-def _by_hand(subject: Subject, victim: FovEstimator) -> tuple[Sweep, Wedge]:
+def _by_hand(sample: StudySample, victim: FovEstimator) -> tuple[Sweep, Wedge]:
     """The attack that asks ``victim``, where the far wall would be."""
     far_wall = Case("attack", "far_wall", "0")
-    wedge = apply(far_wall, subject, generator(STUDY.seed, "ugv", 0, far_wall)).wedge
+    wedge = apply(far_wall, sample, rng_of(far_wall)).wedge
     assert wedge is not None
     attack = BlackBox(OverClaim(victim), 150, 6, np.rad2deg(wedge.width), wedge.azimuth, 25.0 * 16 / 64)
-    rng = generator(STUDY.seed, "ugv", 0, Case("adaptive", "adaptive_over_claim", "150"))
-    return attack.apply(subject.sample.sweep, rng).sweep, wedge
-
-
-def _counted(subject: Subject, victim: str, sweep: Sweep, wedge: Wedge) -> list[int]:
-    grid = subject.sample.truth.grid
-    claimed = ESTIMATORS[victim](grid).estimate(sweep).visible()
-    true, known = subject.sample.truth.visible(), subject.sample.known
-    x, y = np.moveaxis(grid.centers, -1, 0)
-    inside = known & wedge.holds(np.arctan2(y, x))
-    return [int((mask & cells).sum()) for cells in (known, inside)
-            for mask in (claimed & true, claimed & ~true, ~claimed & true, ~claimed & ~true)]  # fmt: skip
+    return attack.apply(sample.sweep, rng_of(Case("adaptive", "adaptive_over_claim", "150"))).sweep, wedge
 
 
 @pytest.mark.parametrize("victim", ["quantized", "first_blocker"])
 def test_each_victim_meets_the_attack_that_asked_it(
-    victim: str, subject: Subject, asked: dict[tuple[str, ...], dict[str, Any]]
+    victim: str, sample: StudySample, asked: Results[RobustnessPlan]
 ) -> None:
-    sweep, wedge = _by_hand(subject, ESTIMATORS[victim](subject.sample.truth.grid))
-    attacked = asked["adaptive", "adaptive_over_claim", "150", ""]["scores"]
-    assert attacked[victim][:8] == _counted(subject, victim, sweep, wedge)
-    calm = asked["adaptive", "adaptive_over_claim", "0", ""]["scores"]
-    assert calm[victim][:8] == _counted(subject, victim, subject.sample.sweep, wedge)
-    assert attacked[victim][5] > calm[victim][5]
-    assert set(attacked) == {*ESTIMATORS, "shadow_map_unknown"}
+    sweep, wedge = _by_hand(sample, CLASSICAL[victim](sample.truth.grid))
+    attacked, calm = (Series("ugv", victim, Case("adaptive", "adaptive_over_claim", level)) for level in ("150", "0"))
+    assert asked.counts(attacked) == _counted(sample, victim, sweep)
+    assert asked.counts(attacked.of(WEDGE)) == _counted(sample, victim, sweep, wedge)
+    assert asked.counts(calm.of(WEDGE)) == _counted(sample, victim, sample.sweep, wedge)
+    assert asked.counts(attacked.of(WEDGE)).over > asked.counts(calm.of(WEDGE)).over
+    assert set(asked.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
 
 
-def test_who_knows_the_defense_asks_behind_it(subject: Subject, asked: dict[tuple[str, ...], dict[str, Any]]) -> None:
-    victim, radius = ESTIMATORS["quantized"](subject.sample.truth.grid), DEFENSES["radius"]()
+def test_who_knows_the_defense_asks_behind_it(sample: StudySample, asked: Results[RobustnessPlan]) -> None:
+    victim, radius = CLASSICAL["quantized"](sample.truth.grid), DEFENSES["radius"]()
     for kind, asks in (("unaware", victim), ("adaptive", _Filtered(victim))):
-        sweep, wedge = _by_hand(subject, asks)
-        found = asked[kind, "adaptive_over_claim", "150", "radius"]["scores"]
-        assert list(found) == ["quantized"]
-        assert found["quantized"][:8] == _counted(subject, "quantized", radius.apply(sweep).sweep, wedge)
-    calm = asked["adaptive", "adaptive_over_claim", "0", "radius"]["scores"]["quantized"]
-    assert calm[:8] == _counted(subject, "quantized", radius.apply(subject.sample.sweep).sweep, wedge)
+        sweep, wedge = _by_hand(sample, asks)
+        case = Case(kind, "adaptive_over_claim", "150", "radius")
+        assert {s.method for s in asked.series() if s.case == case} == {"quantized"}
+        expected = _counted(sample, "quantized", radius.apply(sweep).sweep, wedge)
+        assert asked.counts(Series("ugv", "quantized", case, WEDGE)) == expected
+    calm = Series("ugv", "quantized", Case("adaptive", "adaptive_over_claim", "0", "radius"), WEDGE)
+    assert asked.counts(calm) == _counted(sample, "quantized", radius.apply(sample.sweep).sweep, wedge)
 
 
-def test_a_truth_for_fewer_beams_counts_in_every_part(subject: Subject) -> None:
-    study = replace(STUDY, corruptions=("fewer_beams",), defenses=("radius",), defended_severity=3)
+def test_a_truth_for_fewer_beams_counts_in_every_part(sample: StudySample) -> None:
+    plan = replace(PLAN, corruptions=("fewer_beams",), defenses=("radius",), defended_severity=3)
     case = Case("corruption", "fewer_beams", "3")
-    visible = visible_with(case, subject, generator(STUDY.seed, "ugv", 0, case))
+    visible = visible_with(case, sample, rng_of(case))
     assert visible is not None
     for part, defense in (("corruptions", ""), ("defenses", "radius")):
-        found = {tuple(entry["case"]): entry for entry in do_job(Job(study, 0, 0, part))["cases"]}
-        both, _, under, _ = found["corruption", "fewer_beams", "3", defense]["scores"]["quantized"][:4]
-        assert both + under == (visible & subject.sample.known).sum()
+        counts = _results(part, plan).counts(Series("ugv", "quantized", replace(case, defense=defense)))
+        assert counts.both + counts.under == (visible & sample.known).sum()
 
 
-def test_a_case_that_cannot_be_made_is_told_and_the_rest_goes_on(subject: Subject) -> None:
-    alone = Bench.of(Job(STUDY, 0, 0, "attacks"))
-    alone = replace(alone, subject=Subject(subject.sample))
-    refused = dict(alone.line(Case("attack", "replay", "full")))
-    assert refused["refused"].startswith("replay needs an earlier sweep, got none")
-    assert "scores" not in refused
-    assert "scores" in dict(alone.line(UNIFORM))
+def test_every_estimator_is_counted_on_the_same_cells() -> None:
+    results = _results("corruptions")
+    counts = [results.counts(series) for series in results.series() if series.region == VIEW]
+    assert {one.cells for one in counts} == {counts[0].cells}
+    assert counts[0].area_m2 / counts[0].cells == pytest.approx((32 / 256) ** 2)
+    assert results.cases("ugv") == [Case("corruption", "fog", "3")]
+    assert BENIGN not in results.cases("ugv")
 
 
-def test_a_job_tells_nothing_of_the_machine() -> None:
-    line = do_job(Job(STUDY, 0, 0, "corruptions"))
-    assert line["job"] == ["ugv", 0, "corruptions"]
-    assert set(line["about"]) == {"scene", "returns", "cell_m2", "commits"}
-    assert line["about"]["cell_m2"] == pytest.approx((32 / 256) ** 2)
-    fog = {tuple(entry["case"]): entry for entry in line["cases"]}["corruption", "fog", "3", ""]["scores"]
-    assert all(np.sum(values[:4]) == np.sum(fog["majority_vote"][:4]) for values in fog.values())
+SMALLEST = replace(
+    RobustnessPlan.load("tiny"), attacks=("uniform", "far_wall"), budgets=("0", "150"), corruptions=("fog",),
+    severities=(2,), defenses=("radius",), defended=("quantized",), adaptive=("adaptive_over_claim",),
+    adaptive_queries=4,
+)  # fmt: skip
+
+
+def _lines(folder: Path) -> dict[tuple[str, ...], object]:
+    head, *jobs = [json.loads(line) for line in (folder / FILE).read_text("utf-8").splitlines()]
+    assert head["plan"]["name"] == "tiny"
+    for job in jobs:
+        del job["commits"]  # the code may be committed between two runs
+    return {tuple(job["job"]): job for job in jobs}
+
+
+def test_two_workers_and_one_find_the_same(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        store = ResultStore.open(tmp_path / str(workers), SMALLEST)
+        assert list(run_study(store, engine_named("local", workers))) == []
+    assert len(_lines(tmp_path / "1")) == 9
+    assert _lines(tmp_path / "1") == _lines(tmp_path / "2")
+
+
+def test_what_is_there_is_not_done_again(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, SMALLEST)
+    for key in SMALLEST.job_keys():
+        store.append(key, JobResult())
+    before = (tmp_path / FILE).read_bytes()
+    seen: list[tuple[str, int, int]] = []
+    assert list(run_study(store, engine_named("local", 1), lambda *step: seen.append(step))) == []
+    assert (tmp_path / FILE).read_bytes() == before
+    assert seen == [("tiny", 9, 9)]
+
+
+def test_a_job_that_fails_is_named_and_the_rest_goes_on(tmp_path: Path) -> None:
+    plan = replace(SMALLEST, domains=("ugv", str(tmp_path / "nothing")), samples=(1, 1), adaptive_samples=(1, 0))
+    failed = list(run_study(ResultStore.open(tmp_path, plan), engine_named("local", 1)))
+    assert len(failed) == 4
+    assert all("nothing 0: " in line for line in failed)
+    assert len(ResultStore.open(tmp_path, plan).keys()) == 5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_a_run_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> None:
+    code = (
+        "import sys; from tests.studies.robustness.test_run import *\n"
+        "list(run_study(ResultStore.open(sys.argv[1], SMALLEST), engine_named('local', 1)))"
+    )
+    root = Path(__file__).resolve().parents[3]
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "a")], cwd=root)
+    path = tmp_path / "a" / FILE
+    end_s = time.monotonic() + 120
+    while time.monotonic() < end_s and (not path.exists() or path.read_bytes().count(b"\n") < 3):
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    store = ResultStore.open(tmp_path / "a", SMALLEST)
+    assert 2 <= len(store.keys()) < 9
+    for folder in ("a", "b"):
+        assert list(run_study(ResultStore.open(tmp_path / folder, SMALLEST), engine_named("local", 1))) == []
+    assert _lines(tmp_path / "a") == _lines(tmp_path / "b")

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from viewshed._jobs import LocalEngine
-from viewshed.datasets.archive.schema import code_version
 from viewshed.datasets.presets import preset_named
 from viewshed.estimators import CLASSICAL, Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
@@ -17,66 +14,36 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.networks.weights import default_name, float32_name
-from viewshed.studies.ablation.contest import Enveloped, duels, score
-from viewshed.studies.ablation.plan import WHOLE, AblationPlan
+from viewshed.studies.ablation.evaluate import Enveloped, evaluate, evaluate_chosen, evaluation_of
+from viewshed.studies.ablation.plan import STEPS, WHOLE, AblationPlan
 from viewshed.studies.ablation.results import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
-from viewshed.studies.paper.jobs import Counted, run_jobs
-from viewshed.studies.paper.models import trained
-from viewshed.studies.paper.store import JobStore, Key
-from viewshed.studies.suite import Subject, subject_of_preset
+from viewshed.studies.paper.models import train
+from viewshed.studies.runner import Job, Progress, run_jobs
+from viewshed.studies.samples import StudySample, sample_of_preset
+from viewshed.studies.store import JobResult, ResultStore
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.sources import on_grid
 
-STEPS = ("models", "validation", "test", "chosen", "page")
-"""What the command does, in order."""
-
 VICTIMS = (OURS, "unet", SHADOW_MAP, RIVAL)
 """Against whom points are chosen, as far as they are there."""
 
-REMEMBERING = (WHOLE, OURS, SHADOW_MAP)
-"""Who is also told of the past."""
+WITH_HISTORY = (WHOLE, OURS, SHADOW_MAP)
+"""Who is also given earlier sweeps."""
 
 ENVELOPED = "whole, within first blocker"
 
-Told = Callable[[str, int, int], None]
-"""Is told the step, how many of its parts are there, and how many there are."""
 
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One line of results that is to be found.
-
-    Attributes:
-        plan: of the ablation.
-        folder: of the ablation.
-        key: its step, and what tells it from the others of that step.
-    """
-
-    plan: AblationPlan
-    folder: Path
-    key: Key
-
-
-def keys_of(plan: AblationPlan, step: str) -> list[Key]:
-    """Return the names of all jobs of a step, in the order in which they are done."""
-    if step == "models":
-        return [("models", name) for name in plan.variants]
-    if step == "chosen":
-        return [(step, plan.config, str(number)) for number in range(plan.chosen_sweeps)]
-    settings = plan.settings if step == "test" else (plan.config,)
-    chunks = {setting: -(-plan.count(step, setting) // plan.chunk) for setting in settings}
-    return [(step, setting, str(number)) for setting in settings for number in range(chunks[setting])]
-
-
-def run_steps(store: JobStore[AblationPlan], steps: tuple[str, ...], workers: int | None, told: Told) -> Iterator[str]:
-    """Do what is not there yet, and yield one line for each job that failed.
+def run_study(
+    store: ResultStore[AblationPlan], steps: tuple[str, ...], workers: int | None, on_progress: Progress
+) -> Iterator[str]:
+    """Do what is not done yet, and yield one line for each job that failed.
 
     Args:
         store: of the ablation.
         steps: of ``STEPS``.
         workers: processes; None is one for each core.
-        told: is told of what is there.
+        on_progress: is called as jobs are done.
 
     Raises:
         ValueError: a step is not known.
@@ -86,83 +53,74 @@ def run_steps(store: JobStore[AblationPlan], steps: tuple[str, ...], workers: in
     for step in steps:
         if step not in STEPS:
             raise ValueError(f"only must be among {', '.join(STEPS)}, got {step!r}")
+    models = set(store.plan.job_keys_of("models"))
     for step in STEPS[:-1]:
         if step in steps:
-            yield from _run_step(store, step, workers, told)
-
-
-def _run_step(store: JobStore[AblationPlan], step: str, workers: int | None, told: Told) -> Iterator[str]:
-    keys, done = keys_of(store.plan, step), store.keys()
-    ready = [Job(store.plan, store.folder, key) for key in keys if key not in done]
-    if step == "models" and ready:
-        _keep_frames(store, told)
-    if step == "validation" and not {("models", name) for name in store.plan.variants} <= done:
-        yield "validation: not all variants are trained"
-        return
-    told(step, len(keys) - len(ready), len(keys))
-    there = Counted(len(keys) - len(ready), len(keys), lambda done, total: told(step, done, total))
-    yield from run_jobs(store, do_job, ready, LocalEngine(workers), there)
-
-
-def _keep_frames(store: JobStore[AblationPlan], told: Told) -> None:
-    """Make the frames of the whole network, which most variants share, with all cores."""
-    prepare(store.plan.config_of(WHOLE), cache_of(store.folder), on_progress=told)
+            keys, done = store.plan.job_keys_of(step), store.keys()
+            if step == "models" and not models <= done:
+                # Most variants share the frames of the whole network: these are made with all cores.
+                prepare(store.plan.config_of(WHOLE), cache_of(store.folder), on_progress=on_progress)
+            if step == "validation" and not models <= done:
+                yield "validation: not all variants are trained"
+                continue
+            yield from run_jobs(store, do_job, keys, LocalEngine(workers), on_progress, step=step)
 
 
 def cache_of(folder: Path) -> Path:
-    """Return where simulated sweeps and kept frames are."""
+    """Return the folder of simulated sweeps and kept frames."""
     return folder / "cache"
 
 
 def weights_of(folder: Path, variant: str) -> Path:
-    """Return where the weights of a variant are."""
+    """Return the file of the weights of a variant."""
     return folder / "models" / variant / "network.onnx"
 
 
-def do_job(job: Job) -> dict[str, Any]:
-    """Return what a job found, as plain values."""
+def do_job(job: Job[AblationPlan]) -> JobResult:
+    """Return what a job found."""
     works = {"models": _train, "chosen": _choose}
-    return works.get(job.key[0], _score)(job) | {"commits": list(code_version()["commits"])}
+    return works.get(job.key[0], _evaluate)(job)
 
 
-def _train(job: Job) -> dict[str, Any]:
+def _train(job: Job[AblationPlan]) -> JobResult:
     variant = job.key[1]
     out = weights_of(job.folder, variant).parent
-    return trained(job.plan.config_of(variant), out, cache_of(job.folder), "cpu")
+    return JobResult(facts=train(job.plan.config_of(variant), out, cache_of(job.folder), "cpu"))
 
 
-def _score(job: Job) -> dict[str, Any]:
+def _evaluate(job: Job[AblationPlan]) -> JobResult:
     plan, (split, setting, chunk) = job.plan, job.key
     config, first = plan.config_in(setting), int(chunk) * plan.chunk
     numbers = range(first, min(first + plan.chunk, plan.count(split, setting)))
-    subjects = {number: subject_in(plan, split, setting, number) for number in numbers}
-    estimators = _variants(plan, job.folder) if split == "validation" else _shipped(config)
-    every, target = estimators | _classical(config), TARGETS[config.target]
-    return {"said": score(subjects, every, plan.seed_of(split), target, REMEMBERING)}
+    samples = {number: sample_in(plan, split, setting, number) for number in numbers}
+    networks = _variants(plan, job.folder) if split == "validation" else _shipped(config)
+    every, target = networks | _classical(config), TARGETS[config.target]
+    return JobResult(evaluate(samples, every, setting, plan.seed_of(split), target, WITH_HISTORY))
 
 
-def _choose(job: Job) -> dict[str, Any]:
+def _choose(job: Job[AblationPlan]) -> JobResult:
     plan, (_, setting, number) = job.plan, job.key
     config = plan.config_in(setting)
-    there = _shipped(config) | _classical(config)
-    victims = {name: there[name] for name in VICTIMS if name in there}
+    every = _shipped(config) | _classical(config)
+    victims = {name: every[name] for name in VICTIMS if name in every}
     questions = {name: plan.questions if name == OURS else plan.questions[:1] for name in victims}
-    subject = subject_in(plan, "test", setting, int(number))
-    return {"said": duels(subject, victims, questions, (plan.test_seed, int(number)), TARGETS[config.target])}
+    sample = sample_in(plan, "test", setting, int(number))
+    evaluation = evaluation_of(sample, victims, setting, int(number), plan.test_seed, TARGETS[config.target])
+    return JobResult(list(evaluate_chosen(evaluation, questions, plan.test_seed)))
 
 
-def subject_in(plan: AblationPlan, split: str, setting: str, number: int) -> Subject:
+def sample_in(plan: AblationPlan, split: str, setting: str, number: int) -> StudySample:
     """Return one sweep of a split of a setting, with its truth on the grid that counts there."""
     preset = on_grid(preset_named(plan.preset_in(setting)), plan.config_in(setting))
-    return subject_of_preset(preset, number, plan.count(split, setting), plan.seed_of(split))
+    return sample_of_preset(preset, number, plan.count(split, setting), plan.seed_of(split))
 
 
 def _variants(plan: AblationPlan, folder: Path) -> dict[str, Estimator]:
-    found: dict[str, Estimator] = {
+    networks: dict[str, Estimator] = {
         name: UnetEstimator(OnnxRunner(weights_of(folder, name), threads=1), name=name) for name in plan.variants
     }
     bound = FirstBlocker(plan.config_of(WHOLE).grid, limit_farthest=False)
-    return found | {ENVELOPED: Enveloped(found[WHOLE], bound)}
+    return networks | {ENVELOPED: Enveloped(networks[WHOLE], bound)}
 
 
 def _shipped(config: TrainConfig) -> dict[str, Estimator]:

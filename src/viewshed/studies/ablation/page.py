@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from viewshed._page import Heading, PageBlock, Text, facts, to_markdown
 from viewshed.preprocess.history import HISTORY_SWEEPS
-from viewshed.studies.ablation.contest import CLEAR, MARGIN, POINTS, SECTOR_DEG
+from viewshed.studies.ablation.evaluate import CLEAR, MARGIN, POINTS, SECTOR_DEG
 from viewshed.studies.ablation.plan import AblationPlan
-from viewshed.studies.ablation.results import OURS, SHADOW_MAP, Results, Target, targets_elsewhere, targets_of
+from viewshed.studies.ablation.results import OURS, SHADOW_MAP, SettingResults, Target, targets_elsewhere, targets_of
 from viewshed.studies.ablation.tables import (
     ablation_table,
     abstention_table,
@@ -21,7 +21,7 @@ from viewshed.studies.ablation.tables import (
     views_table,
     wedges_table,
 )
-from viewshed.studies.paper.store import JobStore
+from viewshed.studies.store import ResultStore
 
 _ABLATION = """\
 Each network is trained by the same config but for what its line says, and tried on the same sweeps of other scenes,
@@ -76,15 +76,15 @@ area under the risk-coverage curve (smaller is better) with cells ordered by |p 
 tells its deviation in the same pass as its probability."""
 
 
-def page_of(store: JobStore[AblationPlan]) -> str:
+def page_of(store: ResultStore[AblationPlan]) -> str:
     """Return the page as Markdown; parts without results are left out."""
     plan, blocks = store.plan, list[PageBlock]()
-    validation = Results.read(store, "validation", plan.config)
-    tests = {setting: Results.read(store, "test", setting) for setting in plan.settings}
-    test, chosen = tests[plan.config], Results.read(store, "chosen", plan.config)
-    blocks += _aimed({plan.title_of(plan.config): targets_of(validation, test, chosen)}
-                     | {plan.title_of(each): targets_elsewhere(tests[each]) for each in plan.others})  # fmt: skip
-    if validation.said:
+    validation = SettingResults.read(store, "validation", plan.config)
+    tests = {setting: SettingResults.read(store, "test", setting) for setting in plan.settings}
+    test, chosen = tests[plan.config], SettingResults.read(store, "chosen", plan.config)
+    elsewhere = {plan.title_of(setting): targets_elsewhere(tests[setting]) for setting in plan.others}
+    blocks += _aimed({plan.title_of(plan.config): targets_of(validation, test, chosen)} | elsewhere)
+    if validation.methods:
         blocks += [
             Heading(2, "What each part is worth"),
             Text(_ABLATION),
@@ -92,9 +92,9 @@ def page_of(store: JobStore[AblationPlan]) -> str:
             changes_table(plan),
         ]
     blocks += _shipped(test)
-    if OURS in test.said and validation.said:
+    if OURS in test.methods and validation.methods:
         blocks += [Text(_ABSTENTION), abstention_table(validation, test)]
-    if chosen.said:
+    if chosen.methods:
         blocks += [Heading(2, "Points chosen against their victim"), Text(_CHOSEN), chosen_table(chosen)]
     for setting in plan.others:
         blocks += _shipped(tests[setting])
@@ -104,14 +104,14 @@ def page_of(store: JobStore[AblationPlan]) -> str:
 def _aimed(targets: Mapping[str, list[Target]]) -> list[PageBlock]:
     """Return what was aimed at in each setting, and what was found there."""
     tables: list[PageBlock] = []
-    for title, found in targets.items():
-        tables += [Heading(3, f"Targets, {title}"), targets_table(found)] if found else []
+    for title, aimed in targets.items():
+        tables += [Heading(3, f"Targets, {title}"), targets_table(aimed)] if aimed else []
     return [Heading(2, "Targets"), Text(_TARGETS), *tables] if tables else []
 
 
-def _shipped(test: Results) -> list[PageBlock]:
+def _shipped(test: SettingResults) -> list[PageBlock]:
     """Return what is said of the shipped networks in one setting."""
-    if not test.said:
+    if not test.methods:
         return []
     config, preset = test.plan.config_in(test.setting), test.plan.preset_in(test.setting)
     title = test.plan.title_of(test.setting)
@@ -119,22 +119,22 @@ def _shipped(test: Results) -> list[PageBlock]:
     about = f"Preset `{preset}`: {cells}; the target is a {config.target}."
     return [
         Heading(2, f"The shipped networks, {title}"), Text(about), Text(_TEST), views_table(test, test.alone),
-        Text(_WEDGE), wedges_table(test, test.alone), Text(_PARTS), parts_table(test), *_with_past(test),
+        Text(_WEDGE), wedges_table(test, test.alone), Text(_PARTS), parts_table(test), *_earlier_sweeps(test),
         Heading(3, f"Doubt, {title}"), Text(_DOUBT), doubts_table(test),
-        *(_told_where_sure(test) if OURS in test.said else []),
+        *(_where_sure(test) if OURS in test.methods else []),
     ]  # fmt: skip
 
 
-def _with_past(test: Results) -> list[PageBlock]:
+def _earlier_sweeps(test: SettingResults) -> list[PageBlock]:
     """Return what earlier sweeps are worth to those whom they help; nothing where nobody was told of them."""
-    names = [each for name in (OURS, SHADOW_MAP) if name in test.said for each in test.remembering(name)]
+    names = [one for name in (OURS, SHADOW_MAP) if name in test.methods for one in test.with_history(name)]
     if not names:
         return []
     heading = Heading(3, f"Earlier sweeps, {test.plan.title_of(test.setting)}")
     return [heading, Text(_PAST), views_table(test, names), Text(_WEDGE), wedges_table(test, names)]
 
 
-def _told_where_sure(test: Results) -> list[PageBlock]:
+def _where_sure(test: SettingResults) -> list[PageBlock]:
     return [Text(_SURE), sure_table(test, wedge=False), Text(_SURE_WEDGE), sure_table(test, wedge=True)]
 
 

@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from viewshed import _config as flat
-from viewshed.datasets.presets import MAX_SEED, preset_named
+from viewshed import _config
+from viewshed.datasets.presets import preset_named
+from viewshed.studies.plan import JobKey, check_seed
 from viewshed.training.config import TrainConfig, read_config
 
 _FOLDER = "studies/ablation/plans"
+
+STEPS = ("models", "validation", "test", "chosen", "page")
+"""What the command does, in order."""
 
 WHOLE = "whole"
 """The variant that changes nothing."""
@@ -78,8 +82,7 @@ class AblationPlan:
 
     def _check_seeds(self) -> None:
         for key in ("seed", "test_seed"):
-            if not 0 <= getattr(self, key) <= MAX_SEED:
-                raise ValueError(f"{key} must lie in [0, {MAX_SEED}], got {getattr(self, key)}")
+            check_seed(key, getattr(self, key))
         for setting in self.settings:
             preset = self.preset_in(setting)
             if len({self.seed, self.test_seed, preset_named(preset).seed}) < 3:
@@ -139,18 +142,34 @@ class AblationPlan:
         for key, value in nested.items():
             if not isinstance(value, dict):
                 raise ValueError(f"{key} must be a table, got {value!r}")
-        return cls(**flat.from_dict(cls, rest, "plan", without=nested), **nested)  # type: ignore[arg-type]
+        return cls(**_config.from_dict(cls, rest, "plan", without=nested), **nested)  # type: ignore[arg-type]
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain values."""
         variants = {name: dict(changes) for name, changes in self.variants.items()}
-        return flat.to_dict(self) | {"base": dict(self.base), "others": dict(self.others), "variants": variants}
+        return _config.to_dict(self) | {"base": dict(self.base), "others": dict(self.others), "variants": variants}
 
+    @classmethod
+    def load(cls, name: str) -> AblationPlan:
+        """Return the plan called ``name``.
 
-def ablation_named(name: str) -> AblationPlan:
-    """Return the plan called ``name``.
+        Raises:
+            ValueError: there is none of that name; the message lists those that exist.
+        """
+        return cls.from_json(_config.load_preset(_FOLDER, name))
 
-    Raises:
-        ValueError: there is none of that name; the message lists those that exist.
-    """
-    return AblationPlan.from_json(flat.load_preset(_FOLDER, name))
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs, step after step."""
+        return [key for step in STEPS for key in self.job_keys_of(step)]
+
+    def job_keys_of(self, step: str) -> list[JobKey]:
+        """Return the names of all jobs of a step, in the order in which they are done."""
+        if step == "page":
+            return []
+        if step == "models":
+            return [("models", name) for name in self.variants]
+        if step == "chosen":
+            return [(step, self.config, str(number)) for number in range(self.chosen_sweeps)]
+        settings = self.settings if step == "test" else (self.config,)
+        chunks = {setting: -(-self.count(step, setting) // self.chunk) for setting in settings}
+        return [(step, setting, str(number)) for setting in settings for number in range(chunks[setting])]

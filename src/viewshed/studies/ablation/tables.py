@@ -7,30 +7,31 @@ from math import isnan
 
 from viewshed._page import Table
 from viewshed.metrics import Scores
-from viewshed.studies.ablation.contest import BENIGN, CASES, UNTOUCHED
+from viewshed.studies.ablation.evaluate import CASES, UNTOUCHED
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
-from viewshed.studies.ablation.results import JAMMING, OURS, Results, Sure, Target
-from viewshed.studies.robustness.tables import three
+from viewshed.studies.ablation.results import JAMMING, OURS, SettingResults, Sure, Target, label
+from viewshed.studies.formatting import best_of_rates, format_pair, format_rate
+from viewshed.studies.records import BENIGN, WEDGE, Case
 
 SURE = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
-"""How sure a network must be before it tells anything of a cell."""
+"""How sure a network must be before it decides a cell."""
 
 
 def targets_table(targets: list[Target]) -> Table:
     """Return targets beside what was found."""
-    rows = [[each.what, each.wanted, each.found, "met" if each.met else "**missed**"] for each in targets]
+    rows = [[one.what, one.wanted, one.found, "met" if one.met else "**missed**"] for one in targets]
     return Table(["what", "target", "here", ""], rows)
 
 
-def ablation_table(results: Results) -> Table:
-    """Return one line of figures for each contestant of the ablation."""
+def ablation_table(results: SettingResults) -> Table:
+    """Return one line of figures for each method of the ablation."""
     columns = list(results.figures(WHOLE))
-    names = list(results.said)
+    names = results.methods
     rows = []
     for name in names:
         size = results.plan.config_of(name).shape if name in results.plan.variants else None
         cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
-        rows.append([name, cost, *(three(value) for value in results.figures(name).values())])
+        rows.append([name, cost, *(format_rate(value) for value in results.figures(name).values())])
     return Table(["network", "GFLOP", *columns], rows)
 
 
@@ -41,13 +42,13 @@ def changes_table(plan: AblationPlan) -> Table:
     return Table(["network", "what its line changes"], rows)
 
 
-def views_table(results: Results, names: Sequence[str]) -> Table:
+def views_table(results: SettingResults, names: Sequence[str]) -> Table:
     """Return the F1 of the view, case by case."""
-    rows = [[_kind(results, case), *_best_in_bold([results.f1(name, [case]) for name in names])] for case in CASES]
+    rows = [[_kind(results, case), *best_of_rates([results.f1(name, [case]) for name in names])] for case in CASES]
     return Table(["case", *names], rows)
 
 
-def wedges_table(results: Results, names: Sequence[str]) -> Table:
+def wedges_table(results: SettingResults, names: Sequence[str]) -> Table:
     """Return precision / recall in the wedge, case by case."""
     rows = []
     for case in CASES:
@@ -57,82 +58,74 @@ def wedges_table(results: Results, names: Sequence[str]) -> Table:
     return Table(["case", *names], rows)
 
 
-def parts_table(results: Results) -> Table:
+def parts_table(results: SettingResults) -> Table:
     """Return the F1 of parts of the untouched view."""
     names = results.alone
     rows = []
     for part, sweeps in results.parts.items():
         scores = [results.f1_of_part(name, part) for name in names]
-        rows.append([part, str(sweeps), *_best_in_bold(scores)])
+        rows.append([part, str(sweeps), *best_of_rates(scores)])
     return Table(["part", "sweeps", *names], rows)
 
 
-def _best_in_bold(scores: list[float]) -> list[str]:
-    most = max((score for score in scores if not isnan(score)), default=float("nan"))
-    return [f"**{three(score)}**" if score == most else three(score) for score in scores]
-
-
-def chosen_table(chosen: Results) -> Table:
+def chosen_table(chosen: SettingResults) -> Table:
     """Return precision / recall of each victim, untouched and with points chosen against it."""
-    cell_m2 = chosen.plan.config_in(chosen.setting).grid.cell_area_m2
     rows = []
-    for name, cases in chosen.said.items():
-        for case, said in cases.items():
-            sweeps, asked = len(said.sweeps), case if case != UNTOUCHED else "–"
-            false_m2 = said.wedge.counts()[1] * cell_m2 / sweeps
-            rows.append([name, asked, str(sweeps), _both(said.view), _both(said.wedge), f"{false_m2:.0f}"])
+    for name in chosen.methods:
+        for case in chosen.cases(name):
+            counts, asked = chosen.results.counts(chosen.series(name, case, WEDGE)), case.level
+            scores = chosen.view(name, [case]), chosen.wedge(name, [case])
+            questions = "–" if case == UNTOUCHED else asked
+            rows.append([name, questions, str(counts.samples), *map(_both, scores), f"{counts.over_m2:.0f}"])
     heads = ["victim", "questions", "sweeps", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"]
     return Table(heads, rows)
 
 
-def abstention_table(validation: Results, test: Results) -> Table:
+def abstention_table(validation: SettingResults, test: SettingResults) -> Table:
     """Return precision / recall in opened wedges of those claims of our network that are sure."""
     step = validation.sure
     row = [OURS, f"{step:g}", *(_both(test.wedge(OURS, cases), step) for cases in test.opening)]
     return Table(["network", "claimed from", "attacks trained on", "unseen attacks"], [row])
 
 
-def sure_table(results: Results, *, wedge: bool) -> Table:
-    """Return the share of cells told / precision of claims / of denials of our network, by how sure it must be."""
-    groups: dict[str, Iterable[str]] = {
+def sure_table(results: SettingResults, *, wedge: bool) -> Table:
+    """Return the share of cells decided / precision of claims / of denials of our network, by how sure it must be."""
+    groups: dict[str, Iterable[Case]] = {
         "trained": results.trained, "unseen": results.unseen, "jamming": (JAMMING,),
     }  # fmt: skip
     groups = groups | dict(zip(_OPENED, results.opening, strict=True)) if wedge else {"benign": (BENIGN,)} | groups
-    scores = {
-        group: results.wedge(OURS, cases) if wedge else sum(results.view(OURS, cases), Scores())
-        for group, cases in groups.items()
-    }
-    rows = [[f"{sure:g}", *(_told(Sure.of(each, sure)) for each in scores.values())] for sure in SURE]
+    scores = {group: (results.wedge if wedge else results.view)(OURS, cases) for group, cases in groups.items()}
+    rows = [[f"{sure:g}", *(_decided(Sure.of(one, sure)) for one in scores.values())] for sure in SURE]
     return Table(["sure", *scores], rows)
 
 
 _OPENED = ("trained, opening a view", "unseen, opening a view")
 
 
-def _told(sure: Sure) -> str:
-    return " / ".join(map(three, (sure.share, sure.claims, sure.denials)))
+def _decided(sure: Sure) -> str:
+    return " / ".join(map(format_rate, (sure.share, sure.claims, sure.denials)))
 
 
-def doubts_table(results: Results) -> Table:
+def doubts_table(results: SettingResults) -> Table:
     """Return how good probabilities and doubts are."""
     groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
     rows = []
     for name in results.alone:
         cells = []
         for cases in groups.values():
-            scores = sum(results.view(name, cases), Scores())
+            scores = results.view(name, cases)
             cells += [_four(value) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
         rows.append([name, *cells])
     heads = [f"{what}, {group}" for group in groups for what in ("ECE", "Brier", "AURC", "AURC by deviation")]
     return Table(["", *heads], rows)
 
 
-def _kind(results: Results, case: str) -> str:
-    return f"{case} \\*" if case in results.attacks else case
+def _kind(results: SettingResults, case: Case) -> str:
+    return f"{label(case)} \\*" if case.name in results.attacks else label(case)
 
 
 def _both(scores: Scores, threshold: float = 0.5) -> str:
-    return f"{three(scores.precision(threshold))} / {three(scores.recall(threshold))}"
+    return format_pair(scores.precision(threshold), scores.recall(threshold))
 
 
 def _four(value: float) -> str:

@@ -1,24 +1,73 @@
-"""What the reproduced study runs: one flat TOML each, every number of it spelt out."""
+"""What is run over what, every number of it spelt out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from viewshed import _config as flat
-from viewshed.datasets.presets import MAX_SEED, preset_named, preset_names
+from viewshed import _config
+from viewshed.datasets.presets import preset_named, preset_names
+from viewshed.studies.plan import JobKey, check_names, check_seed
+from viewshed.studies.records import PAPER, STRICT
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.corruptions import CORRUPTIONS
 
 _FOLDER = "studies/paper/plans"
 
+PROTOCOLS = (PAPER, STRICT)
+"""The paper's label as truth on its grids, and exact truth on ours."""
+
+VARIANTS = ("mle", "mcd")
+"""One pass with dropout off; the mean of several with dropout on."""
+
+MIXTURES = ("benign", "adversarial")
+"""What a model is trained on, and what it is tested on."""
+
+STEPS = ("data", "models", "pairs", "strict", "trade", "monitor", "pages")
+"""What the command does, in order."""
+
+CLASSICAL = "classical"
+"""Names the classical estimators where a model's name stands otherwise."""
+
 PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "interval_s")
 """Keys with one number for each domain."""
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class Model:
+    """One of the twelve models of a protocol.
+
+    Attributes:
+        protocol: of ``PROTOCOLS``.
+        variant: of ``VARIANTS``.
+        mixture: of ``MIXTURES``, what it is trained on.
+        domain: that it is trained in.
+    """
+
+    protocol: str
+    variant: str
+    mixture: str
+    domain: str
+
+    @property
+    def name(self) -> str:
+        """Its name within the protocol."""
+        return f"{self.short_name}-{self.domain}"
+
+    @property
+    def short_name(self) -> str:
+        """Its name in tables of its own domain."""
+        return f"{self.variant}-{self.mixture}"
+
+    @property
+    def key(self) -> JobKey:
+        """Name of the job that trains it."""
+        return "models", self.protocol, self.name
+
+
 @dataclass(frozen=True, slots=True)
-class StudyPlan:
+class PaperPlan:
     """What is run over what. ``all`` in the TOML stands for a whole table of names.
 
     Attributes:
@@ -119,15 +168,14 @@ class StudyPlan:
     def __post_init__(self) -> None:
         for key, table in (("domains", preset_names()), ("trained_attacks", ATTACKS),
                            ("monitor_corruptions", CORRUPTIONS)):  # fmt: skip
-            _check_names(key, getattr(self, key), table)
+            check_names(key, getattr(self, key), table, once=True)
         for key in ("trade_domain", "monitor_domain"):
-            _check_names(key, (getattr(self, key),), self.domains)
+            check_names(key, (getattr(self, key),), self.domains)
         for key in PER_DOMAIN:
             if len(getattr(self, key)) != len(self.domains) or min(getattr(self, key)) <= 0:
                 raise ValueError(f"{key} must be a positive number for each domain, got {list(getattr(self, key))}")
         for key in ("seed", "test_seed"):
-            if not 0 <= getattr(self, key) <= MAX_SEED:
-                raise ValueError(f"{key} must lie in [0, {MAX_SEED}], got {getattr(self, key)}")
+            check_seed(key, getattr(self, key))
         if self.seed == self.test_seed:
             raise ValueError(f"test_seed must not be the seed that is trained on, got {self.test_seed} for both")
         self._check_sizes()
@@ -158,40 +206,76 @@ class StudyPlan:
             )
 
     @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> StudyPlan:
+    def from_json(cls, table: Mapping[str, Any]) -> PaperPlan:
         """Return the plan in plain values: keys as the attributes, lists for tuples.
 
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        return cls(**flat.from_dict(cls, table, "plan", {"monitor_corruptions": CORRUPTIONS}))
+        return cls(**_config.from_dict(cls, table, "plan", {"monitor_corruptions": CORRUPTIONS}))
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain values, every name spelt out."""
-        return flat.to_dict(self)
+        return _config.to_dict(self)
 
+    @classmethod
+    def load(cls, name: str) -> PaperPlan:
+        """Return the plan called ``name``.
 
-def _check_names(key: str, names: Iterable[str], table: Iterable[str]) -> None:
-    known, given = list(table), list(names)
-    for name in given:
-        if name not in known:
-            raise ValueError(f"{key} must be among {', '.join(known)}, got {name!r}")
-    if len(set(given)) != len(given) or not given:
-        raise ValueError(f"{key} must be different names, got {given}")
+        Raises:
+            ValueError: there is none of that name; the message lists those that exist.
 
+        >>> PaperPlan.load("small").domains
+        ('carla', 'nuscenes', 'ugv')
+        """
+        return cls.from_json(_config.load_preset(_FOLDER, name))
 
-def plan_names() -> tuple[str, ...]:
-    """Return the names that :func:`plan_named` knows, in alphabetical order."""
-    return flat.preset_names(_FOLDER)
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs, step after step."""
+        return [key for step in STEPS for key in self.job_keys_of(step)]
 
+    def job_keys_of(self, step: str, protocols: Sequence[str] = PROTOCOLS) -> list[JobKey]:
+        """Return the names of all jobs of a step in some protocols, in the order in which they are done."""
+        makers = {"models": self._models, "pairs": self._pairs, "strict": self._strict, "trade": self._trade,
+                  "monitor": self._monitor}  # fmt: skip
+        return list(makers[step](protocols)) if step in makers else []
 
-def plan_named(name: str) -> StudyPlan:
-    """Return the plan called ``name``.
+    def models(self, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:
+        """Return the models of some protocols: 2 variants × 2 mixtures × the domains, in each."""
+        return [
+            Model(protocol, variant, mixture, domain)
+            for protocol in protocols
+            for variant in VARIANTS
+            for mixture in MIXTURES
+            for domain in self.domains
+        ]
 
-    Raises:
-        ValueError: there is none of that name; the message lists those that exist.
+    def model(self, protocol: str, name: str) -> Model:
+        """Return the model of a name."""
+        return next(model for model in self.models([protocol]) if model.name == name)
 
-    >>> plan_named("small").domains
-    ('carla', 'nuscenes', 'ugv')
-    """
-    return StudyPlan.from_json(flat.load_preset(_FOLDER, name))
+    def trade_shapes(self) -> Iterator[tuple[int, int, int]]:
+        """Yield width, depth and cells of every network of the trade study."""
+        for cells in self.trade_cells:
+            for depth in self.trade_depths:
+                yield from ((width, depth, cells) for width in self.trade_widths)
+
+    def _models(self, protocols: Sequence[str]) -> Iterator[JobKey]:
+        yield from (model.key for model in self.models(protocols))
+
+    def _pairs(self, protocols: Sequence[str]) -> Iterator[JobKey]:
+        for protocol in protocols:
+            names = [*(model.name for model in self.models([protocol])), CLASSICAL]
+            yield from (("pairs", protocol, name, domain) for name in names for domain in self.domains)
+
+    def _strict(self, protocols: Sequence[str]) -> Iterator[JobKey]:
+        if STRICT in protocols:
+            yield from (("strict", domain, str(n)) for n in range(self.strict_frames) for domain in self.domains)
+
+    def _trade(self, protocols: Sequence[str]) -> Iterator[JobKey]:
+        if PAPER in protocols:
+            yield from (("trade", *map(str, shape)) for shape in self.trade_shapes())
+
+    def _monitor(self, protocols: Sequence[str]) -> Iterator[JobKey]:
+        if STRICT in protocols:
+            yield from (("monitor", mixture) for mixture in MIXTURES)

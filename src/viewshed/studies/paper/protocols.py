@@ -1,33 +1,19 @@
-"""The two protocols: grid, truth, threshold and attacks of each domain; the models that are trained in each."""
+"""The two protocols: grid, truth, threshold and attacks of each domain."""
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from viewshed.datasets.presets import preset_named
-from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS, PAPER_THRESHOLD, EstimatorFactory
+from viewshed.estimators import CLASSICAL, PAPER_THRESHOLD, Estimator, EstimatorFactory, paper_estimators_on
 from viewshed.fov.estimate import THRESHOLD
 from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard
-from viewshed.studies.paper.plan import StudyPlan
-from viewshed.studies.suite import LABEL, ROOM_M
-from viewshed.threats.attacks import ATTACKS, PAPER_ATTACK, PAPER_INDOOR_ATTACK, Attack, Knowledge
-
-PROTOCOLS = ("paper", "strict")
-"""The paper's label as truth on its grids, and exact truth on ours."""
-
-VARIANTS = ("mle", "mcd")
-"""One pass with dropout off; the mean of several with dropout on."""
-
-MIXTURES = ("benign", "adversarial")
-"""What a model is trained on, and what it is tested on."""
-
-TOUCHING = tuple(name for name in ATTACKS if name != "pose_spoof")
-"""Attacks that touch returns; a spoofed pose only moves the estimate in the map."""
+from viewshed.studies.cases import DEFAULT, MIXTURE, ROOM_M, TOUCHING
+from viewshed.studies.paper.plan import PaperPlan
+from viewshed.studies.records import PAPER, STRICT, Case
+from viewshed.studies.suite import LABEL, EstimatorSuite
 
 PAPER_EXTENT_M, PAPER_INDOOR_EXTENT_M = 80.0, 18.0
 
@@ -68,67 +54,29 @@ class Setting:
 
     def classical(self) -> dict[str, EstimatorFactory]:
         """Return the classical estimators by name; in the paper's protocol its own first, but its label."""
-        if self.protocol == "strict":
-            return dict(ESTIMATORS)
-        papers = PAPER_INDOOR_ESTIMATORS if self.indoor else PAPER_ESTIMATORS
-        return {name: make for name, make in papers.items() if name != LABEL} | ESTIMATORS
+        if self.protocol == STRICT:
+            return dict(CLASSICAL)
+        papers = paper_estimators_on(self.grid)
+        return {name: make for name, make in papers.items() if name != LABEL} | CLASSICAL
 
-    def attack(self, number: int, knowledge: Knowledge) -> tuple[str, Attack]:
-        """Return the attack that the test sweep ``number`` faces, and its name.
+    def attack(self, number: int) -> Case:
+        """Return the attack that the held-out sweep ``number`` faces.
 
         In the paper's protocol its mixture; in the strict one all that touch returns in turn, with default budgets.
         """
-        if self.protocol == "paper":
-            return "paper", PAPER_INDOOR_ATTACK if self.indoor else PAPER_ATTACK
-        name = TOUCHING[number % len(TOUCHING)]
-        return name, ATTACKS[name](None, knowledge)
+        return MIXTURE if self.protocol == PAPER else Case("attack", TOUCHING[number % len(TOUCHING)], DEFAULT)
+
+    def suite(self, estimators: Mapping[str, Estimator]) -> EstimatorSuite:
+        """Return estimators as they are tried here."""
+        return EstimatorSuite(self.grid, self.threshold, estimators)
 
 
-def setting_of(plan: StudyPlan, protocol: str, domain: str) -> Setting:
+def setting_of(plan: PaperPlan, protocol: str, domain: str) -> Setting:
     """Return the setting of a protocol in a domain."""
     half_extent_m = preset_named(domain).grid_half_extent_m
-    if protocol == "strict":
+    if protocol == STRICT:
         grid = BevGrid(plan.cells, half_extent_m)
         return Setting(protocol, domain, grid, "probe", THRESHOLD, 100.0, (-10.0, 3.0))
     indoor = half_extent_m < ROOM_M
     grid = BevGrid(plan.cells, PAPER_INDOOR_EXTENT_M if indoor else PAPER_EXTENT_M)
     return Setting(protocol, domain, grid, LABEL, PAPER_THRESHOLD, 20.0 if indoor else 100.0, (-3.0, 3.0))
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class Model:
-    """One of the twelve models of a protocol.
-
-    Attributes:
-        protocol: of ``PROTOCOLS``.
-        variant: of ``VARIANTS``.
-        mixture: of ``MIXTURES``, what it is trained on.
-        domain: that it is trained in.
-    """
-
-    protocol: str
-    variant: str
-    mixture: str
-    domain: str
-
-    @property
-    def name(self) -> str:
-        """Its name within the protocol."""
-        return f"{self.variant}-{self.mixture}-{self.domain}"
-
-
-def models_of(plan: StudyPlan, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:
-    """Return the models of some protocols: 2 variants × 2 mixtures × the domains, in each."""
-    return [
-        Model(protocol, variant, mixture, domain)
-        for protocol in protocols
-        for variant in VARIANTS
-        for mixture in MIXTURES
-        for domain in plan.domains
-    ]
-
-
-def generator(seed: int, *names: str | int) -> np.random.Generator:
-    """Return a generator of its own for what the names say."""
-    words = [zlib.crc32(str(name).encode()) for name in names]
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))

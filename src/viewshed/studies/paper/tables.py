@@ -1,362 +1,257 @@
-"""The tables of both protocols' pages: figures of the 72 pairs as words.
-
-The tables of attacks one by one: the strict protocol, in the view and in the attacker's wedge.
-
-The tables beside the 72 pairs: trainings, trade study, monitor.
-"""
+"""The tables of both protocols' pages as words: the 72 pairs, attacks one by one, trainings, trade study, monitor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan
-from typing import Any
 
 import numpy as np
 
 from viewshed._page import Table
-from viewshed.studies.cases import BENIGN, Case
-from viewshed.studies.monitor.study import Row, rows_of
-from viewshed.studies.paper.data import Measured
-from viewshed.studies.paper.jobs import DEFAULT
-from viewshed.studies.paper.plan import StudyPlan
-from viewshed.studies.paper.protocols import MIXTURES, VARIANTS, setting_of
-from viewshed.studies.paper.results import (
-    MEASURES,
-    ORDER,
-    UNTOUCHED,
-    VIEW,
-    WEDGE,
-    PairKey,
-    Results,
-    StrictKey,
-    SubTable,
-    accuracy,
-    targets_of,
+from viewshed.studies.cases import DEFAULT
+from viewshed.studies.formatting import (
+    best_of_row,
+    format_interval,
+    format_rate,
+    format_spread,
+    pivot,
 )
-from viewshed.studies.robustness.results import f1, precision, recall
-from viewshed.studies.robustness.tables import three
+from viewshed.studies.monitor.page import monitor_table as table_of_monitor
+from viewshed.studies.monitor.page import rows_of
+from viewshed.studies.paper.jobs import TRADE
+from viewshed.studies.paper.plan import MIXTURES, VARIANTS
+from viewshed.studies.paper.protocols import setting_of
+from viewshed.studies.paper.published import PaperResults, SubTable, pair, targets_of
+from viewshed.studies.records import BENIGN, PAPER, UNTOUCHED, VIEW, WEDGE, Case, Series
+from viewshed.studies.statistics import MEASURES, accuracy, f1, precision, recall
 from viewshed.threats.attacks import ATTACKS, FAMILY
-
-
-def training_table(results: Results, protocol: str) -> Table:
-    """Return how each training of a protocol went."""
-    rows = [[name, *_trained(line)] for (of, name), line in results.models.items() if of == protocol]
-    header = ["model", "epochs", "best", "validation loss", "validation F1", "frames/s", "in the network", "seconds"]
-    return Table(header, rows)
-
-
-def _trained(line: dict[str, Any]) -> list[str]:
-    epoch = line["history"][line["best"] - 1]
-    scores = [f"{epoch['validation_loss']:.4f}", three(epoch["f1"])]
-    speed = [f"{line['frames_per_s']:.0f}", f"{100 * line['network_share']:.0f} %", f"{line['seconds']:.0f}"]
-    return [str(len(line["history"])), str(line["best"]), *scores, *speed]
-
-
-def trade_rows(results: Results) -> list[dict[str, Any]]:
-    """Return the networks of the trade study by cells, depth and width, with what each scores as ``measured``."""
-    lines = [
-        line | {"shape": _shape(line), "measured": Measured.from_json(line["scores"]["network"]["benign"])}
-        for line in results.others.get("trade", {}).values()
-    ]
-    return sorted(lines, key=lambda line: line["shape"][::-1])
-
-
-def _shape(line: dict[str, Any]) -> tuple[int, ...]:
-    """Return width, depth and cells."""
-    return tuple(map(int, line["job"][1:]))
-
-
-def trade_table(results: Results) -> Table:
-    """Return what each network of the trade study scores, how long a pass takes, and its size."""
-    rows = []
-    for line in trade_rows(results):
-        pooled, latency = line["measured"].counts.sum(axis=0), line["latency_ms"]
-        rates = [three(float(measure(pooled))) for measure in (precision, accuracy, f1)]
-        sizes = [f"{line['parameters'] / 1e6:.3f}", f"{line['flops'] / 1e9:.3f}"]
-        rows.append([*map(str, line["shape"]), *rates, f"{latency['2']:.2f}", f"{latency['1']:.2f}", *sizes])
-    header = ["width", "depth", "cells", "precision", "accuracy", "F1", "ms, 2 threads", "ms, 1 thread"]
-    return Table([*header, "parameters, M", "GFLOP"], rows)
-
-
-def monitor_rows(results: Results) -> dict[str, list[Row]]:
-    """Return what the monitor does in each case, by what its network was trained on."""
-    seed, found = results.store.plan.test_seed, results.others.get("monitor", {})
-    return {mixture: rows_of(found[mixture]["lines"], seed) for mixture in MIXTURES if mixture in found}
-
-
-def monitor_table(results: Results, kind: str) -> Table:
-    """Return AUROC, its interval, detections at 1 % and alarms for every attack or corruption.
-
-    Args:
-        results: of the study.
-        kind: ``attack`` or ``corruption``.
-    """
-    found = monitor_rows(results)
-    words = ["AUROC [95 %]", "caught at 1 %", "alarms", "AUROC of the mean"]
-    header = [kind, *(f"{word}, {mixture}-trained" for mixture in found for word in words)]
-    rows: dict[str, list[str]] = {}
-    for each in found.values():
-        for row in each:
-            if row.kind in ("benign", kind):
-                rows.setdefault(_called(row), []).extend(_monitor_row(row))
-    return Table(header, [[name, *cells] for name, cells in rows.items()])
-
-
-def _called(row: Row) -> str:
-    return (
-        "*benign*" if row.kind == "benign" else f"{row.name} ({FAMILY[row.name]})" if row.name in FAMILY else row.name
-    )
-
-
-def _monitor_row(row: Row) -> list[str]:
-    area = "–" if isnan(row.auroc) else f"{three(row.auroc)} [{three(row.auroc_low)}, {three(row.auroc_high)}]"
-    return [area, three(row.caught), three(row.alarms), three(row.auroc_mean)]
-
-
-def two(rate: float) -> str:
-    """Return a rate in hundredths, as the paper does; a dash for none.
-
-    >>> two(0.954), two(float("nan")), two(1.0)
-    ('.95', '–', '1.00')
-    """
-    return "–" if isnan(rate) else f"{rate:.2f}".removeprefix("0")
-
-
-def best(row: Sequence[str], first: int = 1) -> list[str]:
-    """Return a row with its largest figure from cell ``first`` on in bold; cells begin with their figure.
-
-    >>> best(["a", ".912 ±.004", ".930 ±.010", "–"])
-    ['a', '.912 ±.004', '**.930 ±.010**', '–']
-    """
-    figures = [float(cell.split()[0]) if cell[:1] == "." or cell[:2] == "1." else -1.0 for cell in row[first:]]
-    most = max(figures, default=-1.0)
-    told = (f"**{cell}**" if figure == most >= 0 else cell for cell, figure in zip(row[first:], figures, strict=True))
-    return [*row[:first], *told]
-
-
-def domains_of(plan: StudyPlan) -> list[str]:
-    """Return the domains of a plan in the paper's order."""
-    return [*(name for name in ORDER if name in plan.domains), *(name for name in plan.domains if name not in ORDER)]
-
-
-def pair_table(results: Results, protocol: str, table: SubTable) -> Table:
-    """Return precision, recall, accuracy, F1 of nine pairs in the paper's layout, its figures below ours."""
-    domains, rows = domains_of(results.store.plan), []
-    for test in domains:
-        keys = [table.key(protocol, test, train) for train in domains]
-        rows.append([test, *(_four([results.pooled(key, measure) for measure in MEASURES.values()]) for key in keys)])
-        rows.append(["*95 % of F1*", *(_bounds(results, key) for key in keys)])
-        if table.published and protocol == "paper":
-            told = (table.published.get((test, train), (float("nan"),) * 4) for train in domains)
-            rows.append(["*the paper*", *(" ".join(map(two, figures)) for figures in told)])
-    return Table(["tested on \\ trained on", *domains], rows)
-
-
-def _four(figures: Sequence[float]) -> str:
-    """Return precision, recall, accuracy in hundredths and F1 in thousandths."""
-    return "–" if isnan(figures[0]) and isnan(figures[2]) else " ".join([*map(two, figures[:3]), three(figures[3])])
-
-
-def _bounds(results: Results, key: PairKey) -> str:
-    low, high = results.bounds(key, f1)
-    return "–" if isnan(low) else f"{three(low)} to {three(high)}"
-
-
-def area_table(results: Results, protocol: str, table: SubTable) -> Table:
-    """Return AUPRC of nine pairs in the paper's layout."""
-    domains = domains_of(results.store.plan)
-    rows = [
-        [test, *(_area(results, table.key(protocol, test, train)) for train in domains)] for test in domains
-    ]  # fmt: skip
-    return Table(["AUPRC, tested on \\ trained on", *domains], rows)
-
-
-def _area(results: Results, key: PairKey) -> str:
-    return three(results.pairs[key].scores.auprc()) if key in results.pairs else "–"
-
-
-def target_table(results: Results) -> Table:
-    """Return the targets of the paper's protocol, met or missed, beside the paper's figures."""
-    rows = [
-        [
-            target.what,
-            two(target.published),
-            f"≥ {two(target.least)}",
-            three(target.found),
-            target.verdict,
-            three(target.at_half),
-        ]
-        for target in targets_of(results)
-    ]
-    return Table(["what", "the paper", "target", "here", "", "here, threshold .5"], rows)
-
-
-def contestants_of(results: Results, protocol: str, domain: str) -> list[str]:
-    """Return who was tried on a domain's sweeps: the networks trained there, then the classical estimators."""
-    networks = [f"{variant}-{mixture}-{domain}" for variant in VARIANTS for mixture in MIXTURES]
-    names = [*networks, *setting_of(results.store.plan, protocol, domain).classical()]
-    return [name for name in names if PairKey(protocol, name, "benign", domain) in results.pairs]
-
-
-def own_name(contestant: str, domain: str) -> str:
-    """Return a contestant's name on the sweeps of its own domain.
-
-    >>> own_name("mle-benign-ugv", "ugv"), own_name("majority_vote", "ugv")
-    ('mle-benign', 'majority_vote')
-    """
-    return contestant.removesuffix(f"-{domain}")
-
-
-def mixture_table(results: Results, protocol: str, domain: str) -> Table:
-    """Return everything about benign and attacked sweeps of a domain, networks trained there beside the classical."""
-    header = [
-        "",
-        *(f"{word}, {mixture}" for mixture in MIXTURES for word in ("precision", "recall", "F1 [95 %]", "AUPRC")),
-    ]
-    rows = []
-    for name in contestants_of(results, protocol, domain):
-        row = [own_name(name, domain)]
-        for mixture in MIXTURES:
-            key = PairKey(protocol, name, mixture, domain)
-            low, high = results.bounds(key, f1)
-            rates = [three(results.pooled(key, MEASURES[word])) for word in ("precision", "recall", "F1")]
-            row += [*rates[:2], f"{rates[2]} [{three(low)}, {three(high)}]", _area(results, key)]
-        rows.append(row)
-    return Table(header, best_of_columns(rows))
-
-
-def best_of_columns(rows: Sequence[Sequence[str]], columns: Sequence[int] | None = None) -> list[list[str]]:
-    """Return rows with the largest figure of each column (or of some) in bold.
-
-    >>> best_of_columns([["a", ".1", ".7"], ["b", ".2", ".3"]])
-    [['a', '.1', '**.7**'], ['b', '**.2**', '.3']]
-    """
-    if not rows:
-        return []
-    turned = [list(column) for column in zip(*rows, strict=True)]
-    chosen = range(1, len(turned)) if columns is None else columns
-    for place in chosen:
-        turned[place] = best(["", *turned[place]])[1:]
-    return [list(row) for row in zip(*turned, strict=True)]
-
-
-def calibration_table(results: Results, protocol: str, domain: str) -> Table:
-    """Return ECE, Brier score and AURC on benign and attacked sweeps; less is better; of MCD also by its deviation."""
-    words = ("ECE", "Brier", "AURC", "AURC by deviation")
-    rows = []
-    for name in contestants_of(results, protocol, domain):
-        row = [own_name(name, domain)]
-        for mixture in MIXTURES:
-            scores = results.pairs[PairKey(protocol, name, mixture, domain)].scores
-            row += [f"{value:.4f}" if not isnan(value) else "–"
-                    for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]  # fmt: skip
-        rows.append(row)
-    return Table(["", *(f"{word}, {mixture}" for mixture in MIXTURES for word in words)], rows)
-
 
 NETWORKS = tuple(f"{variant}-{mixture}" for variant in VARIANTS for mixture in MIXTURES)
 
 
-def who(results: Results, domain: str) -> list[str]:
+def training_table(results: PaperResults, protocol: str) -> Table:
+    """Return how each training of a protocol went."""
+    rows = []
+    for (of, name), facts in results.models.items():
+        epoch, share = facts["history"][facts["best"] - 1], 100 * facts["network_share"]
+        rows.append([
+            name, str(len(facts["history"])), str(facts["best"]), f"{epoch['validation_loss']:.4f}",
+            format_rate(epoch["f1"]), f"{facts['frames_per_s']:.0f}", f"{share:.0f} %", f"{facts['seconds']:.0f}",
+        ] if of == protocol else [])  # fmt: skip
+    header = ["model", "epochs", "best", "validation loss", "validation F1", "frames/s", "in the network", "seconds"]
+    return Table(header, [row for row in rows if row])
+
+
+def trade_shapes(results: PaperResults) -> list[tuple[int, int, int]]:
+    """Return width, depth and cells of the networks of the trade study that are done, by cells, depth and width."""
+    shapes = [(int(key[1]), int(key[2]), int(key[3])) for key in results.trade.facts]
+    return sorted(shapes, key=lambda shape: shape[::-1])
+
+
+def trade_rates(results: PaperResults, shape: tuple[int, int, int]) -> tuple[dict[str, float], dict[str, float]]:
+    """Return precision, accuracy and F1 of a network of the trade study, and its latency by threads in milliseconds."""
+    facts = results.trade.facts["trade", *map(str, shape)]
+    series = Series(results.plan.trade_domain, facts["name"], protocol=TRADE)
+    measures = {"precision": precision, "accuracy": accuracy, "F1": f1}
+    return {name: results.trade.rate(series, measure) for name, measure in measures.items()}, facts["latency_ms"]
+
+
+def trade_table(results: PaperResults) -> Table:
+    """Return what each network of the trade study scores, how long a pass takes, and its size."""
+    rows = []
+    for shape in trade_shapes(results):
+        facts, (rates, latency) = results.trade.facts["trade", *map(str, shape)], trade_rates(results, shape)
+        sizes = [f"{facts['parameters'] / 1e6:.3f}", f"{facts['flops'] / 1e9:.3f}"]
+        times = [f"{latency['2']:.2f}", f"{latency['1']:.2f}"]
+        rows.append([*map(str, shape), *map(format_rate, rates.values()), *times, *sizes])
+    header = ["width", "depth", "cells", "precision", "accuracy", "F1", "ms, 2 threads", "ms, 1 thread"]
+    return Table([*header, "parameters, M", "GFLOP"], rows)
+
+
+def monitor_table(results: PaperResults, kind: str) -> Table:
+    """Return what the monitor does in each attack or corruption, by what its network was trained on."""
+    domain, seed = results.plan.monitor_domain, results.plan.test_seed
+    methods = results.monitor.methods(domain)
+    rows = {f"{name}-trained": rows_of(results.monitor, domain, name, seed) for name in MIXTURES if name in methods}
+    return table_of_monitor(rows, kind)
+
+
+def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
+    """Return precision, recall, accuracy, F1 of nine pairs in the paper's layout, its figures below ours."""
+    domains, rows = results.domains, []
+    for test in domains:
+        keys = [table.key(protocol, test, train) for train in domains]
+        rows.append([test, *(_four(results, key) for key in keys)])
+        rows.append(["*95 % of F1*", *(_bounds(results, key) for key in keys)])
+        if table.published and protocol == PAPER:
+            published = (table.published.get((test, train), (float("nan"),) * 4) for train in domains)
+            rows.append(["*the paper*", *(" ".join(format_rate(rate, 2) for rate in rates) for rates in published)])
+    return Table(["tested on \\ trained on", *domains], rows)
+
+
+def _four(results: PaperResults, key: Series) -> str:
+    """Return precision, recall, accuracy in hundredths and F1 in thousandths."""
+    *rates, last = [results.pairs.rate(key, measure) for measure in MEASURES.values()]
+    if isnan(rates[0]) and isnan(rates[2]):
+        return "–"
+    return " ".join([*(format_rate(rate, 2) for rate in rates), format_rate(last)])
+
+
+def _bounds(results: PaperResults, key: Series) -> str:
+    low, high = results.pairs.interval(key, f1)
+    return "–" if isnan(low) else f"{format_rate(low)} to {format_rate(high)}"
+
+
+def area_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
+    """Return AUPRC of nine pairs in the paper's layout."""
+    names = {name: name for name in results.domains}
+    return pivot("AUPRC, tested on \\ trained on", names, names,
+                 lambda test, train: _area(results, table.key(protocol, test, train)))  # fmt: skip
+
+
+def _area(results: PaperResults, key: Series) -> str:
+    return format_rate(results.pairs.scores([key]).auprc())
+
+
+def target_table(results: PaperResults) -> Table:
+    """Return the targets of the paper's protocol, met or missed, beside the paper's figures."""
+    rows = [
+        [target.what, format_rate(target.published, 2), f"≥ {format_rate(target.least, 2)}", format_rate(target.found),
+         target.verdict, format_rate(target.at_half)]
+        for target in targets_of(results)
+    ]  # fmt: skip
+    return Table(["what", "the paper", "target", "here", "", "here, threshold .5"], rows)
+
+
+def pair_methods(results: PaperResults, protocol: str, domain: str) -> dict[str, str]:
+    """Return who was tried on a domain's sweeps: the networks trained there, by short name, then the classical ones."""
+    networks = {name: f"{name}-{domain}" for name in NETWORKS}
+    classical = {name: name for name in setting_of(results.plan, protocol, domain).classical()}
+    return {
+        short: name for short, name in (networks | classical).items()
+        if pair(protocol, name, "benign", domain) in results.pairs
+    }  # fmt: skip
+
+
+def mixture_table(results: PaperResults, protocol: str, domain: str) -> Table:
+    """Return everything about benign and attacked sweeps of a domain, networks trained there beside the classical."""
+    words = ("precision", "recall", "F1 [95 %]", "AUPRC")
+
+    def value(method: str, column: tuple[str, str]) -> str:
+        mixture, word = column
+        key = pair(protocol, method, mixture, domain)
+        if word == "AUPRC":
+            return _area(results, key)
+        if word.startswith("F1"):
+            return format_interval(results.pairs.rate(key, f1), results.pairs.interval(key, f1))
+        return format_rate(results.pairs.rate(key, MEASURES[word]))
+
+    columns = {f"{word}, {mixture}": (mixture, word) for mixture in MIXTURES for word in words}
+    return pivot("", pair_methods(results, protocol, domain), columns, value, "column")
+
+
+def calibration_table(results: PaperResults, protocol: str, domain: str) -> Table:
+    """Return ECE, Brier score and AURC on benign and attacked sweeps; less is better; of MCD also by its deviation."""
+    rows = []
+    for short, name in pair_methods(results, protocol, domain).items():
+        row = [short]
+        for mixture in MIXTURES:
+            scores = results.pairs.scores([pair(protocol, name, mixture, domain)])
+            row += [f"{value:.4f}" if not isnan(value) else "–"
+                    for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]  # fmt: skip
+        rows.append(row)
+    words = ("ECE", "Brier", "AURC", "AURC by deviation")
+    return Table(["", *(f"{word}, {mixture}" for mixture in MIXTURES for word in words)], rows)
+
+
+def strict_methods(results: PaperResults, domain: str) -> list[str]:
     """Return who faced the attacks in a domain: networks first, then the classical estimators."""
-    return list(dict.fromkeys(key.contestant for key in results.strict if key.domain == domain))
+    return results.strict.methods(domain)
 
 
-def attacked_cases(results: Results, domain: str) -> list[Case]:
+def attacked_cases(results: PaperResults, domain: str) -> list[Case]:
     """Return the attacks with their default budgets of which there are results, in the order of their table."""
-    there = {key.case for key in results.strict if key.domain == domain}
-    return [case for name in ATTACKS if (case := Case("attack", name, DEFAULT)) in there]
+    found = results.strict.cases(domain)
+    return [case for name in ATTACKS if (case := Case("attack", name, DEFAULT)) in found]
 
 
-def view_table(results: Results, domain: str) -> Table:
+def has_wedge(results: PaperResults, domain: str, case: Case) -> bool:
+    """Return whether any sweep of a case has cells in a wedge."""
+    method = strict_methods(results, domain)[0]
+    return results.strict.counts(Series(domain, method, case, WEDGE)).cells > 0
+
+
+def view_table(results: PaperResults, domain: str) -> Table:
     """Return F1 of the whole view under every attack, with half of its 95 % interval; the best in bold."""
-    names = who(results, domain)
-    rows = [best(["*benign*", *(_with_spread(results, StrictKey(domain, BENIGN, name)) for name in names)])]
-    for case in attacked_cases(results, domain):
-        cells = (_with_spread(results, StrictKey(domain, case, name)) for name in names)
-        rows.append(best([_labeled(results, case), *cells]))
-    return Table(["attack (family)", *names], rows)
+
+    def spread(case: Case, method: str) -> str:
+        series = Series(domain, method, case)
+        return format_spread(results.strict.rate(series, f1), results.strict.interval(series, f1))
+
+    rows = {"*benign*": BENIGN} | {_labeled(results, case): case for case in attacked_cases(results, domain)}
+    return pivot("attack (family)", rows, {name: name for name in strict_methods(results, domain)}, spread, "row")
 
 
-def wedge_table(results: Results, domain: str) -> Table:
+def wedge_table(results: PaperResults, domain: str) -> Table:
     """Return precision / recall / F1 in the wedge under every attack that has one, above the same left untouched."""
-    names, rows = who(results, domain), []
+    methods, rows = strict_methods(results, domain), []
     for case in attacked_cases(results, domain):
-        if results.has_wedge(domain, case):
-            keys = [StrictKey(domain, case, name) for name in names]
-            rows.append([_labeled(results, case), *_three_each(results, keys, WEDGE)])
-            rows.append(["*untouched*", *_three_each(results, keys, UNTOUCHED)])
-    return Table(["attack (family)", *names], rows)
+        if has_wedge(results, domain, case):
+            for label, region in ((_labeled(results, case), WEDGE), ("*untouched*", UNTOUCHED)):
+                rows.append([label, *_best_f1(results, [Series(domain, name, case, region) for name in methods])])
+    return Table(["attack (family)", *methods], rows)
 
 
-def _three_each(results: Results, keys: list[StrictKey], columns: slice) -> list[str]:
+def _best_f1(results: PaperResults, series: Sequence[Series]) -> list[str]:
     """Return precision / recall / F1 of each, the best F1 in bold."""
-    scores = [results.under(key, f1, columns) for key in keys]
-    most = max((score for score in scores if not isnan(score)), default=float("nan"))
-    cells = []
-    for key, score in zip(keys, scores, strict=True):
-        told = " / ".join(three(results.under(key, measure, columns)) for measure in (precision, recall))
-        cells.append(f"**{told} / {three(score)}**" if score == most else f"{told} / {three(score)}")
-    return cells
+    every = [[results.strict.rate(one, measure) for measure in (precision, recall, f1)] for one in series]
+    most = max((rates[2] for rates in every if not isnan(rates[2])), default=float("nan"))
+    words = [" / ".join(map(format_rate, rates)) for rates in every]
+    return [f"**{cell}**" if rates[2] == most else cell for cell, rates in zip(words, every, strict=True)]
 
 
-def _with_spread(results: Results, key: StrictKey) -> str:
-    low, high = results.under_bounds(key, f1)
-    return three(results.under(key, f1)) + ("" if isnan(low) else f" ±{three((high - low) / 2)}")
-
-
-def _labeled(results: Results, case: Case) -> str:
+def _labeled(results: PaperResults, case: Case) -> str:
     """Return an attack's name and family, with a star if the adversarial models were trained on it."""
-    star = " \\*" if case.name in results.store.plan.trained_attacks else ""
-    return f"{case.name} ({FAMILY[case.name]}){star}"
+    star = " \\*" if case.name in results.plan.trained_attacks else ""
+    return "*benign*" if case == BENIGN else f"{case.name} ({FAMILY[case.name]}){star}"
 
 
-def winner_table(results: Results, domain: str) -> Table:
+def winner_table(results: PaperResults, domain: str) -> Table:
     """Return who has the largest F1 under each attack, and the best network beside the best classical estimator."""
-    names = who(results, domain)
-    classical = [name for name in names if name not in NETWORKS]
-    networks = [name for name in names if name in NETWORKS]
+    names = strict_methods(results, domain)
+    groups = [name for name in names if name in NETWORKS], [name for name in names if name not in NETWORKS]
     rows = []
     for case in [BENIGN, *attacked_cases(results, domain)]:
-        for where, columns in (("view", VIEW), ("wedge", WEDGE)):
-            if where == "wedge" and not results.has_wedge(domain, case):
-                continue
-            one, other = (_leader(results, (domain, case), group, columns) for group in (networks, classical))
-            vote = results.under(StrictKey(domain, case, "majority_vote"), f1, columns)
-            rows.append(
-                [_case_label(results, case), where, *best(["", one[1], other[1]])[1:], one[0], other[0], three(vote)]
-            )
+        for region in (VIEW, WEDGE):
+            if region == VIEW or has_wedge(results, domain, case):
+                one, other = (_leader(results, [Series(domain, name, case, region) for name in group])
+                              for group in groups)  # fmt: skip
+                vote = format_rate(results.strict.rate(Series(domain, "majority_vote", case, region), f1))
+                best = best_of_row(["", one[1], other[1]])[1:]
+                rows.append([_labeled(results, case), region, *best, one[0], other[0], vote])
     header = ["attack (family)", "where", "best network's F1", "best classical F1", "which network", "which classical",
               "majority_vote"]  # fmt: skip
     return Table(header, rows)
 
 
-def _case_label(results: Results, case: Case) -> str:
-    return "*benign*" if case == BENIGN else _labeled(results, case)
-
-
-def _leader(results: Results, where: tuple[str, Case], names: list[str], columns: slice) -> tuple[str, str]:
-    scored = {name: results.under(StrictKey(*where, name), f1, columns) for name in names}
-    scored = {name: score for name, score in scored.items() if not isnan(score)}
+def _leader(results: PaperResults, series: Sequence[Series]) -> tuple[str, str]:
+    scored = {one.method: results.strict.rate(one, f1) for one in series}
+    scored = {name: rate for name, rate in scored.items() if not isnan(rate)}
     if not scored:
         return "–", "–"
     first = max(scored, key=lambda name: scored[name])
-    return first, three(scored[first])
+    return first, format_rate(scored[first])
 
 
-def seen_table(results: Results, domain: str) -> Table:
+def seen_table(results: PaperResults, domain: str) -> Table:
     """Return mean F1 over the attacks that models were trained on and over those that they were not."""
-    names, rows = who(results, domain), []
-    trained = results.store.plan.trained_attacks
+    names, rows = strict_methods(results, domain), []
     for words, seen in (("trained on", True), ("never seen", False)):
+        trained = results.plan.trained_attacks
         cases = [case for case in attacked_cases(results, domain) if (case.name in trained) == seen]
-        for where, columns in (("view", VIEW), ("wedge", WEDGE)):
-            chosen = [case for case in cases if where == "view" or results.has_wedge(domain, case)]
-            means = [_mean(results, domain, chosen, name, columns) for name in names]
-            rows.append(best([f"{words}, {where} (attacks: {len(chosen)})", *map(three, means)]))
+        for region in (VIEW, WEDGE):
+            chosen = [case for case in cases if region == VIEW or has_wedge(results, domain, case)]
+            rates = [[results.strict.rate(Series(domain, name, case, region), f1) for case in chosen] for name in names]
+            means = [format_rate(float(np.mean(each)) if each else float("nan")) for each in rates]
+            rows.append(best_of_row([f"{words}, {region} (attacks: {len(chosen)})", *means]))
     return Table(["mean F1 over attacks", *names], rows)
-
-
-def _mean(results: Results, domain: str, cases: list[Case], name: str, columns: slice) -> float:
-    values = [results.under(StrictKey(domain, case, name), f1, columns) for case in cases]
-    return float(np.mean(values)) if values else float("nan")

@@ -1,14 +1,25 @@
-"""What a study runs: one flat TOML each, with names taken from the tables of attacks, corruptions and defenses."""
+"""What is run over what: names taken from the tables of attacks, corruptions and defenses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from viewshed import _config as flat
-from viewshed.datasets.presets import MAX_SEED
-from viewshed.studies.suite import ENTRANTS
+from viewshed import _config
+from viewshed.studies.cases import (
+    FULL,
+    MIXTURE,
+    behind,
+    budget_cases,
+    budgets_of,
+    corruption_cases,
+    strength_cases,
+    strongest_case,
+)
+from viewshed.studies.plan import JobKey, check_names, check_seed
+from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.suite import TESTED
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.attacks.adaptive import ADAPTIVE
 from viewshed.threats.attacks.points import MOST_FREE
@@ -16,9 +27,6 @@ from viewshed.threats.corruptions import CORRUPTIONS
 from viewshed.threats.defenses import DEFENSES
 
 _FOLDER = "studies/robustness/plans"
-
-FULL = "full"
-"""The budget of every beam in the wedge."""
 
 SEVERITIES = (1, 2, 3, 4, 5)
 
@@ -28,7 +36,7 @@ the attackers who know their victim."""
 
 
 @dataclass(frozen=True, slots=True)
-class Study:
+class RobustnessPlan:
     """What is run over what. Names come from the tables of the package; ``all`` in the TOML stands for a whole table.
 
     Attributes:
@@ -82,14 +90,13 @@ class Study:
 
     def __post_init__(self) -> None:
         for key, table in _NAMES.items():
-            _check_names(key, getattr(self, key), table)
+            check_names(key, getattr(self, key), table)
         if not self.domains or len(self.domains) != len(self.samples) or min(self.samples) < 1:
             raise ValueError(f"samples must be a positive number for each of {list(self.domains)}, got {self.samples}")
         if len(set(self.domains)) != len(self.domains):
             raise ValueError(f"domains must be different, got {', '.join(self.domains)}")
-        if not 0 <= self.seed <= MAX_SEED:
-            raise ValueError(f"seed must lie in [0, {MAX_SEED}], got {self.seed}")
-        _check_names("severities", (*self.severities, self.defended_severity), SEVERITIES)
+        check_seed("seed", self.seed)
+        check_names("severities", (*self.severities, self.defended_severity), SEVERITIES)
         for budget in (*self.budgets, *self.defended_budgets):
             if budget != FULL and not budget.isdecimal():
                 raise ValueError(f"budgets must be whole numbers or {FULL}, got {budget!r}")
@@ -109,81 +116,99 @@ class Study:
             raise ValueError(f"adaptive_queries must be at least 3, got {self.adaptive_queries}")
 
     @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> Study:
-        """Return the study in plain values: keys as the attributes, lists for tuples.
+    def from_json(cls, table: Mapping[str, Any]) -> RobustnessPlan:
+        """Return the plan in plain values: keys as the attributes, lists for tuples.
 
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
         """
-        return cls(**flat.from_dict(cls, table, "study", _NAMES))
+        return cls(**_config.from_dict(cls, table, "plan", _NAMES))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the study as plain values, every name spelt out."""
-        return flat.to_dict(self)
+        """Return the plan as plain values, every name spelt out."""
+        return _config.to_dict(self)
 
-    def jobs(self) -> list[Job]:
-        """Return what there is to do, sample after sample and domain after domain in turn."""
+    @classmethod
+    def load(cls, name: str) -> RobustnessPlan:
+        """Return the plan called ``name``.
+
+        Raises:
+            ValueError: there is none of that name; the message lists those that exist.
+
+        >>> RobustnessPlan.load("small").domains
+        ('nuscenes', 'carla', 'ugv')
+        """
+        return cls.from_json(_config.load_preset(_FOLDER, name))
+
+    def job_keys(self) -> list[JobKey]:
+        """Return part, domain and number of each job, sample after sample and domain after domain in turn."""
         numbers = sorted(
-            (number / count, place, number)
-            for place, count in enumerate(self.samples)
+            (number / count, position, number)
+            for position, count in enumerate(self.samples)
             for number in range(count)
         )  # fmt: skip
-        return [Job(self, place, number, part) for _, place, number in numbers for part in self.parts(place, number)]
+        return [
+            (part, self.domains[position], str(number))
+            for _, position, number in numbers
+            for part in self.parts(self.domains[position], number)
+        ]
 
-    def parts(self, place: int, number: int) -> tuple[str, ...]:
-        """Return what is done with a sample of the domain ``place``: all of ``PARTS``, or all but the last."""
-        few, count = self.adaptive_samples[place], self.samples[place]
+    def parts(self, domain: str, number: int) -> tuple[str, ...]:
+        """Return what is done with a sample: all of ``PARTS``, or all but the last."""
+        few, count = self.adaptive_samples[self.domains.index(domain)], self.count(domain)
         met = bool(self.adaptive) and number in {k * count // few for k in range(few)}
         return PARTS if met else PARTS[:-1]
 
+    def count(self, domain: str) -> int:
+        """Return how many samples a domain has."""
+        return self.samples[self.domains.index(domain)]
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One part of the study on one sample.
+    def cases(self, part: str) -> list[Case]:
+        """Return the cases of one of ``PARTS``, each once."""
+        makers = {
+            "attacks": self._attacks, "corruptions": self._corruptions, "defenses": self._defenses,
+            "paper": self._paper, "adaptive": self._adaptive,
+        }  # fmt: skip
+        return list(dict.fromkeys(makers[part]()))
 
-    Attributes:
-        study: that it is part of.
-        place: number of its domain.
-        number: of the sample in its domain.
-        part: of ``PARTS``.
-    """
+    def strongest(self, attack: str) -> Case:
+        """Return an attack with the largest budget of the plan that fits it, or its largest strength."""
+        return strongest_case(attack, self.budgets)
 
-    study: Study
-    place: int
-    number: int
-    part: str
+    def _attacks(self) -> Iterator[Case]:
+        yield BENIGN
+        for name in self.attacks:
+            yield from budget_cases(name, self.budgets)
+            yield from strength_cases(name) if self.strengths else []
+            yield self.strongest(name)
 
-    @property
-    def key(self) -> tuple[str, int, str]:
-        """Domain, number and part: what it is stored under."""
-        return self.study.domains[self.place], self.number, self.part
+    def _corruptions(self) -> Iterator[Case]:
+        return iter(corruption_cases(self.corruptions, self.severities))
+
+    def _defenses(self) -> Iterator[Case]:
+        faced = [BENIGN]
+        for name in self.attacks:
+            faced += [Case("attack", name, n) for n in budgets_of(name, self.defended_budgets) if n != "0"]
+            faced.append(self.strongest(name))
+        return behind([*faced, *corruption_cases(self.corruptions, (self.defended_severity,))], self.defenses)
+
+    def _paper(self) -> Iterator[Case]:
+        yield BENIGN
+        yield MIXTURE
+        for name in ("uniform", "cluster"):
+            yield from (Case("paper", name, str(points)) for points in self.paper_points)
+
+    def _adaptive(self) -> Iterator[Case]:
+        budget = str(self.adaptive_budget)
+        for name in self.adaptive:
+            yield from (Case("adaptive", name, level) for level in ("0", budget))
+        for name in self.adaptive_against_defenses:
+            for defense in self.defenses:
+                yield Case("adaptive", name, "0", defense)
+                yield from (Case(kind, name, budget, defense) for kind in ("unaware", "adaptive"))
 
 
 _NAMES: dict[str, Iterable[str]] = {
-    "attacks": ATTACKS, "corruptions": CORRUPTIONS, "defenses": DEFENSES, "defended": ENTRANTS,
-    "adaptive": ADAPTIVE, "adaptive_defended": ENTRANTS, "adaptive_against_defenses": ADAPTIVE,
+    "attacks": ATTACKS, "corruptions": CORRUPTIONS, "defenses": DEFENSES, "defended": TESTED,
+    "adaptive": ADAPTIVE, "adaptive_defended": TESTED, "adaptive_against_defenses": ADAPTIVE,
 }  # fmt: skip
-
-
-def _check_names(key: str, names: Iterable[object], table: Iterable[object]) -> None:
-    known = list(table)
-    for name in names:
-        if isinstance(name, bool) or name not in known:
-            raise ValueError(f"{key} must be among {', '.join(map(str, known))}, got {name!r}")
-
-
-def study_names() -> tuple[str, ...]:
-    """Return the names that :func:`study_named` knows, in alphabetical order."""
-    return flat.preset_names(_FOLDER)
-
-
-def study_named(name: str) -> Study:
-    """Return the study called ``name``.
-
-    Raises:
-        ValueError: there is none of that name; the message lists those that exist.
-
-    >>> study_named("small").domains
-    ('nuscenes', 'carla', 'ugv')
-    """
-    return Study.from_json(flat.load_preset(_FOLDER, name))

@@ -31,6 +31,9 @@ from viewshed.sim.assets.shapes import Box, Cylinder
 from viewshed.sim.scene import Scene, cast, depth_image, junction
 from viewshed.sweep import Sweep
 
+OnStep = Callable[[str], None]
+"""Is called with what is done next."""
+
 
 @dataclass(frozen=True, slots=True)
 class CrossViewRules:
@@ -234,27 +237,27 @@ def evaluate_crossview(
     *,
     rng: np.random.Generator,
     rules: CrossViewRules | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    on_step: OnStep = lambda _: None,
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
 
     Raises:
         ValueError: a sweep has no pose or no time.
     """
-    return rows_of(crossview_truth(sequences, rules, progress), estimators, rng=rng, progress=progress)
+    return rows_of(crossview_truth(sequences, rules, on_step), estimators, rng=rng, on_step=on_step)
 
 
 def crossview_truth(
     sequences: Sequence[Sequence[Sweep]],
     rules: CrossViewRules | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    on_step: OnStep = lambda _: None,
 ) -> list[tuple[Sweep, Columns]]:
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, Columns]] = []
     for sweeps in sequences:
         levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
         for k, a in enumerate(levels):
-            progress(f"truth of sweep {len(truth) + 1}")
+            on_step(f"truth of sweep {len(truth) + 1}")
             truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules or CrossViewRules())))
     return truth
 
@@ -264,7 +267,7 @@ def rows_of(
     estimators: Mapping[str, FovEstimator],
     *,
     rng: np.random.Generator,
-    progress: Callable[[str], None] = lambda _: None,
+    on_step: OnStep = lambda _: None,
     shown: Callable[[Sweep], Sweep] = lambda sweep: sweep,
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator against the truth of some sweeps, of :func:`crossview_truth`.
@@ -274,7 +277,7 @@ def rows_of(
     seen = [(shown(sweep), columns) for sweep, columns in truth]
     rows = []
     for method, estimator in estimators.items():
-        progress(method)
+        on_step(method)
         rows.append(_row(method, estimator, seen, rng))
     return rows
 
@@ -282,7 +285,7 @@ def rows_of(
 def _row(
     method: str, estimator: FovEstimator, truth: Sequence[tuple[Sweep, Columns]], rng: np.random.Generator
 ) -> CrossViewRow:
-    tallies = np.zeros((len(truth), 3, 2))
+    counts = np.zeros((len(truth), 3, 2))
     dropped = unseen = 0
     for n, (sweep, columns) in enumerate(truth):
         estimate = estimator.estimate(sweep)
@@ -291,19 +294,19 @@ def _row(
         for k, (wrong, base) in enumerate(
             ((claimed & sure, sure), (~claimed & columns.seen, columns.seen), (claimed & ~columns.seen, ~columns.seen))
         ):
-            tallies[n, k] = wrong.sum(), base.sum()
+            counts[n, k] = wrong.sum(), base.sum()
         dropped += int(columns.through.sum())
         unseen += int((~columns.seen).sum())
     picks = rng.integers(0, len(truth), (2000, len(truth)))
-    rates = [_rate(tallies[:, k], picks) for k in range(3)]
+    rates = [_rate(counts[:, k], picks) for k in range(3)]
     return CrossViewRow(method, rates[0], rates[1], rates[2], dropped / max(unseen, 1))
 
 
-def _rate(tally: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
-    total = tally.sum(axis=0)
+def _rate(counts: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
+    total = counts.sum(axis=0)
     if total[1] == 0:
         return Rate(float("nan"), float("nan"), float("nan"), 0)
-    sums = tally[picks].sum(axis=1)
+    sums = counts[picks].sum(axis=1)
     low, high = np.quantile(sums[sums[:, 1] > 0, 0] / sums[sums[:, 1] > 0, 1], [0.025, 0.975])
     wrong, columns = (int(count) for count in total)
     exact = binomtest(wrong, columns).proportion_ci(0.95)
