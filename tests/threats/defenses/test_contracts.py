@@ -45,7 +45,7 @@ def attacked(street: Sweep) -> Sweep:
         points=np.concatenate([street.points, extra.astype(np.float32)])[order],
         ring=np.concatenate([street.ring, rng.integers(0, 16, 150)])[order],
         azimuth=np.concatenate([street.azimuth, azimuth])[order],
-        intensity=np.arange(count, dtype=np.float32), time_s=np.arange(count, dtype=np.float32),
+        intensity=np.arange(count, dtype=np.float32), time_s=np.arange(count, dtype=np.float32) * 1e-5,
     )  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]
     Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
 
     >>> at = [Moment(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
-    >>> posts_of(at, 2.0)
+    >>> well_spaced(at, 2.0)
     [0, 2, 4]
     """
     posts: list[int] = []

@@ -28,7 +28,7 @@ Maker = Callable[[np.random.Generator], Group]
 def place_group(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0) -> Group:
     """Return the group turned by ``yaw`` about its origin, then moved to (x, y) in meters.
 
-    >>> [(round(one.x_m, 6), round(one.y_m, 6)) for one in placed((Thing("a", (), x_m=1.0),), 5.0, 2.0, np.pi / 2)]
+    >>> [(round(one.x_m, 6), round(one.y_m, 6)) for one in place_group((Thing("a", (), x_m=1.0),), 5.0, 2.0, np.pi / 2)]
     [(5.0, 3.0)]
     """
     c, s = math.cos(yaw), math.sin(yaw)
