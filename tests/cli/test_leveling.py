@@ -10,6 +10,8 @@ from viewshed.cli import main
 from viewshed.io.export import read_npz
 from viewshed.io.samples import junction_path
 from viewshed.preprocess.sensor_identification import SensorId, identify_sensor
+from viewshed.sensors import lidar_model
+from viewshed.sim import cast, junction
 from viewshed.sweep import Sweep
 
 
@@ -84,3 +86,22 @@ def test_former_names_of_options_and_methods_are_taken(sweep_file: Path) -> None
         assert end.value.code == 2
     assert [mask.method for mask in masks] == ["majority_vote"] * 2
     assert np.array_equal(masks[0].state, masks[1].state)
+
+
+def test_no_sensor_means_none(tmp_path: Path) -> None:
+    """A cloud of a known sensor: with ``--sensor none`` no beam table is inferred from its points."""
+    bare = viewshed.Sweep(cast(lidar_model("hdl32e"), junction(), 1.8).points)
+    viewshed.write_sweep(bare, tmp_path / "bare.npz")
+    assert identify_sensor(bare).model is not None
+    saved = {}
+    for sensor in ("auto", "none"):
+        with pytest.raises(SystemExit):
+            main([
+                "estimate", str(tmp_path / "bare.npz"), "--method", "shadow_map", "--sensor", sensor, "--results",
+                "npz", "--out", str(tmp_path / sensor),
+            ])  # fmt: skip
+        saved[sensor] = read_npz(tmp_path / sensor / "bare.npz").state
+    assert np.array_equal(saved["auto"], viewshed.estimate(bare, method="shadow_map").state)
+    without = viewshed.estimate(bare.replace(infer_sensor=False), method="shadow_map").state
+    assert np.array_equal(saved["none"], without)
+    assert not np.array_equal(saved["auto"], saved["none"])

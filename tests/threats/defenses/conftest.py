@@ -14,4 +14,6 @@ def street() -> Sweep:
     sweep = cast(lidar_model("vlp16"), junction(), 1.8)
     intensity = np.arange(len(sweep), dtype=np.float32)  # names the row
     pose = Rigid.from_yaw(0.5, (10.0, 20.0, 1.8))
-    return sweep.replace(time_s=intensity * np.float32(1e-5), intensity=intensity, world_from_sensor=pose, t_ns=7, agent="a")
+    return sweep.replace(
+        time_s=intensity * np.float32(1e-5), intensity=intensity, world_from_sensor=pose, t_ns=7, agent="a"
+    )
