@@ -3,7 +3,7 @@
     python tools/hostile_files.py [--before CHECKOUT] [--only WORD,WORD] [--out docs/results/hostile_files.md]
 
 Each file is read in a child process, which measures the processor's time and the growth of its memory. ``--before``
-names a checkout of an earlier version (``git worktree add CHECKOUT before-move``) that is measured the same way.
+names a checkout of an earlier version (``git worktree add CHECKOUT d5ad149``) that is measured the same way.
 """
 
 from __future__ import annotations
@@ -392,8 +392,8 @@ def report(rows: list[str], with_before: bool) -> str:
     return "\n".join([
         "# Hostile files", "",
         f"Command: `python tools/hostile_files.py --before CHECKOUT`, {datetime.datetime.now(datetime.UTC):%Y-%m-%d}, "
-        f"{platform.machine()}, Linux, Python {platform.python_version()}, numpy {np.__version__}. *Before* is the tag "
-        "`before-move`.", "",
+        f"{platform.machine()}, Linux, Python {platform.python_version()}, numpy {np.__version__}. *Before* is "
+        "commit d5ad149, the last with the former layout.", "",
         "Files that were built to kill, stall or swell a reader. Each is read in a process of its own after everything "
         f"is loaded: seconds of the processor (given up after {GIVE_UP_S}), growth of the process's memory (at most "
         f"{MEMORY_BYTES // 10**9} GB), and how it ended: *read*, *one line* that names a file, or the exception that "
