@@ -138,3 +138,15 @@ def test_beams_need_one_shape() -> None:
     short: NDArray[np.float32] = np.zeros(2, np.float32)
     with pytest.raises(ValueError, match="one shape"):
         Beams(np.zeros(3, np.float32), short, short)
+
+
+def test_a_beam_reaches_cells_up_to_one_cell_beyond_its_end() -> None:
+    """Level beams that end at 5.3 m: the target at 5.75 m (less one cell, 5.25 m) is met, that at 6.25 m is not."""
+    azimuth = np.linspace(-0.3, 0.3, 400).astype(np.float32)
+    beams = Beams(azimuth, np.zeros(400, np.float32), np.full(400, 5.3, np.float32))
+    grid = BevGrid(64, 16.0)
+    returns, aimed = expected_returns(beams, 1.0, HeightMap.flat(16.0), grid, CAR)
+    reached, beyond = (tuple(grid.index(np.array([x_m, 0.25]))[0]) for x_m in (5.75, 6.25))
+    assert returns[reached] > 50
+    assert returns[beyond] == 0
+    assert min(aimed[reached], aimed[beyond]) > 50
