@@ -3,7 +3,8 @@
 python tools/golden.py record [arrays shards published tiny]    writes them anew; all parts if none is named
 python tools/golden.py check [arrays shards published tiny]     lists what differs; exit code 1 if anything does
 
-``tables`` names both published and tiny. ``arrays`` needs the real sweeps: VIEWSHED_REAL_DATA is their folder.
+``tables`` names both published and tiny. ``arrays`` needs the real sweeps: VIEWSHED_REAL_DATA is their
+folder, else ``shared/data`` beside the checkout.
 ``tiny`` runs every study on its tiny plan, which takes minutes; three of its pages come from networks trained on the
 spot, so that another processor or another torch may give other figures there.
 """
@@ -33,7 +34,8 @@ def main() -> int:
     unknown = set(names) - set(parts.PARTS)
     if unknown:
         parser.error(f"PART must be among {', '.join(parts.PARTS)}, got {', '.join(sorted(unknown))}")
-    folder = os.environ.get("VIEWSHED_REAL_DATA")
+    beside = ROOT.parent / "shared" / "data"
+    folder = os.environ.get("VIEWSHED_REAL_DATA") or (str(beside) if beside.is_dir() else None)
     differing = 0
     for name in names:
         start = time.perf_counter()
