@@ -51,8 +51,6 @@ BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 
 PROFILES = ("sound", "paper")
 
-_BAGS = (".bag", ".mcap", ".db3")
-
 
 @dataclass(frozen=True, slots=True)
 class Reading:
@@ -81,8 +79,9 @@ class Reading:
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
+        from viewshed.io.formats import is_recording
 
-        if self.format == AUTO and (path.is_dir() or path.suffix.lower() in _BAGS):
+        if self.format == AUTO and is_recording(path):
             return self._recorded(path)
         return read_sweeps(
             path, format=self.format, file_frame=self.file_frame,

@@ -33,8 +33,6 @@ EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
 
 _MANIFEST = "manifest.json"
 
-_BAGS = (".bag", ".mcap", ".db3")
-
 
 def attack(
     sources: Sources,
@@ -139,13 +137,14 @@ def _budget(text: str | None, attack: str) -> int | None:
 def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -> Sweeps:
     from viewshed.datasets import Archive
     from viewshed.datasets.tampered import sweeps_of_archive, sweeps_of_files, sweeps_of_recording
+    from viewshed.io.formats import is_recording
 
     first, wanted = Path(sources[0]), options.parse_grid(grid)
     if len(sources) == 1 and ("://" in sources[0] or (first / _MANIFEST).is_file()):
         return sweeps_of_archive(Archive.open(sources[0]), split)
     if split is not None:
         raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")
-    if len(sources) == 1 and (first.is_dir() or first.suffix.lower() in _BAGS):
+    if len(sources) == 1 and is_recording(first):
         return sweeps_of_recording(str(first.absolute()), wanted)
     for path in map(Path, sources):
         if not path.is_file():

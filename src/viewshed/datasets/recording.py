@@ -11,9 +11,8 @@ from viewshed.datasets.archive.archive import ArchiveSource, is_archive
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io import read_sweeps
+from viewshed.io.formats import is_recording
 from viewshed.sweep import Sweep
-
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,12 +34,6 @@ class Recording:
             ValueError: something is damaged; the message names the file.
         """
         return self.sweeps()
-
-
-def is_recording(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a folder or a bag; anything else is a file of sweeps."""
-    place = Path(path)
-    return place.is_dir() or place.suffix.lower() in BAG_SUFFIXES
 
 
 def open_recording(path: str | os.PathLike[str]) -> Recording:

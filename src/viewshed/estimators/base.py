@@ -10,7 +10,7 @@ from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
-from viewshed.preprocess.history import History
+from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
 
@@ -157,5 +157,4 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
         )
     if isinstance(history, History):
         return history
-    earlier = [leveled_on(sweep, estimator.grid) for sweep in history]
-    return History.of(leveled, [sweep for sweep in earlier if len(sweep.sweep)])
+    return history_of(leveled, history, estimator.grid)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from viewshed.geometry import Rigid
 from viewshed.io._columns import Columns
@@ -132,3 +134,12 @@ def format_named(name: str, path: str) -> str:
     if name not in writable:
         raise ValueError(f"{path}: format must be one of {', '.join(writable)} to write, got {name!r}")
     return name
+
+
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+def is_recording(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a folder or a bag; anything else is a file of sweeps."""
+    place = Path(path)
+    return place.is_dir() or place.suffix.lower() in BAG_SUFFIXES

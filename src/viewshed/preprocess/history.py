@@ -19,7 +19,7 @@ from viewshed._numba import atan2
 from viewshed.fov.visibility import Beams, Target, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, leveled_on
 from viewshed.preprocess.no_return import measured_and_inferred_beams
 from viewshed.sweep import Sweep
 
@@ -130,13 +130,14 @@ class History:
         return total
 
 
-def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep], grid: BevGrid) -> History | None:
+def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep | LeveledSweep], grid: BevGrid) -> History | None:
     """Return the history of a sweep, leveled on ``grid``, from ``earlier`` ones; None where there are none.
 
     Raises:
         ValueError: one of them has no pose.
     """
-    return History.of(leveled, [level(sweep, grid) for sweep in earlier if len(sweep)])
+    before = [leveled_on(sweep, grid) for sweep in earlier]
+    return History.of(leveled, [sweep for sweep in before if len(sweep.sweep)])
 
 
 def _pose(leveled: LeveledSweep) -> Rigid:
