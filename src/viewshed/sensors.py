@@ -35,6 +35,10 @@ class LidarModel:
         min_range_m: returns nearer than this are the sensor itself or a null return.
         max_range_m: farthest return.
         source: where the table comes from.
+        shots: (azimuth_columns, rings, 2) float64 radians: azimuth and elevation of every shot in the order of firing,
+            NaN where nothing is fired, of a sensor that scans another pattern than its rings or only a part of the
+            circle; None where each column fires every ring at its azimuth. Only the simulator reads it. Without rings,
+            ``elevation`` is a ladder from the lowest shot to the highest.
 
     Raises:
         ValueError: an attribute is not as above.
@@ -48,6 +52,7 @@ class LidarModel:
     min_range_m: float = 0.5
     max_range_m: float = 100.0
     source: str = ""
+    shots: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         elevation = np.array(self.elevation, dtype=np.float64)
@@ -62,6 +67,16 @@ class LidarModel:
         object.__setattr__(self, "elevation", _frozen(elevation))
         for key in ("azimuth_offset", "origin_m"):
             object.__setattr__(self, key, self._per_ring(key))
+        if self.shots is not None:
+            object.__setattr__(self, "shots", _frozen(self._checked_shots(np.array(self.shots, dtype=np.float64))))
+
+    def _checked_shots(self, shots: NDArray[np.float64]) -> NDArray[np.float64]:
+        shape = (self.azimuth_columns, self.rings, 2)
+        if shots.shape != shape or np.isinf(shots).any() or (np.isnan(shots[..., 0]) != np.isnan(shots[..., 1])).any():
+            raise ValueError(f"{self.name}: shots must be {shape} radians, NaN in pairs, got {shots.shape}")
+        if np.isnan(shots).all() or np.nanmax(np.abs(shots[..., 1])) > np.pi / 2:
+            raise ValueError(f"{self.name}: shots must have elevations within ±90°, and be one or more")
+        return shots
 
     def _per_ring(self, key: str) -> NDArray[np.float64]:
         array = np.array(getattr(self, key), dtype=np.float64)
@@ -75,6 +90,11 @@ class LidarModel:
     def rings(self) -> int:
         """Number of beams in a column."""
         return int(self.elevation.size)
+
+    @property
+    def fired(self) -> NDArray[np.bool_] | None:
+        """Which shots (azimuth_columns, rings) are fired, or None where all are."""
+        return None if self.shots is None else ~np.isnan(self.shots[..., 0])
 
     @property
     def azimuth_step(self) -> float:

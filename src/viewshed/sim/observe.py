@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
-from viewshed.sensors import lidar_model
+from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS, Conditions
@@ -52,7 +52,14 @@ class Setting:
     revolution_s: float = 0.1
 
 
-def observe(world: World, agent: Agent, t_s: float, setting: Setting, seed: np.random.SeedSequence) -> Observation:
+def observe(
+    world: World,
+    agent: Agent,
+    t_s: float,
+    setting: Setting,
+    seed: np.random.SeedSequence,
+    model: LidarModel | None = None,
+) -> Observation:
     """Return what ``agent`` observes in the revolution about ``t_s``; the same seed, the same bytes.
 
     Args:
@@ -61,12 +68,13 @@ def observe(world: World, agent: Agent, t_s: float, setting: Setting, seed: np.r
         t_s: time in seconds.
         setting: grid, weather, duration of the revolution.
         seed: of free paths in volumes and of the measurement's noise.
+        model: its sensor, where that is no table by name.
     """
     for_paths, for_noise = seed.spawn(2)
     pose = world.world_from_sensor(agent, t_s)
     motion = motion_of(world, agent, t_s, setting.revolution_s)
     paths = int(for_paths.generate_state(1)[0])
-    scan = cast_world(_snapshot(world, t_s), lidar_model(agent.sensor), pose, motion, paths)
+    scan = cast_world(_snapshot(world, t_s), model or lidar_model(agent.sensor), pose, motion, paths)
     image = measure(
         scan,
         setting.conditions,

@@ -19,8 +19,9 @@ Floats = NDArray[np.float32]
 def firing(model: LidarModel, motion: Motion, world_from_sensor: Rigid) -> tuple[Floats, Floats, Floats]:
     """Return starts (C, R, 3), unit directions (C, R, 3) in the sensor's reference frame, and times (C,) in seconds.
 
-    Column c fires at azimuth -π + (c + 1/2) · ``model.azimuth_step``, at time (c + 1/2) / C - 1/2 of the period from
-    the reference. Positions are meters; the arrays are read-only and shared.
+    Column c fires at azimuth -π + (c + 1/2) · ``model.azimuth_step``, or as ``model.shots`` says, at time
+    (c + 1/2) / C - 1/2 of the period from the reference. A shot that is not fired points straight up. Positions are
+    meters; the arrays are read-only and shared.
     """
     start_m, direction, _ = still_firing(model)
     turn, shift_m, time_s = column_poses(model, motion, world_from_sensor)
@@ -83,8 +84,12 @@ def _fire(
 def _still(model: LidarModel) -> tuple[Floats, Floats, Floats]:
     columns = np.arange(model.azimuth_columns) + 0.5
     azimuth = (-np.pi + columns * model.azimuth_step)[:, None] + model.azimuth_offset[None, :]
-    flat = np.cos(model.elevation)[None, :]
-    upward = np.broadcast_to(np.sin(model.elevation)[None, :], azimuth.shape)
+    elevation = model.elevation[None, :]
+    if model.shots is not None:
+        azimuth = np.nan_to_num(model.shots[..., 0], nan=0.0)
+        elevation = np.nan_to_num(model.shots[..., 1], nan=np.pi / 2)
+    flat = np.cos(elevation)
+    upward = np.broadcast_to(np.sin(elevation), azimuth.shape)
     direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), upward], axis=-1).astype(np.float32)
     phase = columns / model.azimuth_columns - 0.5
     return _frozen(model.origin_m.astype(np.float32)), _frozen(direction), _frozen(phase.astype(np.float32))

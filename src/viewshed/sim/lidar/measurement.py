@@ -157,6 +157,8 @@ def measure(
         steps,
         intensity,
     )
+    if model.fired is not None:  # particles return light to no shot that was not fired
+        steps[~model.fired], intensity[~model.fired] = 0, 0
     return StoredSweep(
         model=model, steps=steps, intensity=intensity, step_m=step_m, world_from_sensor=scan.world_from_sensor,
         motion=scan.motion, sensor_height_m=sensor_height_m, t_ns=t_ns, agent=agent,

@@ -16,7 +16,7 @@ from viewshed.sim.raycast._refine import measure_stops, turn_beams
 from viewshed.sim.raycast._solids import cast_solids
 from viewshed.sim.raycast._terrain import cast_terrain
 from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
-from viewshed.sim.world import Snapshot
+from viewshed.sim.world import NOTHING, Snapshot
 
 
 def cast_world(
@@ -57,6 +57,9 @@ def cast_world(
         origin, direction, time_s, solids, ground, _free_paths(), model.max_range_m, nearest,
         depth, thing, material, cosine,
     )  # fmt: skip
+    if model.fired is not None:
+        dark = ~model.fired
+        depth[dark], thing[dark], material[dark], cosine[dark] = np.inf, NOTHING, 0, 0.0
     return ExactScan(model, world_from_sensor, motion, time_s, origin, direction, depth, thing, material, cosine)
 
 
@@ -95,16 +98,28 @@ def _view(model: LidarModel, pose: Rigid, motion: Motion) -> View:
     """Return what the windows of the caster depend on."""
     swing = abs(motion.yaw_rate) * motion.period_s / 2
     tilt = float(np.hypot(pose.rotation[2, 0], pose.rotation[2, 1]))
+    low_offset, high_offset, slack = _spread_of_shots(model)
     return View(
         rotation=pose.rotation,
         step=model.azimuth_step,
-        low_offset=float(model.azimuth_offset.min()) - swing,
-        high_offset=float(model.azimuth_offset.max()) + swing,
+        low_offset=low_offset - swing,
+        high_offset=high_offset + swing,
         slopes=np.tan(model.elevation),
         columns=model.azimuth_columns,
         max_range_m=model.max_range_m,
         half_period_s=motion.period_s / 2,
         lift_m=float(np.abs(model.origin_m).max()),
-        slack=2.0 * swing * tilt,
+        slack=2.0 * swing * tilt + slack,
         velocity=np.asarray(motion.velocity_mps, np.float64),
     )
+
+
+@lru_cache(maxsize=32)
+def _spread_of_shots(model: LidarModel) -> tuple[float, float, float]:
+    """Return least and largest azimuth of a shot from its column's, and how far its slope is off its ring's at most."""
+    if model.shots is None:
+        return float(model.azimuth_offset.min()), float(model.azimuth_offset.max()), 0.0
+    columns = -np.pi + (np.arange(model.azimuth_columns) + 0.5) * model.azimuth_step
+    offset = (model.shots[..., 0] - columns[:, None] + np.pi) % (2 * np.pi) - np.pi
+    slack = np.nanmax(np.abs(np.tan(model.shots[..., 1]) - np.tan(model.elevation)))
+    return float(np.nanmin(offset)), float(np.nanmax(offset)), float(slack)
