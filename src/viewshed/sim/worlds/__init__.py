@@ -7,12 +7,16 @@ from collections.abc import Callable
 import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
+from viewshed.sim.worlds.country_road import country_road
+from viewshed.sim.worlds.cutting import cutting
+from viewshed.sim.worlds.embankment import embankment
 from viewshed.sim.worlds.highway import highway
 from viewshed.sim.worlds.indoor.corridors import corridors
 from viewshed.sim.worlds.indoor.hall import hall
 from viewshed.sim.worlds.indoor.rooms import rooms
 from viewshed.sim.worlds.indoor.warehouse import warehouse
 from viewshed.sim.worlds.junction import junction
+from viewshed.sim.worlds.open_field import open_field
 from viewshed.sim.worlds.parking import parking
 from viewshed.sim.worlds.residential import residential
 from viewshed.sim.worlds.street import street
@@ -30,6 +34,10 @@ WORLDS: dict[str, WorldMaker] = {
     "corridors": corridors,
     "hall": hall,
     "warehouse": warehouse,
+    "open_field": open_field,
+    "embankment": embankment,
+    "cutting": cutting,
+    "country_road": country_road,
 }
 """Every kind of world by name; to add one, write a file and add a line."""
 

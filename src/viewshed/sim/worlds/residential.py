@@ -9,13 +9,15 @@ from viewshed.sim.assets.street import bin_, bush, conifer, fence, hedge, lamp_p
 from viewshed.sim.assets.vehicles import car, cyclist, parked_vehicle, street_vehicle, van
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.frontage import PARKING_M, Side, parked, walkers
-from viewshed.sim.worlds.layout import Contents, Mast, Span, assembled, carriers, mast, spots
+from viewshed.sim.worlds.layout import Contents, Mast, Span, assembled, mast, spots
 from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
-from viewshed.sim.worlds.traffic import Rider, Stream, filled, flow, straight_lane
+from viewshed.sim.worlds.traffic import Pace, driven, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
 
 _DRIVE_M = 3.6
+
+_PACE = Pace(_HALF_X_M, _ROAM_M, (4.0, 9.0), (15.0, 40.0, 120.0))
 
 
 def residential(rng: np.random.Generator, plan: AgentPlan) -> World:
@@ -27,7 +29,8 @@ def residential(rng: np.random.Generator, plan: AgentPlan) -> World:
     sides = [_side(rng, yaw, road) for yaw in (0.0, np.pi)]
     masts = _masts(rng, plan.roadside, road)
     still = [thing for one in sides for thing in _lined(rng, one, masts, bumps)]
-    moving = _traffic(rng, plan, wide)
+    lanes = [straight_lane(0.0, -wide / 2, 0.0), straight_lane(0.0, wide / 2, np.pi)]
+    moving = driven(rng, plan, lanes, _PACE, _vehicle)
     moving += [rider for one in sides for rider in walkers(rng, one, 60.0, plan.duration_s)]
     return assembled("residential", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
 
@@ -131,16 +134,6 @@ def _garden(rng: np.random.Generator, one: Side, span: Span, front_m: float) -> 
         thing = conifer(rng) if rng.random() < 0.3 else tree(rng, 1.8, rng.uniform(4.0, 7.0))
         things.append(one.put(thing, u, back + rng.uniform(0.0, 6.0)))
     return things
-
-
-def _traffic(rng: np.random.Generator, plan: AgentPlan, wide_m: float) -> list[Rider]:
-    riders: list[Rider] = []
-    for seats, (y, yaw) in zip(carriers(rng, plan, 2), ((-wide_m / 2, 0.0), (wide_m / 2, np.pi)), strict=True):
-        speed = float(min(rng.uniform(4.0, 9.0), max(2.0, rng.uniform(0.8, 1.5) * 2 * _ROAM_M / plan.duration_s)))
-        stream = Stream(_HALF_X_M, _ROAM_M, speed, (15.0, rng.uniform(40.0, 120.0)))
-        drivers = filled(rng, stream, _vehicle, seats, plan.duration_s)
-        riders += flow(straight_lane(0.0, y, yaw), drivers, plan.duration_s)
-    return riders
 
 
 def _vehicle(rng: np.random.Generator) -> Thing:

@@ -8,11 +8,13 @@ from viewshed.sim.assets.street import cone, place_at, work_barrier
 from viewshed.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
-from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast
+from viewshed.sim.worlds.layout import Contents, Mast, assembled, mast
 from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
-from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
+from viewshed.sim.worlds.traffic import Driver, Lane, Pace, Rider, driven, flow, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
+
+_PACE = Pace(_HALF_X_M, _ROAM_M, (5.0, 14.0), (6.0, 20.0, 60.0), (0.8, 1.6))
 
 
 def street(rng: np.random.Generator, plan: AgentPlan) -> World:
@@ -25,7 +27,7 @@ def street(rng: np.random.Generator, plan: AgentPlan) -> World:
     sides = [random_side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
     masts = _masts(rng, plan.roadside, road)
     still = [thing for one in sides for thing in _lined(rng, one, masts, bumps)]
-    moving = _traffic(rng, plan, lanes, wide)
+    moving = driven(rng, plan, _lanes(lanes, wide), _PACE, street_vehicle)
     if biking:
         moving += _cyclists(rng, plan, lanes * wide + 0.8)
     moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
@@ -55,21 +57,10 @@ def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[
     ]
 
 
-def _traffic(rng: np.random.Generator, plan: AgentPlan, lanes: int, wide: float) -> list[Rider]:
-    riders: list[Rider] = []
-    dealt = carriers(rng, plan, 2 * lanes)
-    for k, seats in enumerate(dealt):
-        ahead = k % 2 == 0
-        across = (k // 2 + 0.5) * wide
-        lane = straight_lane(0.0, -across if ahead else across, 0.0 if ahead else np.pi)
-        stream = Stream(_HALF_X_M, _ROAM_M, _speed(rng, plan.duration_s), (6.0, rng.uniform(20.0, 60.0)))
-        riders += flow(lane, filled(rng, stream, street_vehicle, seats, plan.duration_s), plan.duration_s)
-    return riders
-
-
-def _speed(rng: np.random.Generator, duration_s: float) -> float:
-    """Return a speed in town that lets agents keep driving for most of the time within their part of the street."""
-    return float(min(rng.uniform(5.0, 14.0), max(2.0, rng.uniform(0.8, 1.6) * 2 * _ROAM_M / duration_s)))
+def _lanes(count: int, wide: float) -> list[Lane]:
+    """Return the lanes from the axis outward, one way and back by turns."""
+    across = [(k + 0.5) * wide for k in range(count)]
+    return [straight_lane(0.0, at if back else -at, np.pi if back else 0.0) for at in across for back in (False, True)]
 
 
 def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> list[Rider]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sim.assets.street import drive, extent, place_at
-from viewshed.sim.world import Thing, Track
+from viewshed.sim.world import AgentPlan, Thing, Track
+from viewshed.sim.worlds.layout import carriers
 
 Array = NDArray[np.float64]
 
@@ -185,6 +186,40 @@ def filled(
               for (thing, ahead), at in zip(carriers, positions, strict=True)]  # fmt: skip
     before = _others(rng, stream, maker, (lead + apart, stream.reach_m))
     return [*before, *agents, *_others(rng, stream, maker, (entry, float(positions[-1]) - apart))]
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How the lanes of a road are driven.
+
+    Attributes:
+        reach_m: vehicles are put from minus to plus this far along each lane.
+        roam_m: agents stay within minus and plus this.
+        speed_mps: slowest and fastest speed.
+        gap_m: smallest gap between two vehicles, and the least and the most that the largest may be.
+        share: least and most of their part of the road that agents drive within the plan's duration.
+    """
+
+    reach_m: float
+    roam_m: float
+    speed_mps: tuple[float, float]
+    gap_m: tuple[float, float, float]
+    share: tuple[float, float] = (0.8, 1.5)
+
+
+def driven(rng: np.random.Generator, plan: AgentPlan, lanes: Sequence[Lane], pace: Pace, maker: Maker) -> list[Rider]:
+    """Return the traffic of lanes: the plan's agents dealt out over them, others made by ``maker``.
+
+    Speeds are such that agents keep driving for most of the time within their part of the road.
+    """
+    riders: list[Rider] = []
+    for lane, seats in zip(lanes, carriers(rng, plan, len(lanes)), strict=True):
+        wanted = rng.uniform(*pace.speed_mps)
+        speed = float(min(wanted, max(2.0, rng.uniform(*pace.share) * 2 * pace.roam_m / plan.duration_s)))
+        least, *most = pace.gap_m
+        stream = Stream(pace.reach_m, pace.roam_m, speed, (least, rng.uniform(*most)))
+        riders += flow(lane, filled(rng, stream, maker, seats, plan.duration_s), plan.duration_s)
+    return riders
 
 
 def _others(rng: np.random.Generator, stream: Stream, maker: Maker, span_m: tuple[float, float]) -> list[Driver]:

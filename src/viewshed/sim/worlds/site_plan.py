@@ -1,0 +1,73 @@
+"""An outdoor world under construction: what stands in it so far, at any angle, and where the next thing may stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from viewshed.sim.assets.street import footprint, place_at
+from viewshed.sim.world import Thing
+from viewshed.sim.worlds.roadway import HALF_M, Bend
+
+Array = NDArray[np.float64]
+
+_GAP_M = 0.15
+
+
+@dataclass(slots=True)
+class SitePlan:
+    """Things, and the areas that the next thing must not touch.
+
+    Attributes:
+        things: what stands in the world.
+    """
+
+    things: list[Thing] = field(default_factory=list)
+    _taken: list[shapely.Polygon] = field(default_factory=list)
+
+    def reserve(self, *areas: shapely.Polygon) -> None:
+        """Keep areas free, in meters of the world."""
+        self._taken += areas
+
+    def keep_road(self, bend: Bend, half_m: float) -> None:
+        """Keep the road within ``half_m`` meters of an axis free."""
+        x = np.arange(-HALF_M - 20.0, HALF_M + 21.0, 4.0)
+        self.reserve(shapely.LineString(np.column_stack([x, bend.axis(x)])).buffer(half_m, cap_style="flat"))
+
+    def clear(self, area: shapely.Polygon, gap_m: float = _GAP_M) -> bool:
+        """Return whether nothing reserved or standing lies within ``gap_m`` meters of an area."""
+        if not self._taken:
+            return True
+        return not bool((shapely.distance(area, np.array(self._taken)) < gap_m).any())
+
+    def put(self, thing: Thing, gap_m: float = _GAP_M, below_m: float = 2.1) -> bool:
+        """Let a thing stand where it is if what of it begins below ``below_m`` is clear of others, and say so."""
+        area = shapely.Polygon(footprint(thing, below_m=below_m))
+        if not self.clear(area, gap_m):
+            return False
+        self.stand(thing, below_m=below_m)
+        return True
+
+    def put_all(self, things: list[Thing], gap_m: float = _GAP_M) -> None:
+        """Let those things stand that are clear of others, one after the other."""
+        for thing in things:
+            self.put(thing, gap_m)
+
+    def stand(self, *things: Thing, below_m: float = 2.1) -> None:
+        """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
+        for thing in things:
+            self.things.append(thing)
+            self._taken.append(shapely.Polygon(footprint(thing, below_m=below_m)))
+
+    def scatter(
+        self, rng: np.random.Generator, things: list[Thing], spread_m: tuple[float, float, float, float]
+    ) -> None:
+        """Let things stand anywhere in x from, y from, x to, y to, at any angle; those without room are left out."""
+        x0, y0, x1, y1 = spread_m
+        for thing in things:
+            for u, v, turn in rng.random((4, 3)).tolist():
+                if self.put(place_at(thing, x0 + u * (x1 - x0), y0 + v * (y1 - y0), 2 * np.pi * turn)):
+                    break
