@@ -1,0 +1,99 @@
+"""Which sets are run, with which methods, targets and knowledge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from viewshed import _config
+from viewshed.datasets.wild import SEALED, SETS, TOLD, wild_tables
+from viewshed.estimators import ESTIMATORS
+from viewshed.fov.visibility import TARGETS
+from viewshed.studies.plan import JobKey, check_names
+
+_FOLDER = "studies/wild/plans"
+
+DOMAINS = ("road", "indoor")
+
+
+@dataclass(frozen=True, slots=True)
+class WildPlan:
+    """What is run. ``all`` in the TOML stands for a whole table of names.
+
+    Attributes:
+        name: of the study.
+        about: one line for people.
+        sets: of ``datasets.wild.SETS``; ``own`` is the yardstick, all others together are *other*.
+        domains: ``road``, ``indoor``.
+        scenes: how many of each domain at most, the first ones; 0 for all.
+        methods: of ``ESTIMATORS``. A network without weights for a grid and target is left out there.
+        told: of ``TOLD``: what the sweeps say beside their points.
+        targets: of ``TARGETS``.
+        ladder: whether the shadow map is also given the exact ground, returns and rings, one by one.
+        worst: how many of the worst scenes of each domain are shown as pictures.
+
+    Raises:
+        ValueError: a name is not known, or a number is out of range.
+    """
+
+    name: str
+    about: str
+    sets: tuple[str, ...]
+    domains: tuple[str, ...]
+    scenes: int
+    methods: tuple[str, ...]
+    told: tuple[str, ...]
+    targets: tuple[str, ...]
+    ladder: bool
+    worst: int
+
+    def __post_init__(self) -> None:
+        for key, table in (("sets", SETS), ("domains", DOMAINS), *_NAMES.items()):
+            check_names(key, getattr(self, key), table, once=True)
+        if min(self.scenes, self.worst) < 0:
+            raise ValueError(f"scenes and worst must not be negative, got {self.scenes} and {self.worst}")
+
+    @classmethod
+    def from_json(cls, table: Mapping[str, Any]) -> WildPlan:
+        """Return the plan in plain values: keys as the attributes, lists for tuples.
+
+        Raises:
+            ValueError: a key is missing or unknown, or a value is wrong.
+        """
+        return cls(**_config.from_dict(cls, table, "plan", _NAMES))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as plain values, every name spelt out."""
+        return _config.to_dict(self)
+
+    @classmethod
+    def load(cls, name: str) -> WildPlan:
+        """Return the plan called ``name``.
+
+        Raises:
+            ValueError: there is none of that name; the message lists those that exist.
+
+        >>> WildPlan.load("small").sets
+        ('own', 'development')
+        """
+        return cls.from_json(_config.load_preset(_FOLDER, name))
+
+    @property
+    def opens_sealed(self) -> bool:
+        """Whether the sealed set is among the sets."""
+        return SEALED in self.sets
+
+    def job_keys(self) -> list[JobKey]:
+        """Return set, domain, scene and sweep of each job."""
+        return [
+            (domain.set_name, domain.name, str(number), str(sweep))
+            for set_name in self.sets
+            for domain in wild_tables().of_set(set_name)
+            if domain.name in self.domains
+            for number in range(min(self.scenes or domain.scenes, domain.scenes))
+            for sweep in range(domain.sweeps)
+        ]
+
+
+_NAMES: dict[str, Iterable[str]] = {"methods": ESTIMATORS, "told": TOLD, "targets": TARGETS}
