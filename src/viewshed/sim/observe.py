@@ -79,7 +79,7 @@ def observe(
         scan,
         setting.conditions,
         np.random.Generator(np.random.PCG64(for_noise)),
-        sensor_height_m=float(pose.translation[2] - world.terrain.at(pose.translation[None])[0]),
+        sensor_height_m=float(pose.translation[2] - world.ground_of(agent).at(pose.translation[None])[0]),
         t_ns=round(t_s * 1e9),
         agent=agent.name,
     )

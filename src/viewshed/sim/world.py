@@ -17,6 +17,9 @@ from viewshed.sim.terrain import Terrain
 GROUND, NOTHING = -1, -2
 """What a beam met if it was no thing: the ground, or nothing within range."""
 
+DECK = "deck"
+"""Kind of a thing whose top carries others: those on the upper level of a world."""
+
 _DT_S, _WHEELBASE_M = 0.05, 3.0
 """Velocities are differences over this time to both sides; vehicles tilt as the ground does over this length."""
 
@@ -74,6 +77,7 @@ class Thing:
         track: where it is over time, or None if it rests.
         tilts: whether it lies along the ground's slope (vehicles) or stands upright.
         z_m: height of its origin in the world, or None for the ground's.
+        upper: whether it stands or drives on the world's upper level where there is one, not below it.
     """
 
     kind: str
@@ -84,6 +88,7 @@ class Thing:
     track: Track | None = None
     tilts: bool = False
     z_m: float | None = None
+    upper: bool = False
 
     def pose_at(self, t_s: float) -> tuple[float, float, float]:
         """Return x and y in meters and yaw in radians at ``t_s``."""
@@ -169,6 +174,8 @@ class World:
         things: all that stands or moves on it, the agents' own vehicles too.
         agents: the sensors in it.
         indoor: whether it is a building.
+        upper: of a world with several levels the ground of those on the upper one: the top of its decks, and the
+            terrain where there is none. The decks themselves are solids, things of the kind :data:`DECK`.
     """
 
     name: str
@@ -176,6 +183,17 @@ class World:
     things: tuple[Thing, ...] = ()
     agents: tuple[Agent, ...] = ()
     indoor: bool = False
+    upper: Terrain | None = None
+
+    def ground_of(self, agent: Agent | None) -> Terrain:
+        """Return the ground on which a target of an agent stands: its own level where there is one, else the terrain.
+
+        An agent on the upper level has that as its ground, so a cell beside the deck is the land below; a mast, and an
+        agent below a deck, have the terrain.
+        """
+        if self.upper is None or agent is None or agent.carrier is None or not self.things[agent.carrier].upper:
+            return self.terrain
+        return self.upper
 
     def pose_of(self, thing: int, t_s: float) -> Rigid:
         """Return ``world_from_thing`` at ``t_s``."""
@@ -210,7 +228,7 @@ class World:
 
     @cached_property
     def _courses(self) -> tuple[Any, ...]:
-        """Of all things x, y and yaw at rest, height (NaN: the ground's), whether it tilts, span of its knots."""
+        """Of all things x, y, yaw at rest, height (NaN: the ground's), whether it tilts and is upper, span of knots."""
         tracks = [thing.track for thing in self.things]
         counts = np.array([0 if track is None else len(track.t_s) for track in tracks], np.intp)
         spans = np.stack([np.cumsum(counts) - counts, np.cumsum(counts)], axis=-1)
@@ -219,7 +237,8 @@ class World:
         moving = [track for track in tracks if track is not None]
         times = np.concatenate([np.zeros(0), *(track.t_s for track in moving)])
         knots = (times, np.concatenate([np.zeros((0, 3)), *(track.knots for track in moving)]))
-        return at_rest, z_m, np.array([thing.tilts for thing in self.things], np.bool_), spans, knots
+        flags = np.array([(thing.tilts, thing.upper) for thing in self.things], np.bool_).reshape(-1, 2).T
+        return at_rest, z_m, flags, spans, knots
 
     @cached_property
     def _moving(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -257,16 +276,21 @@ class World:
         self, t_s: NDArray[np.float64], which: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
-        at_rest, z_m, tilts, spans, (times, knots) = self._courses
+        at_rest, z_m, (tilts, upper), spans, (times, knots) = self._courses
         positions = np.empty((len(t_s), len(which), 3))
         poses_of_things(t_s, which, at_rest, spans, times, knots, positions)
-        origin = positions.copy()
-        origin[..., 2] = np.where(np.isnan(z_m[which]), self.terrain.at(positions), z_m[which])
-        rotation = _turns(positions[..., 2])
-        tilting = np.flatnonzero(tilts[which])
-        if tilting.size:
-            normals = self.terrain.normals_at(positions[:, tilting], _WHEELBASE_M)
-            rotation[:, tilting] = _along(normals, positions[:, tilting, 2])
+        origin, rotation = positions.copy(), _turns(positions[..., 2])
+        origin[..., 2] = self.terrain.at(positions)
+        for ground, rows in ((self.terrain, ~upper[which]), (self.upper, upper[which])):
+            if ground is None or not rows.any():
+                continue
+            if ground is not self.terrain:
+                origin[:, rows, 2] = ground.at(positions[:, rows])
+            tilting = np.flatnonzero(tilts[which] & rows)
+            if tilting.size:
+                normals = ground.normals_at(positions[:, tilting], _WHEELBASE_M)
+                rotation[:, tilting] = _along(normals, positions[:, tilting, 2])
+        origin[..., 2] = np.where(np.isnan(z_m[which]), origin[..., 2], z_m[which])
         return rotation, origin
 
 

@@ -26,7 +26,7 @@ from viewshed.sim.truth.definitions import (
     stop_flags,
     stop_limits,
 )
-from viewshed.sim.world import Agent, World
+from viewshed.sim.world import DECK, GROUND, Agent, World
 
 SURFACE_FROM_M = 0.2
 """Stops on things from this height above local ground on make a cell a surface."""
@@ -81,9 +81,12 @@ def exact_truth(
     """
     if not targets:
         raise ValueError("targets must be at least one, got none")
-    terrain = world.terrain if isinstance(world, World) else world
+    terrain, thing = world, scan.thing
+    if isinstance(world, World):
+        terrain = world.ground_of(agent)
+        thing = _with_decks_as_ground(thing, world) if terrain is world.upper else thing
     ground, known = _ground(scan, terrain, grid)
-    view = _view(scan, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
+    view = _view(scan, thing, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
     known &= (ranges_of(grid) > view.lines.offset_m).reshape(grid.shape)
     if agent is not None and agent.carrier is not None and isinstance(world, World):
         known &= ~_covered(world.things[agent.carrier].parts, scan.world_from_sensor @ agent.mount.inverse(), view)
@@ -104,11 +107,17 @@ def _ground(scan: ExactScan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[n
     return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 
 
-def _view(scan: ExactScan, grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
+def _with_decks_as_ground(thing: NDArray[np.int32], world: World) -> NDArray[np.int32]:
+    """Return what beams met (C, R) with the decks as ground: to those on the upper level they are that."""
+    decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
+    return np.where(np.isin(thing, decks), GROUND, thing).astype(np.int32)
+
+
+def _view(scan: ExactScan, thing: NDArray[np.int32], grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
     """Return the scan over the grid; ``vehicle`` is the thing that carries the sensor, or a number of none."""
     max_range_m, yaw = scan.model.max_range_m, scan.world_from_sensor.yaw
     lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, max_range_m, yaw)
-    flags = stop_flags(scan.depth_m, scan.thing, scan.material, vehicle, REFLECTIVITY)
+    flags = stop_flags(scan.depth_m, thing, scan.material, vehicle, REFLECTIVITY)
     return _View(scan, grid, lines, flags, ground.reshape(-1))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from viewshed.sim.world import AgentPlan, World
+from viewshed.sim.worlds.bridge import bridge
 from viewshed.sim.worlds.country_road import country_road
 from viewshed.sim.worlds.cutting import cutting
 from viewshed.sim.worlds.embankment import embankment
@@ -18,6 +19,8 @@ from viewshed.sim.worlds.indoor.warehouse import warehouse
 from viewshed.sim.worlds.junction import junction
 from viewshed.sim.worlds.open_field import open_field
 from viewshed.sim.worlds.parking import parking
+from viewshed.sim.worlds.pit import pit
+from viewshed.sim.worlds.quay import quay
 from viewshed.sim.worlds.residential import residential
 from viewshed.sim.worlds.street import street
 
@@ -34,6 +37,9 @@ WORLDS: dict[str, WorldMaker] = {
     "corridors": corridors,
     "hall": hall,
     "warehouse": warehouse,
+    "bridge": bridge,
+    "pit": pit,
+    "quay": quay,
     "open_field": open_field,
     "embankment": embankment,
     "cutting": cutting,

@@ -121,8 +121,11 @@ class Contents:
     masts: Sequence[Mast] = ()
 
 
-def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents) -> World:
-    """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on."""
+def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents, upper: Terrain | None = None) -> World:
+    """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on.
+
+    ``upper`` is the ground of the upper level, of a world that has one.
+    """
     agents, moving = [], _nearest(contents, plan.duration_s)
     ridden = [(k, ahead) for k, (_, ahead) in enumerate(moving) if ahead is not None]
     for number, (index, ahead) in enumerate(ridden):
@@ -131,7 +134,7 @@ def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents) 
     for number, post in enumerate(contents.masts):
         agents.append(Agent(f"roadside_{number}", plan.roadside_sensor, post.pose(terrain)))
     things = [thing for thing, _ in moving] + [*contents.still, *(post.pole for post in contents.masts)]
-    return World(name, terrain, tuple(things), tuple(agents))
+    return World(name, terrain, tuple(things), tuple(agents), upper=upper)
 
 
 def _nearest(contents: Contents, duration_s: float) -> list[tuple[Thing, float | None]]:
