@@ -238,9 +238,9 @@ class WildScene:
         seed, t_s = self.seed(_SeedPurpose.OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
         seen = observe(world, agent, t_s, setting, seed, sensor.model)
         # The exact ground, first from the sensor's height, then from the ground below the origin of the points.
-        centers, pose = grid.centers, seen.scan.world_from_sensor
-        ground = world.terrain.about(pose, centers[:, 0, 0].copy(), centers[0, :, 1].copy())[0]
-        below = world.terrain.about(pose, np.array([grid.offset_m[0]]), np.array([grid.offset_m[1]]))[0][0, 0]
+        centers, pose, terrain = grid.centers, seen.scan.world_from_sensor, world.ground_of(agent)
+        ground = terrain.about(pose, centers[:, 0, 0].copy(), centers[0, :, 1].copy())[0]
+        below = terrain.about(pose, np.array([grid.offset_m[0]]), np.array([grid.offset_m[1]]))[0][0, 0]
         world_from_carrier = pose.rotation @ agent.mount.rotation.T
         height_m = float((world_from_carrier @ away)[2] - below)
         # The sweep as it is handed out, in the frame in which it is given.

@@ -144,9 +144,7 @@ def exact_beams(seen: WildObservation) -> Beams:
     return Beams(azimuth, z / range_m, range_m)
 
 
-def _counted(
-    returns: NDArray[np.float32], aimed: NDArray[np.float32], grid: BevGrid, target: Target
-) -> FovEstimate:
+def _counted(returns: NDArray[np.float32], aimed: NDArray[np.float32], grid: BevGrid, target: Target) -> FovEstimate:
     """Return the estimate of counted returns (cells, cells), by the rule of the shadow map."""
     prob = probability_of_visible(returns, target.min_returns)
     enough = probability_of_visible(aimed, target.min_returns) >= 0.5

@@ -33,7 +33,9 @@ def run_study(
         ValueError: the plan has the sealed set, and no opening is given.
     """
     if store.plan.opens_sealed and opening is None:
-        raise ValueError(f"{store.plan.name} opens the sealed set: give the reason, which is logged, with --open-sealed")
+        raise ValueError(
+            f"{store.plan.name} opens the sealed set: give the reason, which is logged, with --open-sealed"
+        )
     return run_jobs(store, do_job, store.plan.job_keys(), engine, on_progress, step=store.plan.name)
 
 
