@@ -167,6 +167,44 @@ def monitor(
     _require_all_done(failed)
 
 
+@study_app.command()
+def wild(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small (the development set), sealed.")] = "small",
+    out: Out = None,
+    workers: Workers = None,
+    run: Run = True,
+    page: Pages = None,
+    open_sealed: Annotated[
+        str, typer.Option(metavar="REASON", help="Opens the sealed set; the reason is logged first.")
+    ] = "",
+    log: Annotated[Path, typer.Option(help="Log of openings, which is committed.")] = Path(
+        "docs/results/wild_openings.md"
+    ),
+) -> None:
+    """Every estimator on worlds, sensors and mountings that it was not made for, against exact truth.
+
+    Example: viewshed study wild --preset tiny --out study
+    """
+    from viewshed._jobs import LocalEngine
+    from viewshed.studies.store import ResultStore
+    from viewshed.studies.wild.jobs import run_study
+    from viewshed.studies.wild.openings import Opening
+    from viewshed.studies.wild.page import page_of
+    from viewshed.studies.wild.plan import WildPlan
+
+    folder, plan = _folder(out, "wild"), WildPlan.load(preset)
+    _require_results(folder, run=run)
+    opening = None
+    if run and plan.opens_sealed and open_sealed:
+        opening = Opening(open_sealed, plan.methods)
+        opening.log(log)
+    store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
+    failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []
+    _write(page or folder, page_of(store))
+    typer.echo(f"Look at {(page or folder) / 'wild.md'}")
+    _require_all_done(failed)
+
+
 study_app.command()(crossview)
 
 report_app.command(name="vulnerability")(robustness)

@@ -52,7 +52,7 @@ def records_of(seen: WildObservation, plan: WildPlan) -> Iterator[WildRecord]:
         leveled = level(sample.sweep, grid)
         for target in plan.targets:
             for method in plan.methods:
-                estimator = _estimator(method, seen.scene.domain.name, target)
+                estimator = estimator_named(method, seen.scene.domain.name, target)
                 if estimator is not None:
                     yield record_of(seen, sample, estimator.estimate(leveled), leveled, method)
     # A base frame whose offset nobody tells has no exact beams from its own origin: no ladder there.
@@ -154,7 +154,7 @@ def _counted(returns: NDArray[np.float32], aimed: NDArray[np.float32], grid: Bev
 
 
 @lru_cache(maxsize=64)
-def _estimator(method: str, grid: str, target: str) -> Estimator | None:
+def estimator_named(method: str, grid: str, target: str) -> Estimator | None:
     """Return an estimator, or None for a network that has no weights for the grid and target."""
     try:
         return load_estimator(method, grid=GRIDS[grid], target=target)

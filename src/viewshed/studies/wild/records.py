@@ -73,9 +73,10 @@ def from_table(table: Mapping[str, Any]) -> Iterator[WildRecord]:
     if table["columns"] != list(_COLUMNS):
         raise ValueError(f"columns must be {', '.join(_COLUMNS)}, got {table['columns']}; run the study again")
     for row in table["rows"]:
-        *plain, counts, bins, numbers = row
-        given = {name: float("nan") if value is None else float(value) for name, value in numbers.items()}
-        yield WildRecord(*plain, ConfusionCounts(*counts), np.array(bins, np.float64), given)
+        given = dict(zip(_COLUMNS, row, strict=True))
+        numbers = {key: float("nan") if one is None else float(one) for key, one in given["numbers"].items()}
+        parts = {"counts": ConfusionCounts(*given["counts"]), "bins": np.array(given["bins"]), "numbers": numbers}
+        yield WildRecord(**given | parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

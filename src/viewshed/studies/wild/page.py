@@ -1,0 +1,224 @@
+"""The page of the study: own and other worlds side by side, what goes wrong beyond F1, the ladder, the worst scenes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._page import Heading, PageBlock, Picture, Table, Text, facts, to_markdown
+from viewshed.datasets.wild import TOLD
+from viewshed.fov.estimate import CellState
+from viewshed.fov.visibility import TARGETS
+from viewshed.preprocess.leveling import level
+from viewshed.studies.formatting import best_of_columns, format_interval, format_number, format_rate, format_rates
+from viewshed.studies.statistics import f1
+from viewshed.studies.store import ResultStore
+from viewshed.studies.wild.evaluate import AS_TOLD, LADDER, estimator_named
+from viewshed.studies.wild.jobs import scene_of
+from viewshed.studies.wild.plan import WildPlan
+from viewshed.studies.wild.records import Pool, WildRecord, from_table
+
+OWN = "own"
+
+JUDGED = ("shadow_map", "viewnet")
+"""Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
+
+_WHAT = {
+    "rings": "Told ring, time and intensity of each return: no sensor, no height, no attitude",
+    "nothing": "Told nothing but points",
+    "table": "Told the maker's beam table, rings, height and attitude",
+}
+
+_FIRST = """\
+Cells whose exact truth is known, all scenes of a group together. *Own*: worlds, sensors and mountings of the presets.
+*Other*: styles, sensors and mountings that share nothing with them. Intervals are 95 %, by a bootstrap over scenes.
+Ring, height, attitude and sensor are told alike to own and other. A sensor without rings has none in any table."""
+
+_MORE = """\
+ECE over all cells. AUROC and AURC of the doubt 0.5 - |p - 0.5| for errors (*std*: of the deviation), the mean over scenes,
+cells at which fewer than `min_returns` beams aim left out. *Beyond*: share of the claimed area that lies beyond the
+sensor's maximum range / beyond the range at which it detects a 10 % target every second time. *Off*: of the area whose
+estimated ground is off by more than 1 m, the share that is claimed with p ≥ .8. *HIDDEN*: of the cells at which too few
+beams aim, the share that is called HIDDEN. *Flat*: F1 of scenes whose ground lies within 1 m of that below the sensor
+over 95 % of the area up to half of the grid's extent."""
+
+_LADDER = """\
+The shadow map, other worlds, given more and more of what a sweep told by rings alone does not say; the first four rows
+add up. The row *exact ends of all beams* has the ground as it was estimated. Points whose frame nobody tells are left
+out."""
+
+
+def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
+    """Return the page ``wild.md`` and its pictures, as files by name.
+
+    Raises:
+        ValueError: the store holds no results.
+    """
+    results = store.results()
+    if not results.facts:
+        raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
+    keys = {key: list(from_table(table)) for key, table in results.facts.items()}
+    pool = Pool([record for key in store.plan.job_keys() for record in keys.get(key, [])])
+    blocks = list(_blocks(store.plan, pool))
+    pictures = {block.name: block.png for block in blocks if isinstance(block, Picture)}
+    sets = ", ".join(store.plan.sets)
+    text = to_markdown("In the wild", facts(preset=store.plan.name, sets=sets, sweeps=str(len(keys))), blocks)
+    return {"wild.md": text.encode()} | pictures
+
+
+def _blocks(plan: WildPlan, pool: Pool) -> Iterator[PageBlock]:
+    yield Text(_FIRST)
+    for domain in pool.names("domain"):
+        for target in plan.targets:
+            here = pool.of(domain=domain, target=target)
+            yield Heading(2, f"{domain.capitalize()}, {target}")
+            for told in (one for one in TOLD if one in plan.told):
+                yield Text(f"**{_WHAT[told]}.**")
+                yield _agreement(here.of(told=told, method=plan.methods))
+                yield _beyond_f1(here.of(told=told, method=plan.methods))
+            yield from _broken_down(plan, here.where(lambda record: record.set_name != OWN))
+            if plan.ladder:
+                yield _ladder(here.where(lambda record: record.set_name != OWN).of(told="rings"))
+        if plan.worst:
+            yield Heading(2, f"Worst scenes, {domain}")
+            yield from _worst(plan, pool.of(domain=domain, target=plan.targets[0]))
+    yield Heading(2, "How to read it")
+    yield Text(_MORE)
+    yield Text(_LADDER)
+
+
+def _agreement(pool: Pool) -> Table:
+    """Return precision, recall and F1 of every method, own and other side by side."""
+    rows = []
+    for method in pool.names("method"):
+        row = [method]
+        for part in _own_and_other(pool.of(method=method)):
+            counts = part.counts
+            row += [format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1))]
+        rows.append(row)
+    header = ["method", "own: precision / recall", "own: F1", "other: precision / recall", "other: F1"]
+    return Table(header, best_of_columns(rows))
+
+
+def _beyond_f1(pool: Pool) -> Table:
+    """Return calibration, doubt, claims that no beam carries and states of every method, own / other."""
+    rows = []
+    for method in pool.names("method"):
+        parts = _own_and_other(pool.of(method=method))
+        rows.append([
+            method,
+            format_rates(*(part.where(lambda one: one.numbers["flat"] > 0).counts.f1 for part in parts)),
+            format_rates(*(part.ece() for part in parts)),
+            *(format_rates(*(part.mean(name) for part in parts)) for name in ("auroc", "auroc_std")),
+            " / ".join(format_number(part.mean("aurc"), 4) for part in parts),
+            format_rates(*(parts[1].share(name, "claimed_m2") for name in ("beyond_m2", "beyond_reach_m2"))),
+            format_rate(parts[1].share("off_sure_m2", "off_m2")),
+            format_rates(*(part.share("unaimed_hidden", "unaimed") for part in parts)),
+        ])  # fmt: skip
+    header = ["own / other", "F1, flat", "ECE", "AUROC", "AUROC std", "AURC", "beyond (other)", "off (other)", "HIDDEN"]
+    return Table(header, rows)
+
+
+def _own_and_other(pool: Pool) -> tuple[Pool, Pool]:
+    return pool.of(set_name=OWN), pool.where(lambda record: record.set_name != OWN)
+
+
+def _broken_down(plan: WildPlan, pool: Pool) -> Iterator[PageBlock]:
+    """Yield precision, recall and F1 by style, sensor and mounting, of each method that is judged."""
+    told = next(one for one in ("rings", *plan.told) if one in plan.told)
+    methods = [name for name in JUDGED if name in plan.methods]
+    for key in ("style", "sensor", "mounting"):
+        rows = []
+        for name in sorted(pool.names(key)):
+            row = [name, str(len({record.scene for record in pool.of(**{key: name}).records}))]
+            for method in methods:
+                counts = pool.of(**{key: name}, method=method, told=told).counts
+                row.append(f"{format_rates(counts.precision, counts.recall)} / {format_rate(counts.f1)}")
+            rows.append(row)
+        yield Text(f"Other worlds by {key}, told {told}: precision / recall / F1.")
+        yield Table([key, "scenes", *methods], rows)
+
+
+def _ladder(pool: Pool) -> Table:
+    with_ladder = {record.scene for record in pool.of(method=LADDER[0]).records}
+    same = pool.where(lambda record: record.scene in with_ladder)
+    rows = []
+    for name in (AS_TOLD, *LADDER):
+        part = same.of(method=name)
+        counts = part.counts
+        shares = (part.share("off_sure_m2", "off_m2"), part.share("unaimed_hidden", "unaimed"))
+        rows.append([name, format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1)),
+                     *map(format_rate, shares)])  # fmt: skip
+    return Table(["the shadow map given", "precision / recall", "F1", "off", "HIDDEN"], rows)
+
+
+def _worst(plan: WildPlan, pool: Pool) -> Iterator[PageBlock]:
+    """Yield pictures of the scenes with the most cells that the judged methods call wrongly, one of each style first."""
+    told = next(one for one in ("rings", *plan.told) if one in plan.told)
+    judged = [name for name in JUDGED if name in pool.names("method")]
+    other = pool.where(lambda record: record.set_name != OWN).of(told=told, method=judged[-1])
+    ranked = sorted(other.records, key=lambda record: np.nan_to_num(record.counts.f1))
+    first_of_style = list({record.style: record for record in reversed(ranked)}.values())
+    chosen = sorted(first_of_style, key=lambda record: np.nan_to_num(record.counts.f1))[: plan.worst]
+    for record in chosen:
+        counts = record.counts
+        yield Text(
+            f"`{record.scene}`: {record.sensor}, {record.mounting}; {record.method} {told}: precision / recall / F1 "
+            f"{format_rates(counts.precision, counts.recall, counts.f1)}, height off by "
+            f"{record.numbers['height_error_m']:+.2f} m."
+        )
+        name = f"wild_{record.domain}_{record.style}.png"
+        yield Picture(name, picture_of(record, judged), f"{record.scene}: exact ground, returns, truth and estimates")
+
+
+def picture_of(record: WildRecord, methods: list[str]) -> bytes:
+    """Return a PNG of one scene: exact ground, error of the estimated ground, true states, and each method's mistakes."""
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import ListedColormap
+
+    seen = scene_of((record.set_name, record.domain, record.scene.split("-")[2], "0")).observe(record.sweep)
+    sample, grid, target = seen.sample(record.told), seen.truth.grid, TARGETS[record.target]
+    leveled = level(sample.sweep, grid)
+    error = leveled.ground.at(grid.centers) - leveled.sensor_height_m - (sample.ground_m - sample.origin_height_m)
+    half = grid.half_extent_m
+    extent = (half, -half, -half, half)
+
+    figure, axes = plt.subplots(1, 3 + len(methods), figsize=(4.0 * (3 + len(methods)), 4.2), layout="constrained")
+    panels = [("exact ground, m", sample.ground_m, "terrain", None), ("estimated less exact, m", error, "RdBu", 2.0)]
+    for axis, (title, values, colors, most) in zip(axes, panels, strict=False):
+        limits = {} if most is None else {"vmin": -most, "vmax": most}
+        shown = axis.imshow(np.asarray(values)[::-1, ::-1], extent=extent, cmap=colors, **limits)
+        figure.colorbar(shown, ax=axis, shrink=0.7)
+        axis.set_title(title)
+    points = leveled.points[np.abs(leveled.points[:, :2]).max(axis=1) < half]
+    axes[2].scatter(points[:, 1], points[:, 0], s=0.3, c="0.2")
+    names = ["unknown", "free", "surface", "hidden", "truth not known"]
+    states = np.where(seen.known, seen.truth.state[target.name], len(CellState))
+    _classes(axes[2], states, extent, ListedColormap(["white", "#9bd", "#36c", "#ddd", "#fd8"]), names)
+    axes[2].set_title("true states and returns")
+    for axis, method in zip(axes[3:], methods, strict=True):
+        estimator = estimator_named(method, record.domain, record.target)
+        if estimator is None:
+            continue
+        claimed, true = estimator.estimate(leveled).visible(), seen.truth.visible(target)
+        agree = np.where(seen.known, claimed + 2 * true, 4)
+        names = ["hidden for both", "claimed wrongly", "missed", "visible for both", "truth not known"]
+        _classes(axis, agree, extent, ListedColormap(["white", "#d33", "#e9a", "#9bd", "#fd8"]), names)
+        axis.set_title(method)
+    png = io.BytesIO()
+    figure.savefig(png, dpi=80, metadata={"Software": None})
+    plt.close(figure)
+    return png.getvalue()
+
+
+def _classes(axis: Any, values: NDArray[Any], extent: tuple[float, ...], colors: Any, names: list[str]) -> None:
+    """Draw classes (cells, cells), forward up and left at the left, with their names as a legend."""
+    from matplotlib.patches import Patch
+
+    axis.imshow(values[::-1, ::-1], extent=extent, cmap=colors, vmin=0, vmax=len(names) - 1, interpolation="nearest")
+    patches = [Patch(facecolor=colors(k), edgecolor="0.5", label=name) for k, name in enumerate(names)]
+    axis.legend(handles=patches, fontsize=6, loc="lower left", framealpha=0.8)
