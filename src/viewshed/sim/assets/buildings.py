@@ -67,6 +67,59 @@ def glass_hall(rng: np.random.Generator, length_m: float, depth_m: float) -> Thi
     return Thing("building", tuple(parts))
 
 
+def glass_front(rng: np.random.Generator, length_m: float, depth_m: float) -> Thing:
+    """Return an office, a shop or a showroom whose front is glass from the floor up, one to four storeys of it.
+
+    Behind the panes are rooms of 4 to 9 m with columns, counters, shelves, partitions and at times a vehicle.
+    """
+    storeys, rise = int(rng.integers(1, 5)), rng.uniform(3.2, 4.6)
+    room = min(rng.uniform(4.0, 9.0), depth_m - 1.5)
+    material, frame = pick(rng, ("plaster", "concrete", "metal")), pick(rng, ("metal", "dark_paint"))
+    top, back = storeys * rise, rng.uniform(0.0, 0.6)
+    parts: list[Shape] = [
+        Box(0.0, (room + depth_m) / 2, length_m, depth_m - room, top, _SUNK_M, 0.0, "plaster"),
+        *(_side(side, length_m, room, top, material) for side in (-1, 1)),
+        Box(0.0, depth_m / 2, length_m + 0.3, depth_m + 0.3, top + 0.5, top, 0.0, material),
+        Box(0.0, room / 2, length_m - 0.6, room, 0.06, _SUNK_M, 0.0, "concrete"),
+    ]
+    panes = max(2, round((length_m - 0.6) / rng.uniform(1.3, 3.2)))
+    edges = np.linspace(-0.5, 0.5, panes + 1) * (length_m - 0.6)
+    sill = rng.uniform(0.4, 0.9) if rng.random() < 0.3 else 0.06
+    for k in range(storeys):
+        low, set_back = k * rise, back if k == 0 else 0.0
+        head = low + rise - 0.45
+        if k:
+            parts.append(Box(0.0, room / 2, length_m - 0.6, room, low, low - 0.35, 0.0, "concrete"))
+        parts.append(Box(0.0, set_back, length_m - 0.6, _PANE_M, head, low + (sill if k == 0 else 0.0), 0.0, "glass"))
+        if k == 0 and sill > 0.1:
+            parts.append(Box(0.0, set_back, length_m - 0.6, 0.2, sill, 0.06, 0.0, material))
+        parts += [Box(float(x), set_back, 0.06, 0.12, head, low, 0.0, frame) for x in edges]
+    parts += _inside(rng, length_m, room, rise)
+    return Thing("building", tuple(parts))
+
+
+def _inside(rng: np.random.Generator, length_m: float, room_m: float, rise_m: float) -> list[Shape]:
+    """Return what stands in the ground floor behind a glass front: within its room, clear of the panes."""
+    parts: list[Shape] = [
+        Cylinder(float(x), 0.55 * room_m, 0.2, rise_m - 0.45, 0.0, "concrete")
+        for x in np.arange(-length_m / 2 + 3.0, length_m / 2 - 2.0, rng.uniform(4.5, 7.0))
+    ]
+    for x in np.arange(-length_m / 2 + 1.5, length_m / 2 - 2.5, rng.uniform(2.0, 4.0)).tolist():
+        draw, y = rng.random(), rng.uniform(0.3, 0.85) * room_m
+        if draw < 0.3:
+            parts.append(Box(x, y, rng.uniform(0.8, 1.8), 0.5, rng.uniform(0.7, 1.1), 0.06, 0.0, "wood"))
+        elif draw < 0.5:
+            parts.append(Box(x, y, 0.4, min(1.6, 0.25 * room_m), rng.uniform(1.4, 2.2), 0.06, 0.0, "paint"))
+        elif draw < 0.62:
+            parts.append(Box(x, 0.5 * room_m, 0.12, 0.7 * room_m, rise_m - 0.45, 0.06, 0.0, "plaster"))
+        elif draw < 0.75:
+            parts += [Box(x, 0.45 * room_m, 1.8, min(4.3, 0.6 * room_m), 0.85, 0.25, 0.0, "paint"),
+                      Box(x, 0.45 * room_m, 1.5, min(2.2, 0.3 * room_m), 1.45, 0.85, 0.0, "cabin")]  # fmt: skip
+        elif draw < 0.88:
+            parts.append(Box(x, y, 0.3, 0.45, rng.uniform(1.5, 1.9), 0.06, 0.0, "clothes"))
+    return parts
+
+
 def family_house(rng: np.random.Generator, length_m: float, depth_m: float, plain: bool = False) -> Thing:
     """Return a house of one or two storeys with windows, a recessed door or ``plain`` walls; a stepped roof."""
     eaves, material = (

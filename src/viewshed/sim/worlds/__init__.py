@@ -11,6 +11,8 @@ from viewshed.sim.worlds.bridge import bridge
 from viewshed.sim.worlds.country_road import country_road
 from viewshed.sim.worlds.cutting import cutting
 from viewshed.sim.worlds.embankment import embankment
+from viewshed.sim.worlds.garage import garage
+from viewshed.sim.worlds.glass_fronts import glass_fronts
 from viewshed.sim.worlds.highway import highway
 from viewshed.sim.worlds.indoor.corridors import corridors
 from viewshed.sim.worlds.indoor.hall import hall
@@ -40,6 +42,8 @@ WORLDS: dict[str, WorldMaker] = {
     "bridge": bridge,
     "pit": pit,
     "quay": quay,
+    "garage": garage,
+    "glass_fronts": glass_fronts,
     "open_field": open_field,
     "embankment": embankment,
     "cutting": cutting,

@@ -31,7 +31,7 @@ from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, carriers, mast, plots, spots
 from viewshed.sim.worlds.outdoor_ground import relief
-from viewshed.sim.worlds.traffic import Driver, Rider, Stream, filled, flow, straight_lane
+from viewshed.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, straight_lane
 
 Array = NDArray[np.float64]
 
@@ -212,16 +212,31 @@ def _traffic(rng: np.random.Generator, plan: AgentPlan, lot: Lot) -> list[Rider]
         (straight_lane(-east, 0.0, -np.pi / 2), lot.half_y_m - 6.0),
     ]
     lanes = [(straight_lane(0.0, y - 1.2 * (-1) ** k, np.pi * (k % 2)), roam) for k, y in enumerate(lot.aisles_m)]
+    riders = aisles_driven(rng, plan, [*lanes, *ends], (10.0, 40.0, 160.0))
+    for k, y in enumerate(lot.aisles_m):
+        riders += aisle_walkers(rng, y + 1.9 * (-1) ** k, roam, lot.half_x_m, plan.duration_s)
+    return riders
+
+
+def aisles_driven(
+    rng: np.random.Generator, plan: AgentPlan, routes: list[tuple[Lane, float]], gap_m: tuple[float, float, float]
+) -> list[Rider]:
+    """Return the slow traffic of aisles, each a lane and how far from its middle it goes; nobody leaves them.
+
+    ``gap_m``: smallest gap between two vehicles, and the least and the most that the largest may be.
+    """
     riders: list[Rider] = []
-    routes = [*lanes, *ends]
     for seats, (lane, reach) in zip(carriers(rng, plan, len(routes)), routes, strict=True):
         speed = float(min(rng.uniform(1.5, 5.5), max(1.0, 1.8 * reach / plan.duration_s)))
-        stream = Stream(reach, reach, speed, (10.0, rng.uniform(40.0, 160.0)), upstream_m=0.0)
+        stream = Stream(reach, reach, speed, (gap_m[0], rng.uniform(*gap_m[1:])), upstream_m=0.0)
         drivers = filled(rng, stream, parked_vehicle, seats, plan.duration_s)
         held = [Driver(d.thing, d.start_m, d.speed_mps, reach, None, d.sensor_ahead_m) for d in drivers]
         riders += flow(lane, held, plan.duration_s)
-    for k, y in enumerate(lot.aisles_m):
-        starts = sorted(rng.uniform(-roam, roam, int(rng.integers(0, 4))).tolist(), reverse=True)
-        walk = [Driver(person(rng, walking=True), at, 1.2, lot.half_x_m) for at in starts]
-        riders += flow(straight_lane(0.0, y + 1.9 * (-1) ** k, pick(rng, (0.0, np.pi))), walk, plan.duration_s)
     return riders
+
+
+def aisle_walkers(rng: np.random.Generator, y_m: float, roam_m: float, end_m: float, duration_s: float) -> list[Rider]:
+    """Return up to three people who walk along x at ``y_m``, all one way, as far as ``end_m``."""
+    starts = sorted(rng.uniform(-roam_m, roam_m, int(rng.integers(0, 4))).tolist(), reverse=True)
+    walk = [Driver(person(rng, walking=True), at, 1.2, end_m) for at in starts]
+    return flow(straight_lane(0.0, y_m, pick(rng, (0.0, np.pi))), walk, duration_s)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from viewshed.sim.assets.street import cone, place_at, work_barrier
 from viewshed.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
-from viewshed.sim.worlds.layout import Contents, Mast, assembled, mast
+from viewshed.sim.worlds.layout import Contents, Mast, Span, assembled, mast
 from viewshed.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed.sim.worlds.traffic import Driver, Lane, Pace, Rider, driven, flow, straight_lane
 
@@ -17,23 +19,32 @@ _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
 _PACE = Pace(_HALF_X_M, _ROAM_M, (5.0, 14.0), (6.0, 20.0, 60.0), (0.8, 1.6))
 
 
+Houses = Callable[[np.random.Generator, Side, Span], list[Thing]]
+"""Makes the row of buildings on one side of a street."""
+
+
 def street(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a street canyon with the agents of ``plan`` in its lanes and on its sidewalks."""
+    return street_of(rng, plan, "street", buildings)
+
+
+def street_of(rng: np.random.Generator, plan: AgentPlan, name: str, houses: Houses, steepest: float = 0.06) -> World:
+    """Return a street in town with lanes, parked vehicles, sidewalks and traffic, between two rows of ``houses``."""
     lanes, wide, biking = 1 + int(rng.random() < 0.4), rng.uniform(3.0, 3.5), rng.random() < 0.35
     half = lanes * wide + (1.6 if biking else 0.0) + PARKING_M + 0.2
     road = Road(half, rng.uniform(2.1, 4.8), rng.uniform(0.1, 0.15))
     bumps = (rng.uniform(-40, 40),) if lanes == 1 and rng.random() < 0.3 else ()
-    ground = Ground(relief(rng), road, None, rng.uniform(0.0, 0.05), "concrete", bumps)
+    ground = Ground(relief(rng, steepest), road, None, rng.uniform(0.0, 0.05), "concrete", bumps)
     sides = [random_side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
     masts = _masts(rng, plan.roadside, road)
-    still = [thing for one in sides for thing in _lined(rng, one, masts, bumps)]
+    still = [thing for one in sides for thing in _lined(rng, one, masts, bumps, houses)]
     moving = driven(rng, plan, _lanes(lanes, wide), _PACE, street_vehicle)
     if biking:
         moving += _cyclists(rng, plan, lanes * wide + 0.8)
     moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
     if not sides[0].parked and rng.random() < 0.5:
         still += _works(rng, half)
-    return assembled("street", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
+    return assembled(name, ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
@@ -45,7 +56,9 @@ def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
     return masts_placed
 
 
-def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...]) -> list[Thing]:
+def _lined(
+    rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...], houses: Houses
+) -> list[Thing]:
     flip = np.cos(one.yaw)
     kept = [(flip * post.x_m - 3.9, flip * post.x_m + 3.9) for post in masts if post.y_m * flip > 0]
     humps = [(flip * at - 1.2, flip * at + 1.2) for at in bumps]
@@ -53,7 +66,7 @@ def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[
     return [
         *parked(rng, one, span, humps),
         *furniture(rng, one, span, kept),
-        *buildings(rng, one, (-_HALF_X_M + rng.uniform(-8, 0), _HALF_X_M)),
+        *houses(rng, one, (-_HALF_X_M + rng.uniform(-8, 0), _HALF_X_M)),
     ]
 
 
