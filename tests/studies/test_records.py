@@ -49,7 +49,7 @@ def test_sweeps_are_pooled_whatever_their_order() -> None:
     assert (found.sweeps("ugv"), found.sweeps("ugv", PAPER), found.scenes(KEY)) == (2, 0, {"s0", "s2"})
     assert found.refused == {("ugv", Case("attack", "replay", "full"), "no earlier sweep"): 2}
     nobody = Series("ugv", "nobody", WALL)
-    assert np.isnan([found.counts(nobody).f1, found.rate(nobody, f1), *found.interval(nobody, f1)]).all()
+    assert np.isnan([found.counts(nobody).f1, found.rate(nobody, f1), *found.interval([nobody], f1)]).all()
 
 
 def test_only_sweeps_that_met_a_kind_of_case_are_compared() -> None:
@@ -64,9 +64,9 @@ def test_only_sweeps_that_met_a_kind_of_case_are_compared() -> None:
 def test_an_interval_spans_what_redrawn_scenes_give() -> None:
     """Two scenes with F1 of 1/3 and 3/4: redrawn, one of them alone has a chance of 1/4 each."""
     found = _results()
-    assert found.interval(KEY, f1) == pytest.approx((1 / 3, 3 / 4))
+    assert found.interval([KEY], f1) == pytest.approx((1 / 3, 3 / 4))
     benign = KEY.under(BENIGN)
-    assert found.interval(benign, f1) == (1.0, 1.0)
+    assert found.interval([benign], f1) == (1.0, 1.0)
     assert found.interval([KEY, benign], f1) == pytest.approx((2 / 3, 7 / 8))
 
 

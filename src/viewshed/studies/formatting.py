@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isnan
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from viewshed._page import Table
+from viewshed.metrics import Scores
+from viewshed.studies.records import Results
 
 R = TypeVar("R")
 
@@ -22,9 +24,41 @@ def format_rate(rate: float, digits: int = 3) -> str:
     return "–" if isnan(rate) else f"{rate:.{digits}f}".removeprefix("0")
 
 
-def format_pair(one: float, other: float) -> str:
-    """Return two rates with a slash between them."""
-    return f"{format_rate(one)} / {format_rate(other)}"
+def format_rates(*rates: float) -> str:
+    """Return rates with slashes between them.
+
+    >>> format_rates(0.5, 0.25)
+    '.500 / .250'
+    """
+    return " / ".join(map(format_rate, rates))
+
+
+def format_number(value: float, digits: int) -> str:
+    """Return a number with its leading zero; a dash for none.
+
+    >>> format_number(0.01234, 4), format_number(float("nan"), 4)
+    ('0.0123', '–')
+    """
+    return "–" if isnan(value) else f"{value:.{digits}f}"
+
+
+CALIBRATION = ("ECE", "Brier", "AURC", "AURC by deviation")
+"""How good probabilities and deviations are; less is better."""
+
+
+def calibration_of(scores: Scores) -> list[str]:
+    """Return the figures of ``CALIBRATION`` as words."""
+    return [format_number(value, 4) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
+
+
+def mean(rates: Iterable[float]) -> float:
+    """Return the mean of those rates that are known; NaN where none is.
+
+    >>> mean([0.5, float("nan"), 1.0])
+    0.75
+    """
+    known = [rate for rate in rates if not isnan(rate)]
+    return sum(known) / len(known) if known else float("nan")
 
 
 def format_interval(rate: float, bounds: tuple[float, float]) -> str:
@@ -40,6 +74,11 @@ def format_spread(rate: float, bounds: tuple[float, float]) -> str:
     """Return a rate with half the width of its interval, or alone where there is none."""
     low, high = bounds
     return format_rate(rate) if isnan(low) else f"{format_rate(rate)} ±{format_rate((high - low) / 2)}"
+
+
+def commits(*results: Results[Any]) -> str:
+    """Return the commits of the code that did the jobs of some results."""
+    return ", ".join(sorted({commit[:7] for one in results for commit in one.commits})) or "unknown"
 
 
 def pivot(
@@ -58,6 +97,16 @@ def pivot(
     if best == "row":
         cells = [best_of_row(line) for line in cells]
     return Table([corner, *columns], best_of_columns(cells) if best == "column" else cells)
+
+
+def by_name(names: Iterable[str]) -> dict[str, str]:
+    """Return rows or columns of a pivot that are called what they are."""
+    return {name: name for name in names}
+
+
+def lines(corner: str, rows: Mapping[str, R], columns: Mapping[str, Callable[[R], str]], best: str = "") -> Table:
+    """Return a table of one line a row, with a figure of its own in each column; see :func:`pivot`."""
+    return pivot(corner, rows, columns, lambda row, figure: figure(row), best)
 
 
 def best_of_row(row: Sequence[str]) -> list[str]:

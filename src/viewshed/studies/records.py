@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, field, replace
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -273,10 +274,63 @@ class Results(Generic[P]):
         """Return a measure of all sweeps together; NaN where there are none."""
         return float(measure(self.array(series).sum(axis=0)))
 
-    def interval(self, series: Series | Sequence[Series], measure: Measure) -> tuple[float, float]:
-        """Return the 95 % interval of a pooled measure, of its mean over several series, by a bootstrap over scenes."""
-        several = [series] if isinstance(series, Series) else series
-        found = [self._rows[s] for s in several if s in self._rows]
+    def interval(self, series: Iterable[Series], measure: Measure) -> tuple[float, float]:
+        """Return the 95 % interval of the mean of a pooled measure over series, by a bootstrap over scenes."""
+        found = [self._rows[s] for s in series if s in self._rows]
         cases = [(np.array([[c.both, c.over, c.under, c.neither] for c in rows.counts], np.float64), rows.scenes)
                  for rows in found if rows.counts]  # fmt: skip
         return bootstrap(cases, measure) if cases else NO_INTERVAL
+
+
+@dataclass(frozen=True, eq=False)
+class Domain(Generic[P]):
+    """What a study has found in one domain by one protocol, by method, case and region.
+
+    Attributes:
+        results: of the study.
+        name: of the domain.
+        protocol: ``STRICT`` or ``PAPER``.
+    """
+
+    results: Results[P]
+    name: str
+    protocol: str = STRICT
+
+    @property
+    def plan(self) -> P:
+        """Plan of the study."""
+        return self.results.plan
+
+    @cached_property
+    def methods(self) -> list[str]:
+        """Methods that there are records of, in the order in which they came."""
+        return self.results.methods(self.name, self.protocol)
+
+    @cached_property
+    def cases(self) -> list[Case]:
+        """Cases that there are records of, in the order in which they came."""
+        return self.results.cases(self.name, self.protocol)
+
+    def series(self, method: str, case: Case = BENIGN, region: str = VIEW) -> Series:
+        """Return what records of this domain have in common."""
+        return Series(self.name, method, case, region, self.protocol)
+
+    def has(self, method: str, case: Case) -> bool:
+        """Return whether a method was tried in a case."""
+        return self.series(method, case) in self.results
+
+    def has_wedge(self, case: Case) -> bool:
+        """Return whether there are cells in a wedge of the case."""
+        return any(self.counts(method, case, WEDGE).cells for method in self.methods)
+
+    def counts(self, method: str, case: Case = BENIGN, region: str = VIEW) -> ConfusionCounts:
+        """Return the cells of all sweeps together."""
+        return self.results.counts(self.series(method, case, region))
+
+    def scores(self, method: str, cases: Iterable[Case], region: str = VIEW) -> Scores:
+        """Return the cells of several cases together by probability."""
+        return self.results.scores(self.series(method, case, region) for case in cases)
+
+    def interval(self, method: str, cases: Iterable[Case], measure: Measure, region: str = VIEW) -> tuple[float, float]:
+        """Return the 95 % interval of the mean of a measure over cases."""
+        return self.results.interval([self.series(method, case, region) for case in cases], measure)

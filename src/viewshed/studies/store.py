@@ -108,6 +108,11 @@ class ResultStore(Generic[P]):
                     raise self._damaged(number) from error
         return results
 
+    def require(self, results: Results[P]) -> None:
+        """Raise a ValueError if there are no results for a page."""
+        if not results.series():
+            raise ValueError(f"{self.path} must hold results, got none; run without --no-run")
+
     def _jobs(self) -> Iterator[tuple[int, JobKey, dict[str, Any]]]:
         lines, known = self._lines(), set(self.plan.job_keys())
         next(lines)

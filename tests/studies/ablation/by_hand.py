@@ -40,4 +40,4 @@ def setting_results(
                 results.add([Record(series, "", SEVERAL, counts, scores(right, wrong))])
     for (method, case, part), counts in (parts or {}).items():
         results.add([Record(Series(setting, method, case, part), "", SEVERAL, counts)])
-    return SettingResults(plan, setting, results)
+    return SettingResults(results, setting)

@@ -113,13 +113,17 @@ def test_parts_are_counted_untouched_and_add_up(sample: StudySample) -> None:
     for _ in range(2):
         results.add(evaluate({0: sample, 1: sample}, {OURS: Fixed(wrong_far.astype(np.float32))}, "roads", 1))
     assert {s.case for s in results.series() if s.region not in (VIEW, WEDGE)} == {BENIGN}
-    found = SettingResults(plan, "roads", results)
+    found = SettingResults(results, "roads")
     assert found.parts["sensor HDL-32E"] == 4
     assert list(found.parts)[-1] == "sensor HDL-32E"
-    assert [found.f1_of_part(OURS, part) for part in ("0 to 20 m", "20 to 40 m", "40 to 64 m")] == [1.0, 1.0, 0.0]
+    assert [found.counts(OURS, BENIGN, part).f1 for part in ("0 to 20 m", "20 to 40 m", "40 to 64 m")] == [
+        1.0,
+        1.0,
+        0.0,
+    ]
     near = results.counts(found.series(OURS, BENIGN, "0 to 20 m"))
     assert near.cells == 4 * (known & (np.hypot(*GRID.centers.T).T < 20)).sum()
-    assert found.f1_of_part(OURS, "sensor HDL-32E") == found.f1(OURS, [BENIGN])
+    assert found.counts(OURS, BENIGN, "sensor HDL-32E").f1 == found.f1(OURS, [BENIGN])
 
 
 def test_truth_is_that_of_the_target(sample: StudySample) -> None:
@@ -166,7 +170,7 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
-    none = SettingResults(plan, plan.config, Results(plan))
+    none = SettingResults(Results(plan), plan.config)
     assert not set(none.trained) & set(none.unseen)
     assert len(none.unseen) >= 5
 

@@ -10,10 +10,9 @@ from viewshed.studies.cases import DEFAULT
 from viewshed.studies.paper import tables
 from viewshed.studies.paper.jobs import ATTACKED
 from viewshed.studies.paper.plan import PaperPlan
-from viewshed.studies.paper.published import ADVERSARIAL, LEFT_OUT, PaperResults, pair, targets_of
+from viewshed.studies.paper.published import ADVERSARIAL, LEFT_OUT, PaperResults, targets_of
 from viewshed.studies.paper.published import BENIGN_TABLE as PUBLISHED
-from viewshed.studies.records import BENIGN, PAPER, STRICT, Case, Record
-from viewshed.studies.statistics import MEASURES, f1
+from viewshed.studies.records import BENIGN, PAPER, STRICT, Case, Domain, Record
 from viewshed.studies.store import JobResult, ResultStore
 
 DOMAINS = ("carla", "nuscenes", "ugv")
@@ -41,12 +40,10 @@ def _results(folder: Path) -> PaperResults:
 
 
 def test_rates_are_those_of_all_cells_together(tmp_path: Path) -> None:
-    found = _results(tmp_path).pairs
-    key = pair(PAPER, "mle-benign-carla", "benign", "carla")
-    assert {word: found.rate(key, measure) for word, measure in MEASURES.items()} == pytest.approx(
-        {"precision": 0.96, "recall": 0.96, "accuracy": 0.96, "F1": 0.96}
-    )
-    assert np.isnan(found.rate(pair(STRICT, "mle-benign-carla", "benign", "carla"), f1))
+    results = _results(tmp_path)
+    counts = results.pairs_in(PAPER, "carla").counts("mle-benign-carla")
+    assert (counts.precision, counts.recall, counts.accuracy, counts.f1) == pytest.approx((0.96, 0.96, 0.96, 0.96))
+    assert np.isnan(results.pairs_in(STRICT, "carla").counts("mle-benign-carla").f1)
 
 
 def test_rows_are_test_sets_and_columns_training_sets(tmp_path: Path) -> None:
@@ -77,8 +74,8 @@ def test_targets_say_what_is_met_and_what_is_missed(tmp_path: Path) -> None:
 
 def test_the_papers_figures_are_in_their_places() -> None:
     """Spot checks against the table in the paper: tested on nuScenes, trained on UGV, adversarial."""
-    assert ADVERSARIAL.published["nuscenes", "ugv"] == (0.97, 0.55, 0.89, 0.69)
-    assert PUBLISHED.published["ugv", "carla"] == (0.92, 0.80, 0.95, 0.85)
+    assert ADVERSARIAL.published("nuscenes", "ugv") == [0.97, 0.55, 0.89, 0.69]
+    assert PUBLISHED.published("ugv", "carla") == [0.92, 0.80, 0.95, 0.85]
 
 
 WALL = Case("attack", "far_wall", DEFAULT)
@@ -100,7 +97,7 @@ def _strict(folder: Path) -> PaperResults:
 
 def test_the_wedge_stands_above_itself_untouched(tmp_path: Path) -> None:
     found = _strict(tmp_path)
-    table = tables.wedge_table(found, "ugv")
+    table = tables.wedge_table(Domain(found.strict, "ugv"))
     assert list(table.header) == ["attack (family)", "mle-benign", "majority_vote"]
     assert [list(row) for row in table.rows] == [
         ["far_wall (7)", ".500 / 1.000 / .667", "**.800 / .800 / .800**"],
@@ -111,8 +108,8 @@ def test_the_wedge_stands_above_itself_untouched(tmp_path: Path) -> None:
 
 
 def test_the_winner_is_whoever_wins(tmp_path: Path) -> None:
-    found = _strict(tmp_path)
-    rows = [list(row) for row in tables.winner_table(found, "ugv").rows]
+    found = Domain(_strict(tmp_path).strict, "ugv")
+    rows = [list(row) for row in tables.winner_table(found).rows]
     assert rows[0] == ["*benign*", "view", "**.800**", "**.800**", "mle-benign", "majority_vote", ".800"]
     assert rows[2] == ["far_wall (7)", "wedge", ".667", "**.800**", "mle-benign", "majority_vote", ".800"]
-    assert tables.view_table(found, "ugv").rows[0] == ["*benign*", "**.800 ±.000**", "**.800 ±.000**"]
+    assert tables.view_table(found).rows[0] == ["*benign*", "**.800 ±.000**", "**.800 ±.000**"]

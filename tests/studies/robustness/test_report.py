@@ -31,9 +31,9 @@ from viewshed.studies.figures import (
 )
 from viewshed.studies.records import BENIGN, PAPER, WEDGE, Case, Record, Series
 from viewshed.studies.robustness import tables
-from viewshed.studies.robustness.page import blocks_of, details_of, provenance
+from viewshed.studies.robustness.page import long_page, main_page, provenance
 from viewshed.studies.robustness.plan import RobustnessPlan
-from viewshed.studies.robustness.verdicts import Domain, Verdict
+from viewshed.studies.robustness.verdicts import AttackedDomain, Verdict
 from viewshed.studies.store import JobResult, ResultStore
 
 CLEAN = [80, 20, 20, 80]
@@ -85,8 +85,8 @@ def _store(folder: Path, worst: list[int], wedge: list[int]) -> Store:
     return store
 
 
-def _domain(folder: Path, worst: list[int], wedge: list[int]) -> Domain:
-    return Domain(_store(folder, worst, wedge).results(), "ugv")
+def _domain(folder: Path, worst: list[int], wedge: list[int]) -> AttackedDomain:
+    return AttackedDomain(_store(folder, worst, wedge).results(), "ugv")
 
 
 def test_who_loses_nothing_withstands(tmp_path: Path) -> None:
@@ -165,12 +165,12 @@ def _asked(folder: Path) -> Store:
 
 def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path) -> None:
     """Precision in the wedge: .8 untouched, 8/12 under the far wall, 10/20 under the attacker who asked."""
-    found = Domain(_asked(tmp_path).results(), "ugv")
+    found = AttackedDomain(_asked(tmp_path).results(), "ugv")
     assert tables.adaptive_table(found).rows == [
         ["quantized", "far_wall +0 m² (.000)", "far_wall +0 m² (.000)", "+0 m² (.000)"],
         ["majority_vote", "far_wall +0 m² (.133)", "far_wall +0 m² (.000)", "+2 m² (.300)"],
     ]  # over: 22 - 20 and 26 - 20 cells of .25 m²
-    verdict = found.losses("majority_vote", found.asked("adaptive_over_claim"))
+    verdict = found.losses("majority_vote", found.adaptive("adaptive_over_claim"))
     assert (verdict.precision, verdict.recall) == pytest.approx((0.3, -0.2))
     assert verdict.f1 == pytest.approx(0.8 - 164 / 208)
     assert tables.summary_table(found).rows[1][-1] == "0 of 1"
@@ -180,14 +180,14 @@ def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path)
 @pytest.mark.slow
 def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
     store = _asked(tmp_path)
-    table = tables.known_defense_table(Domain(store.results(), "ugv"), "adaptive_over_claim")
+    table = tables.known_defense_table("adaptive_over_claim", AttackedDomain(store.results(), "ugv"))
     words = ("untouched", "defense not known", "defense known")
     assert table.header == ["", *(f"majority_vote, {kind}" for kind in words)]
     assert table.rows == [
         ["*no defense*", ".800 / .800", "–", ".500 / 1.000"],
         ["radius", ".800 / .800", ".667 / .800", ".571 / .800"],
     ]
-    page = to_markdown("Report", {}, list(blocks_of(store, store.results())))
+    page = to_markdown("Report", {}, main_page(store, store.results())[1])
     asking = page.split("## Attackers who ask their victim first")[1].split("## The bar")[0]
     assert "- **quantized** withstands 1 of 1 in every domain: `adaptive_over_claim`." in asking
     assert "- **majority_vote** withstands 0 of 1 in every domain: none." in asking
@@ -199,7 +199,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
 def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) -> None:
     store = _store(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
     found = store.results()
-    blocks = list(blocks_of(store, found, ["ugv 1 corruptions: no more memory"]))
+    blocks = main_page(store, found, ["ugv 1 corruptions: no more memory"])[1]
     words = to_markdown("Report", provenance(found), blocks)
     assert "**Not finished: 6 of 9 jobs are done; a sample has up to 5.** 1 jobs failed: ugv 1 corruptions" in words
     assert "| ugv | replay | full |  | 2 | replay needs an earlier sweep |" in words
@@ -209,7 +209,7 @@ def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) ->
     everywhere = words.split("### Up to a full wedge")[1]
     assert "- **majority_vote** withstands 0 of 2 in every domain: none." in everywhere
     assert "Attackers who ask" not in words
-    words += to_markdown("Tables", provenance(found), list(details_of(found)))
+    words += to_markdown("Tables", provenance(found), long_page(found)[1])
     assert re.findall(r"\bnan\b", words) == []
 
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from viewshed import _config
 from viewshed.datasets.presets import preset_named
-from viewshed.studies.plan import JobKey, check_seed
+from viewshed.studies.plan import JobKey, Plan, check_seed
 from viewshed.training.config import TrainConfig, read_config
-
-_FOLDER = "studies/ablation/plans"
 
 STEPS = ("models", "validation", "test", "chosen", "page")
 """What the command does, in order."""
@@ -21,12 +19,10 @@ WHOLE = "whole"
 
 
 @dataclass(frozen=True, slots=True)
-class AblationPlan:
+class AblationPlan(Plan):
     """What is trained and tried.
 
     Attributes:
-        name: of the plan.
-        about: one line for people.
         config: name of the training config that the variants change.
         domain: preset whose scenes variants are tried on, on the grid of the config.
         others: further settings in which the shipped networks are reported: by the name of the training config whose
@@ -46,6 +42,8 @@ class AblationPlan:
     Raises:
         ValueError: a value is wrong; the message says which.
     """
+
+    FOLDER: ClassVar[str] = "studies/ablation/plans"
 
     name: str
     about: str
@@ -131,12 +129,8 @@ class AblationPlan:
         return self.seed if split == "validation" else self.test_seed
 
     @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> AblationPlan:
-        """Return the plan in plain values: keys as the attributes.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
+    def from_json(cls, table: Mapping[str, Any]) -> Self:
+        """Return the plan in plain values; three of them are tables of their own."""
         nested = {key: table.get(key) for key in ("base", "others", "variants")}
         rest = {key: value for key, value in table.items() if key not in nested}
         for key, value in nested.items():
@@ -145,18 +139,9 @@ class AblationPlan:
         return cls(**_config.from_dict(cls, rest, "plan", without=nested), **nested)  # type: ignore[arg-type]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the plan as plain values."""
+        """Return the plan as plain values, its tables among them."""
         variants = {name: dict(changes) for name, changes in self.variants.items()}
         return _config.to_dict(self) | {"base": dict(self.base), "others": dict(self.others), "variants": variants}
-
-    @classmethod
-    def load(cls, name: str) -> AblationPlan:
-        """Return the plan called ``name``.
-
-        Raises:
-            ValueError: there is none of that name; the message lists those that exist.
-        """
-        return cls.from_json(_config.load_preset(_FOLDER, name))
 
     def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs, step after step."""

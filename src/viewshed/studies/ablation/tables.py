@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from math import isnan
+from collections.abc import Iterable, Mapping, Sequence
 
 from viewshed._page import Table
 from viewshed.metrics import Scores
 from viewshed.studies.ablation.evaluate import CASES, UNTOUCHED
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
 from viewshed.studies.ablation.results import JAMMING, OURS, SettingResults, Sure, Target, label
-from viewshed.studies.formatting import best_of_rates, format_pair, format_rate
-from viewshed.studies.records import BENIGN, WEDGE, Case
+from viewshed.studies.formatting import (
+    CALIBRATION,
+    best_of_rates,
+    by_name,
+    calibration_of,
+    format_rate,
+    format_rates,
+    pivot,
+)
+from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case
 
 SURE = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """How sure a network must be before it decides a cell."""
@@ -25,14 +32,12 @@ def targets_table(targets: list[Target]) -> Table:
 
 def ablation_table(results: SettingResults) -> Table:
     """Return one line of figures for each method of the ablation."""
-    columns = list(results.figures(WHOLE))
-    names = results.methods
     rows = []
-    for name in names:
-        size = results.plan.config_of(name).shape if name in results.plan.variants else None
-        cost = "–" if size is None else f"{size.flops(results.plan.config_of(name).cells) / 1e9:.2f}"
-        rows.append([name, cost, *(format_rate(value) for value in results.figures(name).values())])
-    return Table(["network", "GFLOP", *columns], rows)
+    for name in results.methods:
+        config = results.plan.config_of(name) if name in results.plan.variants else None
+        cost = "–" if config is None else f"{config.shape.flops(config.cells) / 1e9:.2f}"
+        rows.append([name, cost, *map(format_rate, results.figures(name).values())])
+    return Table(["network", "GFLOP", *results.figures(WHOLE)], rows)
 
 
 def changes_table(plan: AblationPlan) -> Table:
@@ -50,33 +55,26 @@ def views_table(results: SettingResults, names: Sequence[str]) -> Table:
 
 def wedges_table(results: SettingResults, names: Sequence[str]) -> Table:
     """Return precision / recall in the wedge, case by case."""
-    rows = []
-    for case in CASES:
-        wedges = [results.wedge(name, [case]) for name in names]
-        if wedges[0].cells:
-            rows.append([_kind(results, case), *map(_both, wedges)])
-    return Table(["case", *names], rows)
+    rows = {_kind(results, case): [case] for case in CASES if results.wedge(names[0], [case]).cells}
+    return pivot("case", rows, by_name(names), lambda cases, name: _both(results.wedge(name, cases)))
 
 
 def parts_table(results: SettingResults) -> Table:
     """Return the F1 of parts of the untouched view."""
-    names = results.alone
-    rows = []
-    for part, sweeps in results.parts.items():
-        scores = [results.f1_of_part(name, part) for name in names]
-        rows.append([part, str(sweeps), *best_of_rates(scores)])
-    return Table(["part", "sweeps", *names], rows)
+    rows = [[part, str(sweeps), *best_of_rates([results.counts(name, BENIGN, part).f1 for name in results.alone])]
+            for part, sweeps in results.parts.items()]  # fmt: skip
+    return Table(["part", "sweeps", *results.alone], rows)
 
 
 def chosen_table(chosen: SettingResults) -> Table:
     """Return precision / recall of each victim, untouched and with points chosen against it."""
     rows = []
     for name in chosen.methods:
-        for case in chosen.cases(name):
-            counts, asked = chosen.results.counts(chosen.series(name, case, WEDGE)), case.level
-            scores = chosen.view(name, [case]), chosen.wedge(name, [case])
-            questions = "–" if case == UNTOUCHED else asked
-            rows.append([name, questions, str(counts.samples), *map(_both, scores), f"{counts.over_m2:.0f}"])
+        for case in chosen.cases_of(name):
+            counts = chosen.counts(name, case, WEDGE)
+            both = [_both(chosen.scores(name, [case], region)) for region in (VIEW, WEDGE)]
+            queries = "–" if case == UNTOUCHED else case.level
+            rows.append([name, queries, str(counts.samples), *both, f"{counts.over_m2:.0f}"])
     heads = ["victim", "questions", "sweeps", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"]
     return Table(heads, rows)
 
@@ -90,34 +88,28 @@ def abstention_table(validation: SettingResults, test: SettingResults) -> Table:
 
 def sure_table(results: SettingResults, *, wedge: bool) -> Table:
     """Return the share of cells decided / precision of claims / of denials of our network, by how sure it must be."""
-    groups: dict[str, Iterable[Case]] = {
-        "trained": results.trained, "unseen": results.unseen, "jamming": (JAMMING,),
-    }  # fmt: skip
-    groups = groups | dict(zip(_OPENED, results.opening, strict=True)) if wedge else {"benign": (BENIGN,)} | groups
-    scores = {group: (results.wedge if wedge else results.view)(OURS, cases) for group, cases in groups.items()}
-    rows = [[f"{sure:g}", *(_decided(Sure.of(one, sure)) for one in scores.values())] for sure in SURE]
-    return Table(["sure", *scores], rows)
+    groups: dict[str, Iterable[Case]] = {"trained": results.trained, "unseen": results.unseen, "jamming": (JAMMING,)}
+    if wedge:
+        groups |= dict(zip(("trained, opening a view", "unseen, opening a view"), results.opening, strict=True))
+    else:
+        groups = {"benign": (BENIGN,)} | groups
+    columns = {group: results.scores(OURS, cases, WEDGE if wedge else VIEW) for group, cases in groups.items()}
 
+    def decided(sure: float, scores: Scores) -> str:
+        found = Sure.of(scores, sure)
+        return format_rates(found.share, found.claims, found.denials)
 
-_OPENED = ("trained, opening a view", "unseen, opening a view")
-
-
-def _decided(sure: Sure) -> str:
-    return " / ".join(map(format_rate, (sure.share, sure.claims, sure.denials)))
+    return pivot("sure", {f"{sure:g}": sure for sure in SURE}, columns, decided)
 
 
 def doubts_table(results: SettingResults) -> Table:
     """Return how good probabilities and doubts are."""
-    groups = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
-    rows = []
-    for name in results.alone:
-        cells = []
-        for cases in groups.values():
-            scores = results.view(name, cases)
-            cells += [_four(value) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
-        rows.append([name, *cells])
-    heads = [f"{what}, {group}" for group in groups for what in ("ECE", "Brier", "AURC", "AURC by deviation")]
-    return Table(["", *heads], rows)
+    groups: Mapping[str, Iterable[Case]] = {"benign": (BENIGN,), "trained": results.trained, "unseen": results.unseen}
+    rows = [
+        [name, *(word for cases in groups.values() for word in calibration_of(results.scores(name, cases)))]
+        for name in results.alone
+    ]
+    return Table(["", *(f"{what}, {group}" for group in groups for what in CALIBRATION)], rows)
 
 
 def _kind(results: SettingResults, case: Case) -> str:
@@ -125,8 +117,4 @@ def _kind(results: SettingResults, case: Case) -> str:
 
 
 def _both(scores: Scores, threshold: float = 0.5) -> str:
-    return format_pair(scores.precision(threshold), scores.recall(threshold))
-
-
-def _four(value: float) -> str:
-    return "–" if isnan(value) else f"{value:.4f}"
+    return format_rates(scores.precision(threshold), scores.recall(threshold))

@@ -148,12 +148,12 @@ def do_job(job: Job[MonitorPlan]) -> JobResult:
     plan, path = job.plan, job.folder / MONITOR
     if job.key == ("fit",):
         fit, calibrate = ([_sample(plan, part, n) for n in range(plan.frames)] for part in (0, 1))
-        monitor = fit_monitor(_estimator(plan), fit, calibrate, plan.trials)
+        monitor = fit_monitor(_estimator(plan), fit, calibrate, plan)
         save_monitor(monitor, path)
         return JobResult(facts={"limit": monitor.limit})
     number = int(job.key[1])
     records = watch(
-        load_monitor(path), _estimator(plan), _sample(plan, 2, number), plan.trials,
+        load_monitor(path), _estimator(plan), _sample(plan, 2, number), plan,
         domain=plan.domain, method=METHOD, number=number,
     )  # fmt: skip
     return JobResult(list(records))

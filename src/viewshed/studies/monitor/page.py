@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
-from viewshed._page import Heading, PageBlock, Table, Text, facts, to_markdown
+from viewshed._page import Table, facts, to_markdown
 from viewshed.integrity.roc import auroc, auroc_interval, tpr_at_fpr
 from viewshed.studies.cases import generator
-from viewshed.studies.formatting import format_interval, format_rate
+from viewshed.studies.formatting import by_name, commits, format_interval, format_rate, pivot
 from viewshed.studies.monitor.jobs import METHOD
 from viewshed.studies.monitor.plan import MonitorPlan
 from viewshed.studies.records import BENIGN, Results, Series
 from viewshed.studies.store import ResultStore
+from viewshed.studies.templates import fill_template
 from viewshed.threats.attacks import FAMILY
 
 REGIONS = ("touched", "wedge", "changed")
@@ -171,21 +172,7 @@ def located_table(rows: list[Row]) -> Table:
             return "–"
         return f"{format_rate(found.precision)} ({format_rate(found.chance)}) / {format_rate(found.recall)}"
 
-    lines = [[row.name, *(words(row, region) for region in REGIONS)] for row in rows if row.located]
-    return Table(["", *REGIONS], lines)
-
-
-ABOUT = """\
-The paper's detector: a cell is suspect if its deviation over the passes is above the threshold that it has from benign
-sweeps, and the sweep's score is the share of suspect cells. Fitted, calibrated and reported on different held-out
-scenes. AUROC: how often an attacked sweep scores above a benign one (.5 is chance). *Caught at 1 %*: share of the
-sweeps above a limit that at most 1 % of these benign sweeps pass. *Alarms*: at the calibrated limit. *AUROC of the
-mean*: of the plain mean deviation."""
-
-_LOCATED = """\
-Where the suspect cells of attacked and corrupted sweeps lie: precision (the share of such cells among all that are
-watched, which is what guessing would give) / recall, for cells with a return that was added or removed, cells that the
-attacker's wedge holds, and cells that the estimate calls visible on only one of the clean and the spoilt sweep."""
+    return pivot("", {row.name: row for row in rows if row.located}, by_name(REGIONS), words)
 
 
 def page_of(store: ResultStore[MonitorPlan]) -> str:
@@ -195,20 +182,16 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         ValueError: there are no results.
     """
     plan, results = store.plan, store.results("watch")
-    if not results.series():
-        raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
+    store.require(results)
     rows = rows_of(results, plan.domain, METHOD, plan.seed)
-    blocks: list[PageBlock] = [
-        Text(ABOUT), Heading(2, "Attacks"), monitor_table({"": rows}, "attack"),
-        Heading(2, "Corruptions"),
-        Text(f"Benign corruptions of severity {plan.severity}: an alarm here is a false one."),
-        monitor_table({"": rows}, "corruption"), Heading(2, "Where the suspect cells lie"), Text(_LOCATED),
-        located_table(rows),
-    ]  # fmt: skip
+    title, blocks = fill_template("monitor/page.md", {"severity": plan.severity}, {
+        "attacks": lambda: monitor_table({"": rows}, "attack"),
+        "corruptions": lambda: monitor_table({"": rows}, "corruption"),
+        "located": lambda: located_table(rows),
+    })  # fmt: skip
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domain=f"{plan.domain}, {plan.target}",
         sweeps=f"{plan.frames} to fit, {plan.frames} to calibrate, {rows[0].frames} of {plan.frames} to report",
-        passes=str(plan.passes), false_alarm_rate=f"{plan.false_alarm_rate:g}",
-        commits=", ".join(sorted(commit[:7] for commit in results.commits)) or "unknown",
+        passes=str(plan.passes), false_alarm_rate=f"{plan.false_alarm_rate:g}", commits=commits(results),
     )  # fmt: skip
-    return to_markdown("The monitor of the deviation", about, blocks)
+    return to_markdown(title, about, blocks)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
-from viewshed import _config
 from viewshed.datasets.presets import preset_named, preset_names
-from viewshed.studies.plan import JobKey, check_names, check_seed
+from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 from viewshed.studies.records import PAPER, STRICT
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.corruptions import CORRUPTIONS
-
-_FOLDER = "studies/paper/plans"
 
 PROTOCOLS = (PAPER, STRICT)
 """The paper's label as truth on its grids, and exact truth on ours."""
@@ -67,12 +64,10 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True)
-class PaperPlan:
+class PaperPlan(Plan):
     """What is run over what. ``all`` in the TOML stands for a whole table of names.
 
     Attributes:
-        name: of the plan.
-        about: one line for people.
         domains: presets of simulated data.
         train_scenes: scenes that are trained and validated on, for each domain.
         train_times: how often each agent measures in such a scene.
@@ -119,6 +114,9 @@ class PaperPlan:
     Raises:
         ValueError: a name is not known, or a number is out of range.
     """
+
+    FOLDER: ClassVar[str] = "studies/paper/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"monitor_corruptions": CORRUPTIONS}
 
     name: str
     about: str
@@ -182,10 +180,8 @@ class PaperPlan:
         self._check_held_out()
 
     def _check_sizes(self) -> None:
-        for key in ("passes", "pair_frames", "strict_frames", "epochs", "trade_epochs", "trade_repeats",
-                    "monitor_frames", "frames_per_epoch", "batch"):  # fmt: skip
-            if getattr(self, key) < 1:
-                raise ValueError(f"{key} must be at least 1, got {getattr(self, key)}")
+        self.check_at_least(1, "passes", "pair_frames", "strict_frames", "epochs", "trade_epochs", "trade_repeats",
+                            "monitor_frames", "frames_per_epoch", "batch")  # fmt: skip
         for cells, depth in [(self.cells, self.depth), *((c, d) for c in self.trade_cells for d in self.trade_depths)]:
             if cells % 2**depth:
                 raise ValueError(f"cells must divide by 2 to the power of the depth {depth}, got {cells}")
@@ -205,40 +201,31 @@ class PaperPlan:
                 f"monitor_false_alarms must lie in [1 / (monitor_frames + 1), 1), got {self.monitor_false_alarms}"
             )
 
-    @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> PaperPlan:
-        """Return the plan in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
-        return cls(**_config.from_dict(cls, table, "plan", {"monitor_corruptions": CORRUPTIONS}))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the plan as plain values, every name spelt out."""
-        return _config.to_dict(self)
-
-    @classmethod
-    def load(cls, name: str) -> PaperPlan:
-        """Return the plan called ``name``.
-
-        Raises:
-            ValueError: there is none of that name; the message lists those that exist.
-
-        >>> PaperPlan.load("small").domains
-        ('carla', 'nuscenes', 'ugv')
-        """
-        return cls.from_json(_config.load_preset(_FOLDER, name))
-
     def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs, step after step."""
         return [key for step in STEPS for key in self.job_keys_of(step)]
 
     def job_keys_of(self, step: str, protocols: Sequence[str] = PROTOCOLS) -> list[JobKey]:
         """Return the names of all jobs of a step in some protocols, in the order in which they are done."""
-        makers = {"models": self._models, "pairs": self._pairs, "strict": self._strict, "trade": self._trade,
-                  "monitor": self._monitor}  # fmt: skip
-        return list(makers[step](protocols)) if step in makers else []
+        if step == "models":
+            return [model.key for model in self.models(protocols)]
+        if step == "pairs":
+            return [
+                (step, protocol, name, domain)
+                for protocol in protocols
+                for name in [*(model.name for model in self.models([protocol])), CLASSICAL]
+                for domain in self.domains
+            ]
+        if step == "trade" and PAPER in protocols:
+            return [
+                (step, str(width), str(depth), str(cells))
+                for cells in self.trade_cells
+                for depth in self.trade_depths
+                for width in self.trade_widths
+            ]
+        if step == "strict" and STRICT in protocols:
+            return [(step, domain, str(n)) for n in range(self.strict_frames) for domain in self.domains]
+        return [(step, mixture) for mixture in MIXTURES] if step == "monitor" and STRICT in protocols else []
 
     def models(self, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:
         """Return the models of some protocols: 2 variants × 2 mixtures × the domains, in each."""
@@ -253,29 +240,3 @@ class PaperPlan:
     def model(self, protocol: str, name: str) -> Model:
         """Return the model of a name."""
         return next(model for model in self.models([protocol]) if model.name == name)
-
-    def trade_shapes(self) -> Iterator[tuple[int, int, int]]:
-        """Yield width, depth and cells of every network of the trade study."""
-        for cells in self.trade_cells:
-            for depth in self.trade_depths:
-                yield from ((width, depth, cells) for width in self.trade_widths)
-
-    def _models(self, protocols: Sequence[str]) -> Iterator[JobKey]:
-        yield from (model.key for model in self.models(protocols))
-
-    def _pairs(self, protocols: Sequence[str]) -> Iterator[JobKey]:
-        for protocol in protocols:
-            names = [*(model.name for model in self.models([protocol])), CLASSICAL]
-            yield from (("pairs", protocol, name, domain) for name in names for domain in self.domains)
-
-    def _strict(self, protocols: Sequence[str]) -> Iterator[JobKey]:
-        if STRICT in protocols:
-            yield from (("strict", domain, str(n)) for n in range(self.strict_frames) for domain in self.domains)
-
-    def _trade(self, protocols: Sequence[str]) -> Iterator[JobKey]:
-        if PAPER in protocols:
-            yield from (("trade", *map(str, shape)) for shape in self.trade_shapes())
-
-    def _monitor(self, protocols: Sequence[str]) -> Iterator[JobKey]:
-        if STRICT in protocols:
-            yield from (("monitor", mixture) for mixture in MIXTURES)

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import product
 from math import isnan
 from typing import Any
 
 from viewshed.studies.paper.jobs import ATTACKED
 from viewshed.studies.paper.plan import PaperPlan
-from viewshed.studies.records import BENIGN, PAPER, Results, Series
-from viewshed.studies.statistics import f1
+from viewshed.studies.records import BENIGN, PAPER, Domain, Results, Series
 from viewshed.studies.store import ResultStore
+
+ORDER = ("carla", "nuscenes", "ugv")
+"""Domains in the paper's order."""
+
+TESTED_ON = {"benign": BENIGN, "adversarial": ATTACKED}
+"""The case of the held-out sweeps by the mixture that they are of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,16 +61,9 @@ class PaperResults:
         domains = self.plan.domains
         return [*(name for name in ORDER if name in domains), *(name for name in domains if name not in ORDER)]
 
-
-def pair(protocol: str, method: str, tested: str, domain: str) -> Series:
-    """Return whose scores on which held-out sweeps, ``benign`` or ``adversarial``."""
-    return Series(domain, method, BENIGN if tested == "benign" else ATTACKED, protocol=protocol)
-
-
-Figures = tuple[float, float, float, float]
-"""Precision, recall, accuracy, F1."""
-
-ORDER = ("carla", "nuscenes", "ugv")
+    def pairs_in(self, protocol: str, domain: str) -> Domain[PaperPlan]:
+        """Return the scores of all pairs that were tested in a domain."""
+        return Domain(self.pairs, domain, protocol)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,66 +75,45 @@ class SubTable:
         variant: of the models.
         trained: what they are trained on.
         tested: what they are tested on.
-        published: by test set and training set the paper's figures; empty where it has none.
     """
 
     title: str
     variant: str
     trained: str
     tested: str
-    published: dict[tuple[str, str], Figures]
 
     def key(self, protocol: str, test: str, train: str) -> Series:
         """Return whose scores stand in a cell of the table."""
-        return pair(protocol, f"{self.variant}-{self.trained}-{train}", self.tested, test)
+        return Series(test, f"{self.variant}-{self.trained}-{train}", TESTED_ON[self.tested], protocol=protocol)
+
+    def published(self, test: str, train: str) -> list[float] | None:
+        """Return the paper's precision, recall, accuracy and F1 of a cell; None where it has none."""
+        figures = _published().get(f"{self.variant}-{self.trained}-{self.tested}", {})
+        return figures.get(f"{test}-{train}", [float("nan")] * 4) if figures else None
 
 
-def _cells(*rows: tuple[Figures, Figures, Figures]) -> dict[tuple[str, str], Figures]:
-    return {
-        (test, train): figures
-        for test, row in zip(ORDER, rows, strict=True)
-        for train, figures in zip(ORDER, row, strict=True)
-    }
+@cache
+def _published() -> dict[str, dict[str, list[float]]]:
+    return tomllib.loads(resources.files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
 
 
-BENIGN_TABLE = SubTable(
-    "Benign: trained and tested without attacks", "mle", "benign", "benign",
-    _cells(
-        ((0.95, 0.90, 0.97, 0.92), (0.91, 0.92, 0.96, 0.91), (0.95, 0.83, 0.95, 0.88)),
-        ((0.91, 0.80, 0.93, 0.85), (0.92, 0.84, 0.95, 0.88), (0.95, 0.70, 0.92, 0.80)),
-        ((0.92, 0.80, 0.95, 0.85), (0.91, 0.84, 0.96, 0.87), (0.97, 0.79, 0.96, 0.87)),
-    ),
-)  # fmt: skip
+BENIGN_TABLE = SubTable("Benign: trained and tested without attacks", "mle", "benign", "benign")
 
-ADVERSARIAL = SubTable(
-    "Adversarial: trained and tested with attacks", "mle", "adversarial", "adversarial",
-    _cells(
-        ((0.95, 0.91, 0.97, 0.93), (0.93, 0.89, 0.96, 0.91), (0.97, 0.61, 0.90, 0.75)),
-        ((0.92, 0.76, 0.93, 0.83), (0.93, 0.77, 0.93, 0.84), (0.97, 0.55, 0.89, 0.69)),
-        ((0.92, 0.81, 0.95, 0.86), (0.91, 0.83, 0.95, 0.86), (0.98, 0.72, 0.94, 0.82)),
-    ),
-)  # fmt: skip
+ADVERSARIAL = SubTable("Adversarial: trained and tested with attacks", "mle", "adversarial", "adversarial")
 
 ADVERSARIAL_MCD = SubTable(
-    "Adversarial, Monte Carlo dropout: trained and tested with attacks", "mcd", "adversarial", "adversarial",
-    _cells(
-        ((0.97, 0.85, 0.96, 0.90), (0.93, 0.85, 0.95, 0.89), (0.95, 0.71, 0.92, 0.81)),
-        ((0.95, 0.70, 0.92, 0.80), (0.94, 0.73, 0.93, 0.82), (0.94, 0.62, 0.90, 0.74)),
-        ((0.93, 0.76, 0.95, 0.84), (0.91, 0.78, 0.95, 0.84), (0.95, 0.79, 0.95, 0.86)),
-    ),
-)  # fmt: skip
-
-LEFT_OUT = SubTable(
-    "Left out by the paper: trained without attacks, tested with them", "mle", "benign", "adversarial", {}
+    "Adversarial, Monte Carlo dropout: trained and tested with attacks", "mcd", "adversarial", "adversarial"
 )
+
+LEFT_OUT = SubTable("Left out by the paper: trained without attacks, tested with them", "mle", "benign", "adversarial")
 
 SUB_TABLES = (BENIGN_TABLE, ADVERSARIAL, ADVERSARIAL_MCD, LEFT_OUT)
 
 OTHERS = (
-    SubTable("Benign, Monte Carlo dropout", "mcd", "benign", "benign", {}),
-    SubTable("Trained without attacks, tested with them, Monte Carlo dropout", "mcd", "benign", "adversarial", {}),
-    SubTable("Trained with attacks, tested without", "mle", "adversarial", "benign", {}),
-    SubTable("Trained with attacks, tested without, Monte Carlo dropout", "mcd", "adversarial", "benign", {}),
+    SubTable("Benign, Monte Carlo dropout", "mcd", "benign", "benign"),
+    SubTable("Trained without attacks, tested with them, Monte Carlo dropout", "mcd", "benign", "adversarial"),
+    SubTable("Trained with attacks, tested without", "mle", "adversarial", "benign"),
+    SubTable("Trained with attacks, tested without, Monte Carlo dropout", "mcd", "adversarial", "benign"),
 )
 """The rest of the 72 pairs."""
 
@@ -162,33 +144,34 @@ class Target:
 
 def targets_of(results: PaperResults) -> list[Target]:
     """Return the targets of the paper's protocol beside what was reached."""
-    return [
-        *_in_domain(results, BENIGN_TABLE, 0.95), *_in_domain(results, ADVERSARIAL, 0.95),
-        *_in_domain(results, ADVERSARIAL_MCD, 0.94),
-        _worst(results, BENIGN_TABLE, 0.90),
-        _worst(results, ADVERSARIAL, 0.88),
-    ]  # fmt: skip
+    in_domain = [(BENIGN_TABLE, 0.95), (ADVERSARIAL, 0.95), (ADVERSARIAL_MCD, 0.94)]
+    worst = [(BENIGN_TABLE, 0.90), (ADVERSARIAL, 0.88)]
+    targets = [target for table, least in in_domain for target in _in_domain(results, table, least)]
+    return targets + [_worst(results, table, least) for table, least in worst]
 
 
-def _in_domain(results: PaperResults, table: SubTable, least: float) -> list[Target]:
+def _in_domain(results: PaperResults, table: SubTable, least: float) -> Iterator[Target]:
     words = f"in-domain F1, {table.tested}{', MCD' if table.variant == 'mcd' else ''}"
-    return [
-        Target(f"{words}, {domain}", table.published[domain, domain][3], least, *_found(results, table, domain, domain))
-        for domain in ORDER
-    ]
+    for domain in ORDER:
+        yield Target(
+            f"{words}, {domain}", _paper_f1(table, domain, domain), least, *_f1(results, table, domain, domain)
+        )
 
 
 def _worst(results: PaperResults, table: SubTable, least: float) -> Target:
     """Return the target of the lowest F1 where training and test set differ."""
-    crossed = [(test, train) for test in ORDER for train in ORDER if test != train]
-    found = zip(*(_found(results, table, *pair) for pair in crossed), strict=True)
+    crossed = [(test, train) for test, train in product(ORDER, ORDER) if test != train]
+    found = zip(*(_f1(results, table, *pair) for pair in crossed), strict=True)
     lowest = [float("nan") if any(map(isnan, rates)) else min(rates) for rates in found]
-    return Target(
-        f"worst transfer F1, {table.tested}", min(table.published[pair][3] for pair in crossed), least, *lowest
-    )
+    published = min(_paper_f1(table, *pair) for pair in crossed)
+    return Target(f"worst transfer F1, {table.tested}", published, least, *lowest)
 
 
-def _found(results: PaperResults, table: SubTable, test: str, train: str) -> tuple[float, float]:
+def _paper_f1(table: SubTable, test: str, train: str) -> float:
+    return (table.published(test, train) or [float("nan")])[-1]
+
+
+def _f1(results: PaperResults, table: SubTable, test: str, train: str) -> tuple[float, float]:
     """Return F1 of a pair with the paper's threshold and with .5; NaN where it was not tried."""
     key = table.key(PAPER, test, train)
-    return results.pairs.rate(key, f1), results.pairs.scores([key]).f1()
+    return results.pairs.counts(key).f1, results.pairs.scores([key]).f1()

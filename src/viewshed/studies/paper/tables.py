@@ -8,72 +8,87 @@ from math import isnan
 import numpy as np
 
 from viewshed._page import Table
+from viewshed.metrics import ConfusionCounts
 from viewshed.studies.cases import DEFAULT
 from viewshed.studies.formatting import (
+    CALIBRATION,
     best_of_row,
+    by_name,
+    calibration_of,
     format_interval,
     format_rate,
+    format_rates,
     format_spread,
+    lines,
     pivot,
 )
 from viewshed.studies.monitor.page import monitor_table as table_of_monitor
 from viewshed.studies.monitor.page import rows_of
 from viewshed.studies.paper.jobs import TRADE
-from viewshed.studies.paper.plan import MIXTURES, VARIANTS
+from viewshed.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
 from viewshed.studies.paper.protocols import setting_of
-from viewshed.studies.paper.published import PaperResults, SubTable, pair, targets_of
-from viewshed.studies.records import BENIGN, PAPER, UNTOUCHED, VIEW, WEDGE, Case, Series
-from viewshed.studies.statistics import MEASURES, accuracy, f1, precision, recall
+from viewshed.studies.paper.published import TESTED_ON, PaperResults, SubTable, targets_of
+from viewshed.studies.records import BENIGN, PAPER, UNTOUCHED, VIEW, WEDGE, Case, Domain, Series
+from viewshed.studies.statistics import f1
 from viewshed.threats.attacks import ATTACKS, FAMILY
 
 NETWORKS = tuple(f"{variant}-{mixture}" for variant in VARIANTS for mixture in MIXTURES)
 
+StrictDomain = Domain[PaperPlan]
+"""The sweeps of one domain that face every attack."""
+
 
 def training_table(results: PaperResults, protocol: str) -> Table:
     """Return how each training of a protocol went."""
+    models = {name: facts for (of, name), facts in results.models.items() if of == protocol}
+    best = {name: facts["history"][facts["best"] - 1] for name, facts in models.items()}
+    return lines("model", by_name(models), {
+        "epochs": lambda name: str(len(models[name]["history"])),
+        "best": lambda name: str(models[name]["best"]),
+        "validation loss": lambda name: f"{best[name]['validation_loss']:.4f}",
+        "validation F1": lambda name: format_rate(best[name]["f1"]),
+        "frames/s": lambda name: f"{models[name]['frames_per_s']:.0f}",
+        "in the network": lambda name: f"{100 * models[name]['network_share']:.0f} %",
+        "seconds": lambda name: f"{models[name]['seconds']:.0f}",
+    })  # fmt: skip
+
+
+def trade_counts(results: PaperResults) -> dict[tuple[int, int, int], ConfusionCounts]:
+    """Return the counts of the networks of the trade study by (cells, depth, width), in ascending order."""
+    domain = Domain(results.trade, results.plan.trade_domain, TRADE)
+    shapes = {(int(key[3]), int(key[2]), int(key[1])): facts["name"] for key, facts in results.trade.facts.items()}
+    return {shape: domain.counts(shapes[shape]) for shape in sorted(shapes)}
+
+
+def trade_facts(results: PaperResults, shape: tuple[int, int, int]) -> dict[str, float]:
+    """Return latency by threads in milliseconds and size of a network of the trade study, of (cells, depth, width)."""
+    facts = results.trade.facts["trade", *map(str, shape[::-1])]
+    ms = facts["latency_ms"]
+    return {
+        "ms, 2 threads": ms["2"],
+        "ms, 1 thread": ms["1"],
+        "M": facts["parameters"] / 1e6,
+        "G": facts["flops"] / 1e9,
+    }
+
+
+def trade_table(results: PaperResults) -> Table | None:
+    """Return what each network of the trade study scores, how long a pass takes, and its size; None without any."""
     rows = []
-    for (of, name), facts in results.models.items():
-        epoch, share = facts["history"][facts["best"] - 1], 100 * facts["network_share"]
-        rows.append([
-            name, str(len(facts["history"])), str(facts["best"]), f"{epoch['validation_loss']:.4f}",
-            format_rate(epoch["f1"]), f"{facts['frames_per_s']:.0f}", f"{share:.0f} %", f"{facts['seconds']:.0f}",
-        ] if of == protocol else [])  # fmt: skip
-    header = ["model", "epochs", "best", "validation loss", "validation F1", "frames/s", "in the network", "seconds"]
-    return Table(header, [row for row in rows if row])
-
-
-def trade_shapes(results: PaperResults) -> list[tuple[int, int, int]]:
-    """Return width, depth and cells of the networks of the trade study that are done, by cells, depth and width."""
-    shapes = [(int(key[1]), int(key[2]), int(key[3])) for key in results.trade.facts]
-    return sorted(shapes, key=lambda shape: shape[::-1])
-
-
-def trade_rates(results: PaperResults, shape: tuple[int, int, int]) -> tuple[dict[str, float], dict[str, float]]:
-    """Return precision, accuracy and F1 of a network of the trade study, and its latency by threads in milliseconds."""
-    facts = results.trade.facts["trade", *map(str, shape)]
-    series = Series(results.plan.trade_domain, facts["name"], protocol=TRADE)
-    measures = {"precision": precision, "accuracy": accuracy, "F1": f1}
-    return {name: results.trade.rate(series, measure) for name, measure in measures.items()}, facts["latency_ms"]
-
-
-def trade_table(results: PaperResults) -> Table:
-    """Return what each network of the trade study scores, how long a pass takes, and its size."""
-    rows = []
-    for shape in trade_shapes(results):
-        facts, (rates, latency) = results.trade.facts["trade", *map(str, shape)], trade_rates(results, shape)
-        sizes = [f"{facts['parameters'] / 1e6:.3f}", f"{facts['flops'] / 1e9:.3f}"]
-        times = [f"{latency['2']:.2f}", f"{latency['1']:.2f}"]
-        rows.append([*map(str, shape), *map(format_rate, rates.values()), *times, *sizes])
+    for shape, counts in trade_counts(results).items():
+        facts, rates = trade_facts(results, shape), (counts.precision, counts.accuracy, counts.f1)
+        times, sizes = (f"{facts['ms, 2 threads']:.2f}", f"{facts['ms, 1 thread']:.2f}"), (facts["M"], facts["G"])
+        rows.append([*map(str, shape[::-1]), *map(format_rate, rates), *times, *(f"{size:.3f}" for size in sizes)])
     header = ["width", "depth", "cells", "precision", "accuracy", "F1", "ms, 2 threads", "ms, 1 thread"]
-    return Table([*header, "parameters, M", "GFLOP"], rows)
+    return Table([*header, "parameters, M", "GFLOP"], rows) if rows else None
 
 
-def monitor_table(results: PaperResults, kind: str) -> Table:
+def monitor_table(results: PaperResults, kind: str) -> Table | None:
     """Return what the monitor does in each attack or corruption, by what its network was trained on."""
     domain, seed = results.plan.monitor_domain, results.plan.test_seed
     methods = results.monitor.methods(domain)
     rows = {f"{name}-trained": rows_of(results.monitor, domain, name, seed) for name in MIXTURES if name in methods}
-    return table_of_monitor(rows, kind)
+    return table_of_monitor(rows, kind) if results.monitor.facts else None
 
 
 def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
@@ -81,36 +96,35 @@ def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
     domains, rows = results.domains, []
     for test in domains:
         keys = [table.key(protocol, test, train) for train in domains]
-        rows.append([test, *(_four(results, key) for key in keys)])
+        rows.append([test, *(_four(results.pairs.counts(key)) for key in keys)])
         rows.append(["*95 % of F1*", *(_bounds(results, key) for key in keys)])
-        if table.published and protocol == PAPER:
-            published = (table.published.get((test, train), (float("nan"),) * 4) for train in domains)
-            rows.append(["*the paper*", *(" ".join(format_rate(rate, 2) for rate in rates) for rates in published)])
+        published = [table.published(test, train) for train in domains] if protocol == PAPER else []
+        if any(published):
+            rows.append(["*the paper*", *(" ".join(format_rate(rate, 2) for rate in four or []) for four in published)])
     return Table(["tested on \\ trained on", *domains], rows)
 
 
-def _four(results: PaperResults, key: Series) -> str:
+def _four(counts: ConfusionCounts) -> str:
     """Return precision, recall, accuracy in hundredths and F1 in thousandths."""
-    *rates, last = [results.pairs.rate(key, measure) for measure in MEASURES.values()]
-    if isnan(rates[0]) and isnan(rates[2]):
+    if isnan(counts.precision) and isnan(counts.accuracy):
         return "–"
-    return " ".join([*(format_rate(rate, 2) for rate in rates), format_rate(last)])
+    rates = (counts.precision, counts.recall, counts.accuracy)
+    return " ".join([*(format_rate(rate, 2) for rate in rates), format_rate(counts.f1)])
 
 
 def _bounds(results: PaperResults, key: Series) -> str:
-    low, high = results.pairs.interval(key, f1)
+    low, high = results.pairs.interval([key], f1)
     return "–" if isnan(low) else f"{format_rate(low)} to {format_rate(high)}"
 
 
 def area_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
     """Return AUPRC of nine pairs in the paper's layout."""
-    names = {name: name for name in results.domains}
-    return pivot("AUPRC, tested on \\ trained on", names, names,
-                 lambda test, train: _area(results, table.key(protocol, test, train)))  # fmt: skip
 
+    def area(test: str, train: str) -> str:
+        return format_rate(results.pairs.scores([table.key(protocol, test, train)]).auprc())
 
-def _area(results: PaperResults, key: Series) -> str:
-    return format_rate(results.pairs.scores([key]).auprc())
+    names = by_name(results.domains)
+    return pivot("AUPRC, tested on \\ trained on", names, names, area)
 
 
 def target_table(results: PaperResults) -> Table:
@@ -126,132 +140,115 @@ def target_table(results: PaperResults) -> Table:
 def pair_methods(results: PaperResults, protocol: str, domain: str) -> dict[str, str]:
     """Return who was tried on a domain's sweeps: the networks trained there, by short name, then the classical ones."""
     networks = {name: f"{name}-{domain}" for name in NETWORKS}
-    classical = {name: name for name in setting_of(results.plan, protocol, domain).classical()}
-    return {
-        short: name for short, name in (networks | classical).items()
-        if pair(protocol, name, "benign", domain) in results.pairs
-    }  # fmt: skip
+    every = networks | by_name(setting_of(results.plan, protocol, domain).classical())
+    found = results.pairs_in(protocol, domain)
+    return {short: name for short, name in every.items() if found.has(name, BENIGN)}
 
 
 def mixture_table(results: PaperResults, protocol: str, domain: str) -> Table:
     """Return everything about benign and attacked sweeps of a domain, networks trained there beside the classical."""
-    words = ("precision", "recall", "F1 [95 %]", "AUPRC")
+    found = results.pairs_in(protocol, domain)
 
-    def value(method: str, column: tuple[str, str]) -> str:
-        mixture, word = column
-        key = pair(protocol, method, mixture, domain)
+    def value(method: str, column: tuple[Case, str]) -> str:
+        case, word = column
+        counts = found.counts(method, case)
         if word == "AUPRC":
-            return _area(results, key)
-        if word.startswith("F1"):
-            return format_interval(results.pairs.rate(key, f1), results.pairs.interval(key, f1))
-        return format_rate(results.pairs.rate(key, MEASURES[word]))
+            return format_rate(found.scores(method, [case]).auprc())
+        if word == "F1 [95 %]":
+            return format_interval(counts.f1, found.interval(method, [case], f1))
+        return format_rate(counts.precision if word == "precision" else counts.recall)
 
-    columns = {f"{word}, {mixture}": (mixture, word) for mixture in MIXTURES for word in words}
+    words = ("precision", "recall", "F1 [95 %]", "AUPRC")
+    columns = {f"{word}, {mixture}": (case, word) for mixture, case in TESTED_ON.items() for word in words}
     return pivot("", pair_methods(results, protocol, domain), columns, value, "column")
 
 
 def calibration_table(results: PaperResults, protocol: str, domain: str) -> Table:
     """Return ECE, Brier score and AURC on benign and attacked sweeps; less is better; of MCD also by its deviation."""
-    rows = []
-    for short, name in pair_methods(results, protocol, domain).items():
-        row = [short]
-        for mixture in MIXTURES:
-            scores = results.pairs.scores([pair(protocol, name, mixture, domain)])
-            row += [f"{value:.4f}" if not isnan(value) else "–"
-                    for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]  # fmt: skip
-        rows.append(row)
-    words = ("ECE", "Brier", "AURC", "AURC by deviation")
-    return Table(["", *(f"{word}, {mixture}" for mixture in MIXTURES for word in words)], rows)
+    found = results.pairs_in(protocol, domain)
+    rows = [
+        [short, *(word for case in TESTED_ON.values() for word in calibration_of(found.scores(name, [case])))]
+        for short, name in pair_methods(results, protocol, domain).items()
+    ]
+    return Table(["", *(f"{word}, {mixture}" for mixture in TESTED_ON for word in CALIBRATION)], rows)
 
 
-def strict_methods(results: PaperResults, domain: str) -> list[str]:
-    """Return who faced the attacks in a domain: networks first, then the classical estimators."""
-    return results.strict.methods(domain)
-
-
-def attacked_cases(results: PaperResults, domain: str) -> list[Case]:
+def attacked_cases(domain: StrictDomain) -> list[Case]:
     """Return the attacks with their default budgets of which there are results, in the order of their table."""
-    found = results.strict.cases(domain)
-    return [case for name in ATTACKS if (case := Case("attack", name, DEFAULT)) in found]
+    return [case for name in ATTACKS if (case := Case("attack", name, DEFAULT)) in domain.cases]
 
 
-def has_wedge(results: PaperResults, domain: str, case: Case) -> bool:
-    """Return whether any sweep of a case has cells in a wedge."""
-    method = strict_methods(results, domain)[0]
-    return results.strict.counts(Series(domain, method, case, WEDGE)).cells > 0
-
-
-def view_table(results: PaperResults, domain: str) -> Table:
+def view_table(domain: StrictDomain) -> Table:
     """Return F1 of the whole view under every attack, with half of its 95 % interval; the best in bold."""
 
     def spread(case: Case, method: str) -> str:
-        series = Series(domain, method, case)
-        return format_spread(results.strict.rate(series, f1), results.strict.interval(series, f1))
+        return format_spread(domain.counts(method, case).f1, domain.interval(method, [case], f1))
 
-    rows = {"*benign*": BENIGN} | {_labeled(results, case): case for case in attacked_cases(results, domain)}
-    return pivot("attack (family)", rows, {name: name for name in strict_methods(results, domain)}, spread, "row")
+    rows = {_labeled(domain, case): case for case in (BENIGN, *attacked_cases(domain))}
+    return pivot("attack (family)", rows, by_name(domain.methods), spread, "row")
 
 
-def wedge_table(results: PaperResults, domain: str) -> Table:
+def wedge_table(domain: StrictDomain) -> Table:
     """Return precision / recall / F1 in the wedge under every attack that has one, above the same left untouched."""
-    methods, rows = strict_methods(results, domain), []
-    for case in attacked_cases(results, domain):
-        if has_wedge(results, domain, case):
-            for label, region in ((_labeled(results, case), WEDGE), ("*untouched*", UNTOUCHED)):
-                rows.append([label, *_best_f1(results, [Series(domain, name, case, region) for name in methods])])
-    return Table(["attack (family)", *methods], rows)
+    rows = []
+    for case in attacked_cases(domain):
+        if domain.has_wedge(case):
+            for label, region in ((_labeled(domain, case), WEDGE), ("*untouched*", UNTOUCHED)):
+                rows.append([label, *_best_f1([domain.counts(name, case, region) for name in domain.methods])])
+    return Table(["attack (family)", *domain.methods], rows)
 
 
-def _best_f1(results: PaperResults, series: Sequence[Series]) -> list[str]:
+def _best_f1(counts: Sequence[ConfusionCounts]) -> list[str]:
     """Return precision / recall / F1 of each, the best F1 in bold."""
-    every = [[results.strict.rate(one, measure) for measure in (precision, recall, f1)] for one in series]
-    most = max((rates[2] for rates in every if not isnan(rates[2])), default=float("nan"))
-    words = [" / ".join(map(format_rate, rates)) for rates in every]
-    return [f"**{cell}**" if rates[2] == most else cell for cell, rates in zip(words, every, strict=True)]
+    most = max((one.f1 for one in counts if not isnan(one.f1)), default=float("nan"))
+    words = [format_rates(one.precision, one.recall, one.f1) for one in counts]
+    return [f"**{cell}**" if one.f1 == most else cell for cell, one in zip(words, counts, strict=True)]
 
 
-def _labeled(results: PaperResults, case: Case) -> str:
+def _labeled(domain: StrictDomain, case: Case) -> str:
     """Return an attack's name and family, with a star if the adversarial models were trained on it."""
-    star = " \\*" if case.name in results.plan.trained_attacks else ""
+    star = " \\*" if case.name in domain.plan.trained_attacks else ""
     return "*benign*" if case == BENIGN else f"{case.name} ({FAMILY[case.name]}){star}"
 
 
-def winner_table(results: PaperResults, domain: str) -> Table:
+def winner_table(domain: StrictDomain) -> Table:
     """Return who has the largest F1 under each attack, and the best network beside the best classical estimator."""
-    names = strict_methods(results, domain)
-    groups = [name for name in names if name in NETWORKS], [name for name in names if name not in NETWORKS]
+    networks = [name for name in domain.methods if name in NETWORKS]
+    classical = [name for name in domain.methods if name not in NETWORKS]
     rows = []
-    for case in [BENIGN, *attacked_cases(results, domain)]:
+    for case in [BENIGN, *attacked_cases(domain)]:
         for region in (VIEW, WEDGE):
-            if region == VIEW or has_wedge(results, domain, case):
-                one, other = (_leader(results, [Series(domain, name, case, region) for name in group])
-                              for group in groups)  # fmt: skip
-                vote = format_rate(results.strict.rate(Series(domain, "majority_vote", case, region), f1))
-                best = best_of_row(["", one[1], other[1]])[1:]
-                rows.append([_labeled(results, case), region, *best, one[0], other[0], vote])
+            if region == VIEW or domain.has_wedge(case):
+                (one, one_f1), (other, other_f1) = (
+                    _leader(domain, names, case, region) for names in (networks, classical)
+                )
+                vote = format_rate(domain.counts("majority_vote", case, region).f1)
+                rows.append([*best_of_row([_labeled(domain, case), one_f1, other_f1]), one, other, vote])
+                rows[-1].insert(1, region)
     header = ["attack (family)", "where", "best network's F1", "best classical F1", "which network", "which classical",
               "majority_vote"]  # fmt: skip
     return Table(header, rows)
 
 
-def _leader(results: PaperResults, series: Sequence[Series]) -> tuple[str, str]:
-    scored = {one.method: results.strict.rate(one, f1) for one in series}
-    scored = {name: rate for name, rate in scored.items() if not isnan(rate)}
-    if not scored:
-        return "–", "–"
-    first = max(scored, key=lambda name: scored[name])
-    return first, format_rate(scored[first])
+def _leader(domain: StrictDomain, names: Sequence[str], case: Case, region: str) -> tuple[str, str]:
+    """Return who of several has the best F1, and what it is."""
+    scored = {name: domain.counts(name, case, region).f1 for name in names}
+    known = [name for name, rate in scored.items() if not isnan(rate)]
+    first = max(known, key=lambda name: scored[name], default="–")
+    return first, format_rate(scored.get(first, float("nan")))
 
 
-def seen_table(results: PaperResults, domain: str) -> Table:
+def seen_table(domain: StrictDomain) -> Table:
     """Return mean F1 over the attacks that models were trained on and over those that they were not."""
-    names, rows = strict_methods(results, domain), []
+    rows: dict[str, tuple[list[Case], str]] = {}
     for words, seen in (("trained on", True), ("never seen", False)):
-        trained = results.plan.trained_attacks
-        cases = [case for case in attacked_cases(results, domain) if (case.name in trained) == seen]
+        cases = [case for case in attacked_cases(domain) if (case.name in domain.plan.trained_attacks) == seen]
         for region in (VIEW, WEDGE):
-            chosen = [case for case in cases if region == VIEW or has_wedge(results, domain, case)]
-            rates = [[results.strict.rate(Series(domain, name, case, region), f1) for case in chosen] for name in names]
-            means = [format_rate(float(np.mean(each)) if each else float("nan")) for each in rates]
-            rows.append(best_of_row([f"{words}, {region} (attacks: {len(chosen)})", *means]))
-    return Table(["mean F1 over attacks", *names], rows)
+            chosen = [case for case in cases if region == VIEW or domain.has_wedge(case)]
+            rows[f"{words}, {region} (attacks: {len(chosen)})"] = chosen, region
+
+    def mean(row: tuple[list[Case], str], method: str) -> str:
+        rates = [domain.counts(method, case, row[1]).f1 for case in row[0]]
+        return format_rate(float(np.mean(rates)) if rates else float("nan"))
+
+    return pivot("mean F1 over attacks", rows, by_name(domain.methods), mean, "row")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
-from viewshed import _config
 from viewshed.studies.cases import (
     FULL,
     MIXTURE,
@@ -17,7 +16,7 @@ from viewshed.studies.cases import (
     strength_cases,
     strongest_case,
 )
-from viewshed.studies.plan import JobKey, check_names, check_seed
+from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.suite import TESTED
 from viewshed.threats.attacks import ATTACKS
@@ -25,8 +24,6 @@ from viewshed.threats.attacks.adaptive import ADAPTIVE
 from viewshed.threats.attacks.points import MOST_FREE
 from viewshed.threats.corruptions import CORRUPTIONS
 from viewshed.threats.defenses import DEFENSES
-
-_FOLDER = "studies/robustness/plans"
 
 SEVERITIES = (1, 2, 3, 4, 5)
 
@@ -36,12 +33,10 @@ the attackers who know their victim."""
 
 
 @dataclass(frozen=True, slots=True)
-class RobustnessPlan:
+class RobustnessPlan(Plan):
     """What is run over what. Names come from the tables of the package; ``all`` in the TOML stands for a whole table.
 
     Attributes:
-        name: of the study.
-        about: one line for people.
         domains: presets of simulated data (held-out scenes are made as needed), or places of archives.
         samples: how many of each domain, one a scene as far as there are scenes.
         seed: of everything random; simulated domains are made with it, so it must not be one that anybody trained on.
@@ -66,6 +61,12 @@ class RobustnessPlan:
         ValueError: a name is not known, or a number is out of range.
     """
 
+    FOLDER: ClassVar[str] = "studies/robustness/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
+        "attacks": ATTACKS, "corruptions": CORRUPTIONS, "defenses": DEFENSES, "defended": TESTED,
+        "adaptive": ADAPTIVE, "adaptive_defended": TESTED, "adaptive_against_defenses": ADAPTIVE,
+    }  # fmt: skip
+
     name: str
     about: str
     domains: tuple[str, ...]
@@ -89,7 +90,7 @@ class RobustnessPlan:
     adaptive_against_defenses: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        for key, table in _NAMES.items():
+        for key, table in self.WHOLE_TABLES.items():
             check_names(key, getattr(self, key), table)
         if not self.domains or len(self.domains) != len(self.samples) or min(self.samples) < 1:
             raise ValueError(f"samples must be a positive number for each of {list(self.domains)}, got {self.samples}")
@@ -114,31 +115,6 @@ class RobustnessPlan:
             raise ValueError(f"adaptive_budget must lie in [1, {MOST_FREE}], got {self.adaptive_budget}")
         if self.adaptive_queries < 3:
             raise ValueError(f"adaptive_queries must be at least 3, got {self.adaptive_queries}")
-
-    @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> RobustnessPlan:
-        """Return the plan in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
-        return cls(**_config.from_dict(cls, table, "plan", _NAMES))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the plan as plain values, every name spelt out."""
-        return _config.to_dict(self)
-
-    @classmethod
-    def load(cls, name: str) -> RobustnessPlan:
-        """Return the plan called ``name``.
-
-        Raises:
-            ValueError: there is none of that name; the message lists those that exist.
-
-        >>> RobustnessPlan.load("small").domains
-        ('nuscenes', 'carla', 'ugv')
-        """
-        return cls.from_json(_config.load_preset(_FOLDER, name))
 
     def job_keys(self) -> list[JobKey]:
         """Return part, domain and number of each job, sample after sample and domain after domain in turn."""
@@ -165,10 +141,8 @@ class RobustnessPlan:
 
     def cases(self, part: str) -> list[Case]:
         """Return the cases of one of ``PARTS``, each once."""
-        makers = {
-            "attacks": self._attacks, "corruptions": self._corruptions, "defenses": self._defenses,
-            "paper": self._paper, "adaptive": self._adaptive,
-        }  # fmt: skip
+        makers = {"attacks": self._attacks, "corruptions": self._corruptions, "defenses": self._defenses,
+                  "paper": self._paper, "adaptive": self._adaptive}  # fmt: skip
         return list(dict.fromkeys(makers[part]()))
 
     def strongest(self, attack: str) -> Case:
@@ -206,9 +180,3 @@ class RobustnessPlan:
             for defense in self.defenses:
                 yield Case("adaptive", name, "0", defense)
                 yield from (Case(kind, name, budget, defense) for kind in ("unaware", "adaptive"))
-
-
-_NAMES: dict[str, Iterable[str]] = {
-    "attacks": ATTACKS, "corruptions": CORRUPTIONS, "defenses": DEFENSES, "defended": TESTED,
-    "adaptive": ADAPTIVE, "adaptive_defended": TESTED, "adaptive_against_defenses": ADAPTIVE,
-}  # fmt: skip

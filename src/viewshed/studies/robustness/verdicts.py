@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isnan
 
-from viewshed.metrics import ConfusionCounts
 from viewshed.studies.formatting import format_rate
-from viewshed.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Results, Series
+from viewshed.studies.records import BENIGN, PAPER, VIEW, WEDGE, Case, Domain, Results
 from viewshed.studies.robustness.plan import RobustnessPlan
 from viewshed.studies.suite import TESTED
 from viewshed.threats.attacks import ATTACKS
@@ -55,45 +54,21 @@ class Verdict:
         return ", ".join(words) or f"F1 {format_rate(self.f1, 2)}"
 
 
-@dataclass(frozen=True)
-class Domain:
-    """The results of one domain.
-
-    Attributes:
-        results: of the study.
-        name: of the domain.
-    """
-
-    results: Results[RobustnessPlan]
-    name: str
-
-    @property
-    def plan(self) -> RobustnessPlan:
-        """Plan of the study."""
-        return self.results.plan
+@dataclass(frozen=True, eq=False)
+class AttackedDomain(Domain[RobustnessPlan]):
+    """The results of one domain: what each attack costs each estimator."""
 
     @cached_property
     def methods(self) -> list[str]:
-        """Estimators of the strict protocol that there are results of, in the order of their table."""
-        found = self.results.methods(self.name)
-        return [name for name in TESTED if name in found]
-
-    @cached_property
-    def paper_methods(self) -> list[str]:
-        """Estimators of the paper's protocol that there are results of, the paper's first."""
+        """Estimators that there are results of: the paper's first, ours in the order of their table."""
         order = list(TESTED)
-        found = self.results.methods(self.name, PAPER)
-        return sorted(found, key=lambda name: (name in order, order.index(name) if name in order else 0))
+        found = self.results.methods(self.name, self.protocol)
+        return sorted(found, key=lambda name: order.index(name) if name in order else -1)
 
     @cached_property
-    def cases(self) -> list[Case]:
-        """Cases of the strict protocol that there are results of."""
-        return self.results.cases(self.name)
-
-    @cached_property
-    def paper_cases(self) -> list[Case]:
-        """Cases of the paper's protocol that there are results of, but the benign one."""
-        return [case for case in self.results.cases(self.name, PAPER) if case != BENIGN]
+    def paper(self) -> AttackedDomain:
+        """The results of the same domain by the paper's protocol."""
+        return AttackedDomain(self.results, self.name, PAPER)
 
     @cached_property
     def attacks(self) -> list[str]:
@@ -116,29 +91,18 @@ class Domain:
         named = [case for case in self.cases if case.name == attack and not case.defense and case.level != "0"]
         return [case for case in named if case.kind == "attack"] or [case for case in named if case.kind == "strength"]
 
-    def series(self, method: str, case: Case, region: str = VIEW, protocol: str = STRICT) -> Series:
-        """Return what records of this domain have in common."""
-        return Series(self.name, method, case, region, protocol)
-
-    def counts(self, method: str, case: Case, region: str = VIEW, protocol: str = STRICT) -> ConfusionCounts:
-        """Return the cells of all sweeps together."""
-        return self.results.counts(self.series(method, case, region, protocol))
-
-    def met(self, kind: str) -> Domain:
+    def met(self, kind: str) -> AttackedDomain:
         """Return the results of only those sweeps that met a kind of case."""
-        return Domain(self.results.met(self.name, kind), self.name)
+        return AttackedDomain(self.results.met(self.name, kind), self.name)
 
-    def has_wedge(self, case: Case) -> bool:
-        """Return whether there are cells in a wedge of the case."""
-        return any(self.counts(method, case, WEDGE).cells for method in self.methods)
-
-    def asked(self, attack: str) -> Case:
-        """Return the case of an attacker who asks the victim."""
+    def adaptive(self, attack: str) -> Case:
+        """Return the case of an attacker who queries the victim."""
         return Case("adaptive", attack, str(self.plan.adaptive_budget))
 
-    def met_attacker(self, method: str, attack: str) -> bool:
-        """Return whether there are results of an attacker who asked this estimator."""
-        return self.counts(method, self.asked(attack)).cells > 0
+    def withstands_adaptive(self, method: str, attack: str) -> bool:
+        """Return whether there are results of an attacker who queried this estimator, and they are within the limits."""
+        case = self.adaptive(attack)
+        return self.counts(method, case).cells > 0 and self.losses(method, case).withstands
 
     def before(self, method: str, case: Case) -> tuple[Case, str]:
         """Return what an attacked score is held against: its wedge with no return touched, else the benign view."""
@@ -167,12 +131,10 @@ class Domain:
         """
         cases = [case for case in self.cases_of(attack) if most is None or _returns(case) <= most]
         losses = [self.losses(method, case) for case in cases]
-        nan = float("nan")
-        return Verdict(
-            max((one.f1 for one in losses), default=nan),
-            max((one.precision for one in losses), default=nan),
-            max((one.recall for one in losses), default=nan),
+        worst = (
+            max((getattr(one, name) for one in losses), default=float("nan")) for name in ("f1", "precision", "recall")
         )
+        return Verdict(*worst)
 
     def more_m2(self, method: str, case: Case, *, over: bool) -> float:
         """Return how many m² more are over-claimed (or under-claimed) in a sweep than where no return is touched."""
@@ -181,10 +143,10 @@ class Domain:
         return now.over_m2 - was.over_m2 if over else now.under_m2 - was.under_m2
 
 
-def domains_of(results: Results[RobustnessPlan]) -> list[Domain]:
+def domains_of(results: Results[RobustnessPlan]) -> list[AttackedDomain]:
     """Return the domains that there are results of, in the order of the plan."""
     found = {series.domain for series in results.series()}
-    return [Domain(results, name) for name in results.plan.domains if name in found]
+    return [AttackedDomain(results, name) for name in results.plan.domains if name in found]
 
 
 def _returns(case: Case) -> float:
