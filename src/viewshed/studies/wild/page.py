@@ -9,20 +9,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._page import Heading, PageBlock, Picture, Table, Text, facts, to_markdown
+from viewshed._page import Picture, Table, facts, to_markdown
 from viewshed.datasets.wild import TOLD
 from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import TARGETS
 from viewshed.preprocess.leveling import level
-from viewshed.studies.formatting import best_of_columns, format_interval, format_number, format_rate, format_rates
+from viewshed.studies.formatting import (
+    best_of_columns,
+    commits,
+    format_interval,
+    format_number,
+    format_rate,
+    format_rates,
+)
 from viewshed.studies.statistics import f1
 from viewshed.studies.store import ResultStore
+from viewshed.studies.templates import fill_template
 from viewshed.studies.wild.evaluate import AS_TOLD, LADDER, estimator_named
 from viewshed.studies.wild.jobs import scene_of
 from viewshed.studies.wild.plan import WildPlan
 from viewshed.studies.wild.records import Pool, WildRecord, from_table
 
 OWN = "own"
+
+_WHAT = {
+    "rings": "Told ring, time and intensity of each return: no sensor, no height, no attitude.",
+    "nothing": "Told nothing but points.",
+    "table": "Told the maker's beam table, rings, height and attitude.",
+}
 
 JUDGED = ("shadow_map", "viewnet")
 """Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
@@ -32,24 +46,6 @@ _WHAT = {
     "nothing": "Told nothing but points",
     "table": "Told the maker's beam table, rings, height and attitude",
 }
-
-_FIRST = """\
-Cells whose exact truth is known, all scenes of a group together. *Own*: worlds, sensors and mountings of the presets.
-*Other*: styles, sensors and mountings that share nothing with them. Intervals are 95 %, by a bootstrap over scenes.
-Ring, height, attitude and sensor are told alike to own and other. A sensor without rings has none in any table."""
-
-_MORE = """\
-ECE over all cells. AUROC and AURC of the doubt 0.5 - |p - 0.5| for errors (*std*: of the deviation), the mean over scenes,
-cells at which fewer than `min_returns` beams aim left out. *Beyond*: share of the claimed area that lies beyond the
-sensor's maximum range / beyond the range at which it detects a 10 % target every second time. *Off*: of the area whose
-estimated ground is off by more than 1 m, the share that is claimed with p ≥ .8. *HIDDEN*: of the cells at which too few
-beams aim, the share that is called HIDDEN. *Flat*: F1 of scenes whose ground lies within 1 m of that below the sensor
-over 95 % of the area up to half of the grid's extent."""
-
-_LADDER = """\
-The shadow map, other worlds, given more and more of what a sweep told by rings alone does not say; the first four rows
-add up. The row *exact ends of all beams* has the ground as it was estimated. Points whose frame nobody tells are left
-out."""
 
 
 def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
@@ -61,34 +57,28 @@ def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
     results = store.results()
     if not results.facts:
         raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
-    keys = {key: list(from_table(table)) for key, table in results.facts.items()}
-    pool = Pool([record for key in store.plan.job_keys() for record in keys.get(key, [])])
-    blocks = list(_blocks(store.plan, pool))
+    plan, tables = store.plan, {key: list(from_table(table)) for key, table in results.facts.items()}
+    pool = Pool([record for key in plan.job_keys() for record in tables.get(key, [])])
+    other = pool.where(lambda record: record.set_name != OWN)
+    knowledge = {_WHAT[told]: told for told in TOLD if told in plan.told}
+    told = next(one for one in ("rings", *plan.told) if one in plan.told)
+
+    def part(domain: str, target: str, what: str) -> Pool:
+        return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.methods)
+
+    values = {"domains": pool.names("domain"), "targets": plan.targets, "knowledge": list(knowledge)}
+    title, blocks = fill_template("wild/page.md", values, {
+        "agreement": lambda *names: _agreement(part(*names)),
+        "beyond_f1": lambda *names: _beyond_f1(part(*names)),
+        "broken_down": lambda domain, target: _broken_down(other.of(domain=domain, target=target, told=told)),
+        "ladder": lambda domain, target: _ladder(other.of(domain=domain, target=target, told="rings")),
+        "worst": lambda domain: _worst(plan, other.of(domain=domain, target=plan.targets[0], told=told)),
+    })  # fmt: skip
     pictures = {block.name: block.png for block in blocks if isinstance(block, Picture)}
-    sets = ", ".join(store.plan.sets)
-    text = to_markdown("In the wild", facts(preset=store.plan.name, sets=sets, sweeps=str(len(keys))), blocks)
-    return {"wild.md": text.encode()} | pictures
-
-
-def _blocks(plan: WildPlan, pool: Pool) -> Iterator[PageBlock]:
-    yield Text(_FIRST)
-    for domain in pool.names("domain"):
-        for target in plan.targets:
-            here = pool.of(domain=domain, target=target)
-            yield Heading(2, f"{domain.capitalize()}, {target}")
-            for told in (one for one in TOLD if one in plan.told):
-                yield Text(f"**{_WHAT[told]}.**")
-                yield _agreement(here.of(told=told, method=plan.methods))
-                yield _beyond_f1(here.of(told=told, method=plan.methods))
-            yield from _broken_down(plan, here.where(lambda record: record.set_name != OWN))
-            if plan.ladder:
-                yield _ladder(here.where(lambda record: record.set_name != OWN).of(told="rings"))
-        if plan.worst:
-            yield Heading(2, f"Worst scenes, {domain}")
-            yield from _worst(plan, pool.of(domain=domain, target=plan.targets[0]))
-    yield Heading(2, "How to read it")
-    yield Text(_MORE)
-    yield Text(_LADDER)
+    about = facts(
+        plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(tables)), commits=commits(results)
+    )  # fmt: skip
+    return {"wild.md": to_markdown(title, about, blocks).encode()} | pictures
 
 
 def _agreement(pool: Pool) -> Table:
@@ -127,24 +117,24 @@ def _own_and_other(pool: Pool) -> tuple[Pool, Pool]:
     return pool.of(set_name=OWN), pool.where(lambda record: record.set_name != OWN)
 
 
-def _broken_down(plan: WildPlan, pool: Pool) -> Iterator[PageBlock]:
+def _broken_down(pool: Pool) -> Iterator[Table]:
     """Yield precision, recall and F1 by style, sensor and mounting, of each method that is judged."""
-    told = next(one for one in ("rings", *plan.told) if one in plan.told)
-    methods = [name for name in JUDGED if name in plan.methods]
+    methods = [name for name in JUDGED if name in pool.names("method")]
     for key in ("style", "sensor", "mounting"):
         rows = []
         for name in sorted(pool.names(key)):
-            row = [name, str(len({record.scene for record in pool.of(**{key: name}).records}))]
-            for method in methods:
-                counts = pool.of(**{key: name}, method=method, told=told).counts
-                row.append(f"{format_rates(counts.precision, counts.recall)} / {format_rate(counts.f1)}")
-            rows.append(row)
-        yield Text(f"Other worlds by {key}, told {told}: precision / recall / F1.")
+            same = pool.of(**{key: name})
+            counts = [same.of(method=method).counts for method in methods]
+            scenes = str(len(same.names("scene")))
+            rows.append([name, scenes, *(format_rates(one.precision, one.recall, one.f1) for one in counts)])
         yield Table([key, "scenes", *methods], rows)
 
 
-def _ladder(pool: Pool) -> Table:
+def _ladder(pool: Pool) -> Table | None:
+    """Return the shadow map's figures with each step of knowledge, over the scenes that have all; None without."""
     with_ladder = {record.scene for record in pool.of(method=LADDER[0]).records}
+    if not with_ladder:
+        return None
     same = pool.where(lambda record: record.scene in with_ladder)
     rows = []
     for name in (AS_TOLD, *LADDER):
@@ -156,27 +146,28 @@ def _ladder(pool: Pool) -> Table:
     return Table(["the shadow map given", "precision / recall", "F1", "off", "HIDDEN"], rows)
 
 
-def _worst(plan: WildPlan, pool: Pool) -> Iterator[PageBlock]:
-    """Yield pictures of the scenes with the most cells that the judged methods call wrongly, one of each style first."""
-    told = next(one for one in ("rings", *plan.told) if one in plan.told)
+def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
+    """Yield the worst scene of each of the worst styles for the last of the judged methods, and a picture of each."""
     judged = [name for name in JUDGED if name in pool.names("method")]
-    other = pool.where(lambda record: record.set_name != OWN).of(told=told, method=judged[-1])
-    ranked = sorted(other.records, key=lambda record: np.nan_to_num(record.counts.f1))
-    first_of_style = list({record.style: record for record in reversed(ranked)}.values())
-    chosen = sorted(first_of_style, key=lambda record: np.nan_to_num(record.counts.f1))[: plan.worst]
-    for record in chosen:
-        counts = record.counts
-        yield Text(
-            f"`{record.scene}`: {record.sensor}, {record.mounting}; {record.method} {told}: precision / recall / F1 "
-            f"{format_rates(counts.precision, counts.recall, counts.f1)}, height off by "
-            f"{record.numbers['height_error_m']:+.2f} m."
-        )
-        name = f"wild_{record.domain}_{record.style}.png"
-        yield Picture(name, picture_of(record, judged), f"{record.scene}: exact ground, returns, truth and estimates")
+    if not judged or not plan.worst:
+        return
+    ranked = sorted(pool.of(method=judged[-1]).records, key=lambda record: np.nan_to_num(record.counts.f1))
+    worst_first = {record.style: record for record in reversed(ranked)}
+    chosen = sorted(worst_first.values(), key=lambda record: np.nan_to_num(record.counts.f1))[: plan.worst]
+    yield Table(
+        ["scene", "sensor", "mounting", f"{judged[-1]}: precision / recall / F1", "height off by, m"],
+        [
+            [one.scene, one.sensor, one.mounting, format_rates(one.counts.precision, one.counts.recall, one.counts.f1),
+             f"{one.numbers['height_error_m']:+.2f}"] for one in chosen
+        ],
+    )  # fmt: skip
+    for one in chosen:
+        what = f"{one.scene}: exact ground, its error, true states, mistakes of {' and '.join(judged)}"
+        yield Picture(f"wild_{one.domain}_{one.style}.png", picture_of(one, judged), what)
 
 
 def picture_of(record: WildRecord, methods: list[str]) -> bytes:
-    """Return a PNG of one scene: exact ground, error of the estimated ground, true states, and each method's mistakes."""
+    """Return a PNG of one scene: exact ground, error of the estimated one, true states, each method's mistakes."""
     import matplotlib.pyplot as plt
     from matplotlib.colors import ListedColormap
 

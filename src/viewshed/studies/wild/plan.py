@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
-from viewshed import _config
 from viewshed.datasets.wild import SEALED, SETS, TOLD, wild_tables
 from viewshed.estimators import ESTIMATORS
 from viewshed.fov.visibility import TARGETS
-from viewshed.studies.plan import JobKey, check_names
-
-_FOLDER = "studies/wild/plans"
+from viewshed.studies.plan import JobKey, Plan, check_names
 
 DOMAINS = ("road", "indoor")
 
 
 @dataclass(frozen=True, slots=True)
-class WildPlan:
+class WildPlan(Plan):
     """What is run. ``all`` in the TOML stands for a whole table of names.
 
     Attributes:
@@ -37,6 +34,9 @@ class WildPlan:
         ValueError: a name is not known, or a number is out of range.
     """
 
+    FOLDER: ClassVar[str] = "studies/wild/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"methods": ESTIMATORS, "told": TOLD, "targets": TARGETS}
+
     name: str
     about: str
     sets: tuple[str, ...]
@@ -49,35 +49,9 @@ class WildPlan:
     worst: int
 
     def __post_init__(self) -> None:
-        for key, table in (("sets", SETS), ("domains", DOMAINS), *_NAMES.items()):
+        for key, table in (("sets", SETS), ("domains", DOMAINS), *self.WHOLE_TABLES.items()):
             check_names(key, getattr(self, key), table, once=True)
-        if min(self.scenes, self.worst) < 0:
-            raise ValueError(f"scenes and worst must not be negative, got {self.scenes} and {self.worst}")
-
-    @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> WildPlan:
-        """Return the plan in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
-        return cls(**_config.from_dict(cls, table, "plan", _NAMES))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the plan as plain values, every name spelt out."""
-        return _config.to_dict(self)
-
-    @classmethod
-    def load(cls, name: str) -> WildPlan:
-        """Return the plan called ``name``.
-
-        Raises:
-            ValueError: there is none of that name; the message lists those that exist.
-
-        >>> WildPlan.load("small").sets
-        ('own', 'development')
-        """
-        return cls.from_json(_config.load_preset(_FOLDER, name))
+        self.check_at_least(0, "scenes", "worst")
 
     @property
     def opens_sealed(self) -> bool:
@@ -94,6 +68,3 @@ class WildPlan:
             for number in range(min(self.scenes or domain.scenes, domain.scenes))
             for sweep in range(domain.sweeps)
         ]
-
-
-_NAMES: dict[str, Iterable[str]] = {"methods": ESTIMATORS, "told": TOLD, "targets": TARGETS}
