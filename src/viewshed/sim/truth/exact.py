@@ -81,10 +81,11 @@ def exact_truth(
     """
     if not targets:
         raise ValueError("targets must be at least one, got none")
-    terrain, thing = world, scan.thing
     if isinstance(world, World):
         terrain = world.ground_of(agent)
-        thing = _with_decks_as_ground(thing, world) if terrain is world.upper else thing
+        thing = _with_decks_as_ground(scan.thing, world) if terrain is world.upper else scan.thing
+    else:
+        terrain, thing = world, scan.thing
     ground, known = _ground(scan, terrain, grid)
     view = _view(scan, thing, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
     known &= (ranges_of(grid) > view.lines.offset_m).reshape(grid.shape)

@@ -22,7 +22,7 @@ from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import DECK, AgentPlan, Thing, World
 from viewshed.sim.worlds.layout import Contents, Mast, assembled, mast, spots
 from viewshed.sim.worlds.outdoor_ground import Relief, relief
-from viewshed.sim.worlds.roadsides import country_vehicle, keep_masts
+from viewshed.sim.worlds.roadsides import country_vehicle
 from viewshed.sim.worlds.roadway import HALF_M
 from viewshed.sim.worlds.site_plan import SitePlan
 from viewshed.sim.worlds.traffic import Lane, Pace, driven, straight_lane
@@ -121,7 +121,7 @@ def bridge(rng: np.random.Generator, plan: AgentPlan) -> World:
     terrain, upper = cross.terrains()
     masts = _masts(rng, plan.roadside, cross)
     site = SitePlan()
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.things += _structure(rng, cross)
     _land(rng, site, cross)
     moving = [
@@ -169,11 +169,6 @@ def _structure(rng: np.random.Generator, cross: Crossing) -> list[Thing]:
             under += [Cylinder(x, y, 0.4, top - deep - 0.5, -1.0, "concrete") for y in ys.tolist()]
     things = [deck, Thing("bridge", tuple(under), cross.at_m, z_m=0.0)]
     things += _edges(rng, cross)
-    for side in (-1, 1):
-        if rng.random() < 0.35:
-            lamps = np.arange(-100.0 + rng.uniform(0, 20), 100.0, rng.uniform(24.0, 40.0))
-            things += [replace(place_at(lamp_post(rng), x, side * (cross.deck_m - 0.6), -side * np.pi / 2), upper=True)
-                       for x in lamps.tolist()]  # fmt: skip
     return things
 
 
@@ -181,7 +176,13 @@ def _edges(rng: np.random.Generator, cross: Crossing) -> list[Thing]:
     """Return parapets or railings on the deck, rails or barriers on the embankment beyond it, as on both its sides."""
     kind, high = int(rng.integers(3)), rng.uniform(0.9, 1.3)
     maker = pick(rng, (guard_rail, concrete_barrier, None))
-    things = []
+    lamps = np.arange(-100.0 + rng.uniform(0, 20), 100.0, rng.uniform(24.0, 40.0)).tolist() if maker is None else []
+    things = [
+        replace(place_at(lamp_post(rng), x, side * (cross.deck_m - 0.5), -side * np.pi / 2), upper=True)
+        for side in (-1, 1)
+        for x in lamps
+        if abs(x - cross.at_m) > cross.gap_m / 2 + 2.0
+    ]
     for side in (-1, 1):
         y, long = side * (cross.deck_m - 0.15), cross.gap_m + 2.0
         solid = Box(0.0, 0.0, long, 0.22, high, -0.2, 0.0, "concrete")

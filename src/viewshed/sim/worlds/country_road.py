@@ -13,7 +13,6 @@ from viewshed.sim.worlds.roadsides import (
     country_vehicle,
     fields,
     in_fields,
-    keep_masts,
     posts,
     signs,
     trees,
@@ -33,10 +32,10 @@ def country_road(rng: np.random.Generator, plan: AgentPlan) -> World:
         fields(rng, 1.4), "grass", "asphalt" if rng.random() < 0.8 else "concrete",
     )  # fmt: skip
     site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.keep_road(road.bend, road.edge_m - 0.4)
     for side in (-1, 1):
-        beyond = road.foot_m(side)
+        beyond = road.edge_m + road.bank(side).beyond_m[-2]  # where the ditch ends
         if rng.random() < 0.6:
             site.put_all(posts(road, side, rng.uniform(12.0, 40.0)))
         site.put_all(signs(rng, road, side, int(rng.integers(0, 3))))

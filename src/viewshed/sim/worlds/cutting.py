@@ -16,7 +16,6 @@ from viewshed.sim.worlds.roadsides import (
     country_vehicle,
     fields,
     in_fields,
-    keep_masts,
     posts,
     rail,
     signs,
@@ -43,7 +42,7 @@ def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
         "grass" if rng.random() < 0.7 else "concrete",
     )  # fmt: skip
     site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.2)
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.keep_road(road.bend, road.edge_m - 0.9)
     for side, wall, rise in ((1, walled[0], rises[0]), (-1, walled[1], rises[1])):
         if wall:

@@ -13,7 +13,6 @@ from viewshed.sim.worlds.roadsides import (
     country_vehicle,
     fields,
     in_fields,
-    keep_masts,
     posts,
     rail,
     signs,
@@ -34,7 +33,7 @@ def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
         Swell(1.0, rng.uniform(0.0, 0.25), rng.uniform(120, 260), rng.uniform(0, 6.28)), fields(rng, 0.8),
     )  # fmt: skip
     site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.3)
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.keep_road(road.bend, road.edge_m - 1.1)
     for side in (-1, 1):
         if rng.random() < 0.5:

@@ -111,7 +111,7 @@ def _storey(rng: np.random.Generator, sensor_m: float) -> Storey:
             low -= _RAMP_M
     level = rng.random()
     outside = rise + 0.5 if level < 0.35 else -rise * int(rng.integers(0, 4)) - 0.25
-    return Storey(half_x, aisles, low - 0.3, half_y, rise, slab, tuple(ramps), outside)
+    return Storey(half_x, aisles, low - 0.3, half_y + 0.3, rise, slab, tuple(ramps), outside)
 
 
 def _ceiling(rng: np.random.Generator, one: Storey) -> list[Thing]:
@@ -259,5 +259,5 @@ def _traffic(rng: np.random.Generator, plan: AgentPlan, one: Storey) -> list[Rid
         lanes += [(straight_lane(0.0, y - 1.4, 0.0), roam), (straight_lane(0.0, y + 1.4, np.pi), roam)]
     riders = aisles_driven(rng, plan, lanes, (12.0, 60.0, 240.0))
     for y in one.aisles_m:
-        riders += aisle_walkers(rng, y + pick(rng, (-2.8, 2.8)), roam - 2.0, roam, plan.duration_s)
+        riders += aisle_walkers(rng, y, roam - 2.0, roam, plan.duration_s)
     return riders

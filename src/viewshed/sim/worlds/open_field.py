@@ -7,7 +7,7 @@ import numpy as np
 from viewshed.sim.assets.street import lamp_post, place_at
 from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds.layout import Contents, assembled
-from viewshed.sim.worlds.roadsides import climb, country_vehicle, fields, in_fields, keep_masts
+from viewshed.sim.worlds.roadsides import climb, country_vehicle, fields, in_fields
 from viewshed.sim.worlds.roadway import HALF_M, Bank, Roadway, masts_beside, random_bend
 from viewshed.sim.worlds.site_plan import SitePlan
 from viewshed.sim.worlds.traffic import Pace, driven
@@ -26,7 +26,7 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
         bend, grade, 1, 2.6, 0.3, (level, level), rough=land, soil=ground, paved="asphalt" if lot else "grass"
     )
     site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.keep_road(road.bend, road.edge_m)
     if lot:
         spots = rng.uniform(-0.9, 0.9, (int(rng.integers(0, 5)), 3)) * (HALF_M, HALF_M, np.pi)

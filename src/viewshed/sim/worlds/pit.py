@@ -13,7 +13,7 @@ from viewshed.sim.assets.yard import barrels, container, dumper, excavator, heap
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.drops import Drop, guarded, mirrored, terrain_with
 from viewshed.sim.worlds.layout import Contents, Span, assembled, plots, spots
-from viewshed.sim.worlds.roadsides import climb, fields, keep_masts
+from viewshed.sim.worlds.roadsides import climb, fields
 from viewshed.sim.worlds.roadway import HALF_M, Bank, Bend, Roadway, masts_beside
 from viewshed.sim.worlds.site_plan import SitePlan
 from viewshed.sim.worlds.traffic import Pace, driven
@@ -36,7 +36,7 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
     side = pick(rng, (-1, 1))
     drops = _pits(rng, road, side)
     site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.keep_road(road.bend, road.edge_m - 0.2)
     for drop in drops:
         _around(rng, site, road, drop)

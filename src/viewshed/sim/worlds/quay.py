@@ -12,7 +12,7 @@ from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds.drops import Drop, guarded, mirrored, terrain_with
 from viewshed.sim.worlds.layout import Contents, assembled, plots, spots
 from viewshed.sim.worlds.pit import house_row
-from viewshed.sim.worlds.roadsides import climb, fields, keep_masts
+from viewshed.sim.worlds.roadsides import climb, fields
 from viewshed.sim.worlds.roadway import HALF_M, Bank, Bend, Roadway, masts_beside
 from viewshed.sim.worlds.site_plan import SitePlan
 from viewshed.sim.worlds.traffic import Pace, driven
@@ -30,7 +30,7 @@ def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
     side, water = pick(rng, (-1, 1)), rng.random() < 0.45
     drops = _edges(rng, road, side, water)
     site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
-    keep_masts(site, masts)
+    site.keep_masts(masts)
     site.keep_road(road.bend, road.edge_m - 0.2)
     near = min(abs(edge) for edge in drops[0].rect[1::2])
     for thing in guarded(rng, (-HALF_M, HALF_M), side * (near - 0.4)):

@@ -9,11 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed.sim.assets.country import animal, bale, dry_wall, rock, tractor, wire_fence, wire_pole, wooden_fence
-from viewshed.sim.assets.shapes import Box
 from viewshed.sim.assets.street import bush, conifer, fence, guard_rail, hedge, pick, place_at, pole, sign, tree
 from viewshed.sim.assets.vehicles import car, highway_vehicle, motorcycle, truck, van
 from viewshed.sim.world import Thing
-from viewshed.sim.worlds.layout import Mast, Span, spots
+from viewshed.sim.worlds.layout import Span, spots
 from viewshed.sim.worlds.outdoor_ground import Relief
 from viewshed.sim.worlds.roadway import HALF_M, Roadway, row
 from viewshed.sim.worlds.site_plan import SitePlan
@@ -47,13 +46,6 @@ def country_vehicle(rng: np.random.Generator) -> Thing:
     if draw < 0.12:
         return tractor(rng) if draw < 0.05 else motorcycle(rng)
     return van(rng) if draw < 0.2 else truck(rng) if draw < 0.27 else highway_vehicle(rng) if draw < 0.4 else car(rng)
-
-
-def keep_masts(site: SitePlan, masts: list[Mast]) -> None:
-    """Keep the places of roadside sensors free."""
-    for post in masts:
-        site.stand(place_at(Thing("mast", (Box(0.0, 0.0, 3.0, 3.0, 1.0),)), post.x_m, post.y_m))
-        site.things.pop()
 
 
 def posts(road: Roadway, side: int, step_m: float) -> list[Thing]:

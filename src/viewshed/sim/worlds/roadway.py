@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 HALF_M, ROAM_M = 112.0, 50.0
 """Half the side of a world, and how far agents go from its middle."""
 
-_CROWN = 0.02
+_CROWN, _MOST_LINES = 0.02, 52
 
 _ROUGH_FROM_M, _ROUGH_OVER_M = 6.0, 20.0
 """The land is as even as the bank up to the first distance beyond it, and as rough as it gets after the second."""
@@ -167,7 +167,7 @@ class Roadway:
 
     def foot_m(self, side: int) -> float:
         """From the axis to where the land is level, left (1) or right (-1)."""
-        return self.edge_m + self._bank(side).wide_m
+        return self.edge_m + self.bank(side).wide_m
 
     def lane_lines(self) -> list[Lane]:
         """Return the lanes: from the innermost outward, one way and back by turns."""
@@ -197,11 +197,12 @@ class Roadway:
         axis = self.bend.axis(np.linspace(-HALF_M, HALF_M, 60))
         low, high = float(axis.min()) - self.foot_m(-1) - 1.0, float(axis.max()) + self.foot_m(1) + 1.0
         low, high = max(low, -HALF_M + 12.0), min(high, HALF_M - 12.0)
-        near = np.linspace(low, high, max(2, round((high - low) / across_m)))
+        near = np.linspace(low, high, min(max(2, round((high - low) / across_m)), _MOST_LINES))
         far = [np.linspace(-HALF_M, low, 7)[:-1], near, np.linspace(high, HALF_M, 7)[1:]]
         return Terrain.of(x_m, np.concatenate(far), self.height, self.material)
 
-    def _bank(self, side: int) -> Bank:
+    def bank(self, side: int) -> Bank:
+        """Return the bank on the left (1) or on the right (-1)."""
         return self.banks[0] if side > 0 else self.banks[1]
 
 

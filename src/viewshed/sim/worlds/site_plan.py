@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 
 from viewshed.sim.assets.street import footprint, place_at
 from viewshed.sim.world import Thing
+from viewshed.sim.worlds.layout import Mast
 from viewshed.sim.worlds.roadway import HALF_M, Bend
 
 Array = NDArray[np.float64]
 
-_GAP_M = 0.15
+_GAP_M, _TALL_M = 0.15, 3.0
 
 
 @dataclass(slots=True)
@@ -27,10 +29,17 @@ class SitePlan:
 
     things: list[Thing] = field(default_factory=list)
     _taken: list[shapely.Polygon] = field(default_factory=list)
+    _open: list[shapely.Polygon] = field(default_factory=list)
 
     def reserve(self, *areas: shapely.Polygon) -> None:
         """Keep areas free, in meters of the world."""
         self._taken += areas
+
+    def keep_masts(self, masts: Sequence[Mast]) -> None:
+        """Keep the feet of roadside sensors free, and the air around them of crowns and roofs."""
+        for post in masts:
+            self.reserve(shapely.Point(post.x_m, post.y_m).buffer(1.4))
+            self._open.append(shapely.Point(post.x_m, post.y_m).buffer(2.2))
 
     def keep_road(self, bend: Bend, half_m: float) -> None:
         """Keep the road within ``half_m`` meters of an axis free."""
@@ -46,10 +55,17 @@ class SitePlan:
     def put(self, thing: Thing, gap_m: float = _GAP_M, below_m: float = 2.1) -> bool:
         """Let a thing stand where it is if what of it begins below ``below_m`` is clear of others, and say so."""
         area = shapely.Polygon(footprint(thing, below_m=below_m))
-        if not self.clear(area, gap_m):
+        if not self.clear(area, gap_m) or self._blinds(thing):
             return False
         self.stand(thing, below_m=below_m)
         return True
+
+    def _blinds(self, thing: Thing) -> bool:
+        """Return whether a tall thing, crown and all, comes too near to a roadside sensor."""
+        if not self._open or max(part.top_m for part in thing.parts) < _TALL_M:
+            return False
+        whole = shapely.Polygon(footprint(thing, below_m=np.inf))
+        return bool(shapely.intersects(whole, np.array(self._open)).any())
 
     def put_all(self, things: list[Thing], gap_m: float = _GAP_M) -> None:
         """Let those things stand that are clear of others, one after the other."""

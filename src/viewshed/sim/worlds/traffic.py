@@ -216,8 +216,8 @@ def driven(rng: np.random.Generator, plan: AgentPlan, lanes: Sequence[Lane], pac
     for lane, seats in zip(lanes, carriers(rng, plan, len(lanes)), strict=True):
         wanted = rng.uniform(*pace.speed_mps)
         speed = float(min(wanted, max(2.0, rng.uniform(*pace.share) * 2 * pace.roam_m / plan.duration_s)))
-        least, *most = pace.gap_m
-        stream = Stream(pace.reach_m, pace.roam_m, speed, (least, rng.uniform(*most)))
+        least, low, high = pace.gap_m
+        stream = Stream(pace.reach_m, pace.roam_m, speed, (least, rng.uniform(low, high)))
         riders += flow(lane, filled(rng, stream, maker, seats, plan.duration_s), plan.duration_s)
     return riders
 
