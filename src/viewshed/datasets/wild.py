@@ -198,9 +198,9 @@ class WildScene:
         return self._turn(self.domain.mountings, 2)
 
     def _turn(self, names: tuple[str, ...], step: int) -> str:
-        """Return one of the names so that every style meets all of them before one comes again."""
-        round_number = self.number // len(self.domain.styles)
-        return names[(self.number * step + round_number) % len(names)]
+        """Return one of the names: from one scene of a style to the next, its turn moves on by one."""
+        round_number, style = divmod(self.number, len(self.domain.styles))
+        return names[(style * step + round_number) % len(names)]
 
     def rng(self, purpose: int, sweep: int = 0) -> np.random.Generator:
         """Return the generator of what is random for one purpose."""
