@@ -2,10 +2,14 @@
 
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from viewshed._jobs import LocalEngine
+from viewshed.datasets.archive.build import ShardResult
+from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.wild import (
     OPEN_SEALED,
     SETS,
@@ -16,6 +20,7 @@ from viewshed.datasets.wild import (
     wild_scenes,
     wild_tables,
 )
+from viewshed.datasets.wild_archive import make_wild_archive
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.sim.world import GROUND
 
@@ -134,3 +139,33 @@ def test_a_set_or_style_that_does_not_exist_is_refused() -> None:
         replace(domain, styles=("moon",))
     with pytest.raises(ValueError, match="told must be one of"):
         first_scenes(1)[0].observe(0).told("all")
+
+
+def test_an_archive_goes_on_to_the_same_bytes_and_gives_the_samples_back(tmp_path: Path) -> None:
+    stores = [Storage.of(str(tmp_path / name)) for name in ("whole", "stopped")]
+    whole = make_wild_archive("development", "road", stores[0], LocalEngine(1), scenes=2)
+    with pytest.raises(OSError, match="stop"):
+        make_wild_archive("development", "road", stores[1], LocalEngine(1), scenes=2, on_progress=_stop)
+    kept = sorted(path.name for path in (tmp_path / "stopped").glob("*.parquet"))
+    assert len(kept) >= 1
+    make_wild_archive("development", "road", stores[1], LocalEngine(1), scenes=2)
+    for path in (tmp_path / "whole").glob("*.parquet"):
+        assert path.read_bytes() == (tmp_path / "stopped" / path.name).read_bytes()
+    sample, seen = whole[0], wild_scenes("development", "road")[0].observe(0)
+    assert sample.sweep.points.tobytes() == seen.told("rings").points.tobytes()
+    assert (sample.truth.expected_returns["car"] == seen.truth.expected_returns["car"]).all()
+    assert (sample.known == seen.known).all()
+
+
+def _stop(_shard: ShardResult) -> None:
+    raise OSError("stop")
+
+
+def test_the_sealed_set_has_no_archive(tmp_path: Path) -> None:
+    store = Storage.of(str(tmp_path / "a"))
+    with pytest.raises(ValueError, match="must not be sealed"):
+        make_wild_archive("sealed", "road", store, LocalEngine(1))
+    with pytest.raises(ValueError, match="told must be"):
+        make_wild_archive("development", "road", store, LocalEngine(1), told=("all",))
+    with pytest.raises(ValueError, match="must have a domain"):
+        make_wild_archive("development", "moon", store, LocalEngine(1))

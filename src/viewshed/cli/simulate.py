@@ -88,6 +88,29 @@ def verify(place: Place) -> None:
     typer.echo(f"{len(archive.shards)} shards, all as they were written")
 
 
+@dataset_app.command()
+def wild(
+    set_name: Annotated[str, typer.Argument(metavar="SET", help="own, training or development; sealed is not made.")],
+    domain: Annotated[str, typer.Argument(metavar="GRID", help="road or indoor.")],
+    out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,
+    told: Annotated[str, typer.Option(help="What sweeps say, in turn: table, rings, nothing.")] = "rings,nothing",
+    scenes: Annotated[int | None, typer.Option(help="The first so many scenes; all if not given.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
+) -> None:
+    """Make a set of worlds, sensors and mountings in the wild. Stopped runs go on; the same bytes for any --workers.
+
+    Example: viewshed dataset wild training road --out wild-road
+    """
+    from viewshed._jobs import LocalEngine
+    from viewshed.datasets.archive.storage import Storage
+    from viewshed.datasets.wild_archive import make_wild_archive
+
+    store = Storage.of(out or f"{set_name}-{domain}")
+    names = tuple(told.split(","))
+    archive = make_wild_archive(set_name, domain, store, LocalEngine(workers), told=names, scenes=scenes)
+    typer.echo(_summary(archive))
+
+
 def _configured(preset: Preset, sweeps: int | None, seed: int | None, grid: str | None) -> Preset:
     from dataclasses import replace
 

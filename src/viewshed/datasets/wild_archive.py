@@ -1,0 +1,92 @@
+"""Archives of the wild sets: a shard for each scene, made from the set's seeds anywhere and in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from viewshed import _config
+from viewshed._jobs import Engine
+from viewshed.datasets.archive.archive import Archive
+from viewshed.datasets.archive.build import BuildPlan, ShardResult, build_archive, build_shard
+from viewshed.datasets.archive.schema import Layout
+from viewshed.datasets.archive.storage import Storage
+from viewshed.datasets.sample import Sample
+from viewshed.datasets.wild import TOLD, WildScene, wild_scenes
+from viewshed.fov.visibility import TARGETS
+
+
+@dataclass(frozen=True, slots=True)
+class WildShardJob:
+    """What a worker must know to make the shard of one scene.
+
+    Attributes:
+        store: where the shard goes.
+        scene: of the shard.
+        told: of ``TOLD``; the sweeps of a scene take them in turn.
+        name: of the file.
+    """
+
+    store: Storage
+    scene: WildScene
+    told: tuple[str, ...]
+    name: str
+
+
+def make_shard(job: WildShardJob) -> ShardResult:
+    """Return what became of the shard of ``job``.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    scene = job.scene
+    samples = (_sample(scene, sweep, job.told) for sweep in range(scene.domain.sweeps))
+    return build_shard(job.store, job.name, samples)
+
+
+def _sample(scene: WildScene, sweep: int, told: tuple[str, ...]) -> Sample:
+    seen = scene.observe(sweep)
+    given = seen.told(told[(scene.number + sweep) % len(told)])
+    return Sample(given, seen.truth, seen.known, scene.name, scene.domain.set_name)
+
+
+def make_wild_archive(
+    set_name: str,
+    domain: str,
+    store: Storage,
+    engine: Engine,
+    *,
+    told: tuple[str, ...] = ("rings", "nothing"),
+    scenes: int | None = None,
+    on_progress: Callable[[ShardResult], None] | None = None,
+) -> Archive:
+    """Return the archive of one domain of a set, made into ``store``; its bytes do not depend on the engine.
+
+    Shards of an earlier run of the same set that was stopped are kept where they are whole. The sealed set has no
+    archive: it is run by its study alone.
+
+    Args:
+        set_name: of ``datasets.wild.SETS`` but ``sealed``.
+        domain: ``road`` or ``indoor``.
+        store: where it goes.
+        engine: makes the shards.
+        told: of ``TOLD``: what the sweeps say beside their points, in turn.
+        scenes: the first so many only.
+        on_progress: is called with each shard that is finished, also of an earlier run.
+
+    Raises:
+        ValueError: a name is unknown, the set is sealed or has no such domain, or the place holds something else.
+        OSError: a shard could not be made or written; those that are finished stay.
+    """
+    if not told or not set(told) <= set(TOLD):
+        raise ValueError(f"told must be one or more of {', '.join(TOLD)}, got {', '.join(told) or 'none'}")
+    chosen = wild_scenes(set_name, domain)[:scenes]
+    if not chosen:
+        raise ValueError(f"{set_name} must have a domain {domain!r}, got none; choose road or indoor")
+    one = chosen[0].domain
+    about = {"command": "dataset wild", "set": set_name, "domain": domain, "seed": one.seed}
+    config = _config.to_dict(one) | {"told": list(told), "scenes": len(chosen)}
+    recipe = about | {"config": config, "targets": {name: asdict(target) for name, target in TARGETS.items()}}
+    jobs = [WildShardJob(store, scene, told, f"{scene.name}.parquet") for scene in chosen]
+    layout = Layout(one.grid, tuple(sorted(TARGETS)), ())
+    return build_archive(BuildPlan(recipe, layout, jobs, make_shard), store, engine, on_progress)
