@@ -51,7 +51,7 @@ def truth(
     from viewshed.studies.against_truth import FORMS, TruthEvaluation, page_of
 
     wanted = parse_target(target)
-    evaluation = TruthEvaluation(_makers(methods, wanted, weights), wanted, FORMS)
+    evaluation = TruthEvaluation(_makers(methods, wanted, weights, {}), wanted, FORMS)
     _tell(page_of([_opened(path, split) for path in archives], evaluation, limit, split or "all", _on_step), out)
 
 
@@ -65,19 +65,23 @@ def _opened(path: str, split: str | None) -> Archive:
     return data
 
 
-def _makers(methods: str, target: Target, weights: str | None) -> Mapping[str, Callable[[BevGrid], FovEstimator]]:
+def _makers(
+    methods: str, target: Target, weights: str | None, more: Mapping[str, Callable[[BevGrid], FovEstimator]]
+) -> dict[str, Callable[[BevGrid], FovEstimator]]:
+    """Return what makes the estimators of ``methods`` by name; ``more`` are those known besides ours."""
     from viewshed.estimators import CLASSICAL, LEARNED
     from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 
-    known: dict[str, Callable[[BevGrid], FovEstimator]] = {
+    classical: dict[str, Callable[[BevGrid], FovEstimator]] = {
         name: partial(make, target=target) for name, make in CLASSICAL.items()
     }
     for rule in NO_RETURN_RULES[1:]:
-        known[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
-    names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
+        classical[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
+    classical |= more
+    names = [name for word in methods.split(",") for name in (classical if word == _ALL else [word])]
     if weights is not None and not set(names) & set(LEARNED):
         raise ValueError(f"--weights goes with {', '.join(LEARNED)} among --methods, got {methods}")
-    known |= {name: partial(make, target=target, weights=weights) for name, make in LEARNED.items()}
+    known = classical | {name: partial(make, target=target, weights=weights) for name, make in LEARNED.items()}
     for name in names:
         if name not in known:
             raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
@@ -112,23 +116,14 @@ def crossview(
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:
-    from viewshed.estimators import CLASSICAL, LEARNED, PAPER_ESTIMATORS
-    from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
+    """Return estimators for cars on the road grid by name, the paper's on its own."""
+    from viewshed.estimators import PAPER_ESTIMATORS
     from viewshed.fov.visibility import CAR
     from viewshed.grid import GRIDS
 
-    road, published = GRIDS["road"], GRIDS["paper"]
-    known: dict[str, Callable[[], FovEstimator]] = {name: partial(make, road) for name, make in CLASSICAL.items()}
-    for rule in NO_RETURN_RULES[1:]:
-        known[f"shadow_map, no return {rule}"] = partial(ShadowMap, road, CAR, rule)
-    for name, make in PAPER_ESTIMATORS.items():
-        known[f"paper: {name.removeprefix('paper_')}"] = partial(make, published)
-    names = [name for word in methods.split(",") for name in (known if word == _ALL else [word])]
-    known |= {name: partial(make, road) for name, make in LEARNED.items()}
-    for name in names:
-        if name not in known:
-            raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
-    return {name: known[name]() for name in names}
+    papers = {f"paper: {name.removeprefix('paper_')}": make for name, make in PAPER_ESTIMATORS.items()}
+    chosen = _makers(methods, CAR, None, papers)
+    return {name: make(GRIDS["paper" if name in papers else "road"]) for name, make in chosen.items()}
 
 
 def _on_step(step: str) -> None:

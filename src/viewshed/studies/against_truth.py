@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isnan
+from typing import Self
 
 import numpy as np
 
-from viewshed._page import Heading, PageBlock, Table, Text, facts, to_markdown
+from viewshed._page import Table, facts, to_markdown
 from viewshed.datasets import Archive
 from viewshed.datasets.sample import Sample
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
@@ -17,8 +17,9 @@ from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts, Mask
-from viewshed.studies.formatting import pivot
-from viewshed.studies.records import SEVERAL, VIEW, Case, Record, Results, Series
+from viewshed.studies.formatting import by_name, format_number, lines, pivot
+from viewshed.studies.records import SEVERAL, VIEW, Case, Domain, Record, Results, Series
+from viewshed.studies.templates import fill_template
 from viewshed.sweep import Sweep, bare_points, unorganized, unorganized_no_sensor
 
 CLEAR = "clear"
@@ -112,18 +113,72 @@ FORMS: dict[str, Form] = {
 }
 """In which form a sweep may be given, by name."""
 
-_INTRODUCTION = """\
-Cells pooled over the samples, where the truth is known. *Precision*: share of the claimed cells that are visible;
-*recall*: share of the visible cells that are claimed. *Over* and *under*: area of a sample, on average, claimed and not
-visible, visible and not claimed. *F1, clear*: without the cells next to the target's number of returns, where one beam
-more or less decides."""
 
-_FORMS = """\
-*rings known*: the sweep as the sensor gives it. *unorganized*: without ring, firing azimuth and time. *no sensor*:
-without the beam table as well. *bare points*: no mounting height, attitude or pose either."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchiveResults:
+    """What was found on one data set.
 
-_DEFINITIONS = """\
-What others call visible, from the same beams without noise, against ours (`probe`, exact)."""
+    Attributes:
+        name: of its preset.
+        about: its seed, and how many samples were looked at.
+        found: on them; the domain of these records has no name.
+    """
+
+    name: str
+    about: str
+    found: Domain[TruthEvaluation]
+
+    @classmethod
+    def of(cls, data: Archive, evaluation: TruthEvaluation, limit: int, on_step: Callable[[str], None]) -> Self:
+        """Return the results of at most ``limit`` samples, spread evenly over a data set."""
+        count, recipe = min(limit, len(data)), data.manifest.recipe
+        on_step(f"{recipe.get('preset')}: {count} samples")
+        results: Results[TruthEvaluation] = Results(evaluation)
+        results.add(evaluation.records(data[k * len(data) // count] for k in range(count)))
+        results.add(evaluation.definitions(data[k * len(data) // count] for k in range(count)))
+        spread = f"{count} of {len(data)} samples, spread evenly over {len(data.scenes)} scenes."
+        return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", Domain(results, ""))
+
+    def methods(self, case: Case) -> dict[str, str]:
+        """Return who was tried in a case."""
+        return by_name(series.method for series in self.found.results.series() if series.case == case)
+
+    def regions(self, case: Case) -> list[str]:
+        """Return the regions that were counted in a case."""
+        return list(dict.fromkeys(series.region for series in self.found.results.series() if series.case == case))
+
+    def summary(self, case: Case) -> Table:
+        """Return rates and areas of each method."""
+
+        def figure(digits: int, value: Callable[[ConfusionCounts], float], region: str = VIEW) -> Callable[[str], str]:
+            return lambda name: format_number(value(self.found.counts(name, case, region)), digits)
+
+        return lines("", self.methods(case), {
+            "precision": figure(3, lambda counts: counts.precision),
+            "recall": figure(3, lambda counts: counts.recall),
+            "F1": figure(3, lambda counts: counts.f1),
+            "IoU": figure(3, lambda counts: counts.iou),
+            "over m²": figure(0, lambda counts: counts.over_m2),
+            "under m²": figure(0, lambda counts: counts.under_m2),
+            "F1, clear": figure(3, lambda counts: counts.f1, CLEAR),
+        })  # fmt: skip
+
+    def by_range(self, case: Case) -> Table:
+        """Return F1 by range band."""
+        bands = [name for name in self.regions(case) if name not in (VIEW, CLEAR) and not name.startswith(SENSOR)]
+        return self._f1_by_region(case, by_name(bands))
+
+    def by_sensor(self, case: Case) -> Table:
+        """Return F1 by sensor, with how many samples it has."""
+        method, heads = next(iter(self.methods(case))), {}
+        for region in sorted(name for name in self.regions(case) if name.startswith(SENSOR)):
+            heads[f"{region.removeprefix(SENSOR)} ({self.found.counts(method, case, region).samples})"] = region
+        return self._f1_by_region(case, heads or {"all": VIEW})
+
+    def _f1_by_region(self, case: Case, heads: Mapping[str, str]) -> Table:
+        """Return a table of F1 by region; ``heads`` are the regions by the words above their columns."""
+        return pivot("", self.methods(case), heads,
+                     lambda method, region: format_number(self.found.counts(method, case, region).f1, 3))  # fmt: skip
 
 
 def page_of(
@@ -138,73 +193,14 @@ def page_of(
         split: of the data sets, for the reader.
         on_step: is called with what is done next.
     """
-    blocks: list[PageBlock] = [Text(_INTRODUCTION), Text(_FORMS)]
-    for data in archives:
-        count, recipe = min(limit, len(data)), data.manifest.recipe
-        on_step(f"{recipe.get('preset')}: {count} samples")
-        results: Results[TruthEvaluation] = Results(evaluation)
-        results.add(evaluation.records(data[k * len(data) // count] for k in range(count)))
-        results.add(evaluation.definitions(data[k * len(data) // count] for k in range(count)))
-        spread = f"{count} of {len(data)} samples, spread evenly over {len(data.scenes)} scenes."
-        blocks += [Heading(2, str(recipe.get("preset"))), Text(f"Seed {recipe.get('seed')}; {spread}")]
-        blocks += _blocks(results)
-    return to_markdown("Estimators against exact truth", facts(target=evaluation.target.name, split=split), blocks)
-
-
-def _blocks(results: Results[TruthEvaluation]) -> Iterator[PageBlock]:
-    first = next(iter(results.plan.forms))
-    for form in results.plan.forms:
-        yield Heading(3, f"{form[0].upper()}{form[1:]}")
-        yield _summary(results, form_case(form))
-    yield Heading(3, f"F1 by range, {first}")
-    yield _by_range(results, form_case(first))
-    yield Heading(3, f"F1 by sensor, {first}")
-    yield _by_sensor(results, form_case(first))
-    yield Heading(3, "Other definitions")
-    yield Text(_DEFINITIONS)
-    yield _summary(results, DEFINITION)
-    yield _by_range(results, DEFINITION)
-
-
-def _methods(results: Results[TruthEvaluation], case: Case) -> dict[str, str]:
-    return {series.method: series.method for series in results.series() if series.case == case}
-
-
-def _regions(results: Results[TruthEvaluation], case: Case) -> list[str]:
-    return list(dict.fromkeys(series.region for series in results.series() if series.case == case))
-
-
-def _summary(results: Results[TruthEvaluation], case: Case) -> Table:
-    rows = []
-    for name in _methods(results, case):
-        view, clear = (results.counts(Series("", name, case, region)) for region in (VIEW, CLEAR))
-        rates = [_format(rate) for rate in (view.precision, view.recall, view.f1, view.iou)]
-        rows.append([name, *rates, f"{view.over_m2:.0f}", f"{view.under_m2:.0f}", _format(clear.f1)])
-    return Table(["", "precision", "recall", "F1", "IoU", "over m²", "under m²", "F1, clear"], rows)
-
-
-def _by_range(results: Results[TruthEvaluation], case: Case) -> Table:
-    bands = [name for name in _regions(results, case) if name not in (VIEW, CLEAR) and not name.startswith(SENSOR)]
-    return _f1_by_region(results, case, {band: band for band in bands})
-
-
-def _by_sensor(results: Results[TruthEvaluation], case: Case) -> Table:
-    method = next(iter(_methods(results, case)))
-    heads = {}
-    for region in sorted(name for name in _regions(results, case) if name.startswith(SENSOR)):
-        samples = results.counts(Series("", method, case, region)).samples
-        heads[f"{region.removeprefix(SENSOR)} ({samples})"] = region
-    return _f1_by_region(results, case, heads or {"all": VIEW})
-
-
-def _f1_by_region(results: Results[TruthEvaluation], case: Case, heads: Mapping[str, str]) -> Table:
-    """Return a table of F1 by region; ``heads`` are the regions by the words above their columns."""
-
-    def f1(method: str, region: str) -> str:
-        return _format(results.counts(Series("", method, case, region)).f1)
-
-    return pivot("", _methods(results, case), heads, f1)
-
-
-def _format(rate: float) -> str:
-    return "–" if isnan(rate) else f"{rate:.3f}"
+    results = [ArchiveResults.of(data, evaluation, limit, on_step) for data in archives]
+    first, *_ = evaluation.forms
+    forms = {f"{form[0].upper()}{form[1:]}": form_case(form) for form in evaluation.forms}
+    title, blocks = fill_template("against_truth.md", {"archives": results, "forms": list(forms), "first": first}, {
+        "summary": lambda data, form: data.summary(forms[form]),
+        "by_range": lambda data: data.by_range(form_case(first)),
+        "by_sensor": lambda data: data.by_sensor(form_case(first)),
+        "definitions": lambda data: data.summary(DEFINITION),
+        "definitions_by_range": lambda data: data.by_range(DEFINITION),
+    })  # fmt: skip
+    return to_markdown(title, facts(target=evaluation.target.name, split=split), blocks)

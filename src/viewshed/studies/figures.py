@@ -1,12 +1,9 @@
-"""Figures of the vulnerability study: violins, curves, and what attacks do to single sweeps, seen from above.
-
-Pictures of the reproduced study: probability and deviation seen from above, and the trade study.
-"""
+"""Figures of the studies: violins, curves, what attacks do to single sweeps seen from above, the trade study."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,11 +19,21 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from viewshed.grid import BevGrid
+from viewshed.metrics import Mask
+from viewshed.studies.records import BENIGN, Case, Domain
+from viewshed.studies.statistics import Floats, precision
 
 Kind = Literal["returns", "truth", "probability", "deviation"]
 
-COLORS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00")
-"""After Okabe and Ito (2008)."""
+PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#8FB8DE", "#D55E00")
+"""After Okabe and Ito (2008); styles of lines tell apart what the colors may not."""
+
+DASHES = ("-", "--", ":", "-.")
+
+AGREE, OVER, UNDER, HIDDEN, OUTSIDE = (0.68, 0.84, 0.95), (0.84, 0.37, 0.0), (0.55, 0.24, 0.62), (0.86,) * 3, (1.0,) * 3
+"""Cells that both call visible, only the estimate, only the truth, none, and cells without truth."""
+
+_BENIGN, _ATTACKED = "#0072B2", "#D55E00"
 
 MARKERS = "osD^vP"
 
@@ -36,7 +43,7 @@ _SCALES: dict[Kind, tuple[str, float | None]] = {
 
 _DPI = 100
 
-_MAP_COLORS = 256
+_COLORS, _MAP_COLORS = 96, 256
 
 _MAP_INCHES = 1.95
 
@@ -54,23 +61,6 @@ class Map:
     title: str
     kind: Kind
     values: NDArray[Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Dot:
-    """One network of the trade study.
-
-    Attributes:
-        cells: of its grid, a side.
-        depth: poolings.
-        width: channels of its first stage.
-        values: figures by name.
-    """
-
-    cells: int
-    depth: int
-    width: int
-    values: Mapping[str, float]
 
 
 def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
@@ -108,42 +98,37 @@ def _map(axis: Axes, picture: Map, most: float) -> Any:
     return drawn
 
 
-def trade_figure(dots: Sequence[Dot], across: str, ups: Sequence[str]) -> bytes:
+def trade_figure(dots: Mapping[tuple[int, int, int], Mapping[str, float]], across: str, ups: Sequence[str]) -> bytes:
     """Return a PNG with one panel for each figure of ``ups`` over ``across``: color resolution, mark depth, size width.
 
     Args:
-        dots: the networks.
+        dots: figures of each network by name, by its cells a side, poolings and channels of the first stage.
         across: name of the figure on the horizontal axis, drawn with equal ratios.
         ups: names of the figures on the vertical axes.
     """
     figure = Figure((4.3 * len(ups), 4.3), dpi=_DPI, layout="constrained")
     axes = figure.subplots(1, len(ups), squeeze=False)[0]
-    cells, depths = sorted({dot.cells for dot in dots}), sorted({dot.depth for dot in dots})
+    resolutions, depths = (sorted({shape[k] for shape in dots}) for k in (0, 1))
     for axis, up in zip(axes, ups, strict=True):
-        for c, color in zip(cells, COLORS, strict=False):
-            for d, mark in zip(depths, MARKERS, strict=False):
-                _shape_line(axis, [dot for dot in dots if (dot.cells, dot.depth) == (c, d)], across, up, color, mark)
+        for cells, color in zip(resolutions, PALETTE, strict=False):
+            for depth, mark in zip(depths, MARKERS, strict=False):
+                # Networks of one resolution and depth are joined from narrow to wide.
+                widths = sorted(shape[2] for shape in dots if shape[:2] == (cells, depth))
+                places = [[dots[cells, depth, width][name] for width in widths] for name in (across, up)]
+                label = f"{cells} cells, depth {depth}, widths {', '.join(map(str, widths))}"
+                if widths:
+                    axis.plot(*places, color=color, marker=mark, markersize=4.5, linewidth=0.9, alpha=0.85, label=label)
+                for width, *place in zip(widths, *places, strict=True):
+                    axis.annotate(str(width), place, textcoords="offset points", xytext=(4, 3), fontsize=6.5)
         axis.set_xscale("log")
         axis.xaxis.set_minor_locator(NullLocator())
-        _decades(axis, [dot.values[across] for dot in dots])
+        _decades(axis, [figures[across] for figures in dots.values()])
         axis.set_xlabel(across, fontsize=9)
         axis.set_ylabel(up, fontsize=9)
         axis.grid(linewidth=0.4, color="#cccccc")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     return _png(figure, _MAP_COLORS)
-
-
-def _shape_line(axis: Axes, dots: Sequence[Dot], across: str, up: str, color: str, mark: str) -> None:
-    """Draw networks of one resolution and depth, joined from narrow to wide."""
-    if not dots:
-        return
-    chosen = sorted(dots, key=lambda dot: dot.width)
-    x, y = ([dot.values[name] for dot in chosen] for name in (across, up))
-    label = f"{chosen[0].cells} cells, depth {chosen[0].depth}, widths {', '.join(str(dot.width) for dot in chosen)}"
-    axis.plot(x, y, color=color, marker=mark, markersize=4.5, linewidth=0.9, alpha=0.85, label=label)
-    for dot, at_x, at_y in zip(chosen, x, y, strict=True):
-        axis.annotate(str(dot.width), (at_x, at_y), textcoords="offset points", xytext=(4, 3), fontsize=6.5)
 
 
 def _decades(axis: Axes, values: Sequence[float]) -> None:
@@ -154,49 +139,14 @@ def _decades(axis: Axes, values: Sequence[float]) -> None:
     axis.tick_params(axis="y", labelsize=8)
 
 
-PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#8FB8DE", "#D55E00")
-"""After Okabe and Ito (2008); styles of lines tell apart what the colors may not."""
+CaseValue = Callable[[Domain[Any], str, Case], float]
+"""What a curve shows of a method in a case."""
 
-DASHES = ("-", "--", ":", "-.")
+Violins = Mapping[str, tuple[Floats, Floats]]
+"""One panel: by label the values of all samples, (S,) benign and (T,) attacked; NaN is left out."""
 
-AGREE, OVER, UNDER, HIDDEN, OUTSIDE = (0.68, 0.84, 0.95), (0.84, 0.37, 0.0), (0.55, 0.24, 0.62), (0.86,) * 3, (1.0,) * 3
-"""Cells that both call visible, only the estimate, only the truth, none, and cells without truth."""
-
-_BENIGN, _ATTACKED = "#0072B2", "#D55E00"
-
-_COLORS = 96
-
-Mask = NDArray[np.bool_]
-
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Violins:
-    """One panel: for each label the values of all samples, benign and attacked.
-
-    Attributes:
-        title: of the panel.
-        pairs: by label, values (S,) benign and (T,) attacked; NaN is left out.
-    """
-
-    title: str
-    pairs: Mapping[str, tuple[Floats, Floats]]
-
-
-@dataclass(frozen=True, slots=True)
-class Curves:
-    """One panel: for each label a value at each step.
-
-    Attributes:
-        title: of the panel.
-        steps: names of the steps on the horizontal axis.
-        values: by label, one value a step; NaN leaves a gap.
-    """
-
-    title: str
-    steps: Sequence[str]
-    values: Mapping[str, Sequence[float]]
+Curves = Mapping[str, Mapping[str, float]]
+"""One panel: by label a value at each step, by the names of the steps; NaN leaves a gap."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,23 +174,43 @@ class Scene:
     claims: Mapping[str, Mask]
 
 
-def violin_figure(panels: Sequence[Violins], across: int, attacked: str) -> bytes:
+def violins_of(domain: Domain[Any], methods: Mapping[str, str], attacked: Sequence[Case]) -> dict[str, Violins]:
+    """Return panels of precision and AUPRC of the single sweeps of a domain, by title.
+
+    Args:
+        domain: of the sweeps.
+        methods: by what they are called below the violins.
+        attacked: the cases beside the benign one, all together.
+    """
+
+    def precisions(method: str, case: Case) -> Floats:
+        return domain.results.each(domain.series(method, case), precision)
+
+    def areas(method: str, case: Case) -> Floats:
+        return domain.results.numbers(domain.series(method, case), "auprc")
+
+    return {
+        f"{domain.name}: {word}": {
+            label: (values(name, BENIGN), np.concatenate([values(name, case) for case in attacked]))
+            for label, name in methods.items()
+        }
+        for word, values in (("precision", precisions), ("AUPRC", areas))
+    }
+
+
+def violin_figure(panels: Mapping[str, Violins], across: int, attacked: str) -> bytes:
     """Return a PNG of violins, benign on the left and ``attacked`` (its name) on the right of each label."""
     figure, axes = _page(len(panels), across, (6.4, 2.9))
-    for axis, panel in zip(axes, panels, strict=False):
-        _violins(axis, panel)
+    for axis, (title, pairs) in zip(axes, panels.items(), strict=False):
+        for position, (benign, spoilt) in enumerate(pairs.values()):
+            for values, side, color in ((benign, "low", _BENIGN), (spoilt, "high", _ATTACKED)):
+                _half(axis, values[~np.isnan(values)], position, side, color)
+        axis.set_xticks(range(len(pairs)), pairs, rotation=35, ha="right", fontsize=7.5)
+        axis.set_xlim(-0.6, len(pairs) - 0.4)
+        _rates(axis, title)
     handles = [Patch(color=_BENIGN, label="benign"), Patch(color=_ATTACKED, label=attacked)]
     figure.legend(handles=handles, loc="lower center", ncols=2, frameon=False, fontsize=9)
     return _png(figure)
-
-
-def _violins(axis: Axes, panel: Violins) -> None:
-    for position, (benign, attacked) in enumerate(panel.pairs.values()):
-        for values, side, color in ((benign, "low", _BENIGN), (attacked, "high", _ATTACKED)):
-            _half(axis, values[~np.isnan(values)], position, side, color)
-    axis.set_xticks(range(len(panel.pairs)), panel.pairs, rotation=35, ha="right", fontsize=7.5)
-    axis.set_xlim(-0.6, len(panel.pairs) - 0.4)
-    _rates(axis, panel.title)
 
 
 def _half(axis: Axes, values: Floats, position: int, side: Any, color: str) -> None:
@@ -256,16 +226,22 @@ def _half(axis: Axes, values: Floats, position: int, side: Any, color: str) -> N
     axis.plot([position + reach[0], position + reach[1]], [median, median], color=color, linewidth=1.6)
 
 
-def curve_figure(panels: Sequence[Curves], across: int, label: str) -> bytes:
+def curves_of(domain: Domain[Any], methods: Sequence[str], cases: Mapping[str, Case], value: CaseValue) -> Curves:
+    """Return the curve of a value of each method over some cases, which are the steps by name."""
+    return {name: {step: value(domain, name, case) for step, case in cases.items()} for name in methods}
+
+
+def curve_figure(panels: Mapping[str, Curves], across: int, label: str) -> bytes:
     """Return a PNG of curves, one panel each with ``label`` at the vertical axis and one legend for all."""
     across = max(3, min(across, len(panels)))
     figure, axes = _page(len(panels), across, (2.7, 2.15), legend=0.75)
-    names = list(dict.fromkeys(name for panel in panels for name in panel.values))
-    for number, (axis, panel) in enumerate(zip(axes, panels, strict=False)):
-        for name, values in panel.values.items():
-            axis.plot(range(len(panel.steps)), values, **_line(names.index(name)))
-        axis.set_xticks(range(len(panel.steps)), panel.steps, fontsize=6.5, rotation=35)
-        _rates(axis, panel.title)
+    names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
+    for number, (axis, (title, panel)) in enumerate(zip(axes, panels.items(), strict=False)):
+        for name, values in panel.items():
+            axis.plot(range(len(values)), list(values.values()), **_line(names.index(name)))
+        steps = next(iter(panel.values()), {})
+        axis.set_xticks(range(len(steps)), steps, fontsize=6.5, rotation=35)
+        _rates(axis, title)
         if number % across == 0:
             axis.set_ylabel(label, fontsize=8)
     handles = [Line2D([], [], label=name, **_line(number)) for number, name in enumerate(names)]

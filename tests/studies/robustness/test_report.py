@@ -21,9 +21,7 @@ from viewshed.studies.figures import (
     OUTSIDE,
     OVER,
     UNDER,
-    Curves,
     Scene,
-    Violins,
     compared,
     curve_figure,
     scene_figure,
@@ -266,8 +264,8 @@ def test_pictures_open_and_show_forward_above_and_left_on_the_left() -> None:
 
 def test_figures_take_gaps_and_constant_values() -> None:
     values = np.array([0.5, 0.6, np.nan, 0.9])
-    violins = violin_figure([Violins("a", {"x": (values, np.full(3, 0.2)), "y": (np.empty(0), values)})], 1, "attacked")
-    curves = curve_figure([Curves("a", ["0", "1"], {"x": [0.5, float("nan")], "y": [0.1, 0.2]})], 2, "F1")
+    violins = violin_figure({"a": {"x": (values, np.full(3, 0.2)), "y": (np.empty(0), values)}}, 1, "attacked")
+    curves = curve_figure({"a": {"x": {"0": 0.5, "1": float("nan")}, "y": {"0": 0.1, "1": 0.2}}}, 2, "F1")
     for png in (violins, curves):
         image = np.asarray(imread(io.BytesIO(png)), float)[..., :3]
         assert min(image.shape[:2]) > 100

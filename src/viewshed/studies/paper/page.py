@@ -11,17 +11,26 @@ import numpy as np
 from viewshed._page import Picture, facts, to_markdown
 from viewshed.studies.cases import TOUCHING, strength_cases
 from viewshed.studies.evaluate import Evaluation
-from viewshed.studies.figures import Curves, Dot, Map, Violins, curve_figure, map_figure, trade_figure, violin_figure
+from viewshed.studies.figures import (
+    Curves,
+    Map,
+    Violins,
+    curve_figure,
+    curves_of,
+    map_figure,
+    trade_figure,
+    violin_figure,
+    violins_of,
+)
 from viewshed.studies.formatting import commits
 from viewshed.studies.paper import tables
 from viewshed.studies.paper.data import evaluation_of
-from viewshed.studies.paper.jobs import tampered_of
+from viewshed.studies.paper.jobs import ATTACKED, tampered_of
 from viewshed.studies.paper.models import network_of
 from viewshed.studies.paper.plan import MIXTURES, STEPS, Model
 from viewshed.studies.paper.protocols import setting_of
-from viewshed.studies.paper.published import OTHERS, SUB_TABLES, TESTED_ON, PaperResults
+from viewshed.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
 from viewshed.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Domain
-from viewshed.studies.statistics import Floats, precision
 from viewshed.studies.templates import fill_template
 from viewshed.threats.attacks import ATTACKS, SEVERITIES
 from viewshed.threats.attacks.base import Tampered
@@ -42,19 +51,11 @@ LATENCY = "latency, ms, 2 threads"
 
 def violin_picture(results: PaperResults, protocol: str) -> Picture:
     """Return violins of precision and AUPRC of each sweep, for every domain: benign against attacked."""
-
-    def both(domain: str, method: str, word: str) -> tuple[Floats, Floats]:
-        benign, attacked = (results.pairs_in(protocol, domain).series(method, case) for case in TESTED_ON.values())
-        if word == "AUPRC":
-            return results.pairs.numbers(benign, "auprc"), results.pairs.numbers(attacked, "auprc")
-        return results.pairs.each(benign, precision), results.pairs.each(attacked, precision)
-
-    panels = []
+    panels = dict[str, Violins]()
     for domain in results.domains:
-        methods = tables.pair_methods(results, protocol, domain)
-        for word in ("precision", "AUPRC"):
-            pairs = {short.replace("paper_", "paper: "): both(domain, name, word) for short, name in methods.items()}
-            panels.append(Violins(f"{domain}: {word}", pairs))
+        methods = tables.pair_methods(results, protocol, domain).items()
+        labeled = {short.replace("paper_", "paper: "): name for short, name in methods}
+        panels |= violins_of(results.pairs_in(protocol, domain), labeled, [ATTACKED])
     attacked = "the paper's attacks" if protocol == PAPER else "one attack each, all in turn"
     return Picture(
         f"{STEMS[protocol]}_violins.png", violin_figure(panels, 2, attacked),
@@ -105,11 +106,10 @@ def _shown_sweep(results: PaperResults, protocol: str, domain: str) -> tuple[Eva
 
 def trade_picture(results: PaperResults) -> Picture | None:
     """Return precision, accuracy and F1 of the trade study over latency; None if there are no results."""
-    dots = []
-    for (cells, depth, width), counts in tables.trade_counts(results).items():
+    dots = {}
+    for shape, counts in tables.trade_counts(results).items():
         rates = {"precision": counts.precision, "accuracy": counts.accuracy, "F1": counts.f1}
-        latency = tables.trade_facts(results, (cells, depth, width))["ms, 2 threads"]
-        dots.append(Dot(cells, depth, width, rates | {LATENCY: latency}))
+        dots[shape] = rates | {LATENCY: tables.trade_facts(results, shape)["ms, 2 threads"]}
     alt = "Precision, accuracy and F1 over the latency of one pass, by resolution, depth and width"
     return (
         Picture("paper_trade.png", trade_figure(dots, LATENCY, ("precision", "accuracy", "F1")), alt) if dots else None
@@ -123,22 +123,26 @@ def severity_pictures(domain: tables.StrictDomain) -> Iterator[Picture]:
     chosen = best[: CURVED - (len(domain.methods) - len(classical))]
     methods = [name for name in domain.methods if name not in classical or name in chosen]
     for region in (VIEW, WEDGE):
-        panels = list(_severities(domain, methods, region))
+        panels = _severities(domain, methods, region)
         if panels:
             png = curve_figure(panels, 4, f"F1 in the {region}")
             alt = f"{domain.name}: F1 in the {region} over the strength of each attack"
             yield Picture(f"paper_strict_{region}_{domain.name}.png", png, alt)
 
 
-def _severities(domain: tables.StrictDomain, methods: list[str], region: str) -> Iterator[Curves]:
+def _severities(domain: tables.StrictDomain, methods: list[str], region: str) -> dict[str, Curves]:
+    """Return curves of F1 in a region over the strengths of each attack, by title."""
+    panels = {}
     for name in ATTACKS:
         for attribute in dict.fromkeys(attribute for attribute, _ in SEVERITIES.get(name, ())):
             cases = [case for case in strength_cases(name, attribute) if case in domain.cases]
             if cases and (region == VIEW or domain.has_wedge(cases[0])):
-                shown = [*([BENIGN] if region == VIEW else []), *cases]
-                steps = [case.level.removeprefix(f"{attribute} ") or "benign" for case in shown]
-                curves = {method: [domain.counts(method, case, region).f1 for case in shown] for method in methods}
-                yield Curves(f"{name}, {attribute}", steps, curves)
+                steps = {"benign": BENIGN} if region == VIEW else {}
+                steps |= {case.level.removeprefix(f"{attribute} "): case for case in cases}
+                panels[f"{name}, {attribute}"] = curves_of(
+                    domain, methods, steps, lambda domain, method, case: domain.counts(method, case, region).f1
+                )
+    return panels
 
 
 def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
@@ -151,7 +155,8 @@ def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
         raise ValueError(f"{results.store.path} must hold pairs of the {protocol} protocol, got none; run step pairs")
     every = (*SUB_TABLES, *OTHERS)
     values = {
-        "plan": results.plan, "unfinished": _unfinished(results, protocol), "domains": results.domains, "attacks": len(ATTACKS), "published_tables": SUB_TABLES,
+        "plan": results.plan, "unfinished": _unfinished(results, protocol),
+        "domains": results.domains, "attacks": len(ATTACKS), "published_tables": SUB_TABLES,
         "other_tables": OTHERS,
         "every_table": [replace(one, title=one.title.replace("Left out by the paper: t", "T")) for one in every],
         "strict_domains": [Domain(results.strict, name) for name in results.domains] if results.strict.facts else (),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import isnan
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +14,12 @@ from viewshed.preprocess.leveling import level
 from viewshed.studies import figures
 from viewshed.studies.cases import MIXTURE, budget_cases, corruption_cases
 from viewshed.studies.formatting import commits
-from viewshed.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Results
+from viewshed.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Domain, Results
 from viewshed.studies.robustness import tables
 from viewshed.studies.robustness.jobs import evaluation_of
 from viewshed.studies.robustness.plan import PARTS, RobustnessPlan
 from viewshed.studies.robustness.verdicts import MAX_F1_LOSS, MAX_WEDGE_LOSS, MODEST, AttackedDomain, domains_of
 from viewshed.studies.runner import Job
-from viewshed.studies.statistics import Floats, precision
 from viewshed.studies.store import ResultStore
 from viewshed.studies.suite import TESTED, strict_suite
 from viewshed.studies.templates import fill_template
@@ -40,72 +40,57 @@ BUDGETS = {f"up to {MODEST} returns": MODEST, "up to a full wedge": None}
 
 def violin_picture(domains: Sequence[AttackedDomain], protocol: str) -> Picture:
     """Return violins of precision and AUPRC for every domain: benign against the paper's mixture, or all attacks."""
-    paper = protocol == PAPER
-    panels = []
+    paper, panels = protocol == PAPER, dict[str, figures.Violins]()
     for domain in domains:
-        cases = [MIXTURE] if paper else list(domain.strongest.values())
         held = domain.paper if paper else domain
-        for word, values in (("precision", _precisions), ("AUPRC", _areas)):
-            pairs = {
-                name.replace("paper_", "paper: "): (values(held, name, [BENIGN]), values(held, name, cases))
-                for name in held.methods
-            }
-            panels.append(figures.Violins(f"{domain.name}: {word}", pairs))
+        methods = {name.replace("paper_", "paper: "): name for name in held.methods}
+        panels |= figures.violins_of(held, methods, [MIXTURE] if paper else list(domain.strongest.values()))
     attacked = "the paper's attacks" if paper else "every attack at its largest budget"
     png = figures.violin_figure(panels, 2, attacked)
     return Picture(f"robustness_violins_{protocol}.png", png, f"Precision and AUPRC, benign and under {attacked}")
 
 
-def _precisions(domain: AttackedDomain, method: str, cases: Iterable[Case]) -> Floats:
-    return np.concatenate([domain.results.each(domain.series(method, case), precision) for case in cases])
-
-
-def _areas(domain: AttackedDomain, method: str, cases: Iterable[Case]) -> Floats:
-    return np.concatenate([domain.results.numbers(domain.series(method, case), "auprc") for case in cases])
-
-
 def budget_picture(domain: AttackedDomain) -> Picture:
     """Return curves of F1 in the whole view over the budget, one panel an attack."""
-    panels = {f"{name} ({FAMILY[name]})": budget_cases(name, domain.plan.budgets) for name in _budgeted(domain)}
-    words = "F1 over the budget of each attack"
-    return _curves(domain, "f1", words, "F1", panels, lambda m, case: domain.counts(m, case).f1)
+    return _curves(domain, "f1", "F1 over the budget of each attack", "F1", _budgets(domain), _f1)
 
 
 def wedge_picture(domain: AttackedDomain) -> Picture:
     """Return curves of precision in the attacker's wedge over the budget, one panel an attack that has a wedge."""
-    attacks = [name for name in _budgeted(domain) if domain.has_wedge(domain.strongest[name])]
-    panels = {f"{name} ({FAMILY[name]})": budget_cases(name, domain.plan.budgets) for name in attacks}
     words = "precision in the attacker's wedge over the budget of each attack"
-    label = "precision in the wedge"
-    return _curves(domain, "wedge", words, label, panels, lambda m, case: domain.counts(m, case, WEDGE).precision)
+    panels = {title: cases for title, cases in _budgets(domain).items() if any(map(domain.has_wedge, cases))}
+    return _curves(domain, "wedge", words, "precision in the wedge", panels, _wedge_precision)
 
 
 def corruption_picture(domain: AttackedDomain) -> Picture:
     """Return curves of F1 over the severity, one panel a corruption; benign first."""
     plan = domain.plan
     panels = {name: [BENIGN, *corruption_cases((name,), plan.severities)] for name in plan.corruptions}
-    words = "F1 over the severity of each corruption"
-    return _curves(domain, "corruptions", words, "F1", panels, lambda m, case: domain.counts(m, case).f1)
+    return _curves(domain, "corruptions", "F1 over the severity of each corruption", "F1", panels, _f1)
 
 
-def _budgeted(domain: AttackedDomain) -> list[str]:
-    return [name for name, case in domain.strongest.items() if case.kind == "attack"]
+def _budgets(domain: AttackedDomain) -> dict[str, list[Case]]:
+    """Return the cases of each attack that has a budget, by title."""
+    names = [name for name, case in domain.strongest.items() if case.kind == "attack"]
+    return {f"{name} ({FAMILY[name]})": budget_cases(name, domain.plan.budgets) for name in names}
+
+
+def _f1(domain: Domain[Any], method: str, case: Case) -> float:
+    return domain.counts(method, case).f1
+
+
+def _wedge_precision(domain: Domain[Any], method: str, case: Case) -> float:
+    return domain.counts(method, case, WEDGE).precision
 
 
 def _curves(
-    domain: AttackedDomain,
-    stem: str,
-    words: str,
-    label: str,
-    panels: dict[str, list[Case]],
-    value: Callable[[str, Case], float],
+    domain: AttackedDomain, stem: str, words: str, label: str, panels: dict[str, list[Case]], value: figures.CaseValue
 ) -> Picture:
     """Return a picture of a value of every estimator over the cases of each panel."""
-    curves = [
-        figures.Curves(title, [case.level or "benign" for case in cases],
-                       {name: [value(name, case) for case in cases] for name in domain.methods})
+    curves = {
+        title: figures.curves_of(domain, domain.methods, {case.level or "benign": case for case in cases}, value)
         for title, cases in panels.items()
-    ]  # fmt: skip
+    }
     place = "".join(letter if letter.isalnum() else "_" for letter in domain.name)
     png = figures.curve_figure(curves, 5, label)
     return Picture(f"robustness_{stem}_{place}.png", png, f"{domain.name}: {words}")

@@ -165,7 +165,7 @@ def caught_table(domain: AttackedDomain) -> Table:
     return pivot("", _faced(domain), by_name(domain.plan.defenses), dropped)
 
 
-def paper_table(domain: AttackedDomain) -> Table | None:
+def paper_table(domain: AttackedDomain) -> Table:
     """Return precision against the paper's label: benign, and under its attacks with the relative change."""
     paper = domain.paper
 
@@ -174,7 +174,7 @@ def paper_table(domain: AttackedDomain) -> Table | None:
         return now if case == BENIGN else f"{now} ({100 * (0.0 - fall_of(domain, method, case)):+.0f} %)"
 
     cases = {"benign": BENIGN} | {f"{case.name} {case.level}".strip(): case for case in paper.cases if case != BENIGN}
-    return pivot("", by_name(paper.methods), cases, precision) if len(cases) > 1 else None
+    return pivot("", by_name(paper.methods), cases, precision)
 
 
 def fall_of(domain: AttackedDomain, method: str, case: Case) -> float:
@@ -183,7 +183,7 @@ def fall_of(domain: AttackedDomain, method: str, case: Case) -> float:
     return 1.0 - held.counts(method, case).precision / held.counts(method).precision
 
 
-def adaptive_table(domain: AttackedDomain) -> Table | None:
+def adaptive_table(domain: AttackedDomain) -> Table:
     """Return what each attacker who queries adds to the false area of a sweep, beside the worst one who does not.
 
     All columns are of the same samples and the same budget.

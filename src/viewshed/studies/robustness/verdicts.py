@@ -100,7 +100,7 @@ class AttackedDomain(Domain[RobustnessPlan]):
         return Case("adaptive", attack, str(self.plan.adaptive_budget))
 
     def withstands_adaptive(self, method: str, attack: str) -> bool:
-        """Return whether there are results of an attacker who queried this estimator, and they are within the limits."""
+        """Return whether there are results of an attacker who queried this estimator, within the limits."""
         case = self.adaptive(attack)
         return self.counts(method, case).cells > 0 and self.losses(method, case).withstands
 
