@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from viewshed._page import Picture, Table, facts, to_markdown
 from viewshed.datasets.wild import TOLD
-from viewshed.fov.estimate import CellState
-from viewshed.fov.visibility import TARGETS
-from viewshed.preprocess.leveling import level
 from viewshed.studies.formatting import (
     best_of_columns,
     commits,
@@ -25,10 +19,10 @@ from viewshed.studies.formatting import (
 from viewshed.studies.statistics import f1
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
-from viewshed.studies.wild.evaluate import AS_TOLD, LADDER, estimator_named
-from viewshed.studies.wild.jobs import scene_of
+from viewshed.studies.wild.evaluate import AS_TOLD, LADDER
+from viewshed.studies.wild.figures import picture_of
 from viewshed.studies.wild.plan import WildPlan
-from viewshed.studies.wild.records import Pool, WildRecord, from_table
+from viewshed.studies.wild.records import Pool, from_table
 
 OWN = "own"
 
@@ -164,52 +158,3 @@ def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
     for one in chosen:
         what = f"{one.scene}: exact ground, its error, true states, mistakes of {' and '.join(judged)}"
         yield Picture(f"wild_{one.domain}_{one.style}.png", picture_of(one, judged), what)
-
-
-def picture_of(record: WildRecord, methods: list[str]) -> bytes:
-    """Return a PNG of one scene: exact ground, error of the estimated one, true states, each method's mistakes."""
-    import matplotlib.pyplot as plt
-    from matplotlib.colors import ListedColormap
-
-    seen = scene_of((record.set_name, record.domain, record.scene.split("-")[2], "0")).observe(record.sweep)
-    sample, grid, target = seen.sample(record.told), seen.truth.grid, TARGETS[record.target]
-    leveled = level(sample.sweep, grid)
-    error = leveled.ground.at(grid.centers) - leveled.sensor_height_m - (sample.ground_m - sample.origin_height_m)
-    half = grid.half_extent_m
-    extent = (half, -half, -half, half)
-
-    figure, axes = plt.subplots(1, 3 + len(methods), figsize=(4.0 * (3 + len(methods)), 4.2), layout="constrained")
-    panels = [("exact ground, m", sample.ground_m, "terrain", None), ("estimated less exact, m", error, "RdBu", 2.0)]
-    for axis, (title, values, colors, most) in zip(axes, panels, strict=False):
-        limits = {} if most is None else {"vmin": -most, "vmax": most}
-        shown = axis.imshow(np.asarray(values)[::-1, ::-1], extent=extent, cmap=colors, **limits)
-        figure.colorbar(shown, ax=axis, shrink=0.7)
-        axis.set_title(title)
-    points = leveled.points[np.abs(leveled.points[:, :2]).max(axis=1) < half]
-    axes[2].scatter(points[:, 1], points[:, 0], s=0.3, c="0.2")
-    names = ["unknown", "free", "surface", "hidden", "truth not known"]
-    states = np.where(seen.known, seen.truth.state[target.name], len(CellState))
-    _classes(axes[2], states, extent, ListedColormap(["white", "#9bd", "#36c", "#ddd", "#fd8"]), names)
-    axes[2].set_title("true states and returns")
-    for axis, method in zip(axes[3:], methods, strict=True):
-        estimator = estimator_named(method, record.domain, record.target)
-        if estimator is None:
-            continue
-        claimed, true = estimator.estimate(leveled).visible(), seen.truth.visible(target)
-        agree = np.where(seen.known, claimed + 2 * true, 4)
-        names = ["hidden for both", "claimed wrongly", "missed", "visible for both", "truth not known"]
-        _classes(axis, agree, extent, ListedColormap(["white", "#d33", "#e9a", "#9bd", "#fd8"]), names)
-        axis.set_title(method)
-    png = io.BytesIO()
-    figure.savefig(png, dpi=80, metadata={"Software": None})
-    plt.close(figure)
-    return png.getvalue()
-
-
-def _classes(axis: Any, values: NDArray[Any], extent: tuple[float, ...], colors: Any, names: list[str]) -> None:
-    """Draw classes (cells, cells), forward up and left at the left, with their names as a legend."""
-    from matplotlib.patches import Patch
-
-    axis.imshow(values[::-1, ::-1], extent=extent, cmap=colors, vmin=0, vmax=len(names) - 1, interpolation="nearest")
-    patches = [Patch(facecolor=colors(k), edgecolor="0.5", label=name) for k, name in enumerate(names)]
-    axis.legend(handles=patches, fontsize=6, loc="lower left", framealpha=0.8)
