@@ -14,7 +14,20 @@ from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds import WORLDS
 
-WILD = ("country_road", "open_field", "embankment", "cutting", "bridge", "pit", "quay", "garage", "glass_fronts")
+WILD = (
+    "country_road",
+    "open_field",
+    "embankment",
+    "cutting",
+    "bridge",
+    "pit",
+    "quay",
+    "garage",
+    "glass_fronts",
+    "oblique",
+    "slope_town",
+    "site",
+)
 LIE_TOGETHER = {
     "guard_rail", "barrier", "fence", "hedge", "wall", "retaining_wall", "parapet", "deck", "bridge", "pole", "ceiling",
     "duct", "pillar", "stop",

@@ -19,11 +19,14 @@ from viewshed.sim.worlds.indoor.hall import hall
 from viewshed.sim.worlds.indoor.rooms import rooms
 from viewshed.sim.worlds.indoor.warehouse import warehouse
 from viewshed.sim.worlds.junction import junction
+from viewshed.sim.worlds.oblique import oblique
 from viewshed.sim.worlds.open_field import open_field
 from viewshed.sim.worlds.parking import parking
 from viewshed.sim.worlds.pit import pit
 from viewshed.sim.worlds.quay import quay
 from viewshed.sim.worlds.residential import residential
+from viewshed.sim.worlds.site import site
+from viewshed.sim.worlds.slope_town import slope_town
 from viewshed.sim.worlds.street import street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
@@ -44,6 +47,9 @@ WORLDS: dict[str, WorldMaker] = {
     "quay": quay,
     "garage": garage,
     "glass_fronts": glass_fronts,
+    "oblique": oblique,
+    "slope_town": slope_town,
+    "site": site,
     "open_field": open_field,
     "embankment": embankment,
     "cutting": cutting,

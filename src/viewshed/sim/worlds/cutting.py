@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.sim.assets.shapes import Box
-from viewshed.sim.assets.street import concrete_barrier, pick
-from viewshed.sim.world import AgentPlan, Thing, World
+from viewshed.sim.assets.street import concrete_barrier
+from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds.layout import Contents, assembled
 from viewshed.sim.worlds.roadsides import (
     COUNTRY_PACE,
@@ -18,15 +17,13 @@ from viewshed.sim.worlds.roadsides import (
     in_fields,
     posts,
     rail,
+    retaining_wall,
     signs,
     trees,
-    upright,
 )
 from viewshed.sim.worlds.roadway import Bank, Roadway, Swell, masts_beside, random_bend, row
 from viewshed.sim.worlds.site_plan import SitePlan
 from viewshed.sim.worlds.traffic import driven
-
-_PIECE_M = 4.0
 
 
 def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
@@ -46,7 +43,7 @@ def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
     site.keep_road(road.bend, road.edge_m - 0.9)
     for side, wall, rise in ((1, walled[0], rises[0]), (-1, walled[1], rises[1])):
         if wall:
-            site.stand(*_wall(rng, road, side, rise))
+            site.stand(*retaining_wall(rng, road, side, (1.25, rise)))
         elif rng.random() < 0.35:
             site.put_all(row(road.bend, concrete_barrier, WHOLE, side * (road.edge_m - 0.4)))
         elif rng.random() < 0.3:
@@ -76,16 +73,3 @@ def _slope(rng: np.random.Generator, high_m: float) -> Bank:
 def _walled(high_m: float) -> Bank:
     """Return level ground that jumps up behind a wall."""
     return Bank((0.0, 2.6, 3.6), (0.0, 0.0, high_m))
-
-
-def _wall(rng: np.random.Generator, road: Roadway, side: int, high_m: float) -> list[Thing]:
-    """Return a retaining wall in upright pieces 1 m beyond the shoulder, with pilasters, and a parapet or none."""
-    material, parapet = pick(rng, ("concrete", "brick", "concrete")), pick(rng, (0.2, 0.4, 1.0))
-    things = []
-    for x in np.arange(WHOLE[0] + _PIECE_M / 2, WHOLE[1], _PIECE_M).tolist():
-        top = high_m * float(road.swell.at(np.array(x))) + parapet
-        parts = (Box(0.0, 0.0, 1.08 * _PIECE_M, 0.5, top, -1.5, 0.0, material),
-                 Box(0.0, -side * 0.32, 0.5, 0.15, top - 0.1, -1.5, 0.0, material))  # fmt: skip
-        across = side * (road.edge_m + 1.25)
-        things.append(upright(road, Thing("retaining_wall", parts), x, across, side * (road.edge_m - 0.3)))
-    return things

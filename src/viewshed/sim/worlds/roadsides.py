@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed.sim.assets.country import animal, bale, dry_wall, rock, tractor, wire_fence, wire_pole, wooden_fence
+from viewshed.sim.assets.shapes import Box
 from viewshed.sim.assets.street import bush, conifer, fence, guard_rail, hedge, pick, place_at, pole, sign, tree
 from viewshed.sim.assets.vehicles import car, highway_vehicle, motorcycle, truck, van
 from viewshed.sim.world import Thing
@@ -126,3 +127,30 @@ def upright(road: Roadway, thing: Thing, x_m: float, across_m: float, at_m: floa
     x, y, _ = road.bend.at(x_m, at_m)
     placed = road.bend.put(thing, x_m, across_m, turn)
     return replace(placed, tilts=False, z_m=float(road.height(np.array(x), np.array(y))))
+
+
+def retaining_wall(
+    rng: np.random.Generator, road: Roadway, side: int, step_m: tuple[float, float], gate: Span = (0.0, 0.0)
+) -> list[Thing]:
+    """Return a wall that holds the ground beside a road, in upright pieces with pilasters, and a parapet or none.
+
+    Args:
+        rng: material and parapet.
+        road: along which it stands.
+        side: left (1) or right (-1).
+        step_m: how far beyond the shoulder its middle is, and how much higher (negative: lower) the ground behind is.
+        gate: a stretch along x that stays open.
+    """
+    (beyond, high), piece = step_m, 4.0
+    material, parapet = pick(rng, ("concrete", "brick", "concrete")), pick(rng, (0.2, 0.4, 1.0))
+    things = []
+    for x in np.arange(WHOLE[0] + piece / 2, WHOLE[1], piece).tolist():
+        if gate[0] < x < gate[1]:
+            continue
+        step = high * float(road.swell.at(np.array(x)))
+        top, bottom = max(step, 0.0) + parapet, min(step, 0.0) - 1.5
+        parts = (Box(0.0, 0.0, 1.08 * piece, 0.5, top, bottom, 0.0, material),
+                 Box(0.0, -side * 0.32, 0.5, 0.15, top - 0.1, bottom, 0.0, material))  # fmt: skip
+        wall = Thing("retaining_wall", parts)
+        things.append(upright(road, wall, x, side * (road.edge_m + beyond), side * (road.edge_m - 0.3)))
+    return things

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 HALF_M, ROAM_M = 112.0, 50.0
 """Half the side of a world, and how far agents go from its middle."""
 
-_CROWN, _MOST_LINES = 0.02, 52
+_CROWN, _MOST_LINES = 0.02, 46
 
 _ROUGH_FROM_M, _ROUGH_OVER_M = 6.0, 20.0
 """The land is as even as the bank up to the first distance beyond it, and as rough as it gets after the second."""

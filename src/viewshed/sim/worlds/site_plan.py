@@ -72,6 +72,11 @@ class SitePlan:
         for thing in things:
             self.put(thing, gap_m)
 
+    def put_row(self, things: list[Thing]) -> None:
+        """Let those pieces of one row stand that are clear of all others; they may touch each other."""
+        free = [one for one in things if self.clear(shapely.Polygon(footprint(one)), 0.02)]
+        self.stand(*free)
+
     def stand(self, *things: Thing, below_m: float = 2.1) -> None:
         """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
         for thing in things:
