@@ -132,6 +132,8 @@ def test_means_are_over_scenes_and_shares_over_cells() -> None:
     assert pool.mean("x") == 0.75
     assert pool.share("part", "whole") == 0.25
     assert pool.counts.samples == 4
+    assert pool.mean_f1() == 0.5
+    assert np.isnan(Pool([]).mean_f1())
     assert pool.names("scene") == ["a", "b", "c"]
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from viewshed._page import Picture, Table, facts, to_markdown
 from viewshed.datasets.wild import TOLD
 from viewshed.studies.formatting import (
-    best_of_columns,
     commits,
     format_interval,
     format_number,
@@ -85,7 +84,7 @@ def _agreement(pool: Pool) -> Table:
             row += [format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1))]
         rows.append(row)
     header = ["method", "own: precision / recall", "own: F1", "other: precision / recall", "other: F1"]
-    return Table(header, best_of_columns(rows))
+    return Table(header, rows)
 
 
 def _beyond_f1(pool: Pool) -> Table:
@@ -95,6 +94,7 @@ def _beyond_f1(pool: Pool) -> Table:
         parts = _own_and_other(pool.of(method=method))
         rows.append([
             method,
+            format_rates(*(part.mean_f1() for part in parts)),
             format_rates(*(part.where(lambda one: one.numbers["flat"] > 0).counts.f1 for part in parts)),
             format_rates(*(part.ece() for part in parts)),
             *(format_rates(*(part.mean(name) for part in parts)) for name in ("auroc", "auroc_std")),
@@ -103,7 +103,8 @@ def _beyond_f1(pool: Pool) -> Table:
             format_rate(parts[1].share("off_sure_m2", "off_m2")),
             format_rates(*(part.share("unaimed_hidden", "unaimed") for part in parts)),
         ])  # fmt: skip
-    header = ["own / other", "F1, flat", "ECE", "AUROC", "AUROC std", "AURC", "beyond (other)", "off (other)", "HIDDEN"]
+    header = ["own / other", "F1 by scene", "F1, flat", "ECE", "AUROC", "AUROC std", "AURC", "beyond (other)",
+              "off (other)", "HIDDEN"]  # fmt: skip
     return Table(header, rows)
 
 

@@ -124,6 +124,11 @@ class Pool:
                 by_scene.setdefault(record.scene, []).append(record.numbers[name])
         return float(np.mean([np.mean(values) for values in by_scene.values()])) if by_scene else float("nan")
 
+    def mean_f1(self) -> float:
+        """Return the mean over scenes of the F1 of their cells; NaN where no scene has any."""
+        scenes = [self.of(scene=name).counts.f1 for name in self.names("scene")]
+        return float(np.nanmean(scenes)) if not np.isnan(scenes).all() else float("nan")
+
     def share(self, part: str, whole: str) -> float:
         """Return the sum of one figure over that of another; NaN where that is 0."""
         below = sum(record.numbers[whole] for record in self.records if whole in record.numbers)
