@@ -18,9 +18,9 @@ from viewshed.sim.worlds.indoor.floor_plan import FloorPlan
 from viewshed.sim.worlds.indoor.routes import drive_route, open_floor
 from viewshed.sim.worlds.indoor.walls import Opening, Wall, build, wall_parts
 
-NAMES = ("rooms", "corridors", "hall", "warehouse")
+NAMES = ("rooms", "corridors", "hall", "warehouse", "atrium", "loft", "tunnel")
 PLAN = AgentPlan(moving=2, roadside=2, sensor="vlp16", sensor_height_m=0.7, duration_s=60.0)
-HOUSE = {"wall", "ceiling", "beam", "pillar", "duct", "gallery", "threshold"}
+HOUSE = {"wall", "ceiling", "beam", "pillar", "duct", "gallery", "threshold", "balustrade"}
 
 
 def make(name: str, seed: int, plan: AgentPlan = PLAN) -> World:
@@ -63,9 +63,10 @@ def test_a_world_has_the_size_and_the_agents_that_were_asked_for(name: str, seed
     assert 150 <= len(snapshot.kind) <= 900
     assert (world.terrain.material.size) * 2 <= 200
     assert sum(one.track is not None for one in world.things) <= 12
-    walls = snapshot.center_m[[world.things[k].kind == "wall" for k in snapshot.thing], :2]
-    assert (walls.max(axis=0) > 16.0).all()
-    assert (walls.min(axis=0) < -16.0).all()
+    walls = np.array([world.things[k].kind == "wall" for k in snapshot.thing])
+    reach = np.abs(snapshot.rotation[walls] * snapshot.half_m[walls][:, None]).sum(axis=2)
+    assert ((snapshot.center_m[walls] + reach).max(axis=0)[:2] > 16.0).all()
+    assert ((snapshot.center_m[walls] - reach).min(axis=0)[:2] < -16.0).all()
     for agent in world.agents[:3]:
         pose = world.world_from_sensor(agent, 2.0).translation
         assert pose[2] - world.terrain.at(pose[None, :2])[0] == pytest.approx(0.6)

@@ -14,9 +14,12 @@ from viewshed.sim.worlds.embankment import embankment
 from viewshed.sim.worlds.garage import garage
 from viewshed.sim.worlds.glass_fronts import glass_fronts
 from viewshed.sim.worlds.highway import highway
+from viewshed.sim.worlds.indoor.atrium import atrium
 from viewshed.sim.worlds.indoor.corridors import corridors
 from viewshed.sim.worlds.indoor.hall import hall
+from viewshed.sim.worlds.indoor.loft import loft
 from viewshed.sim.worlds.indoor.rooms import rooms
+from viewshed.sim.worlds.indoor.tunnel import tunnel
 from viewshed.sim.worlds.indoor.warehouse import warehouse
 from viewshed.sim.worlds.junction import junction
 from viewshed.sim.worlds.oblique import oblique
@@ -51,6 +54,9 @@ WORLDS: dict[str, WorldMaker] = {
     "slope_town": slope_town,
     "site": site,
     "open_field": open_field,
+    "tunnel": tunnel,
+    "loft": loft,
+    "atrium": atrium,
     "embankment": embankment,
     "cutting": cutting,
     "country_road": country_road,

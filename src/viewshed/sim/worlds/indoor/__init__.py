@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-__all__ = ["corridors", "hall", "rooms", "warehouse"]
+__all__ = ["atrium", "corridors", "hall", "loft", "rooms", "tunnel", "warehouse"]

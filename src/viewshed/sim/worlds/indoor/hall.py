@@ -35,11 +35,14 @@ def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
     half_x, half_y = rng.uniform(19.0, 24.0), rng.uniform(17.0, 21.0)
     inside = (-half_x, -half_y, half_x, half_y)
     front = int(rng.integers(4))
-    build(floor_plan, [_front(rng, wall, top) if k == front else _back(rng, wall)
+    build(floor_plan, [glass_wall(rng, wall, top) if k == front else back_wall(rng, wall)
                  for k, wall in enumerate(around(inside, 0.35, "concrete"))], top)  # fmt: skip
     floor_plan.things.extend(ceiling(inside, top, "concrete"))
     if rng.random() < 0.6:
-        _gallery(floor_plan, inside, (front + 2) % 4)
+        side = (front + 2) % 4
+        deep, level = rng.uniform(2.5, 4.0), rng.uniform(2.9, 3.6)
+        floor_plan.add(gallery(inside, side, deep, level))
+        stairs_up(floor_plan, inside, side, deep, level)
     rise = _stage(floor_plan, inside) if rng.random() < 0.5 else None
     _pillars(floor_plan, inside, top)
     _seating(floor_plan, inside)
@@ -50,13 +53,13 @@ def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
                 floor_plan.against(inside, maker, sides_)
             else:
                 floor_plan.inside(shrunk(inside, 4.0), maker, _QUARTERS)
-    _scattered(floor_plan, inside, sides)
+    scattered(floor_plan, inside, sides)
     _overhead(floor_plan, inside, top)
     building = Building("hall", inside, top, 7, (inside,) * 3 + ((rise.rect,) if rise else ()))
     return inhabited(floor_plan, floor(rise, inside, "concrete"), building, plan)
 
 
-def _front(rng: np.random.Generator, wall: Wall, top_m: float) -> Wall:
+def glass_wall(rng: np.random.Generator, wall: Wall, top_m: float) -> Wall:
     """Return a wall of tall panes between piers, with one or two ways in."""
     count = int((wall.stop_m - wall.start_m - 2.0) / rng.uniform(3.5, 5.5))
     edges = np.linspace(wall.start_m + 1.0, wall.stop_m - 1.0, count + 1)
@@ -69,7 +72,7 @@ def _front(rng: np.random.Generator, wall: Wall, top_m: float) -> Wall:
     return replace(wall, openings=tuple(openings))
 
 
-def _back(rng: np.random.Generator, wall: Wall) -> Wall:
+def back_wall(rng: np.random.Generator, wall: Wall) -> Wall:
     """Return a wall with a few doors."""
     spots = np.linspace(wall.start_m, wall.stop_m, 6)[1:-1]
     doors = [Opening(float(u), 1.2, str(rng.choice(("shut", "ajar", "open"), p=(0.7, 0.2, 0.1)))) for u in spots]
@@ -84,21 +87,28 @@ def _pillars(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
             floor_plan.put(place_group(one, x, y))
 
 
-def _gallery(floor_plan: FloorPlan, inside: Rect, side: int) -> None:
-    """Add a gallery along a wall, on posts, with a balustrade of glass and stairs that lead up to it."""
+def gallery(inside: Rect, side: int, deep: float, level: float, foot: float = -1.0) -> Group:
+    """Return a gallery along a wall, on posts that begin at ``foot``, with a balustrade of glass.
+
+    ``side`` is the wall as in :meth:`FloorPlan.against`; the gallery is ``deep`` meters wide, ``level`` up.
+    """
     x0, y0, x1, y1 = inside
     along_x = side % 2 == 1
-    deep, level = floor_plan.rng.uniform(2.5, 4.0), floor_plan.rng.uniform(2.9, 3.6)
     half = (x1 - x0 if along_x else y1 - y0) / 2
     edge = inside[side] + (deep if side < 2 else -deep)
     lines = np.linspace(-half + 1.0, half - 1.0, int(half / 3.0))
-    posts = [Cylinder(u, edge, 0.12, level) if along_x else Cylinder(edge, u, 0.12, level) for u in lines.tolist()]
+    at = [(u, edge) if along_x else (edge, u) for u in lines.tolist()]
+    posts = [Cylinder(x, y, 0.12, level, foot) for x, y in at]
     middle = (inside[side] + edge) / 2
     size = (2 * half, deep) if along_x else (deep, 2 * half)
     slab = Box(0.0 if along_x else middle, middle if along_x else 0.0, *size, level + 0.3, level, 0.0, "concrete")
     rail = Wall(along_x, edge, -half, half).box(-half, half, (level + 0.3, level + 1.35), "glass", 0.02)
-    floor_plan.add((Thing("gallery", (slab, rail, *posts), z_m=0.0),))
-    strip = _beside(inside, side, deep)
+    return (Thing("gallery", (slab, rail, *posts), z_m=0.0),)
+
+
+def stairs_up(floor_plan: FloorPlan, inside: Rect, side: int, deep: float, level: float) -> None:
+    """Add stairs that lead up to a gallery, where there is room beside it."""
+    strip, along_x = _beside(inside, side, deep), side % 2 == 1
     floor_plan.inside(strip, lambda rng: stock.stairs(rng, level), (np.pi / 2 if along_x else 0.0,), 0.01)
 
 
@@ -152,7 +162,8 @@ def _seating(floor_plan: FloorPlan, inside: Rect) -> None:
             floor_plan.put(place_group(group, x_m, y_m, np.pi / 2 if turn else 0.0))
 
 
-def _scattered(floor_plan: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> None:
+def scattered(floor_plan: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> None:
+    """Add what stands about in a hall, free or along the walls ``sides``."""
     for maker, limit, spot in _WISHES:
         for _ in range(int(floor_plan.rng.integers(0, limit + 1))):
             if spot == "wall":
