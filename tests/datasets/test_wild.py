@@ -16,6 +16,7 @@ from viewshed.datasets.wild import (
     TOLD,
     WildObservation,
     WildScene,
+    check_apart,
     wild_samples,
     wild_scenes,
     wild_tables,
@@ -57,6 +58,16 @@ def test_sets_share_no_style_sensor_mounting_or_seed() -> None:
         assert sum(map(len, taken)) == len(set().union(*taken)), key
     seeds = [domain.seed for domain in TABLES.domains]
     assert len(set(seeds)) == len(seeds)
+
+
+@pytest.mark.parametrize("key", ["styles", "sensors", "mountings", "seed"])
+def test_sets_that_share_anything_are_refused(key: str) -> None:
+    """Within a set, and with ``own``, sharing is allowed."""
+    own, training, sealed = (TABLES.of_set(name)[0] for name in ("own", "training", "sealed"))
+    check_apart((own, replace(own, set_name="training"), replace(own, set_name="training")))
+    shared = replace(sealed, **{key: getattr(training, key)})
+    with pytest.raises(ValueError, match=f"must share no {key}"):
+        check_apart((training, shared))
 
 
 def test_no_two_sets_have_a_sensor_in_common() -> None:

@@ -146,12 +146,16 @@ def wild_tables() -> WildTables:
         )
         if unknown:
             raise ValueError(f"{domain.set_name} {domain.name} names no such family: {', '.join(sorted(unknown))}")
-    _check_apart(domains)
+    check_apart(domains)
     return WildTables(sensors, mountings, domains)
 
 
-def _check_apart(domains: tuple[WildDomain, ...]) -> None:
-    """Raise a ValueError where two of the three sets share a style, a sensor, a mounting or a seed."""
+def check_apart(domains: tuple[WildDomain, ...]) -> None:
+    """Check that training, development and sealed share no style, sensor, mounting or seed.
+
+    Raises:
+        ValueError: two of them do; the message says what.
+    """
     owners: dict[tuple[str, object], str] = {}
     for domain in domains:
         if domain.set_name == SETS[0]:
@@ -413,6 +417,6 @@ def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
 
 
 __all__ = [
-    "OPEN_SEALED", "SETS", "TOLD", "WildDomain", "WildObservation", "WildSample", "WildScene", "wild_samples",
-    "wild_scenes", "wild_tables",
+    "OPEN_SEALED", "SETS", "TOLD", "WildDomain", "WildObservation", "WildSample", "WildScene", "check_apart",
+    "wild_samples", "wild_scenes", "wild_tables",
 ]  # fmt: skip
