@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from viewshed import BevGrid
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.preprocess.leveling import level
 from viewshed.preprocess.reach import LEAST_REACH_M, returns_beyond, sensing_reach
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
-from viewshed.sim import cast, junction
+from viewshed.sim import Box, Scene, cast, junction
 
 Floats = NDArray[np.float32]
 
@@ -98,3 +101,17 @@ def test_returns_beyond_the_maximum_are_counted() -> None:
     points = np.array([[99.0, 0, 0], [0, 101.0, 0], [80.0, 80.0, 0]], np.float32)
     assert returns_beyond(points, lidar_model("vlp16")) == 2
     assert returns_beyond(points, None) == 0
+
+
+def test_what_lies_beyond_the_maximum_of_a_known_sensor_proves_nothing() -> None:
+    model = lidar_model("os0_128")
+    wall = Scene((Box(25.0, 0.0, 0.2, 60.0, 8.0),))
+    honest = cast(model, wall, 1.8)
+    ahead = np.abs(np.arctan2(honest.points[:, 1], honest.points[:, 0])) < np.deg2rad(8)
+    moved = honest.points.copy()
+    moved[ahead] *= (200.0 / np.linalg.norm(moved[ahead], axis=1))[:, None]
+    grid = BevGrid(128, 64.0)
+    removed, spoofed = honest.select(~ahead), honest.replace(points=moved)
+    assert level(spoofed, grid).points.shape == level(removed, grid).points.shape
+    claimed = ShadowMap(grid).estimate(spoofed).visible() & ~ShadowMap(grid).estimate(removed).visible()
+    assert claimed.sum() == 0
