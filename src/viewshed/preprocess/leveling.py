@@ -161,7 +161,7 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
     """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
     if sweep.model is None:
         return NULL_RANGE_M, MAX_RANGE_M
-    return max(NULL_RANGE_M, sweep.model.min_range_m), max(MAX_RANGE_M, sweep.model.max_range_m)
+    return max(NULL_RANGE_M, sweep.model.min_range_m), sweep.model.max_range_m
 
 
 def _isolated_and_clutter(image: RangeImage | None, count: int) -> tuple[Mask, Mask]:
