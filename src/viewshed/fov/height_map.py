@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,6 +77,10 @@ class HeightMap:
         node, down, right = (array.reshape(-1) for array in positions)
         _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
         return heights
+
+    def shifted(self, deviations: float) -> HeightMap:
+        """Return the ground that lies so many standard deviations higher."""
+        return replace(self, heights_m=self.heights_m + np.float32(deviations) * self.std_m)
 
     def raised(self, delta_m: float) -> HeightMap:
         """Return the same ground with ``delta_m`` meters added to every height."""

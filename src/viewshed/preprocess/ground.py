@@ -131,8 +131,10 @@ def _order(nodes: int) -> NDArray[np.int32]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _patches(lows: Any) -> Any:  # pragma: no cover - compiled
-    """Return whether each node lies on one plane with its neighbors (n, n), that plane's slope (n, n, 2) along x and y,
-    and how many such nodes hang together with it (n, n)."""
+    """Return whether each node lies on one plane with its neighbors (n, n), the plane's slope, and the patch's size.
+
+    The slope (n, n, 2) is along x and y; the size (n, n) counts the nodes that hang together.
+    """
     n = lows.shape[0]
     even, grade = np.zeros((n, n), np.bool_), np.zeros((n, n, 2), np.float32)
     near = np.empty((9, 3), np.float32)
@@ -245,9 +247,9 @@ def _walk(
             elif step < 0.0:
                 if (even[i, j] or _agrees(lows, i, j)) and not _is_buried(lows[i, j], height, accepted, node_m):
                     kind = _BELOW
-            elif gentle and patches_m2[i, j] >= LEVEL_M2:
-                kind = _PATCH
-            elif even[i, j] and patches_m2[i, j] >= FACE_M2 and _meets(lows[i, j], a, b, height, accepted, i, j, node_m):
+            elif (gentle and patches_m2[i, j] >= LEVEL_M2) or (
+                even[i, j] and patches_m2[i, j] >= FACE_M2 and _meets(lows[i, j], a, b, height, accepted, i, j, node_m)
+            ):
                 kind = _PATCH
         # Patches are taken as they are, with their slope if they break with the prediction; small steps in part.
         if kind == _PATCH or (kind == _BELOW and even[i, j]):

@@ -28,7 +28,7 @@ STEP_M = 0.3
 """Where the ground before and behind a gap differs by more than twice this, it may be as high as either."""
 
 TILT_M = 20.0
-"""Beyond the ground that is seen the slope of the carrier's plane fades over this distance: land is level on the whole."""
+"""Beyond the ground that is seen the slope of the carrier's plane fades over this distance: land is mostly level."""
 
 _SEEN_SHARE = 0.95
 """Ground is seen as far as this share of the nodes with returns lie."""
@@ -106,7 +106,7 @@ def _fill(level: _Level, node_m: float) -> None:
 def _pull(
     mean: Any, weight: Any, variance: Any, doubt: Any, coarse_mean: Any, coarse_weight: Any, coarse_variance: Any
 ) -> None:  # pragma: no cover - compiled
-    """Average each two by two nodes (n, n) into coarse arrays of zeros, with the variance of all in them + ``doubt``."""
+    """Average each two by two nodes (n, n) into coarse arrays of zeros, with the variance of all, plus ``doubt``."""
     for i in range(mean.shape[0]):
         for j in range(mean.shape[1]):
             p, q, w, z = i // 2, j // 2, weight[i, j], mean[i, j]

@@ -20,7 +20,7 @@ CARRIER_M = 6.0
 """A node at this distance counts half of one below the sensor."""
 
 BELOW_SHARE = 0.35
-"""Weight of a node below a plane against that of one on it: land may fall away from the plane, a roof hides the road."""
+"""Weight of a node below a plane against one on it: land may fall away from the road, while a roof hides it."""
 
 _TRIALS = 256
 

@@ -9,18 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import atan2
-from viewshed.fov.visibility import Beams, Target, returns_by_kind
+from viewshed.fov.visibility import Beams, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, leveled_on
-from viewshed.preprocess.no_return import measured_and_inferred_beams
 from viewshed.sweep import Sweep
 
 HISTORY_SWEEPS = 5
@@ -55,9 +54,6 @@ _NOBODY, _SEVERAL = 0, -1
 Floats = NDArray[np.float32]
 
 Mask = NDArray[np.bool_]
-
-_VISIBLE: WeakKeyDictionary[LeveledSweep, dict[tuple[BevGrid, Target], Mask]] = WeakKeyDictionary()
-"""What each sweep saw by itself: one sweep belongs to the history of several."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +120,14 @@ class History:
         x0_m, y0_m = np.array(grid.origin_m, np.float32)
         for before, now_from_before in zip(self.earlier, self.now_from_earlier, strict=True):
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32)
-            _add_mask(_visible_alone(before, grid, target), x0_m, y0_m, np.float32(grid.cell_m), before_from_now, total)
+            _add_mask(
+                beam_evidence(before, grid, target).supports_claim(),
+                x0_m,
+                y0_m,
+                np.float32(grid.cell_m),
+                before_from_now,
+                total,
+            )
         total.setflags(write=False)
         self._confirmations[grid, target] = total
         return total
@@ -153,16 +156,6 @@ def _obstacle_points(before: LeveledSweep, now_from_before: Rigid) -> Floats:
     high = before.points[before.height_m > np.float32(OBSTACLE_HEIGHTS_M[0])]
     points: Floats = high @ transform[:, :3].T + transform[:, 3]
     return points
-
-
-def _visible_alone(leveled: LeveledSweep, grid: BevGrid, target: Target) -> Mask:
-    """Return where a sweep would have seen a target, by itself, on the grid around it (cells, cells)."""
-    masks = _VISIBLE.setdefault(leveled, {})
-    if (grid, target) not in masks:
-        beams = measured_and_inferred_beams(leveled, target.height_m)
-        returns = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, grid, target)[0]
-        masks[grid, target] = returns >= target.min_returns
-    return masks[grid, target]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
