@@ -16,7 +16,7 @@ MAX_RINGS = 4096
 
 _TOML_KEYS = {
     "name", "elevations_deg", "azimuth_offsets_deg", "origins_m", "azimuth_columns",
-    "min_range_m", "max_range_m", "source",
+    "min_range_m", "max_range_m", "reach_m", "reach_source", "source",
 }  # fmt: skip
 
 
@@ -33,12 +33,15 @@ class LidarModel:
             its height at range r is ``origin_m + r * tan(elevation)``; zeros if left out.
         azimuth_columns: firings in one revolution.
         min_range_m: returns nearer than this are the sensor itself or a null return.
-        max_range_m: farthest return.
+        max_range_m: farthest return; what lies beyond is none of this sensor.
         source: where the table comes from.
         shots: (azimuth_columns, rings, 2) float64 radians: azimuth and elevation of every shot in the order of firing,
             NaN where nothing is fired, of a sensor that scans another pattern than its rings or only a part of the
             circle; None where each column fires every ring at its azimuth. Only the simulator reads it. Without rings,
             ``elevation`` is a ladder from the lowest shot to the highest.
+        reach_m: range up to which a target of 10 % reflectivity that faces the sensor returns every second time, or
+            None where nobody states it.
+        reach_source: where ``reach_m`` comes from.
 
     Raises:
         ValueError: an attribute is not as above.
@@ -53,6 +56,8 @@ class LidarModel:
     max_range_m: float = 100.0
     source: str = ""
     shots: NDArray[np.float64] | None = None
+    reach_m: float | None = None
+    reach_source: str = ""
 
     def __post_init__(self) -> None:
         elevation = np.array(self.elevation, dtype=np.float64)
@@ -64,6 +69,11 @@ class LidarModel:
             raise ValueError(f"{self.name}: azimuth_columns must lie in [4, 36000], got {self.azimuth_columns}")
         if not 0 <= self.min_range_m < self.max_range_m < 10_000:
             raise ValueError(f"{self.name}: ranges must satisfy 0 ≤ min_range_m < max_range_m < 10000")
+        if self.reach_m is not None and not self.min_range_m < self.reach_m <= self.max_range_m:
+            raise ValueError(
+                f"{self.name}: reach_m must lie in (min_range_m, max_range_m = {self.max_range_m:g}],"
+                f" got {self.reach_m:g}; leave it out where it is not known"
+            )
         object.__setattr__(self, "elevation", _frozen(elevation))
         for key in ("azimuth_offset", "origin_m"):
             object.__setattr__(self, key, self._per_ring(key))
@@ -133,6 +143,8 @@ def _parse(raw: bytes, where: str) -> LidarModel:
             min_range_m=_number("min_range_m", table.get("min_range_m", 0.5)),
             max_range_m=_number("max_range_m", table.get("max_range_m", 100.0)),
             source=_text(table, "source"),
+            reach_m=_number("reach_m", table["reach_m"]) if "reach_m" in table else None,
+            reach_source=_text(table, "reach_source"),
         )
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error

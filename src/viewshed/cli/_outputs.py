@@ -218,7 +218,9 @@ class Run:
         summary = summary_line(estimate, elapsed_ms)
         for kind in self.results:
             write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
-        return f"{name}: {summary}{_ground_remark(leveled)} → {self.out / name}.{self.results[0]}"
+        return (
+            f"{name}: {summary}{_ground_remark(leveled)}{_range_remark(leveled)} → {self.out / name}.{self.results[0]}"
+        )
 
 
 def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
@@ -248,3 +250,14 @@ def _ground_remark(leveled: LeveledSweep) -> str:
         assumed = f"; ground not seen, sensor taken to be {leveled.sensor_height_m:.2f} m above it"
         return f"{assumed} (give --height, or --file-frame if the file's z points down)"
     return ""
+
+
+def _range_remark(leveled: LeveledSweep) -> str:
+    """Return how many returns lie beyond the maximum range of the sweep's own sensor, which were left out."""
+    from viewshed.preprocess.reach import returns_beyond
+
+    model = leveled.sweep.model
+    beyond = returns_beyond(leveled.sweep.points, model)
+    if model is None or not beyond:
+        return ""
+    return f"; {beyond} returns beyond the {model.max_range_m:g} m of {model.name} left out"

@@ -6,10 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
@@ -99,7 +103,7 @@ class ClassicalEstimator:
     """The body that classical estimators share: they level the sweep once and say how they see a leveled one.
 
     A subclass is a frozen dataclass with the fields ``grid``, ``target`` and ``name`` and the method
-    ``_estimate(leveled, history)``.
+    ``visible_prob(leveled, history)``. The states are those that the beams support, whatever it claims.
     """
 
     __slots__ = ()
@@ -120,9 +124,25 @@ class ClassicalEstimator:
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate`."""
         leveled = leveled_on(sweep, self.grid)
-        return self._estimate(leveled, checked_history(self, leveled, history))
+        earlier = checked_history(self, leveled, history)
+        prob = self.visible_prob(leveled, earlier)
+        claimed = prob >= np.float32(self.threshold)
+        state = beam_evidence(leveled, self.grid, self.target, earlier).states(
+            claimed, ~claimed, leveled.obstacle_cells(self.grid)
+        )
+        return FovEstimate(
+            grid=self.grid,
+            visible_prob=prob,
+            state=state,
+            method=self.name,
+            target=self.target,
+            world_from_level=leveled.world_from_level,
+            t_ns=leveled.sweep.t_ns,
+            agent=leveled.sweep.agent,
+        )
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return the probability (cells, cells) that this estimator gives each cell; 0 or 1 if it makes a mask."""
         raise NotImplementedError
 
     def with_abstention(self, below: float) -> Self:

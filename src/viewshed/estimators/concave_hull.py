@@ -10,10 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
-from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
+from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, require
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -65,12 +64,12 @@ class ConcaveHull(ClassicalEstimator):
         require("concavity", self.concavity, 0.1, 1e6)
         require("length_threshold_m", self.length_threshold_m, 0.0, 1e6)
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Estimate what the sensor sees: the inside of the hull of its returns."""
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return 1 inside the hull of the returns, 0 elsewhere."""
         leveled = self.crop.apply(leveled)
         points = thinned(leveled, self.grid)
         visible = fill(self._edges(points), self.grid) if spans_area(points) else np.zeros(self.grid.shape, np.bool_)
-        return fov_of_state(leveled, self.grid, state_of_mask(leveled, self.grid, visible), self.name, self.target)
+        return visible.astype(np.float32)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the hull's edges (E, 4) as x0, y0, x1, y1 in meters."""

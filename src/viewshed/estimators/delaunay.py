@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.concave_hull import fill, spans_area, thinned
-from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
-from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, fov_of_state, require, state_of_mask
+from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, require
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -52,11 +51,11 @@ class Delaunay(ClassicalEstimator):
     def __post_init__(self) -> None:
         require("max_edge_m", self.max_edge_m, 0.01, 1e6)
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Estimate what the sensor sees: the union of the small triangles between its returns."""
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return 1 in the union of the small triangles between the returns, 0 elsewhere."""
         leveled = self.crop.apply(leveled)
         visible = fill(self._edges(thinned(leveled, self.grid)), self.grid)
-        return fov_of_state(leveled, self.grid, state_of_mask(leveled, self.grid, visible), self.name, self.target)
+        return visible.astype(np.float32)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""

@@ -10,20 +10,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import (
     farthest_in_bins,
-    fov_of_state,
     measured_azimuth_bins,
     nearest_obstacle_in_bins,
-    reach_of,
     require,
     require_bins,
-    state_of_limits,
     with_margin,
+    within_limits,
 )
+from viewshed.preprocess.evidence import reach_of_sweep
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 
@@ -34,9 +32,8 @@ class FirstBlocker(ClassicalEstimator):
 
     Source: the occlusion test of Hu et al. (CVPR 2020, "What You See is What You Get") and of AdvCollaborative-
     Perception (USENIX Security 2024), per azimuth instead of per voxel. A cell's center may lie one cell beyond the
-    limit. A bin without a return is UNKNOWN. Behind a blocker a cell is HIDDEN up to the sensor's reach (its
-    model's maximum range, else the farthest return of the sweep); where the bin has returns but no blocker it is
-    visible up to that reach, or with ``limit_farthest`` up to the bin's farthest return and UNKNOWN beyond.
+    limit. A bin without a return has no visible cell; one with returns but no blocker is visible up to the sensor's
+    reach, or with ``limit_farthest`` up to its farthest return.
 
     Limits: under-claims; a bush, a curb or a parked car lower than the target hides everything behind it, and so does
     a wall grazed by a wide bin or one spoofed near point (``rank`` and ``median_bins`` withstand a few of those).
@@ -78,19 +75,17 @@ class FirstBlocker(ClassicalEstimator):
         if not self.obstacle_height_m[0] < self.obstacle_height_m[1]:
             raise ValueError(f"obstacle_height_m must be (low, high) with low < high, got {self.obstacle_height_m}")
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Estimate what the sensor sees: everything before the first obstacle of each azimuth bin."""
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return 1 before the first obstacle of each azimuth bin, 0 behind it."""
         bins = self.azimuth_bins or measured_azimuth_bins(leveled.azimuth)
         farthest_m = farthest_in_bins(leveled, bins)
         blocker_m = nearest_obstacle_in_bins(leveled, bins, self.rank, self.obstacle_height_m)
         if self.median_bins:
             blocker_m = _median(blocker_m, farthest_m >= 0, self.median_bins // 2)
-        reach_m = np.float32(reach_of(leveled))
+        reach_m = np.float32(reach_of_sweep(leveled))
         limit_m = np.minimum(blocker_m, farthest_m if self.limit_farthest else reach_m)
         limit_m = np.where(farthest_m >= 0, limit_m, np.float32(-1.0))
-        hidden_m = np.where((farthest_m >= 0) & np.isfinite(blocker_m), reach_m, np.float32(-1.0))
-        state = state_of_limits(leveled, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
-        return fov_of_state(leveled, self.grid, state, self.name, self.target)
+        return within_limits(self.grid, with_margin(limit_m, self.grid.cell_m)).astype(np.float32)
 
 
 @njit(cache=True, nogil=True)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +10,10 @@ from numpy.typing import NDArray
 from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
-from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
-
-MAJORITY = 3
 
 VOTE_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
 """What a missing return means to the three shadow maps that vote."""
@@ -38,18 +34,9 @@ class MajorityVote(ClassicalEstimator):
     target: Target = CAR
     name: str = "majority_vote"
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Count the votes of five masks for each cell."""
-        shadow = [ShadowMap(self.grid, self.target, rule).estimate(leveled) for rule in VOTE_RULES]
-        blockers = [
-            FirstBlocker(self.grid, self.target, limit_farthest=limit).estimate(leveled) for limit in (True, False)
-        ]
-        votes: NDArray[Any] = np.sum([voter.visible() for voter in (*shadow, *blockers)], axis=0)
-        visible = votes >= MAJORITY
-        # HIDDEN only where the most careful shadow map says so; whom it alone would call visible stays UNKNOWN.
-        state = np.where(shadow[0].state == CellState.HIDDEN, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-        state[~visible & shadow[0].visible()] = CellState.UNKNOWN
-        state[visible] = CellState.FREE
-        state[visible & leveled.obstacle_cells(self.grid)] = CellState.SURFACE
-        prob = (votes / np.float32(5.0)).astype(np.float32)
-        return replace(shadow[0], visible_prob=prob, state=state, method=self.name)
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return the share of five masks that claim each cell."""
+        voters: list[ClassicalEstimator] = [ShadowMap(self.grid, self.target, rule) for rule in VOTE_RULES]
+        voters += [FirstBlocker(self.grid, self.target, limit_farthest=limit) for limit in (True, False)]
+        votes = sum((voter.visible_prob(leveled, None) >= voter.threshold).astype(np.float32) for voter in voters)
+        return np.asarray(votes / np.float32(len(voters)), np.float32)

@@ -13,7 +13,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import polar
 from viewshed.grid import BevGrid, polar_of_cells
@@ -23,19 +22,15 @@ from viewshed.preprocess.azimuth_bins import (
     Crop,
     azimuth_bins_of,
     bins_of_cells,
-    ends_on_obstacle,
     farthest_in_bins,
-    fov_of_state,
     measured_azimuth_bins,
-    reach_of,
     require,
     require_bins,
-    state_of_limits,
-    state_of_mask,
     with_margin,
+    within_limits,
 )
 from viewshed.preprocess.history import History
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
+from viewshed.preprocess.leveling import LeveledSweep
 
 _SLICES = 8
 """Fine bins in a window's half width; only cells in doubt look at single returns."""
@@ -47,8 +42,7 @@ class QuantizedRayTrace(ClassicalEstimator):
 
     A cell belongs to the bin of its center's azimuth from the sensor and is visible if its center's range is at most
     the bin's farthest return plus one cell. With ``range_bins`` ranges are compared as bin numbers instead. A bin
-    without a return is UNKNOWN. Beyond the farthest return a cell is HIDDEN if that return is an obstacle, and
-    UNKNOWN if it is ground.
+    without a return has no visible cell.
 
     Limits: holes behind low cars and poles are called visible (later returns of the bin pass over them); one spoofed
     far point opens a whole bin; with ``about_centroid`` (the paper's labels) rays start where no sensor stands.
@@ -90,19 +84,17 @@ class QuantizedRayTrace(ClassicalEstimator):
         if self.about_centroid and self.azimuth_bins is None:
             raise ValueError("azimuth_bins must be given with about_centroid; the sensor's step says nothing there")
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Estimate what the sensor sees: the farthest return of each azimuth bin."""
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return 1 up to the farthest return of each azimuth bin, 0 beyond."""
         leveled = self.crop.apply(leveled)
-        state = self._state_about_centroid(leveled) if self.about_centroid else self._state(leveled)
-        return fov_of_state(leveled, self.grid, state, self.name, self.target)
+        visible = self._visible_about_centroid(leveled) if self.about_centroid else self._visible(leveled)
+        return visible.astype(np.float32)
 
-    def _state(self, leveled: LeveledSweep) -> NDArray[np.uint8]:
-        bins = self.azimuth_bins or measured_azimuth_bins(leveled.azimuth)
-        farthest_m = farthest_in_bins(leveled, bins)
-        hidden_m = np.where(ends_on_obstacle(leveled, farthest_m), reach_of(leveled), -1.0).astype(np.float32)
-        return state_of_limits(leveled, self.grid, self._limit(farthest_m), hidden_m)
+    def _visible(self, leveled: LeveledSweep) -> NDArray[np.bool_]:
+        farthest_m = farthest_in_bins(leveled, self.azimuth_bins or measured_azimuth_bins(leveled.azimuth))
+        return within_limits(self.grid, self._limit(farthest_m))
 
-    def _state_about_centroid(self, leveled: LeveledSweep) -> NDArray[np.uint8]:
+    def _visible_about_centroid(self, leveled: LeveledSweep) -> NDArray[np.bool_]:
         bins = self.azimuth_bins or 1
         xy = leveled.points[:, :2].astype(np.float64)
         centroid = xy.mean(axis=0).round(6) if len(xy) else np.zeros(2)
@@ -111,7 +103,7 @@ class QuantizedRayTrace(ClassicalEstimator):
         np.maximum.at(farthest_m, azimuth_bins_of(azimuth, bins), range_m.astype(np.float32))
         cell_range_m, cell_azimuth = polar(self.grid.centers - centroid)
         limit_m = self._limit(farthest_m)[azimuth_bins_of(cell_azimuth, bins)]
-        return state_of_mask(leveled, self.grid, cell_range_m.astype(np.float32) <= limit_m)
+        return np.asarray(cell_range_m.astype(np.float32) <= limit_m)
 
     def _limit(self, farthest_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the range (bins,) up to which a cell's center is visible."""
@@ -129,8 +121,7 @@ class ContinuousRayTrace(ClassicalEstimator):
     """Visible up to the farthest return within ± ``window`` of the cell's azimuth. Source: arXiv 2503.07375.
 
     A cell is visible if its center's range is at most the farthest return whose azimuth differs from the center's by
-    at most ``window`` (plus ``margin_m``). Without a return in the window it is UNKNOWN; beyond the farthest return
-    HIDDEN if that return is an obstacle, else UNKNOWN (both to within an eighth of the window).
+    at most ``window`` (plus ``margin_m``). Without a return in the window it is not visible.
 
     Limits: as the quantized ray trace, and smeared by the window: each far return opens 2 · ``window`` of azimuth.
 
@@ -160,58 +151,50 @@ class ContinuousRayTrace(ClassicalEstimator):
         if self.margin_m is not None:
             require("margin_m", self.margin_m, 0.0, 100.0)
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Estimate what the sensor sees: the farthest return near each cell's azimuth."""
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return 1 up to the farthest return near each cell's azimuth, 0 beyond."""
         leveled = self.crop.apply(leveled)
         bins = int(np.ceil(2.0 * np.pi * _SLICES / self.window))
         margin_m = self.grid.cell_m if self.margin_m is None else self.margin_m
         range_m, azimuth = polar_of_cells(self.grid)
-        state = np.empty(self.grid.shape, np.uint8)
+        visible = np.empty(self.grid.shape, np.float32)
         _trace(
             leveled.azimuth,
             leveled.range_m,
-            leveled.height_m,
             azimuth_bins_of(leveled.azimuth, bins),
             bins_of_cells(self.grid, bins),
             range_m,
             azimuth,
-            leveled.obstacle_cells(self.grid),
             self.window,
             margin_m,
-            reach_of(leveled),
-            np.array(OBSTACLE_HEIGHTS_M),
             bins,
-            state,
+            visible,
         )
-        return fov_of_state(leveled, self.grid, state, self.name, self.target)
+        return visible
 
 
 @njit(cache=True, nogil=True)
 def _trace(  # pragma: no cover - compiled
     azimuth: Any,  # (M,) of the returns
     range_m: Any,  # (M,)
-    height_m: Any,  # (M,) above local ground
     slices: Any,  # (M,) fine azimuth bin of each return
     cell_slice: Any,  # (cells, cells) fine azimuth bin of each cell
     cell_range_m: Any,  # (cells, cells)
     cell_azimuth: Any,  # (cells, cells)
-    surface: Any,  # (cells, cells) bool, the cell holds an obstacle return
     window: Any,  # half width in radians
     margin_m: Any,  # how far beyond the farthest return a cell is still visible
-    reach_m: Any,  # nothing is HIDDEN beyond
-    obstacle_heights_m: Any,  # lowest and highest obstacle
     bins: Any,  # fine azimuth bins
-    state: Any,  # (cells, cells), written
+    visible: Any,  # (cells, cells), written
 ) -> None:
     """Decide by whole slices where they agree; look at single returns only where the window's ends matter."""
-    farthest, obstacle = _slice_maxima(slices, range_m, height_m, obstacle_heights_m, bins)
+    farthest = _slice_maxima(slices, range_m, bins)
     start, order = _slice_order(slices, bins)
     whole = int(window / (2.0 * np.pi / bins))
     # Every return of the inner slices lies within the window, none beyond the outer ones does.
     inner = _sliding_maximum(farthest, whole - 1)
-    outer, outer_obstacle = _sliding_maximum(farthest, whole + 2), _sliding_maximum(obstacle, whole + 2)
-    for i in range(state.shape[0]):
-        for j in range(state.shape[1]):
+    outer = _sliding_maximum(farthest, whole + 2)
+    for i in range(visible.shape[0]):
+        for j in range(visible.shape[1]):
             b, need = cell_slice[i, j], cell_range_m[i, j] - margin_m
             seen = inner[b] >= 0.0 and need <= inner[b]
             if not seen and outer[b] >= 0.0 and need <= outer[b]:
@@ -221,22 +204,16 @@ def _trace(  # pragma: no cover - compiled
                         for k in order[start[c] : start[c + 1]]:
                             away = abs(np.float64(azimuth[k]) - cell_azimuth[i, j])
                             seen |= range_m[k] >= need and min(away, 2.0 * np.pi - away) <= window
-            if seen:
-                state[i, j] = 2 if surface[i, j] else 1
-            else:
-                blocked = outer[b] >= 0.0 and outer_obstacle[b] >= outer[b] and cell_range_m[i, j] <= reach_m
-                state[i, j] = 3 if blocked else 0
+            visible[i, j] = seen
 
 
 @njit(cache=True, nogil=True)
-def _slice_maxima(slices: Any, range_m: Any, height: Any, limits: Any, bins: Any) -> Any:  # pragma: no cover - compiled
-    farthest, obstacle = np.full(bins, -1.0, np.float32), np.full(bins, -1.0, np.float32)
+def _slice_maxima(slices: Any, range_m: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Return the farthest return (bins,) of each slice, -1 where there is none."""
+    farthest = np.full(bins, -1.0, np.float32)
     for n in range(slices.shape[0]):
-        b = slices[n]
-        farthest[b] = max(farthest[b], range_m[n])
-        if limits[0] < height[n] < limits[1]:
-            obstacle[b] = max(obstacle[b], range_m[n])
-    return farthest, obstacle
+        farthest[slices[n]] = max(farthest[slices[n]], range_m[n])
+    return farthest
 
 
 @njit(cache=True, nogil=True)
@@ -272,8 +249,7 @@ class TrimmedRayTrace(ClassicalEstimator):
     """Visible up to the farthest return of the azimuth bin but ``trim``. Source: the trimmed maximum of statistics.
 
     As :class:`~viewshed.estimators.ray_trace.QuantizedRayTrace`, but the ``trim`` farthest returns of each bin are
-    dropped first. A bin with no more than ``trim`` returns is UNKNOWN. Beyond the limit a cell is HIDDEN if the
-    return at the limit is an obstacle, else UNKNOWN.
+    dropped first. A bin with no more than ``trim`` returns has no visible cell.
 
     Limits: more than ``trim`` spoofed points in a bin open it as before; sensors with few beams lose their outer
     rings (16 beams leave 12); holes behind low cars are called visible, as by every farthest-return method.
@@ -300,10 +276,8 @@ class TrimmedRayTrace(ClassicalEstimator):
         require("trim", self.trim, 0, 1000)
         require_bins(self.azimuth_bins)
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Estimate what the sensor sees: the farthest return of each azimuth bin but the few farthest."""
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return 1 up to the farthest return of each azimuth bin but the few farthest, 0 beyond."""
         bins = self.azimuth_bins or min(measured_azimuth_bins(leveled.azimuth), FALLBACK_BINS)
         limit_m = farthest_in_bins(leveled, bins, drop=self.trim)
-        hidden_m = np.where(ends_on_obstacle(leveled, limit_m), reach_of(leveled), -1.0).astype(np.float32)
-        state = state_of_limits(leveled, self.grid, with_margin(limit_m, self.grid.cell_m), hidden_m)
-        return fov_of_state(leveled, self.grid, state, self.name, self.target)
+        return within_limits(self.grid, with_margin(limit_m, self.grid.cell_m)).astype(np.float32)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
-from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
+from viewshed.fov.visibility import CAR, Beams, Target, probability_of_visible, returns_by_kind
 from viewshed.grid import BevGrid
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.preprocess.no_return import measured_and_inferred_beams, no_return_beams
+from viewshed.preprocess.no_return import no_return_beams
 
 NoReturn = Literal["inferred", "unknown", "max_range", "fill"]
 
@@ -55,28 +55,19 @@ class ShadowMap(ClassicalEstimator):
         """Beams end at the obstacles that earlier sweeps saw (:mod:`viewshed.preprocess.history`)."""
         return True
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Count the beams that would have met a target in each cell, and those that aim at it."""
-        beams = _beams(leveled, self.no_return, self.target)
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        """Return the probability that the beams that would have met a target in each cell are enough to show it."""
+        evidence = beam_evidence(leveled, self.grid, self.target, history)
+        if self.no_return == "inferred":
+            return evidence.visible_prob
+        beams = _beams(leveled, self.no_return)
         beams = beams if history is None else history.within(beams)
-        returns, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
-        prob = probability_of_visible(returns, self.target.min_returns)
-        state = _state(prob, probability_of_visible(aimed, self.target.min_returns), leveled.obstacle_cells(self.grid))
-        return FovEstimate(
-            grid=self.grid,
-            visible_prob=prob,
-            state=state,
-            method=self.name,
-            target=self.target,
-            world_from_level=leveled.world_from_level,
-            t_ns=leveled.sweep.t_ns,
-            agent=leveled.sweep.agent,
-        )
+        [returns] = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, self.grid, self.target)
+        return probability_of_visible(returns, self.target.min_returns)
 
 
-def _beams(leveled: LeveledSweep, rule: NoReturn, target: Target) -> Beams:
-    if rule == "inferred" and len(leveled.sweep):
-        return measured_and_inferred_beams(leveled, target.height_m)
+def _beams(leveled: LeveledSweep, rule: NoReturn) -> Beams:
+    """Return the beams by another rule than ``inferred``."""
     beams = _without_behind(leveled)
     if rule == "unknown" or len(leveled.sweep) == 0:
         return beams
@@ -86,14 +77,3 @@ def _beams(leveled: LeveledSweep, rule: NoReturn, target: Target) -> Beams:
 def _without_behind(leveled: LeveledSweep) -> Beams:
     """Return the beams of all returns but isolated ones behind another of their pixel: that beam had ended before."""
     return leveled.beams(None if leveled.range_image is None else leveled.range_image.behind)
-
-
-def _state(
-    prob: NDArray[np.float32], aimed_prob: NDArray[np.float32], obstacle: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    """HIDDEN where enough beams that count aim at the cell and end before it, UNKNOWN where they do not suffice."""
-    visible = prob >= THRESHOLD
-    state = np.where(aimed_prob >= THRESHOLD, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-    state[visible] = CellState.FREE
-    state[visible & obstacle] = CellState.SURFACE
-    return state

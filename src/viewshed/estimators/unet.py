@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import keep_freed_memory
@@ -17,13 +16,13 @@ from viewshed.estimators.base import BatchSteps, EarlierSweeps, checked_history
 from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, TARGETS, Target
-from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard, Runner
-from viewshed.networks.features import EVIDENCE_BINS, FeatureContext, feature_maps
+from viewshed.networks.features import FeatureContext, feature_maps
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, load_runner
 from viewshed.networks.weights import default_name, float32_name
-from viewshed.preprocess.azimuth_bins import Crop, bins_of_cells, reach_of
+from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
@@ -38,10 +37,6 @@ DEVICES = {"cpu": "onnxruntime", "cuda": "cuda"}
 """Where a network may run, and the engine that runs it there."""
 
 _MAX_PASSES = 1000
-
-_UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
-    int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
-)  # fmt: skip
 
 
 class NetworkOutput(NamedTuple):
@@ -72,12 +67,11 @@ class UnetEstimator:
     With more, ``visible_prob`` is the mean over passes under random dropout masks and ``std`` their standard
     deviation. The masks depend on ``seed`` alone: the same sweep gives the same estimate.
 
-    A cell is FREE or SURFACE if its probability reaches the card's threshold. The network does not say why a cell is
-    not visible, so the returns must: HIDDEN behind the nearest obstacle of its azimuth, else UNKNOWN. Beyond the
-    card's range nothing is claimed, nor where an azimuth and 1° to each side hold fewer returns than would show a
-    target, nor for a sweep without a usable return. With ``abstain_below`` above one half, a cell is claimed from
-    that probability on (or the card's threshold, if that is higher), denied as above up to ``1 - abstain_below``, and
-    UNKNOWN between; its probability stays what it is.
+    A cell is claimed if its probability reaches the card's threshold, and only where the beams support the claim: the
+    network ranks and lowers claims within the evidence (:mod:`viewshed.preprocess.evidence`), which decides the states.
+    Where it does not support a claim the probability is cut to just below the threshold, beyond the reach to 0. With
+    ``abstain_below`` above one half, a cell is claimed from that probability on (or the card's threshold, if that is
+    higher), denied up to ``1 - abstain_below``, and UNKNOWN between.
 
     Args:
         runner: the network.
@@ -186,10 +180,14 @@ class UnetEstimator:
 
     def finish(self, prepared: NetworkInput, output: NetworkOutput | None) -> FovEstimate:
         """Return the estimate that the network's output gives; many threads may do it."""
+        context, evidence = prepared.context, prepared.context.evidence
         prob, state = np.zeros(self.grid.shape, np.float32), np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
         if output is not None:
-            self._claim(prepared.context, output.prob, prob, state)
-        leveled = prepared.context.leveled
+            prob = evidence.bounded(output.prob, self.threshold)
+            abstains = self.abstain_below > NEVER_ABSTAIN
+            denied = prob <= np.float32(1.0 - self.abstain_below) if abstains else prob < np.float32(self.threshold)
+            state = evidence.states(prob >= np.float32(self.threshold), denied, context.statistics.obstacle)
+        leveled = context.leveled
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
@@ -201,31 +199,6 @@ class UnetEstimator:
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
             agent=leveled.sweep.agent,
-        )
-
-    def _claim(
-        self,
-        context: FeatureContext,
-        network_prob: NDArray[np.float32],
-        prob: NDArray[np.float32],
-        state: NDArray[np.uint8],
-    ) -> None:
-        """Fill in probability and state (cells, cells), which hold 0 and UNKNOWN, from the network's probability."""
-        statistics = context.statistics
-        _claim_cells(
-            network_prob,
-            polar_of_cells(self.grid)[0],
-            statistics.obstacle,
-            bins_of_cells(self.grid, statistics.bins),
-            bins_of_cells(self.grid, EVIDENCE_BINS),
-            statistics.blocker_m,
-            _evidence(statistics.returns, self.target),
-            np.float32(self.card.max_range_m),
-            np.float32(min(reach_of(context.leveled), self.card.max_range_m)),
-            np.float32(self.threshold),
-            np.float32(1.0 - self.abstain_below if self.abstain_below > NEVER_ABSTAIN else 1.0),
-            prob,
-            state,
         )
 
 
@@ -301,41 +274,3 @@ LEARNED: dict[str, NetworkFactory] = {
     "mc_dropout": partial(load_network, "mc_dropout"),
 }
 """The estimators that are networks, by name."""
-
-
-def _evidence(returns: NDArray[np.int32], target: Target) -> NDArray[np.bool_]:
-    """Return the azimuth bins around which there are at least as many returns as would show a target."""
-    around = np.concatenate([returns[-1:], returns, returns[:1]])
-    evidence: NDArray[np.bool_] = around[:-2] + around[1:-1] + around[2:] >= target.min_returns
-    return evidence
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _claim_cells(  # pragma: no cover - compiled
-    network_prob: Any,  # (cells, cells)
-    range_m: Any,  # (cells, cells) of the middle of each cell
-    obstacle: Any,  # (cells, cells) bool, the cell holds an obstacle return
-    blocker_bin: Any,  # (cells, cells) azimuth bin of the cell among those of blocker_m
-    evidence_bin: Any,  # (cells, cells) azimuth bin of the cell among those of evidence
-    blocker_m: Any,  # range of the nearest obstacle by azimuth bin
-    evidence: Any,  # bool, enough returns, by azimuth bin
-    max_range_m: Any,  # nothing is claimed beyond
-    reach_m: Any,  # nothing is HIDDEN beyond
-    claim_from: Any,  # FREE or SURFACE from this probability on
-    deny_up_to: Any,  # HIDDEN up to this probability
-    prob: Any,  # (cells, cells), written
-    state: Any,  # (cells, cells), written
-) -> None:
-    """Write probability and state, row by row: look up first, then what the compiler can vectorize."""
-    known, beyond_m = np.empty(state.shape[1], np.bool_), np.empty(state.shape[1], np.float32)
-    for i in range(state.shape[0]):
-        for j in range(state.shape[1]):
-            known[j] = evidence[np.uint32(evidence_bin[i, j])]
-            beyond_m[j] = blocker_m[np.uint32(blocker_bin[i, j])]
-        for j in range(state.shape[1]):
-            r = range_m[i, j]
-            p = network_prob[i, j] if (r <= max_range_m) & known[j] else np.float32(0.0)
-            hidden = (r > beyond_m[j]) & (r <= reach_m) & (p <= deny_up_to) & known[j]
-            visible = _SURFACE if obstacle[i, j] else _FREE
-            prob[i, j] = p
-            state[i, j] = visible if p >= claim_from else (_HIDDEN if hidden else _UNKNOWN)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +43,7 @@ class HeightMap:
         seen: (n, n) bool, True where the height rests on returns and not on its neighbors.
         plane: (a, b, c) of the plane z = a x + b y + c through the near ground.
         support: share of the near nodes that lie on that plane, in [0, 1].
+        std_m: (n, n) float32 standard deviation of the heights; 0 where none is given.
     """
 
     heights_m: NDArray[np.float32]
@@ -50,12 +51,17 @@ class HeightMap:
     seen: NDArray[np.bool_]
     plane: tuple[float, float, float] = (0.0, 0.0, 0.0)
     support: float = 0.0
+    std_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+
+    def __post_init__(self) -> None:
+        if not self.std_m.size:
+            object.__setattr__(self, "std_m", np.zeros_like(self.heights_m))
 
     @classmethod
-    def flat(cls, half_extent_m: float, z_m: float = 0.0) -> HeightMap:
-        """Return level ground at ``z_m``, not seen anywhere."""
-        heights = np.full((NODES, NODES), z_m, np.float32)
-        return cls(heights, half_extent_m, np.zeros((NODES, NODES), bool), (0.0, 0.0, z_m))
+    def flat(cls, half_extent_m: float, z_m: float = 0.0, std_m: float = 0.0) -> HeightMap:
+        """Return level ground at ``z_m``, not seen anywhere, of the standard deviation ``std_m``."""
+        heights, std = np.full((NODES, NODES), z_m, np.float32), np.full((NODES, NODES), std_m, np.float32)
+        return cls(heights, half_extent_m, np.zeros((NODES, NODES), bool), (0.0, 0.0, z_m), std_m=std)
 
     def at(self, xy: FloatArray) -> NDArray[np.float32]:
         """Return ground z (…,) in meters below points (…, 2+) of ``level``.
@@ -72,11 +78,15 @@ class HeightMap:
         _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
         return heights
 
+    def shifted(self, deviations: float) -> HeightMap:
+        """Return the ground that lies so many standard deviations higher."""
+        return replace(self, heights_m=self.heights_m + np.float32(deviations) * self.std_m)
+
     def raised(self, delta_m: float) -> HeightMap:
         """Return the same ground with ``delta_m`` meters added to every height."""
         a, b, c = self.plane
         heights = self.heights_m + np.float32(delta_m)
-        return HeightMap(heights, self.half_extent_m, self.seen, (a, b, c + delta_m), self.support)
+        return HeightMap(heights, self.half_extent_m, self.seen, (a, b, c + delta_m), self.support, self.std_m)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

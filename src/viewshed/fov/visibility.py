@@ -116,12 +116,22 @@ def expected_returns(
     column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
     below ground, the tolerance of a measured ground.
     """
+    [returns] = returns_by_kind([beams], sensor_height_m, ground, grid, target)
+    return returns, beams_that_aim(beams, sensor_height_m, ground, grid, target)
+
+
+def beams_that_aim(
+    beams: Beams, sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
+) -> NDArray[np.float32]:
+    """Return (cells, cells) beams that would meet a target in each cell if nothing stood nearer.
+
+    Averaged over neighboring sectors of 2.8°.
+    """
     foot, top = _slope_limits(sensor_height_m, ground, grid, target)
-    returns, aimed = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
-    _write_returns(beams, foot, top, grid, target, returns)
-    aiming = _beams_that_aim(beams.azimuth, beams.slope, foot, top)
+    aimed = np.empty(grid.shape, np.float32)
+    aiming = _count_aiming(beams.azimuth, beams.slope, foot, top)
     _windows(grid, target.width_m, GROUND_SECTORS).sum_into(aimed, aiming)
-    return returns, aimed
+    return aimed
 
 
 def returns_by_kind(
@@ -358,7 +368,7 @@ def _sort_by_column(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _beams_that_aim(azimuth: Any, slope: Any, foot: Any, top: Any) -> Any:  # pragma: no cover - compiled
+def _count_aiming(azimuth: Any, slope: Any, foot: Any, top: Any) -> Any:  # pragma: no cover - compiled
     """Return the beams that aim at (sector, range bin) whatever their depth, summed over the sectors before."""
     # A histogram of slopes in each sector, summed over the slopes below.
     sectors, bins = top.shape

@@ -144,12 +144,15 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
     return LidarModel(
         str(members["model_name"]), elevation, int(limits[0]), offset, origin,
         float(limits[1]), float(limits[2]), str(members["model_source"]),
+        float(members["model_reach_m"]) if "model_reach_m" in members else None,
+        str(members.get("model_reach_source", "")),
     )  # fmt: skip
 
 
 _KEYS = {
     "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
-    "dropped_points", "model_name", "model_source", "model_limits", *(f"model_{key}" for key in _BEAMS),
+    "dropped_points", "model_name", "model_source", "model_limits", "model_reach_m", "model_reach_source",
+    *(f"model_{key}" for key in _BEAMS),
 }  # fmt: skip
 
 
@@ -173,6 +176,7 @@ def write_npz(sweep: Sweep) -> bytes:
     if sweep.model is not None:
         arrays |= {"model_name": sweep.model.name, "model_source": sweep.model.source}
         arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAMS}
+        arrays |= {"model_reach_m": sweep.model.reach_m, "model_reach_source": sweep.model.reach_source}
         arrays["model_limits"] = np.array([getattr(sweep.model, key) for key in _LIMITS], dtype=np.float64)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:

@@ -123,6 +123,14 @@ def _images(core: Any, info: Any, content: bytes) -> Iterator[Any]:
         yield image
 
 
+_RANGES_M: dict[str, tuple[float, float | None, str]] = {
+    "OS-0": (50.0, 22.0, "Ouster OS0 datasheet, 10 % target"),
+    "OS-1": (120.0, 45.0, "Ouster OS1 datasheet, 10 % target"),
+    "OS-2": (240.0, 80.0, "Ouster OS2 datasheet, 10 % target"),
+}
+"""Beginning of the product line → maximum range, reach and where the reach comes from; the metadata tell neither."""
+
+
 def _model(info: Any) -> LidarModel | None:
     """Return the beams as the metadata describe them, or None where two beams share one elevation."""
     altitude = np.deg2rad(np.asarray(info.beam_altitude_angles, dtype=np.float64))
@@ -130,11 +138,12 @@ def _model(info: Any) -> LidarModel | None:
     if (np.diff(altitude[order]) <= 0).any():
         return None
     shift_m = float(info.lidar_to_sensor_transform[2, 3]) * 1e-3
+    most_m, reach_m, source = _RANGES_M.get(str(info.prod_line)[:4], (300.0, None, ""))
     return LidarModel(
         name=str(info.prod_line), elevation=altitude[order], azimuth_columns=int(info.format.columns_per_frame),
         azimuth_offset=-np.deg2rad(np.asarray(info.beam_azimuth_angles, dtype=np.float64))[order],
-        origin_m=np.full(altitude.size, shift_m), min_range_m=0.3, max_range_m=300.0,
-        source="metadata beside the capture",
+        origin_m=np.full(altitude.size, shift_m), min_range_m=0.3, max_range_m=most_m,
+        source="metadata beside the capture", reach_m=reach_m, reach_source=source,
     )  # fmt: skip
 
 

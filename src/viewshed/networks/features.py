@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import BLOCK, split
-from viewshed.fov.visibility import Target, returns_by_kind
+from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.azimuth_bins import (
     BINS_LADDER,
@@ -26,9 +26,9 @@ from viewshed.preprocess.azimuth_bins import (
     farthest_in_bins,
     nearest_obstacle_in_bins,
 )
+from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
-from viewshed.preprocess.no_return import BeamsByEvidence, beams_by_evidence
 
 HEIGHTS_M = (-2.0, 4.0)
 """Heights above local ground that ``lowest`` and ``highest`` resolve."""
@@ -213,16 +213,15 @@ class FeatureContext:
         return cell_statistics(self.leveled, self.grid)
 
     @cached_property
-    def beams(self) -> BeamsByEvidence:
-        """The beams by what is known of their depth."""
-        return beams_by_evidence(self.leveled, self.target.height_m)
+    def evidence(self) -> BeamEvidence:
+        """What the beams say about a target in each cell, with what earlier sweeps saw."""
+        return beam_evidence(self.leveled, self.grid, self.target, self.history)
 
     @cached_property
     def returns(self) -> Floats:
-        """(3, cells, cells) expected returns by measured, inferred and unresolved beams."""
-        leveled, beams = self.leveled, self.beams
-        kinds = beams.measured, beams.inferred, beams.unresolved
-        return returns_by_kind(kinds, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
+        """(3, cells, cells) expected returns by measured, inferred and unresolved beams, of this sweep alone."""
+        evidence = beam_evidence(self.leveled, self.grid, self.target)
+        return np.stack([evidence.measured, evidence.inferred, evidence.unresolved])
 
     @cached_property
     def codes(self) -> Bytes:

@@ -1,4 +1,4 @@
-"""Azimuth bins: what the geometric estimators share. Returns by bin, limits in range, and cell states from them."""
+"""Azimuth bins: what the geometric estimators share. Returns by bin, and limits in range."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
+from viewshed.preprocess.leveling import LeveledSweep
 
 BINS_LADDER = (1080, 540, 360, 216, 180, 120)
 """Azimuth bins that :func:`measured_azimuth_bins` chooses from; each divides the first."""
@@ -22,10 +20,6 @@ FALLBACK_BINS = 360
 """Azimuth bins where the returns are too few to measure the sensor's step."""
 
 MAX_BINS = 32_000
-
-_UNKNOWN, _FREE, _SURFACE, _HIDDEN = (
-    int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.SURFACE), int(CellState.HIDDEN),
-)  # fmt: skip
 
 
 def require(name: str, value: float, low: float, high: float) -> None:
@@ -149,60 +143,14 @@ def nearest_obstacle_in_bins(
     return best[:, rank - 1]
 
 
-def ends_on_obstacle(leveled: LeveledSweep, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return for each azimuth bin (bins,) whether an obstacle return lies exactly at ``limit_m`` (bins,)."""
-    on_obstacle = np.zeros(limit_m.shape, np.bool_)
-    low_m, high_m = np.array(OBSTACLE_HEIGHTS_M, np.float32)
-    _at_limit(leveled.azimuth, leveled.range_m, leveled.height_m, low_m, high_m, limit_m, on_obstacle)
-    return on_obstacle
-
-
-def reach_of(leveled: LeveledSweep) -> float:
-    """Return how far the sensor reaches in meters: its model's maximum, else its farthest return (0 without any)."""
-    if leveled.sweep.model is not None:
-        return leveled.sweep.model.max_range_m
-    return float(leveled.range_m.max(initial=0.0))
-
-
 def with_margin(limit_m: NDArray[np.float32], margin_m: float) -> NDArray[np.float32]:
     """Return ``limit_m`` moved out by ``margin_m``, but not where it is negative: there is no return."""
     return np.where(limit_m >= 0, limit_m + np.float32(margin_m), np.float32(-1.0)).astype(np.float32)
 
 
-def state_of_limits(
-    leveled: LeveledSweep, grid: BevGrid, visible_m: NDArray[np.float32], hidden_m: NDArray[np.float32]
-) -> NDArray[np.uint8]:
-    """Return the state (cells, cells) from limits per azimuth bin: visible up to one, then hidden up to the other.
-
-    A cell is judged by its center: the bin of its azimuth, its range from the sensor (both ends belong to it).
-    """
-    state = np.empty(grid.shape, np.uint8)
-    bins = bins_of_cells(grid, len(visible_m))
-    _states(bins, polar_of_cells(grid)[0], visible_m, hidden_m, leveled.obstacle_cells(grid), state)
-    return state
-
-
-def state_of_mask(leveled: LeveledSweep, grid: BevGrid, visible: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the state (cells, cells) of a mask that says nothing of what it leaves out: FREE, SURFACE or UNKNOWN."""
-    seen = np.where(leveled.obstacle_cells(grid), _SURFACE, _FREE)
-    return np.where(visible, seen, _UNKNOWN).astype(np.uint8)
-
-
-def fov_of_state(
-    leveled: LeveledSweep, grid: BevGrid, state: NDArray[np.uint8], name: str, target: Target
-) -> FovEstimate:
-    """Return the estimate that claims the FREE and SURFACE cells of ``state`` (cells, cells), with probability 1."""
-    visible = (state == _FREE) | (state == _SURFACE)
-    return FovEstimate(
-        grid=grid,
-        visible_prob=visible.astype(np.float32),
-        state=state,
-        method=name,
-        target=target,
-        world_from_level=leveled.world_from_level,
-        t_ns=leveled.sweep.t_ns,
-        agent=leveled.sweep.agent,
-    )
+def within_limits(grid: BevGrid, limit_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return the mask (cells, cells) of cells whose center lies no farther than the limit (bins,) of its azimuth."""
+    return np.asarray(polar_of_cells(grid)[0] <= limit_m[bins_of_cells(grid, len(limit_m))])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -280,30 +228,3 @@ def _smallest(
                 best[b, k] = best[b, k - 1]
                 k -= 1
             best[b, k] = r
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _at_limit(
-    azimuth: Any, range_m: Any, height: Any, low_m: Any, high_m: Any, limit_m: Any, on_obstacle: Any
-) -> None:  # pragma: no cover - compiled
-    """Mark the bins (bins,) of which a return between two heights lies exactly at the limit."""
-    bins = limit_m.shape[0]
-    for n in range(azimuth.shape[0]):
-        if low_m < height[n] < high_m:
-            b = _bin(azimuth[n], bins)
-            if range_m[n] == limit_m[b]:
-                on_obstacle[b] = True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _states(
-    bins: Any, range_m: Any, visible_m: Any, hidden_m: Any, surface: Any, state: Any
-) -> None:  # pragma: no cover - compiled
-    """Write each cell's state: visible up to one limit of its bin, hidden up to the other, unknown beyond."""
-    for i in range(state.shape[0]):
-        for j in range(state.shape[1]):
-            b, r = bins[i, j], range_m[i, j]
-            if r <= visible_m[b]:
-                state[i, j] = _SURFACE if surface[i, j] else _FREE
-            else:
-                state[i, j] = _HIDDEN if r <= hidden_m[b] else _UNKNOWN

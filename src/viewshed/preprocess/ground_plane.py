@@ -13,28 +13,38 @@ MAX_SLOPE = 0.21
 MIN_HEIGHT_M = 0.25
 """A plane nearer below the sensor than this is a desk, a hood or its own nearly level beams, not the ground."""
 
+NEAR_M = 28.0
+"""Nodes up to this far from the sensor decide which plane carries it."""
+
+CARRIER_M = 6.0
+"""A node at this distance counts half of one below the sensor."""
+
+BELOW_SHARE = 0.35
+"""Weight of a node below a plane against one on it: land may fall away from the road, while a roof hides it."""
+
 _TRIALS = 256
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def near_plane(lows: Any, height: float) -> Any:  # pragma: no cover - compiled
-    """Return (a, b, c) of the ground plane z = a x + b y + c and the share of near nodes on it (0: none found).
+def carrier_plane(lows: Any, height: float) -> Any:  # pragma: no cover - compiled
+    """Return (a, b, c) of the plane z = a x + b y + c that carries the sensor, and the share of near nodes on it.
 
-    ``lows`` are the nodes' low points (n, n, 3), ``height`` the known height of the sensor or NaN. The best plane
-    has many nodes on it and few below it; least squares on its nodes then refines it.
+    ``lows`` are the nodes' low points (n, n, 3), ``height`` the known height of the sensor or NaN. The best plane has
+    many nodes on it and few below it; least squares on its nodes then refines it. Nodes count the more the nearer they
+    are: a vehicle stands on what it sees around it, and not on the fields below the embankment. Share 0: none found.
     """
-    points = _near_points(lows)
+    points, weight = _near_points(lows)
     if points.shape[0] < 6:
         return np.zeros(3, np.float32), 0.0
-    plane, score = _best_plane(points, height)
-    if score <= 0:
+    plane, score = _best_plane(points, weight, height)
+    if score <= 0.0:
         return plane, 0.0
     for _ in range(3):
-        plane = _refit(points, plane)
-    on = 0
+        plane = _refit(points, weight, plane)
+    on = 0.0
     for k in range(points.shape[0]):
-        on += abs(_above(points[k], plane)) < _tolerance(points[k])
-    return plane, on / points.shape[0]
+        on += weight[k] * (abs(_above(points[k], plane)) < _tolerance(points[k]))
+    return plane, on / weight.sum()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -84,37 +94,50 @@ def _area_on(points: Any, area: Any, tolerance: Any, normal: Any, offset: Any) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _near_points(lows: Any) -> Any:  # pragma: no cover - compiled
+    """Return the low points (k, 3) within ``NEAR_M`` of the sensor, and their weights (k,) by their distance."""
     n = lows.shape[0]
-    points = np.empty((n * n, 3), np.float32)
+    points, weight = np.empty((n * n, 3), np.float32), np.empty(n * n, np.float32)
     count = 0
     for i in range(n):
         for j in range(n):
-            di, dj = i + 0.5 - n / 2, j + 0.5 - n / 2
-            if di * di + dj * dj <= 0.2 * n * n and np.isfinite(lows[i, j, 2]):
+            square = lows[i, j, 0] * lows[i, j, 0] + lows[i, j, 1] * lows[i, j, 1]
+            if square < NEAR_M * NEAR_M:
                 points[count] = lows[i, j]
+                weight[count] = 1.0 / (1.0 + square / (CARRIER_M * CARRIER_M))
                 count += 1
-    return points[:count]
+    return points[:count], weight[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _best_plane(points: Any, height: float) -> Any:  # pragma: no cover - compiled
+def _best_plane(points: Any, weight: Any, height: float) -> Any:  # pragma: no cover - compiled
+    """Return the best of the planes through three points each, drawn by their weights, and its score."""
     count = points.shape[0]
-    some = points[:: max(count // 400, 1)].T.copy()
+    stride = max(count // 400, 1)
+    some, some_weight = points[::stride].T.copy(), weight[::stride].copy()
     tolerance = np.float32(0.10) + np.float32(0.006) * (np.abs(some[0]) + np.abs(some[1]))
+    sums = np.cumsum(weight)
     plane = np.zeros(3, np.float32)
-    best = 0
+    best = np.float32(0.0)
     state = np.uint32(12345)
     for _ in range(_TRIALS):
-        i, state = _draw(state, count)
-        j, state = _draw(state, count)
-        k, state = _draw(state, count)
+        i, state = _draw_weighted(state, sums)
+        j, state = _draw_weighted(state, sums)
+        k, state = _draw_weighted(state, sums)
         candidate, fits = _plane_through(points[i], points[j], points[k])
         near = abs(candidate[2] + height) <= 0.4 if np.isfinite(height) else candidate[2] <= -MIN_HEIGHT_M
         if fits and near:
-            score = _score(some[0], some[1], some[2], tolerance, candidate)
+            score = _score(some[0], some[1], some[2], some_weight, tolerance, candidate)
             if score > best:
                 best, plane = score, candidate
     return plane, best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_weighted(state: Any, sums: Any) -> Any:  # pragma: no cover - compiled
+    """Next index of the sequence of :func:`_draw`, by weights whose running sums are given."""
+    state = np.uint32(state * np.uint32(1664525) + np.uint32(1013904223))
+    part = np.float32(state >> np.uint32(8)) * np.float32(2.0**-24) * sums[-1]
+    return min(np.searchsorted(sums, part), sums.shape[0] - 1), state
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -149,18 +172,20 @@ def _plane_through(p: Any, q: Any, r: Any) -> Any:  # pragma: no cover - compile
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _score(x: Any, y: Any, z: Any, tolerance: Any, plane: Any) -> Any:  # pragma: no cover - compiled
-    """Nodes on the plane less nodes clearly below it."""
+def _score(x: Any, y: Any, z: Any, weight: Any, tolerance: Any, plane: Any) -> Any:  # pragma: no cover - compiled
+    """Weight of the nodes on the plane, less a share of that of nodes clearly below it."""
     a, b, c = plane[0], plane[1], plane[2]
-    score: Any = 0
+    score = np.float32(0.0)
     for k in range(x.shape[0]):
         r = z[k] - a * x[k] - b * y[k] - c
-        score += np.int32(abs(r) < tolerance[k]) - np.int32(r < np.float32(-2.0) * tolerance[k])
+        on, below = np.float32(abs(r) < tolerance[k]), np.float32(r < np.float32(-2.0) * tolerance[k])
+        score += weight[k] * (on - np.float32(BELOW_SHARE) * below)
     return score
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _refit(points: Any, plane: Any) -> Any:  # pragma: no cover - compiled
+def _refit(points: Any, weight: Any, plane: Any) -> Any:  # pragma: no cover - compiled
+    """Return the plane of weighted least squares through the points on ``plane``."""
     m = np.zeros((3, 3), np.float64)
     b = np.zeros(3, np.float64)
     row = np.empty(3, np.float64)
@@ -168,9 +193,9 @@ def _refit(points: Any, plane: Any) -> Any:  # pragma: no cover - compiled
         if abs(_above(points[k], plane)) < _tolerance(points[k]):
             row[0], row[1], row[2] = points[k, 0], points[k, 1], 1.0
             for r in range(3):
-                b[r] += row[r] * points[k, 2]
+                b[r] += weight[k] * row[r] * points[k, 2]
                 for c in range(3):
-                    m[r, c] += row[r] * row[c]
+                    m[r, c] += weight[k] * row[r] * row[c]
     for r in range(3):
         m[r, r] += 1e-6
         b[r] += 1e-6 * plane[r]

@@ -10,11 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import BLOCK, atan2, split
-from viewshed.fov.height_map import NODES, HeightMap
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
-from viewshed.preprocess.ground import estimate_ground
+from viewshed.preprocess.ground import estimate_ground, lattice_nodes
 from viewshed.preprocess.ground_plane import free_plane
 from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
@@ -161,7 +161,7 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
     """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
     if sweep.model is None:
         return NULL_RANGE_M, MAX_RANGE_M
-    return max(NULL_RANGE_M, sweep.model.min_range_m), max(MAX_RANGE_M, sweep.model.max_range_m)
+    return max(NULL_RANGE_M, sweep.model.min_range_m), sweep.model.max_range_m
 
 
 def _isolated_and_clutter(image: RangeImage | None, count: int) -> tuple[Mask, Mask]:
@@ -193,7 +193,7 @@ def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated
     half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
     near_m, far_m = np.array(range_limits(sweep), np.float32)
     lows_m, rise_m = lowest_returns(
-        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), NODES
+        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), lattice_nodes(half_m)
     )
     return estimate_ground(lows_m, rise_m, half_m, sweep.sensor_height_m)
 

@@ -109,12 +109,6 @@ def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
     return Beams(azimuth[keep], slope[keep], depth_m[keep])
 
 
-def measured_and_inferred_beams(leveled: LeveledSweep, top_m: float) -> Beams:
-    """Return the beams of a sweep whose depth is measured or inferred; see :func:`beams_by_evidence`."""
-    beams = beams_by_evidence(leveled, top_m)
-    return beams.measured + beams.inferred if len(beams.inferred.azimuth) else beams.measured
-
-
 def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
     """Split the beams of a sweep, in ``level``, into measured, inferred and unresolved depth.
 

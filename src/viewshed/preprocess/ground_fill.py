@@ -1,0 +1,217 @@
+"""Ground between and beyond the returns that lie on it, with a standard deviation.
+
+Heights above a base surface are averaged over coarser and coarser nodes, and nodes without returns take the height of
+the finest level that has some (pull-push; Gortler et al., The Lumigraph, SIGGRAPH 1996). The deviation is the spread of
+what was averaged, plus a doubt that grows with the size of the nodes. Along a line of sight it is at least half of the
+difference between the heights before and behind a gap: an edge hides what lies below it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SEEN_STD_M = 0.05
+"""Standard deviation where returns lie on the ground."""
+
+GROWTH = 0.015
+"""Doubt of a node's height per meter of its side."""
+
+BEYOND_GROWTH = 0.01
+"""The least doubt per meter beyond the last return of a direction."""
+
+STEP_M = 0.3
+"""Where the ground before and behind a gap differs by more than twice this, it may be as high as either."""
+
+TILT_M = 20.0
+"""Beyond the ground that is seen the slope of the carrier's plane fades over this distance: land is mostly level."""
+
+_SEEN_SHARE = 0.95
+"""Ground is seen as far as this share of the nodes with returns lie."""
+
+_SMOOTHINGS = 2
+"""Passes in which nodes without returns take the mean of their neighbors, for each size of nodes."""
+
+_BLIND_WEIGHT = 0.9
+"""Weight of the carrier's plane in the nodes below the sensor, which no beam meets."""
+
+_SECTORS = 256
+"""Sectors of azimuth in which gaps are looked for."""
+
+Floats = NDArray[np.float32]
+
+Mask = NDArray[np.bool_]
+
+
+class _Level(NamedTuple):
+    """Mean, weight in [0, 1] and variance (m, m) of the nodes of one size."""
+
+    mean: Floats
+    weight: Floats
+    variance: Floats
+
+
+def fill_ground(walked_m: Floats, accepted: Mask, plane: Floats, half_extent_m: float) -> tuple[Floats, Floats]:
+    """Return heights (n, n) of the ground at the middle of each node, and their standard deviations (n, n).
+
+    Args:
+        walked_m: (n, n) float32 heights of the nodes that are ``accepted``; those of others do not matter.
+        accepted: (n, n) bool, nodes on which returns lie.
+        plane: (a, b, c) float32 of the carrier's plane z = a x + b y + c.
+        half_extent_m: half the side of the lattice in meters.
+    """
+    nodes = len(walked_m)
+    node_m = 2.0 * half_extent_m / nodes
+    xy, range_m = _middles(nodes, half_extent_m)
+    ranges_m = range_m[accepted] if accepted.any() else np.zeros(1, np.float32)
+    # The base: the carrier's plane, level beyond the ground that is seen.
+    beyond_m = np.maximum(range_m - np.quantile(ranges_m, _SEEN_SHARE), np.float32(0.0))
+    fade = 1.0 - (beyond_m + TILT_M * np.expm1(-beyond_m / TILT_M)) / range_m
+    base = ((xy[0] * plane[0] + xy[1] * plane[1]) * fade + plane[2]).astype(np.float32)
+    above = np.where(accepted, walked_m - base, np.float32(0.0))
+    # No beam meets the ground just below the sensor: there the base counts.
+    weight = accepted.astype(np.float32)
+    weight[(range_m < max(ranges_m.min(), 2.0 * node_m) + 0.5 * node_m) & ~accepted] = _BLIND_WEIGHT
+    level = _Level(above.copy(), weight, np.full_like(above, SEEN_STD_M**2))
+    _fill(level, node_m)
+    heights, std = level.mean + base, np.sqrt(level.variance)
+    _doubt_gaps(above, base, weight > 0.0, np.float32(node_m), heights, std)
+    return heights, std
+
+
+@lru_cache(maxsize=4)
+def _middles(nodes: int, half_extent_m: float) -> tuple[Floats, Floats]:
+    """Return x and y (2, n, n) of the middles of the nodes, and their range (n, n)."""
+    middles = (np.arange(nodes) + 0.5) * (2 * half_extent_m / nodes) - half_extent_m
+    xy = np.stack(np.meshgrid(middles, middles, indexing="ij")).astype(np.float32)
+    return xy, np.hypot(*xy)
+
+
+def _fill(level: _Level, node_m: float) -> None:
+    """Fill nodes without weight from the level of nodes twice as large, which is filled first."""
+    half = (len(level.mean) + 1) // 2
+    coarse = _Level(*np.zeros((3, half, half), np.float32))
+    _pull(*level, np.float32((GROWTH * node_m) ** 2), *coarse)
+    if half > 1:
+        _fill(coarse, 2.0 * node_m)
+    _push(*coarse, *level)
+    _smooth(level.mean, level.weight)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pull(
+    mean: Any, weight: Any, variance: Any, doubt: Any, coarse_mean: Any, coarse_weight: Any, coarse_variance: Any
+) -> None:  # pragma: no cover - compiled
+    """Average each two by two nodes (n, n) into coarse arrays of zeros, with the variance of all, plus ``doubt``."""
+    for i in range(mean.shape[0]):
+        for j in range(mean.shape[1]):
+            p, q, w, z = i // 2, j // 2, weight[i, j], mean[i, j]
+            coarse_weight[p, q] += w
+            coarse_mean[p, q] += w * z
+            coarse_variance[p, q] += w * (variance[i, j] + z * z)
+    for p in range(coarse_mean.shape[0]):
+        for q in range(coarse_mean.shape[1]):
+            w = coarse_weight[p, q]
+            if w > 0.0:
+                coarse_mean[p, q] /= w
+                square = coarse_mean[p, q] * coarse_mean[p, q]
+                coarse_variance[p, q] = max(coarse_variance[p, q] / w - square, np.float32(0.0))
+            coarse_variance[p, q] += doubt
+            coarse_weight[p, q] = min(w, np.float32(1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _push(
+    coarse_mean: Any, coarse_weight: Any, coarse_variance: Any, mean: Any, weight: Any, variance: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill what the weight of each node lacks from the coarse nodes around it, bilinear."""
+    half, quarter, one = np.float32(0.5), np.float32(0.25), np.float32(1.0)
+    last = coarse_mean.shape[0] - 1
+    for i in range(mean.shape[0]):
+        u = min(max(half * np.float32(i) - quarter, np.float32(0.0)), np.float32(last))
+        p, fu = int(u), u - np.float32(int(u))
+        below = min(p + 1, last)
+        for j in range(mean.shape[1]):
+            w = weight[i, j]
+            if w < one:
+                v = min(max(half * np.float32(j) - quarter, np.float32(0.0)), np.float32(last))
+                q, fv = int(v), v - np.float32(int(v))
+                right = min(q + 1, last)
+                a, b, c, d = (one - fu) * (one - fv), (one - fu) * fv, fu * (one - fv), fu * fv
+                z = a * coarse_mean[p, q] + b * coarse_mean[p, right]
+                z += c * coarse_mean[below, q] + d * coarse_mean[below, right]
+                s = a * coarse_variance[p, q] + b * coarse_variance[p, right]
+                s += c * coarse_variance[below, q] + d * coarse_variance[below, right]
+                mean[i, j] = w * mean[i, j] + (one - w) * z
+                variance[i, j] = w * variance[i, j] + (one - w) * s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth(mean: Any, weight: Any) -> None:  # pragma: no cover - compiled
+    """Draw nodes without weight to the mean of the four beside them, to and fro: straight lines between returns."""
+    n, one, quarter = mean.shape[0], np.float32(1.0), np.float32(0.25)
+    for turn in range(_SMOOTHINGS):
+        for a in range(1, n - 1):
+            i = a if turn % 2 == 0 else n - 1 - a
+            for b in range(1, n - 1):
+                j = b if turn % 2 == 0 else n - 1 - b
+                around = quarter * (mean[i - 1, j] + mean[i + 1, j] + mean[i, j - 1] + mean[i, j + 1])
+                mean[i, j] += (one - weight[i, j]) * (around - mean[i, j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _doubt_gaps(
+    above: Any, base: Any, known: Any, node_m: Any, heights: Any, std: Any
+) -> None:  # pragma: no cover - compiled
+    """Raise ``std`` (n, n) in gaps along the lines of sight, and mend ``heights`` (n, n) where the ground breaks off.
+
+    Behind an edge the ground lies below the beam that passes it, and not far below where that beam meets the ground.
+
+    Args: ``above`` (n, n) heights over ``base`` (n, n) of nodes that are ``known``; all z are from the sensor.
+    """
+    n = known.shape[0]
+    bins = int(0.75 * n) + 1
+    per_rad, turn = np.float32(_SECTORS / (2 * np.pi)), np.float32(np.pi)
+    # Known heights by sector and range in nodes; near nodes cover several sectors.
+    seen, seen_base = np.full((_SECTORS, bins), np.nan, np.float32), np.zeros((_SECTORS, bins), np.float32)
+    for i in range(n):
+        for j in range(n):
+            if known[i, j]:
+                u, v = np.float32(i + 0.5 - n / 2), np.float32(j + 0.5 - n / 2)
+                r = np.sqrt(u * u + v * v)
+                sector, b = int((np.arctan2(v, u) + turn) * per_rad), min(int(r), bins - 1)
+                wide = max(1, int(np.float32(0.6) / max(r, np.float32(1.0)) * per_rad + np.float32(0.5)))
+                for s in range(sector - wide + 1, sector + wide):
+                    seen[s % _SECTORS, b], seen_base[s % _SECTORS, b] = above[i, j], base[i, j]
+    # The bin of the last height before each bin (the first bin where there is none), and of the next (-1 for none).
+    before, behind = np.zeros((_SECTORS, bins), np.int32), np.full((_SECTORS, bins), -1, np.int32)
+    for s in range(_SECTORS):
+        seen[s, 0] = np.float32(0.0) if np.isnan(seen[s, 0]) else seen[s, 0]
+        for b in range(1, bins):
+            before[s, b] = before[s, b - 1] if np.isnan(seen[s, b]) else b
+        for b in range(bins - 2, -1, -1):
+            behind[s, b] = behind[s, b + 1] if np.isnan(seen[s, b + 1]) else b + 1
+    growth, half, step = np.float32(BEYOND_GROWTH) * node_m, np.float32(0.5), np.float32(STEP_M)
+    for i in range(n):
+        for j in range(n):
+            if known[i, j]:
+                continue
+            u, v = np.float32(i + 0.5 - n / 2), np.float32(j + 0.5 - n / 2)
+            r = np.sqrt(u * u + v * v)
+            s, b = int((np.arctan2(v, u) + turn) * per_rad) % _SECTORS, min(int(r), bins - 1)
+            near, far = before[s, b], behind[s, b]
+            if far < 0:
+                std[i, j] = max(std[i, j], growth * (r - np.float32(near)))
+                continue
+            high, low = max(seen[s, near], seen[s, far]) + base[i, j], min(seen[s, near], seen[s, far]) + base[i, j]
+            if seen[s, far] < seen[s, near]:
+                beam = (seen[s, far] + seen_base[s, far]) * r / (np.float32(far) + half)
+                high = max(min(high, beam), low)
+            apart = half * (high - low)
+            std[i, j] = max(std[i, j], apart)
+            if half * abs(seen[s, near] - seen[s, far]) > step:
+                heights[i, j] = half * (high + low)

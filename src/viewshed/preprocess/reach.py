@@ -1,0 +1,56 @@
+"""Reach: how far a sensor sees, beyond which nothing may be claimed, and the returns beyond its maximum range."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.sensors import LidarModel
+
+LEAST_REACH_M = 20.0
+"""Least reach of a sensor that no table describes: small rooms do not show how far it sees."""
+
+FAR_SHARE = 0.995
+"""Without a table the reach is the range within which this share of the supported returns lies, ..."""
+
+MOST_SHARE, MOST_TIMES = 0.95, 1.5
+"""... but at most so many times the range within which this smaller share lies: a few returns cannot move that far."""
+
+
+def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: LidarModel | None = None) -> float:
+    """Return up to which range in meters a sensor sees a dark target.
+
+    The table's own reach. Where the sensor is not known, or its table has none: the 99.5 % quantile of the supported
+    returns, at most 1.5 times their 95 % quantile, at least 20 m, and within the table's maximum range.
+
+    In a cloud of 35,000 returns, 150 returns more or fewer are 0.4 %: they decide on the 99.5 % quantile, and hardly
+    move the 95 % quantile.
+
+    Args:
+        range_m: (N,) distance of each return from the sensor.
+        isolated: (N,) returns that nothing around confirms (:mod:`viewshed.preprocess.isolated_returns`).
+        model: the sensor, or None where it is not known.
+
+    >>> from viewshed.sensors import lidar_model
+    >>> sensing_reach(np.zeros(0), np.zeros(0, np.bool_), lidar_model("os0_128"))
+    22.0
+    """
+    if model is not None and model.reach_m is not None:
+        return model.reach_m
+    most_m = np.inf if model is None else model.max_range_m
+    supported = np.asarray(range_m, np.float64)[~isolated]
+    supported = supported[supported <= most_m]
+    if len(supported) == 0:
+        return min(LEAST_REACH_M, most_m)
+    bulk_m, far_m = np.quantile(supported, (MOST_SHARE, FAR_SHARE))
+    return float(min(max(LEAST_REACH_M, min(far_m, MOST_TIMES * bulk_m)), most_m))
+
+
+def returns_beyond(points: NDArray[np.float32], model: LidarModel | None) -> int:
+    """Return how many of the points (N, 3) lie beyond the sensor's maximum range; 0 where it is not known."""
+    if model is None:
+        return 0
+    squared_m2 = np.einsum("nk,nk->n", points, points)
+    return int(np.count_nonzero(squared_m2 > np.float32(model.max_range_m) ** 2))

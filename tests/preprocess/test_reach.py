@@ -1,0 +1,117 @@
+"""Reach: how far a sensor sees, and what a few returns can do to it."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from viewshed import BevGrid
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.preprocess.leveling import level
+from viewshed.preprocess.reach import LEAST_REACH_M, returns_beyond, sensing_reach
+from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sim import Box, Scene, cast, junction
+
+Floats = NDArray[np.float32]
+
+
+def open_street(seed: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return ranges and isolated returns (35,000) of a street: ground with 1 / r², house fronts, and a far end."""
+    rng = np.random.default_rng(seed)
+    ground = 3.0 / rng.uniform(3.0 / 70.0, 3.0 / 4.0, 22_000)
+    fronts = rng.uniform(8.0, 45.0, 12_500)
+    far = rng.uniform(40.0, 80.0, 500)
+    return np.concatenate([ground, fronts, far]).astype(np.float32), np.zeros(35_000, np.bool_)
+
+
+@pytest.mark.parametrize("name", sensor_names())
+def test_a_table_tells_its_reach_and_who_says_so(name: str) -> None:
+    model = lidar_model(name)
+    assert model.reach_m is not None
+    assert model.min_range_m < model.reach_m <= model.max_range_m
+    assert len(model.reach_source) > 10
+    assert sensing_reach(np.full(10, 300.0), np.zeros(10, np.bool_), model) == model.reach_m
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("at_m", [60.0, 100.0, 200.0])
+def test_150_returns_more_move_it_by_no_more_than_5_percent(seed: int, at_m: float) -> None:
+    range_m, isolated = open_street(seed)
+    reach_m = sensing_reach(range_m, isolated)
+    more = np.append(range_m, np.full(150, at_m, np.float32))
+    assert sensing_reach(more, np.append(isolated, np.zeros(150, np.bool_))) == pytest.approx(reach_m, rel=0.05)
+
+
+@pytest.mark.parametrize("start_deg", range(0, 360, 45))
+def test_a_wedge_of_a_simulated_sweep_does_not_decide_on_its_reach(start_deg: float) -> None:
+    model = LidarModel("nobody's", np.deg2rad(np.linspace(-24.0, 8.0, 36)), azimuth_columns=1080, max_range_m=80.0)
+    points = cast(model, junction(), 1.8).points
+    range_m = np.linalg.norm(points, axis=1)
+    isolated = np.zeros(len(range_m) + 150, np.bool_)
+    assert len(range_m) > 35_000
+    reach_m = sensing_reach(range_m, isolated[150:])
+    more = np.append(range_m, np.linspace(150.0, 200.0, 150))
+    assert sensing_reach(more, isolated) == pytest.approx(reach_m, rel=0.05)
+    azimuth_deg = np.rad2deg(np.arctan2(points[:, 1], points[:, 0])) % 360
+    inside = np.flatnonzero((azimuth_deg - start_deg) % 360 < 30)
+    fewer = np.delete(range_m, inside[np.argsort(-range_m[inside])][:150])
+    assert sensing_reach(fewer, isolated[: len(fewer)]) == pytest.approx(reach_m, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("wedge_deg", [3, 10, 30])
+def test_the_150_farthest_returns_of_a_wedge_removed_move_it_by_no_more_than_5_percent(
+    seed: int, wedge_deg: int
+) -> None:
+    range_m, isolated = open_street(seed)
+    inside = np.flatnonzero(np.random.default_rng(seed).uniform(0, 360, len(range_m)) < wedge_deg)
+    kept = np.delete(range_m, inside[np.argsort(-range_m[inside])][:150])
+    reach_m = sensing_reach(range_m, isolated)
+    assert sensing_reach(kept, isolated[: len(kept)]) == pytest.approx(reach_m, rel=0.05)
+
+
+def test_the_150_farthest_returns_of_all_directions_removed_move_it_by_less_than_10_percent() -> None:
+    range_m, isolated = open_street(0)
+    reach_m = sensing_reach(range_m, isolated)
+    assert sensing_reach(np.sort(range_m)[:-150], isolated[150:]) == pytest.approx(reach_m, rel=0.1)
+
+
+def test_isolated_returns_do_not_count() -> None:
+    range_m, isolated = open_street(0)
+    far, alone = np.full(5000, 190.0, np.float32), np.ones(5000, np.bool_)
+    assert sensing_reach(np.append(range_m, far), np.append(isolated, alone)) == sensing_reach(range_m, isolated)
+
+
+def test_a_small_room_does_not_show_how_far_a_sensor_sees() -> None:
+    assert sensing_reach(np.full(20_000, 6.0), np.zeros(20_000, np.bool_)) == LEAST_REACH_M
+
+
+def test_a_gated_sensor_is_not_given_more_than_its_returns() -> None:
+    range_m = np.random.default_rng(0).uniform(1.0, 50.0, 40_000)
+    assert sensing_reach(range_m, np.zeros(40_000, np.bool_)) == pytest.approx(49.75, abs=0.1)
+
+
+def test_a_table_without_a_reach_bounds_the_measured_one() -> None:
+    model = LidarModel("mine", np.deg2rad([-10.0, 0.0]), 900, max_range_m=30.0)
+    range_m = np.linspace(1.0, 90.0, 10_000)
+    assert sensing_reach(range_m, np.zeros(10_000, np.bool_), model) == pytest.approx(29.85, abs=0.1)
+    assert sensing_reach(np.zeros(0), np.zeros(0, np.bool_), model) == LEAST_REACH_M
+
+
+def test_returns_beyond_the_maximum_are_counted() -> None:
+    points = np.array([[99.0, 0, 0], [0, 101.0, 0], [80.0, 80.0, 0]], np.float32)
+    assert returns_beyond(points, lidar_model("vlp16")) == 2
+    assert returns_beyond(points, None) == 0
+
+
+def test_what_lies_beyond_the_maximum_of_a_known_sensor_proves_nothing() -> None:
+    model = lidar_model("os0_128")
+    wall = Scene((Box(25.0, 0.0, 0.2, 60.0, 8.0),))
+    honest = cast(model, wall, 1.8)
+    ahead = np.abs(np.arctan2(honest.points[:, 1], honest.points[:, 0])) < np.deg2rad(8)
+    moved = honest.points.copy()
+    moved[ahead] *= (200.0 / np.linalg.norm(moved[ahead], axis=1))[:, None]
+    grid = BevGrid(128, 64.0)
+    removed, spoofed = honest.select(~ahead), honest.replace(points=moved)
+    assert level(spoofed, grid).points.shape == level(removed, grid).points.shape
+    claimed = ShadowMap(grid).estimate(spoofed).visible() & ~ShadowMap(grid).estimate(removed).visible()
+    assert claimed.sum() == 0
