@@ -182,11 +182,14 @@ def test_nothing_is_said_beyond_twice_the_range_of_the_last_returns() -> None:
     assert 25 < beams.depth_m.max() <= 31
 
 
-def test_without_rings_the_beam_table_tells_and_without_both_nothing_does() -> None:
+def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing() -> None:
     sweep = _without(_grazing(), FULL)
     shuffled = sweep.select(np.random.default_rng(1).permutation(len(sweep))).replace(ring=None)
-    known, table, none = (_explained(s) for s in (sweep, shuffled, shuffled.replace(model=None)))
+    bare = shuffled.replace(model=None)
+    aside = bare.replace(points=bare.points + np.array([0.4, 0.2, 0.0], np.float32))  # not seen from the sensor
+    known, table, elevations, none = (_explained(s) for s in (sweep, shuffled, bare, aside))
     assert abs(len(table.depth_m) - len(known.depth_m)) < 0.05 * len(known.depth_m)
+    assert 0 < len(elevations.depth_m) <= len(known.depth_m)
     assert len(none.depth_m) == 0
 
 

@@ -5,7 +5,9 @@ import pytest
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.preprocess.beam_matching import polar
 from viewshed.preprocess.leveling import level
+from viewshed.preprocess.ring_recovery import rings_by_order
 from viewshed.preprocess.sensor_identification import SAMPLE, identify_sensor, infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
@@ -49,9 +51,10 @@ def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> Non
     assert sensor_id.model is None
     assert sensor_id.ring is not None
     assert (sensor_id.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
-    nothing = identify_sensor(bare(ordered))
-    assert nothing.ring is None
-    assert nothing.model is None
+    shuffled = identify_sensor(bare(ordered))
+    assert shuffled.model is None
+    assert shuffled.ring is not None  # told by elevations: a beam that returns nothing is no cluster
+    assert len(np.unique(shuffled.ring)) == 22  # two of the 23 beams lie within 0.01 degrees
 
 
 def test_two_sensors_in_one_frame_are_none() -> None:
@@ -97,10 +100,10 @@ def test_no_sensor_is_inferred_where_there_is_said_to_be_none(with_rings: bool) 
     assert identify_sensor(sweep).model is KNOWN.model
     sensor_id = identify_sensor(none)
     assert sensor_id.model is None
-    assert sensor_id.ring is none.ring
+    assert sensor_id.ring is none.ring if with_rings else sensor_id.ring is not None
     leveled = level(none.select(np.arange(len(none))), GRID)
     assert leveled.sensor_id.model is None
-    assert (leveled.range_image is None) != with_rings
+    assert leveled.range_image is not None
 
 
 def test_the_order_of_the_points_tells_rings_where_there_is_no_sensor() -> None:
@@ -117,3 +120,47 @@ def test_the_order_of_the_points_tells_rings_where_there_is_no_sensor() -> None:
 def test_a_sensor_that_is_given_counts_whatever_may_be_inferred() -> None:
     assert identify_sensor(KNOWN.replace(infer_sensor=False)).model is KNOWN.model
     assert identify_sensor(KNOWN.replace(ring=None, infer_sensor=False)).model is KNOWN.model
+
+
+@pytest.mark.parametrize("with_rings", [True, False])
+def test_every_second_beam_of_a_table_is_another_sensor(with_rings: bool) -> None:
+    """A VLP-16 whose beams stand at the even degrees gathers at beams of an XT32."""
+    model = LidarModel("shifted", np.deg2rad(np.arange(-14.0, 17.0, 2.0)), azimuth_columns=1800)
+    sweep = cast(model, SCENE, 1.8).replace(model=None)
+    assert (
+        infer_sensor(sweep.points if with_rings else bare(sweep).points, sweep.ring if with_rings else None)[0] is None
+    )
+
+
+@pytest.mark.parametrize("with_rings", [True, False])
+@pytest.mark.parametrize("name", ["vlp16", "vlp32c", "hdl32e", "hdl64e"])
+def test_a_calibration_of_its_own_is_not_the_stock_table(name: str, with_rings: bool) -> None:
+    stock = lidar_model(name)
+    gap = np.diff(stock.elevation, prepend=-np.pi, append=np.pi)
+    away = 0.3 * np.minimum(gap[:-1], gap[1:]) * np.random.default_rng(5).choice([-1.0, 1.0], stock.rings)
+    own = LidarModel("own", stock.elevation + away, stock.azimuth_columns, origin_m=stock.origin_m)
+    sweep = cast(own, SCENE, 1.8).replace(model=None)
+    sensor_id = identify_sensor(sweep if with_rings else bare(sweep))
+    assert sensor_id.model is None
+    assert identify_sensor(cast(stock, SCENE, 1.8).replace(model=None)).model is stock
+
+
+def test_fewer_rings_than_the_table_has_are_counted_as_its_beams() -> None:
+    model = lidar_model("vlp32c")
+    sweep = cast(model, SCENE, 1.8)
+    assert sweep.ring is not None
+    upper = sweep.select(np.flatnonzero(sweep.ring >= 10))
+    assert upper.ring is not None
+    sensor_id = identify_sensor(upper.replace(model=None, ring=upper.ring - 10))
+    assert sensor_id.model is model
+    assert sensor_id.ring is not None
+    assert (sensor_id.ring == upper.ring).mean() > 0.999
+
+
+def test_two_sensors_one_after_the_other_are_not_the_rings_of_one() -> None:
+    lower, upper = (LidarModel("nobody's", np.deg2rad(np.linspace(*ends, 27)), 900) for ends in ((-22, 9), (-19, 11)))
+    points = np.concatenate([cast(lower, SCENE, 1.8).points, cast(upper, SCENE, 1.5).points + np.float32(0.3)])
+    azimuth, slope, _ = polar(points)
+    assert rings_by_order(*polar(cast(lower, SCENE, 1.8).points)[:2]) is not None
+    assert rings_by_order(azimuth, slope) is None
+    assert identify_sensor(Sweep(points)).ring is None

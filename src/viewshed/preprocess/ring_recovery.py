@@ -7,35 +7,20 @@ Column 0 starts at azimuth -π (behind the sensor) and columns count counter-clo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed._numba import atan2
+from viewshed.preprocess.beam_matching import EXPLAINED, NEAR_M, Angles, match_beams, polar
+from viewshed.preprocess.elevation_clusters import rings_by_clusters
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 _COARSE = 1024
 
 _FINE = 512
-
-
-@njit(cache=True, nogil=True)
-def polar(points: Any) -> Any:  # pragma: no cover - compiled
-    """Return azimuth (N,) in [-π, π), slope z / range (N,) and horizontal range (N,) in meters; slope 0 at range 0."""
-    count = points.shape[0]
-    azimuth = np.empty(count, np.float32)
-    slope = np.empty(count, np.float32)
-    range_m = np.empty(count, np.float32)
-    for n in range(count):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        r = np.sqrt(x * x + y * y)
-        azimuth[n] = atan2(y, x)
-        range_m[n] = r
-        slope[n] = z / r if r > 0 else np.float32(0.0)
-    return azimuth, slope, range_m
 
 
 @njit(cache=True, nogil=True)
@@ -73,58 +58,6 @@ def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # 
             ring[n] -= 1
         wraps -= 1
     return ring, wraps + 1, backward, share
-
-
-@njit(cache=True, nogil=True)
-def nearest_beams(slope: Any, range_m: Any, beams: Any) -> Any:  # pragma: no cover - compiled
-    """Return the nearest beam of each point (N,), -1 beyond 0.15° and 5 cm, and what shows how well they fit.
-
-    ``beams`` (rings, 3): tangent of the elevation, height of the origin, a quarter of the gap to the next beam. Then
-    follow, for points beyond 1 m: those close to each beam (rings,), their number, and how many would be close by
-    chance. Close is within a quarter of the gap, and within 0.1° and 1.5 cm.
-    """
-    rings = beams.shape[0]
-    ring = np.full(slope.shape[0], -1, np.int16)
-    hits = np.zeros(rings, np.int64)
-    tried, chance = 0, 0.0
-    origin = beams[:, 1].mean()
-    first = _first_guess(beams[:, 0])
-    per_slope = len(first) / max(beams[-1, 0] - beams[0, 0], 1e-6)
-    for n in range(slope.shape[0]):
-        r, t = np.float64(range_m[n]), np.float64(slope[n])
-        if r <= 0:
-            continue
-        per_m = 1.0 / r
-        cell = (t - origin * per_m - beams[0, 0]) * per_slope
-        best = first[int(min(max(cell, 0.0), len(first) - 1.0))]
-        error = abs(beams[best, 0] + beams[best, 1] * per_m - t)
-        for step in (-1, 1):
-            while 0 <= best + step < rings:
-                other = abs(beams[best + step, 0] + beams[best + step, 1] * per_m - t)
-                if other >= error:
-                    break
-                best, error = best + step, other
-        error /= 1.0 + t * t
-        ring[n] = best if error < 0.0026 + 0.05 * per_m else -1
-        if r > 1.0:
-            tried += 1
-            close = min(beams[best, 2], 0.00175 + 0.015 * per_m)
-            chance += 0.5 * close / beams[best, 2]
-            hits[best] += error <= close
-    return ring, hits, tried, chance
-
-
-@njit(cache=True, nogil=True)
-def _first_guess(tangent: Any) -> Any:  # pragma: no cover - compiled
-    """Return the beam nearest to each of 4096 equal cells of slope."""
-    cells = np.empty(4096, np.int16)
-    beam = 0
-    for c in range(4096):
-        t = tangent[0] + (tangent[-1] - tangent[0]) * (c + 0.5) / 4096
-        while beam + 1 < len(tangent) and abs(tangent[beam + 1] - t) < abs(tangent[beam] - t):
-            beam += 1
-        cells[c] = beam
-    return cells
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -199,9 +132,7 @@ def count_alone(azimuth: Any, ring: Any, columns: int, rings: int) -> Any:  # pr
     return column, placed, alone
 
 
-Angles = NDArray[np.float32]
-
-Source = Literal["file", "file order", "beam table", "elevation bins"]
+Source = Literal["file", "file order", "beam table", "elevation clusters", "elevation bins"]
 
 DEFAULT_COLUMNS = 1024
 """Columns of a revolution where neither the points nor a model tell."""
@@ -209,11 +140,8 @@ DEFAULT_COLUMNS = 1024
 PSEUDO_RINGS = 64
 """Elevation bins of a cloud without beams and without a model."""
 
-EXPLAINED = 0.3
-"""Least ``excess`` of a match from which a beam table is believed to explain a cloud."""
-
-NEAR_M = 1.0
-"""Returns nearer than this do not tell elevations."""
+_MOST_WAY = 1.5
+"""Median slopes of rings go from the first to the last in at most this much of the way between these."""
 
 _SAMPLED_RINGS = 6
 
@@ -257,7 +185,8 @@ def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignme
 
     Rings come from the sweep's own ring column; else from the order of the points (ring after ring, as in KITTI
     files); else from the nearest beam of ``model`` (or of the sweep's model), if the elevations gather at its beams;
-    else from bins of elevation. All but the second do not depend on the order of the points.
+    else, without a model, from the elevations at which the returns themselves gather; else from bins of elevation. All
+    but the second do not depend on the order of the points.
 
     >>> points = np.array([[10.0, 1.0, -1.0], [0.0, 10.0, 1.0]])
     >>> recover_rings(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
@@ -313,6 +242,10 @@ def _rings(
         match = match_beams(slope, range_m, model)
         if match.excess >= EXPLAINED:
             return match.ring, model.rings, "beam table"
+    else:
+        clustered = rings_by_clusters(azimuth, slope, range_m)
+        if clustered is not None:
+            return clustered[0], len(clustered[1].elevation), "elevation clusters"
     return *_elevation_bins(slope, range_m, model), "elevation bins"
 
 
@@ -324,34 +257,15 @@ def rings_by_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
             if rings < 4 or backward > 0.03 * len(azimuth) or max(upward, 1 - upward) < 0.7:
                 continue
             medians = ring_medians(ring, slope, rings)
-            rising = float((np.diff(medians[np.isfinite(medians)]) > 0).mean())
-            if max(rising, 1 - rising) >= 0.9:
+            medians = medians[np.isfinite(medians)]
+            steps = np.diff(medians)
+            rising = float((steps > 0).mean())
+            # Two sensors one after the other rise twice.
+            once = np.abs(steps).sum() <= _MOST_WAY * abs(medians[-1] - medians[0])
+            if once and max(rising, 1 - rising) >= 0.9:
                 ascending: NDArray[np.int16] = ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
                 return ascending
     return None
-
-
-class BeamMatch(NamedTuple):
-    """How a beam table fits: nearest beam of each point, points close to each beam, their share less chance."""
-
-    ring: NDArray[np.int16]
-    hits: NDArray[np.int64]
-    excess: float
-
-
-def match_beams(slope: Angles, range_m: Angles, model: LidarModel) -> BeamMatch:
-    """Return the nearest beam of each point and how much better than chance the returns gather at the beams.
-
-    Close is within a quarter of the gap to the next beam, and within 0.1° and 1.5 cm; chance is the share of the gap
-    that this covers.
-    """
-    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
-    gap = np.minimum(gap[:-1], gap[1:])
-    beams = np.stack([np.tan(model.elevation), model.origin_m, gap / 4], axis=1)
-    ring, hits, tried, chance = nearest_beams(slope, range_m, beams)
-    if tried == 0 or chance >= tried:
-        return BeamMatch(ring, hits, 0.0)
-    return BeamMatch(ring, hits, max(0.0, (int(hits.sum()) - chance) / (tried - chance)))
 
 
 def _elevation_bins(slope: Angles, range_m: Angles, model: LidarModel | None) -> tuple[NDArray[np.int16], int]:

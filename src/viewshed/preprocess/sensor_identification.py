@@ -1,32 +1,46 @@
-"""Sensor identification: the beam table that explains a cloud, and the ring of each return."""
+"""Sensor identification: the rings of a cloud, and the beam table that agrees with them, or none."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import FloatArray
-from viewshed.preprocess.ring_recovery import (
-    EXPLAINED,
-    NEAR_M,
-    Angles,
-    match_beams,
-    polar,
-    ring_medians,
-    rings_by_order,
-)
+from viewshed.preprocess.beam_matching import EXPLAINED, NEAR_M, Angles, match_beams, polar
+from viewshed.preprocess.elevation_clusters import rings_by_clusters
+from viewshed.preprocess.ring_recovery import ring_medians, rings_by_order
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
 
 SAMPLE = 16_384
 """Returns by which a sensor is identified."""
 
-Rings = tuple[NDArray[np.int16], int]
-"""Ring of each return, and how many rings there are."""
+AGREEING = 0.8
+"""Least share of the returns whose ring must lie where the table has it."""
+
+_NEAR_SHARE, _MOST_OFF = 0.25, np.deg2rad(0.25)
+"""A ring lies at a beam within a quarter of the gap to the next beam, and within 0.25°, ..."""
+
+_TYPICAL_SHARE, _LEAST_GAP = 0.1, np.deg2rad(0.3)
+"""... the median ring within a tenth of it, or 0.03°: a sensor with a calibration of its own is none of the table's."""
+
+_FEWEST_OF_RING = 4
+
+_LEAST_OF_TABLE, _MOST_OF_TABLE = 0.5, 1.15
+"""Rings that are fewer than this share of a table's beams do not name it, nor clusters that are more than this, ..."""
+
+_NEXT_BEAM = 0.8
+"""... nor do rings of which fewer lie at the very next beam: every second beam of a table is another sensor."""
+
+_HIT = 0.9
+"""Where no rings are known: least share of a table's beams that must be hit."""
+
+_SHARP = 0.97
+"""Clusters that explain so many of the returns are the sensor's beams, whatever a table says."""
 
 _CERTAIN = 0.5
 
@@ -52,55 +66,102 @@ class SensorId:
 UNIDENTIFIED = SensorId(None, None)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rings:
+    """Rings (N,) of returns, -1 for none, how many there are in the whole cloud, what shows them, and how sharply."""
+
+    ring: NDArray[np.int16]
+    count: int
+    source: Literal["file", "file order", "elevation clusters"]
+    sharpness: float = 1.0
+
+    def of(self, rows: NDArray[np.int64] | slice) -> _Rings:
+        """Return the rings of some of the returns."""
+        return _Rings(self.ring[rows], self.count, self.source, self.sharpness)
+
+
 def identify_sensor(sweep: Sweep) -> SensorId:
     """Return the sweep's own rings and sensor; where it has none, those that its points show.
 
-    Rings come from the order of the points, else from the nearest beam of the sensor, which :func:`infer_sensor` finds
-    if it is not known and the sweep lets it be inferred. Neither is guessed: a cloud that no beam table explains has
-    none.
+    Rings come from the order of the points, else from the elevations at which they gather. The sensor is the table that
+    these rings agree with, if the sweep lets it be inferred; where there are no rings, one that explains points beside
+    its beams as well, as those of a moving sensor are. Neither is guessed: a cloud that gathers at no elevations has no
+    rings, and rings that agree with no table have no sensor.
     """
-    if len(sweep) == 0 or (sweep.ring is not None and sweep.model is not None):
+    if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
         return SensorId(sweep.ring, sweep.model)
-    may_infer = sweep.model is None and sweep.infer_sensor
-    if sweep.ring is not None:
-        model = infer_sensor(sweep.points, sweep.ring)[0] if may_infer else None
-        fits = model is not None and int(sweep.ring.max()) < model.rings
-        return SensorId(sweep.ring, model if fits else None)
-    # Points stored ring after ring show their rings without any table.
     azimuth, slope, range_m = polar(sweep.points)
-    ordered, model = rings_by_order(azimuth, slope), sweep.model
-    if may_infer:
-        rows = _sample_rows(len(sweep))
-        model = _best_table(slope[rows], range_m[rows], _rings_of_sample(ordered, rows), len(sweep))[0]
-    if ordered is not None and (model is None or int(ordered.max()) < model.rings):
-        return SensorId(ordered, model)
+    if sweep.model is not None:
+        ordered = rings_by_order(azimuth, slope)
+        if ordered is not None and int(ordered.max()) < sweep.model.rings:
+            return SensorId(ordered, sweep.model)
+        return SensorId(_nearest_beams(slope, range_m, sweep.model), sweep.model)
+    if not sweep.infer_sensor:
+        first = next(_shown_rings(None, azimuth, slope, range_m), None)
+        return UNIDENTIFIED if first is None else SensorId(first.ring, None)
+    model, _, rings = _identify(sweep.ring, azimuth, slope, range_m)
+    if rings is None:
+        return UNIDENTIFIED if model is None else SensorId(_nearest_beams(slope, range_m, model), model)
     if model is None:
-        return UNIDENTIFIED
-    # Else the nearest beam of the table, if the returns gather at its beams.
-    match = match_beams(slope, range_m, model)
-    return SensorId(match.ring if match.excess >= EXPLAINED else None, model)
+        return SensorId(rings.ring, None)
+    if rings.source == "elevation clusters":
+        # Clusters skip a beam that has no return.
+        return SensorId(_nearest_beams(slope, range_m, model), model)
+    return SensorId(_counted_as_beams(rings, slope, range_m, model), model)
 
 
 def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
     """Return the beam table that explains points (N, 3) best, and its score in [0, 1]; None where none does.
 
-    Where the rings are known (given, or shown by the order of the points) the score is the share of returns whose ring
-    lies, in the median, where the table has it. Where that is below 0.5, or the rings are not known, it is the share of
-    returns near a beam, less what chance would give, times the share of the table's beams that were hit. A score of at
-    least 0.3 explains the cloud (a moving sensor's points lie beside its beams), below 0.5 only if no ring has more
-    returns than columns: two sensors in one frame are none. Of large clouds ``SAMPLE`` returns are used, drawn by a
-    fixed seed.
+    Where rings are known (given, or shown by the order of the points or by the elevations at which they gather) the
+    score is the share of returns whose ring lies, in the median, where the table has it. At least 0.8 names the sensor,
+    if the rings are in the table's order without leaving out beams and the median ring lies within a tenth of the gap
+    between beams: a sensor with a calibration of its own agrees with no table.
+
+    Where no rings are known, the score is the share of returns near a beam, less what chance would give, times the
+    share of the table's beams that were hit. A score of at least 0.3 explains the cloud (a moving sensor's points lie
+    beside its beams), below 0.5 only if no ring has more returns than columns: two sensors in one frame are none. Of
+    large clouds ``SAMPLE`` returns are used, drawn by a fixed seed.
 
     >>> infer_sensor(np.zeros((0, 3)))
     (None, 0.0)
     """
-    points = np.ascontiguousarray(points, dtype=np.float32)
-    if ring is None:
-        azimuth, slope, _ = polar(points)
-        ring = rings_by_order(azimuth, slope)
-    rows = _sample_rows(len(points))
-    _, slope, range_m = polar(points[rows])
-    return _best_table(slope, range_m, _rings_of_sample(ring, rows), len(points))
+    own = None if ring is None else np.asarray(ring, np.int16)
+    model, score, _ = _identify(own, *polar(np.ascontiguousarray(points, dtype=np.float32)))
+    return model, score
+
+
+def _identify(
+    own: NDArray[np.int16] | None, azimuth: Angles, slope: Angles, range_m: Angles
+) -> tuple[LidarModel | None, float, _Rings | None]:
+    """Return the sensor of returns (N,), its score and their rings; the first two rings shown are tried in turn."""
+    rows = _sample_rows(len(slope))
+    few_slopes, few_ranges_m = slope[rows], range_m[rows]
+    first, best_score = None, 0.0
+    for rings in _shown_rings(own, azimuth, slope, range_m):
+        model, score = _agreeing_table(rings.of(rows), few_slopes, few_ranges_m)
+        if model is not None:
+            return model, score, rings
+        first, best_score = first or rings, max(score, best_score)
+    # Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
+    if first is None or (first.source == "elevation clusters" and first.sharpness < _SHARP):
+        model, score = _explaining_table(few_slopes, few_ranges_m, len(slope))
+        if first is None or score > first.sharpness:
+            return model, score, None
+    return None, best_score, first
+
+
+def _shown_rings(own: NDArray[np.int16] | None, azimuth: Angles, slope: Angles, range_m: Angles) -> Iterator[_Rings]:
+    """Yield the rings of returns (N,): the file's own alone, else those of their order, then those of clusters."""
+    if own is not None:
+        yield _Rings(own, int(own.max(initial=0)) + 1, "file")
+        return
+    ordered = rings_by_order(azimuth, slope)
+    if ordered is not None:
+        yield _Rings(ordered, int(ordered.max()) + 1, "file order")
+    clustered = rings_by_clusters(azimuth, slope, range_m)
+    if clustered is not None:
+        yield _Rings(clustered[0], len(clustered[1].elevation), "elevation clusters", clustered[1].sharpness)
 
 
 def _sample_rows(count: int) -> NDArray[np.int64]:
@@ -109,25 +170,41 @@ def _sample_rows(count: int) -> NDArray[np.int64]:
     return rng.permutation(count) if count <= SAMPLE else rng.integers(count, size=SAMPLE)
 
 
-def _rings_of_sample(ring: NDArray[np.integer[Any]] | None, rows: NDArray[np.int64]) -> Rings | None:
-    """Return the rings of a sample, and how many the whole cloud has."""
-    return None if ring is None else (np.asarray(ring[rows], np.int16), int(ring.max(initial=0)) + 1)
+def _nearest_beams(slope: Angles, range_m: Angles, model: LidarModel) -> NDArray[np.int16] | None:
+    """Return the nearest beam of each return (N,), None where the returns do not gather at the beams."""
+    match = match_beams(slope, range_m, model)
+    return match.ring if match.excess >= EXPLAINED else None
 
 
-def _best_table(slope: Angles, range_m: Angles, rings: Rings | None, count: int) -> tuple[LidarModel | None, float]:
-    """Return the best table for a sample of ``count`` returns and its score, None where it explains too little."""
+def _counted_as_beams(rings: _Rings, slope: Angles, range_m: Angles, model: LidarModel) -> NDArray[np.int16]:
+    """Return rings (N,) counted as the table's beams, where rings are fewer than these."""
+    beam = _beams_of_rings(rings, slope, range_m, model)
+    if beam is None or (beam == np.arange(len(beam))).all():
+        return rings.ring
+    return np.where(rings.ring >= 0, beam[rings.ring], -1).astype(np.int16)
+
+
+def _agreeing_table(rings: _Rings, slope: Angles, range_m: Angles) -> tuple[LidarModel | None, float]:
+    """Return the table that the rings of a sample agree with and its score, None where they agree with none."""
+    few = rings.of(slice(_FEW)), slope[:_FEW], range_m[:_FEW]
+    likely = _likeliest({name: _ring_score(*few, lidar_model(name)) for name in sensor_names()})
+    best, score = _highest_score({name: _ring_score(rings, slope, range_m, lidar_model(name)) for name in likely})
+    return (best if score >= AGREEING else None), score
+
+
+def _explaining_table(slope: Angles, range_m: Angles, count: int) -> tuple[LidarModel | None, float]:
+    """Return the table whose beams lie nearest to a sample of ``count`` returns, None where it explains too little."""
     few = slope[:_FEW], range_m[:_FEW]
-    if rings is not None:
-        first = rings[0][:_FEW], rings[1]
-        best, score = _highest_score({name: _ring_score(first, *few, lidar_model(name)) for name in sensor_names()})
-        if score >= _CERTAIN:
-            return best, score
-    roughly = {name: _cluster_score(*few, lidar_model(name)) for name in sensor_names()}
-    likely = sorted(roughly, key=lambda name: roughly[name], reverse=True)[:_LIKELY]
+    likely = _likeliest({name: _cluster_score(*few, lidar_model(name)) for name in sensor_names()})
     best, score = _highest_score({name: _cluster_score(slope, range_m, lidar_model(name)) for name in likely})
     if best is None or score < EXPLAINED or (score < _CERTAIN and _crowded(slope, range_m, best, count)):
         return None, score
     return best, score
+
+
+def _likeliest(scores: Mapping[str, float]) -> list[str]:
+    """Return the names of the ``_LIKELY`` highest scores."""
+    return sorted(scores, key=lambda name: scores[name], reverse=True)[:_LIKELY]
 
 
 def _highest_score(scores: Mapping[str, float]) -> tuple[LidarModel | None, float]:
@@ -150,16 +227,62 @@ def _cluster_score(slope: Angles, range_m: Angles, model: LidarModel) -> float:
     if not hit.any():
         return 0.0
     first, last = np.flatnonzero(hit)[[0, -1]]
-    return match.excess * float(hit[first : last + 1].mean())
+    share = float(hit[first : last + 1].mean())
+    return match.excess * share if share >= _HIT else 0.0
 
 
-def _ring_score(rings: Rings, slope: Angles, range_m: Angles, model: LidarModel) -> float:
-    """Return the share of returns whose ring's median lies within half a gap, and 0.5°, of the table's beam."""
-    ring, count = rings
-    if len(ring) == 0 or count != model.rings:
+def _ring_score(rings: _Rings, slope: Angles, range_m: Angles, model: LidarModel) -> float:
+    """Return the share of returns whose ring lies at a beam of the table, 0 where rings and beams do not go together.
+
+    Of rings whose elevation is known: some have near returns alone.
+    """
+    beam = _beams_of_rings(rings, slope, range_m, model)
+    if beam is None:
         return 0.0
-    corrected = slope - (model.origin_m[ring] / np.maximum(range_m, NEAR_M)).astype(np.float32)
-    medians = np.arctan(ring_medians(ring, np.where(range_m > NEAR_M, corrected, np.nan), count))
     gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
-    limit = np.minimum(np.minimum(gap[:-1], gap[1:]) / 2, np.deg2rad(0.5))
-    return float((np.abs(medians - model.elevation) < limit)[ring].mean())
+    gap = np.minimum(gap[:-1], gap[1:])[beam]
+    off = np.abs(_ring_elevations(rings, slope, range_m, model.origin_m[beam]) - model.elevation[beam])
+    sizes = np.bincount(rings.ring[rings.ring >= 0], minlength=rings.count)
+    known = np.isfinite(off) & (sizes >= _FEWEST_OF_RING)
+    if not known.any() or np.median(off[known] / np.maximum(gap[known], _LEAST_GAP)) > _TYPICAL_SHARE:
+        return 0.0
+    agrees = off < np.minimum(_NEAR_SHARE * gap, _MOST_OFF)
+    return float(sizes[agrees].sum() / max(sizes[np.isfinite(off)].sum(), 1))
+
+
+def _beams_of_rings(rings: _Rings, slope: Angles, range_m: Angles, model: LidarModel) -> NDArray[np.intp] | None:
+    """Return the beam (count,) of the table at which each ring lies, None where they do not go together.
+
+    They go together where each ring has a beam of its own, in the same order, and most returns are of a ring at the
+    very next beam. Clusters may be one beam's by twos.
+    """
+    clusters = rings.source == "elevation clusters"
+    if not _LEAST_OF_TABLE * model.rings <= rings.count <= (_MOST_OF_TABLE if clusters else 1.0) * model.rings:
+        return None
+    if rings.count == model.rings and not clusters:
+        return np.arange(model.rings)
+    beam, known = np.zeros(0, np.intp), np.zeros(0, np.intp)
+    origin_m = np.full(rings.count, model.origin_m.mean())
+    for _ in range(2):  # the second time each ring is seen from its own beam's origin
+        medians = _ring_elevations(rings, slope, range_m, origin_m)
+        known = np.flatnonzero(np.isfinite(medians))
+        if len(known) < 2:
+            return None
+        at = np.abs(model.elevation - medians[known, None]).argmin(axis=1)
+        beam = np.round(np.interp(np.arange(rings.count), known, at)).astype(np.intp)
+        origin_m = model.origin_m[beam]
+    # Rings whose returns are all near have no elevation and stand between those beside them.
+    steps = np.diff(beam[known])
+    sizes = np.bincount(rings.ring[rings.ring >= 0], minlength=rings.count)[known]
+    weights = np.minimum(sizes[1:], sizes[:-1])
+    next_beam = float(weights[steps == 1].sum() / max(weights.sum(), 1))
+    return beam if (steps >= (0 if clusters else 1)).all() and next_beam >= _NEXT_BEAM else None
+
+
+def _ring_elevations(
+    rings: _Rings, slope: Angles, range_m: Angles, origin_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the median elevation (count,) of each ring's returns beyond 1 m, seen from its origin (count,)."""
+    corrected = slope - (origin_m[np.maximum(rings.ring, 0)] / np.maximum(range_m, NEAR_M)).astype(np.float32)
+    medians = ring_medians(rings.ring, np.where(range_m > NEAR_M, corrected, np.float32(np.nan)), rings.count)
+    return np.asarray(np.arctan(medians), np.float64)
