@@ -36,6 +36,11 @@ REVOLUTION_S = 2.0
 
 _INT64 = 1 << 63
 
+_MOST_HEIGHT_M = 100.0
+
+_MOST_COLUMNS = 16
+"""An array of three or four rows with more columns than this holds its points in columns."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
@@ -100,8 +105,8 @@ class Sweep:
         if self.dropped_points < 0:
             raise ValueError(f"dropped_points must not be negative, got {self.dropped_points}")
         height = self.sensor_height_m
-        if height is not None and not (np.isfinite(height) and 0.0 < height < 1000.0):
-            raise ValueError(f"sensor_height_m must lie in (0, 1000), got {height}")
+        if height is not None and not (np.isfinite(height) and 0.0 < height < _MOST_HEIGHT_M):
+            raise ValueError(f"sensor_height_m must lie in (0, {_MOST_HEIGHT_M:g}), got {height:g}; give it in meters")
 
     def _check_ring(self) -> None:
         if self.ring is None or self.ring.size == 0:
@@ -146,6 +151,23 @@ class Sweep:
         }
         return self.replace(**columns)
 
+    def seen_from(self, origin_m: ArrayLike) -> Sweep:
+        """Return the sweep with its origin moved to ``origin_m`` (3,), where the sensor stands in the present frame.
+
+        For points that a file counts from the axle or from the road. The pose moves along, the axes stay.
+
+        >>> Sweep(np.array([[5.0, 0.0, 0.5]])).seen_from((1.0, 0.0, 1.8)).points.round(3).tolist()
+        [[4.0, 0.0, -1.2999999523162842]]
+        """
+        origin = np.asarray(origin_m, np.float64)
+        if origin.shape != (3,) or not np.isfinite(origin).all():
+            raise ValueError(f"origin_m must be three finite numbers in meters, got {origin_m!r}")
+        pose = self.world_from_sensor
+        return self.replace(
+            points=self.points - origin.astype(np.float32),
+            world_from_sensor=None if pose is None else pose @ Rigid(np.eye(3), origin),
+        )
+
     def replace(self, **changes: Any) -> Sweep:
         """Return a copy with the named attributes changed; a name that does not exist is a TypeError."""
         return Sweep(**({f.name: getattr(self, f.name) for f in fields(self)} | changes))
@@ -169,10 +191,23 @@ def _all_finite(points: NDArray[np.float32]) -> bool:
         return bool(np.isfinite(np.dot(flat, flat)) or np.isfinite(flat).all())
 
 
+def shape_remedy(shape: tuple[int, ...]) -> str:
+    """Return what mends an array of points of a wrong shape, with a semicolon before it; empty where it is not clear.
+
+    >>> shape_remedy((3, 50_000))
+    '; transpose it (points.T)'
+    """
+    if len(shape) == 2 and shape[0] in (3, 4) and shape[1] > _MOST_COLUMNS:
+        return "; transpose it (points.T)" if shape[0] == 3 else "; transpose it and take its first three columns"
+    if len(shape) == 2 and shape[1] > 3:
+        return "; take its first three columns (points[:, :3])"
+    return ""
+
+
 def _points(value: ArrayLike) -> NDArray[np.float32]:
     array = np.asarray(value)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"points must have shape (N, 3), got {array.shape}")
+        raise ValueError(f"points must have shape (N, 3), got {array.shape}{shape_remedy(array.shape)}")
     if array.dtype.kind not in "fiu":
         raise ValueError(f"points must be real numbers, got dtype {array.dtype}")
     if len(array) > MAX_POINTS:

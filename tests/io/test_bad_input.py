@@ -14,8 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from viewshed.io import read_sweep
+from viewshed.io.samples import junction_path
+from viewshed.sweep import Sweep
 
 files: Any = import_module("sweep_files")
 P, I = files.POINTS, files.INTENSITY  # noqa: E741
@@ -201,7 +204,7 @@ def test_wrong_arguments_are_named(tmp_path: Path) -> None:
         read_sweep(path, sensor="HDL-65")
     with pytest.raises(ValueError, match=r"file_frame must be one of sensor, nuscenes, .* got 'up'"):
         read_sweep(path, file_frame="up")
-    with pytest.raises(ValueError, match=r"a\.bin: sensor_height_m must lie in \(0, 1000\), got -1"):
+    with pytest.raises(ValueError, match=r"a\.bin: sensor_height_m must lie in \(0, 100\), got -1"):
         read_sweep(path, sensor_height_m=-1)
     with pytest.raises(ValueError, match=r"a\.bin: quaternion must have norm 1"):
         read_sweep(path, attitude=(2, 0, 0, 0))
@@ -215,11 +218,62 @@ def test_ring_out_of_the_sensors_range_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bad", [1.5, np.nan, 70_000.0, -1.0])
-def test_rings_that_are_no_rings_are_refused(bad: float, tmp_path: Path) -> None:
+def test_rings_that_are_no_rings_are_left_out_with_a_warning(bad: float, tmp_path: Path) -> None:
     path = tmp_path / "a.pcd.bin"
     path.write_bytes(files.rows(P, I, [0, 1, bad, 3, 4, 5]))
-    with pytest.raises(ValueError, match=r"whole ring numbers|ring must lie in \[0"):
+    with pytest.warns(UserWarning, match=r"a\.pcd\.bin: ring is left out: (1 of 6 are no whole|rings must lie in \[0)"):
+        sweep = read_sweep(path)
+    assert sweep.ring is None
+    assert len(sweep) == 6
+
+
+def junk_rings(kind: str, count: int) -> NDArray[np.int64]:
+    rng = np.random.default_rng(0)
+    return {
+        "random": rng.integers(0, 64, count),
+        "row numbers": np.arange(count) % 1000,
+        "all the same": np.full(count, 500),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["random", "row numbers", "all the same"])
+def test_a_column_of_something_else_is_no_ring(kind: str, tmp_path: Path) -> None:
+    sweep = read_sweep(junction_path())
+    shuffled = sweep.select(np.random.default_rng(1).permutation(len(sweep)))
+    path = tmp_path / "a.npz"
+    save_with_rings(path, shuffled, junk_rings(kind, len(sweep)))
+    with pytest.warns(UserWarning, match=r"a\.npz: ring is left out: (returns beside|every return has ring 500)"):
+        assert read_sweep(path).ring is None
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.8])
+def test_rings_of_a_rolled_sensor_in_another_frame_are_kept(turn: float, tmp_path: Path) -> None:
+    sweep = read_sweep(junction_path())
+    roll = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    path = tmp_path / "a.npz"
+    assert sweep.ring is not None
+    save_with_rings(path, sweep.replace(points=sweep.points @ roll.T + [1.0, 0.0, 1.7]), sweep.ring)
+    assert read_sweep(path).ring is not None
+
+
+def save_with_rings(path: Path, sweep: Sweep, ring: NDArray[Any]) -> None:
+    version, dropped = np.array(1), np.array(0)
+    np.savez(path, viewshed_sweep=version, points=sweep.points, ring=ring, agent=np.array("a"), dropped_points=dropped)
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+@pytest.mark.parametrize("suffix", ["npy", "npz"])
+def test_points_in_columns_are_refused_with_the_remedy(rows: int, suffix: str, tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(0, 10, (rows, 5000)).astype(np.float32)
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "npy":
+        np.save(path, points)
+    else:
+        np.savez(path, points=points)
+    with pytest.raises(ValueError, match=rf"must have shape \(N, 3\).*got \({rows}, 5000\); transpose it"):
         read_sweep(path)
+    with pytest.raises(ValueError, match=rf"points must have shape \(N, 3\), got \({rows}, 5000\); transpose it"):
+        Sweep(points)
 
 
 def test_ten_million_points_are_read(tmp_path: Path) -> None:

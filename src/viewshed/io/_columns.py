@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io._input import InputFile
-from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, whole_rings
+from viewshed.io._rings import matched_azimuth, matched_time_s, problem_of_rings, rings_by_elevation, whole_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -131,7 +131,13 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
         azimuth = None if azimuth is None else _turned(azimuth, columns.frame)
     model = given.model if given.model is not None else columns.model
     saved = columns.saved or _NOTHING_SAVED
+    left_out = columns.left_out
     ring = columns.ring if columns.laser is None else rings_by_elevation(columns.laser, points, model)
+    # Packets know their rings; a column may hold anything.
+    is_column = ring is not None and columns.model is None and ring.dtype.kind in "iu"
+    problem = problem_of_rings(ring, points) if is_column and ring is not None else None
+    if problem is not None:
+        ring, left_out = None, (*left_out, f"ring is left out: {problem}")
     sweep = Sweep(
         points, columns.intensity, ring, azimuth, columns.time_s, columns.t_ns,
         attitude=saved.attitude if given.attitude is None else np.asarray(given.attitude),
@@ -141,8 +147,8 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
     )  # fmt: skip
     if len(sweep) == 0 and len(points) > 0:
         raise ValueError(f"none of the {len(points)} points is finite")
-    for problem in columns.left_out:
-        warnings.warn(f"{source.path}: {problem}", stacklevel=2)
+    for line in left_out:
+        warnings.warn(f"{source.path}: {line}", stacklevel=2)
     return sweep
 
 

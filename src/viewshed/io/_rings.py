@@ -17,6 +17,13 @@ _ORDERED = 0.9
 
 _AGREES = np.deg2rad(6.0)
 
+_EACH_DEGREES, _LEAST_NEIGHBORS = 9, 200
+"""Every ninth degree of azimuth is looked at, if these hold so many returns."""
+
+_FLAT = np.deg2rad(2.0)
+
+_MOST_APART = 0.7
+
 _READINGS = tuple(product((1.0, np.pi / 180, np.pi / 18000), (1.0, -1.0), (0.0, np.pi / 2, np.pi, -np.pi / 2)))
 
 
@@ -83,6 +90,31 @@ def _ranks(median: NDArray[np.float64], model: LidarModel | None) -> NDArray[np.
         if np.unique(nearest).size == nearest.size:
             return nearest
     return np.argsort(np.argsort(median, kind="stable"))
+
+
+def problem_of_rings(ring: NDArray[Any], points: NDArray[np.float32]) -> str | None:
+    """Return why a column (N,) cannot be the rings of points (N, 3), or None where it can.
+
+    Returns beside each other, seen from the origin, are of rings beside each other, in whatever frame and order. In a
+    column of something else neighbors differ as much as any two returns do.
+    """
+    if ring.size == 0:
+        return None
+    low, high = int(ring.min()), int(ring.max())
+    if low < 0 or high >= MAX_RINGS:
+        return f"rings must lie in [0, {MAX_RINGS}), got {low}…{high}"
+    # Some degrees of azimuth, with all of their returns: those above each other are neighbors there.
+    with np.errstate(invalid="ignore", over="ignore"):
+        degree = np.floor(np.rad2deg(np.arctan2(points[:, 1], points[:, 0])))
+        rows = np.flatnonzero((degree % _EACH_DEGREES == 0) & np.isfinite(points).all(axis=1))
+        elevation = np.arctan2(points[rows, 2], np.hypot(points[rows, 0], points[rows, 1]))
+    if len(rows) < _LEAST_NEIGHBORS:
+        return None
+    if low == high:
+        return f"every return has ring {low}" if float(elevation.std()) > _FLAT else None
+    column = ring[rows[np.lexsort((elevation, degree[rows]))]].astype(np.float64)
+    beside, any_two = np.abs(np.diff(column)).mean(), np.abs(column - np.roll(column, len(column) // 2)).mean()
+    return "returns beside each other are of rings far apart" if beside > _MOST_APART * any_two else None
 
 
 def matched_azimuth(value: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[np.float32] | None:

@@ -15,7 +15,7 @@ from viewshed.geometry import Rigid
 from viewshed.io._columns import IDENTITY, Columns, Saved
 from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
-from viewshed.sweep import MAX_POINTS, Sweep
+from viewshed.sweep import MAX_POINTS, Sweep, shape_remedy
 
 _HEADER = re.compile(  # possessive (*+): a damaged header fails in one pass, whatever it is filled with
     r"\s*+\{\s*+'descr'\s*+:\s*+'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*+,\s*+'fortran_order'\s*+:\s*+(True|False)"
@@ -71,8 +71,9 @@ def read_npy(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
 
 
 def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
-    if array.ndim != 2 or array.shape[1] < 3:
-        raise ValueError(f"points must have shape (N, 3) or more columns, got {array.shape}")
+    remedy = shape_remedy(array.shape)
+    if array.ndim != 2 or array.shape[1] < 3 or "transpose" in remedy:
+        raise ValueError(f"points must have shape (N, 3) or more columns, got {array.shape}{remedy}")
     if len(array) > MAX_POINTS:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {len(array)}")
     if array.dtype.kind != "f" and array.dtype.str[1:] != "i4":

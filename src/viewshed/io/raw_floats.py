@@ -55,11 +55,12 @@ def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
         split_xyzir(buffer, points[3 * start : 3 * stop], intensity[start:stop], rings[:count], frame is None)
         bad += whole_numbers(rings[:count], ring[start:stop])
         start = stop
-    if bad:
+    if bad and source.size % 16 == 0:
         raise ValueError(f"the fifth column must be whole ring numbers, {bad} of {rows} are not; is it nuScenes?")
     named = _MICROSECONDS.search(source.name)
     yield Columns(
-        points.reshape(rows, 3), intensity, ring,
+        points.reshape(rows, 3), intensity, None if bad else ring,
+        left_out=(f"ring is left out: {bad} of {rows} are no whole numbers",) if bad else (),
         t_ns=int(named[1]) * 1000 if named else None, frame=IDENTITY if frame is None else frame,
     )  # fmt: skip
 
