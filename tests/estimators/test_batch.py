@@ -162,11 +162,10 @@ class Picky(ClassicalEstimator):
     target: Target = CAR
     name: str = "picky"
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        t_ns = leveled.sweep.t_ns
-        if t_ns in self.bad:
-            raise ValueError(f"no sweep {t_ns}")
-        return FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8), t_ns=t_ns)
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> Floats:
+        if leveled.sweep.t_ns in self.bad:
+            raise ValueError(f"no sweep {leveled.sweep.t_ns}")
+        return np.zeros(GRID.shape, np.float32)
 
 
 @pytest.mark.parametrize("batch", [1, 4, 16])

@@ -17,6 +17,8 @@ from viewshed.estimators import (
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
 EVERY = {**CLASSICAL, **PAPER_ESTIMATORS}
@@ -70,11 +72,15 @@ def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: B
     assert (np.isnan(estimate.std) | (estimate.std >= 0)).all()
 
 
-def test_visible_cells_are_free_or_surface(make: EstimatorFactory, street: Sweep) -> None:
-    estimate = make(GRID).estimate(street)
+def test_free_or_surface_is_what_is_visible_and_what_the_beams_support(make: EstimatorFactory, street: Sweep) -> None:
+    estimator, leveled = make(GRID), level(street, GRID)
+    estimate = estimator.estimate(leveled)
+    supported = beam_evidence(leveled, GRID, estimator.target).supports_claim()
     claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
-    assert estimate.visible().any()
-    assert np.array_equal(estimate.visible(), claimed)
+    assert claimed.any()
+    assert np.array_equal(estimate.visible() & supported, claimed)
+    obstacle = leveled.obstacle_cells(GRID)
+    assert np.array_equal(estimate.state == CellState.SURFACE, claimed & obstacle)
 
 
 def test_time_agent_and_pose_are_passed_on(make: EstimatorFactory, street: Sweep) -> None:

@@ -68,9 +68,13 @@ def test_farthest_calls_the_hole_behind_a_low_car_visible(cast: CastScene) -> No
     # The sensor is as high as the car's roof: rising beams pass over it to the tall wall, no target behind it shows.
     sweep = cast([CAR, (-15.0, 25.0, 18.0, 18.5, 5.0)], sensor_m=1.5)
     hole = (6.5, 12.5)
-    states = {name: _at(ESTIMATORS[name](GRID).estimate(sweep), *hole) for name in RAYS}
-    assert states == {
-        "continuous": CellState.FREE, "quantized": CellState.FREE, "first_blocker": CellState.HIDDEN,
+    estimates = {name: ESTIMATORS[name](GRID).estimate(sweep) for name in RAYS}
+    assert {name for name, estimate in estimates.items() if estimate.at(np.array(hole)) >= 0.5} == {
+        "continuous", "quantized"
+    }  # fmt: skip
+    # The beams do not support what these two claim.
+    assert {name: _at(estimate, *hole) for name, estimate in estimates.items()} == {
+        "continuous": CellState.UNKNOWN, "quantized": CellState.UNKNOWN, "first_blocker": CellState.HIDDEN,
         "first_blocker_median": CellState.HIDDEN, "shadow_map": CellState.HIDDEN, "majority_vote": CellState.HIDDEN,
     }  # fmt: skip
     for mirrored in ((6.5, -12.5), (12.5, 6.5), (-6.5, 12.5)):
@@ -115,7 +119,7 @@ def test_hull_and_polygon_fit_follow_the_returns(cast: CastScene) -> None:
     for name in ("concave_hull", "delaunay"):
         estimate = ESTIMATORS[name](GRID).estimate(sweep)
         assert _at(estimate, -9.0, -6.0) == CellState.FREE, name
-        assert _at(estimate, 16.0, 2.0) == CellState.UNKNOWN, name
+        assert _at(estimate, 16.0, 2.0) == CellState.HIDDEN, name
         assert _at(estimate, -17.0, -6.0) == CellState.UNKNOWN, name
         assert _at(estimate, 9.0, 3.0) in (CellState.FREE, CellState.SURFACE), name
     assert (
@@ -154,31 +158,55 @@ def test_trimmed_drops_exactly_the_farthest(make_level: MakeLevel) -> None:
         assert (max(seen) if seen else None) == last
 
 
-def test_first_blocker_without_farthest_limit_sees_to_the_model_range(make_level: MakeLevel) -> None:
+def test_first_blocker_without_farthest_limit_sees_to_the_reach(make_level: MakeLevel) -> None:
+    # Without a table the reach is at least 20 m, and a cell's center may lie one cell of 0.5 m beyond it.
+    grid = BevGrid(120, 30.0)
     leveled = make_level(np.array([[0.1, 5.0, 0.0], [9.0, 0.1, 0.0], [-12.0, -0.1, 0.0]]))
     limited, open_ = (
-        FirstBlocker(GRID, azimuth_bins=36, limit_farthest=limit).estimate(leveled) for limit in (True, False)
+        FirstBlocker(grid, azimuth_bins=36, limit_farthest=limit).estimate(leveled) for limit in (True, False)
     )
     assert [float(e.at(np.array([0.3, 9.0]))) for e in (limited, open_)] == [0.0, 1.0]
-    assert [float(e.at(np.array([0.3, 13.0]))) for e in (limited, open_)] == [0.0, 0.0]
-    assert _at(limited, 0.3, 9.0) == CellState.UNKNOWN
+    assert [float(open_.at(np.array([0.3, y]))) for y in (20.3, 20.8)] == [1.0, 0.0]
+    assert not open_.visible()[:, : grid.cells // 2 - 10].any()
+    # One beam is too few to support what either says.
+    assert (limited.state == CellState.UNKNOWN).all()
+    assert (open_.state == CellState.UNKNOWN).all()
+
+
+def _arc(range_m: float, height_m: float, azimuth_deg: float = 90.0) -> NDArray[np.float64]:
+    """Returns at one range and height, half a degree apart, within 10° of an azimuth; none on a cell's border."""
+    azimuth = np.deg2rad(azimuth_deg + np.arange(-10.0, 10.5, 0.5) + 0.1)
+    return np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.full(len(azimuth), height_m)], axis=1)
 
 
 def test_low_and_high_returns_do_not_block(make_level: MakeLevel) -> None:
-    points = np.array([[0.1, 5.0, 0.2], [0.1, 6.0, 3.5], [0.1, 9.0, 1.0], [0.1, 15.0, 0.0]])
-    estimate = FirstBlocker(GRID, azimuth_bins=36).estimate(make_level(points))
-    assert [_at(estimate, 0.2, y) for y in (7.0, 9.1, 12.0, 18.0)] == [
-        CellState.FREE, CellState.SURFACE, CellState.HIDDEN, CellState.UNKNOWN,
+    # Beams from 1.8 m: those that end on the wall at 9 m, 1 m up, aim at cars until 23.6 m, the reach is 20 m.
+    lines = [_arc(5.0, 0.2), _arc(6.0, 3.5), _arc(9.0, 1.0)]
+    at = (7.0, 8.9, 12.0, 18.0, 22.0)
+    grid = BevGrid(100, 25.0)
+    estimator = FirstBlocker(grid, azimuth_bins=36)
+    walled = estimator.estimate(make_level(np.concatenate(lines)))
+    assert [float(walled.at(np.array([0.2, y]))) for y in at] == [1.0, 1.0, 0.0, 0.0, 0.0]
+    assert [_at(walled, 0.2, y) for y in at] == [
+        CellState.FREE, CellState.SURFACE, CellState.HIDDEN, CellState.HIDDEN, CellState.UNKNOWN,
+    ]  # fmt: skip
+    # Beams that meet the ground at 15 m, through the wall's gaps, reach what it denies at 12 m, and aim lower at 18 m.
+    gaps = estimator.estimate(make_level(np.concatenate([*lines, _arc(15.0, 0.0)])))
+    assert [float(gaps.at(np.array([0.2, y]))) for y in at] == [1.0, 1.0, 0.0, 0.0, 0.0]
+    assert [_at(gaps, 0.2, y) for y in at] == [
+        CellState.FREE, CellState.SURFACE, CellState.UNKNOWN, CellState.HIDDEN, CellState.UNKNOWN,
     ]  # fmt: skip
 
 
 def test_beyond_the_farthest_return_is_hidden_by_an_obstacle_and_unknown_on_ground(make_level: MakeLevel) -> None:
-    points = np.array([[0.1, 6.0, 1.0], [6.0, 0.1, 0.0], [-15.0, 0.1, 0.0]])
+    # A beam that ends at 6 m, 1 m up, is .23 m up at 11.8 m; one that meets the ground there would be far below it.
+    points = np.concatenate([_arc(6.0, 1.0), _arc(6.0, 0.0, 0.0), _arc(15.0, 0.0, 180.0)])
     for estimator in (QuantizedRayTrace(GRID, azimuth_bins=36), ESTIMATORS["continuous"](GRID)):
         estimate = estimator.estimate(make_level(points))
         assert _at(estimate, 0.2, 11.8) == CellState.HIDDEN
         assert _at(estimate, 11.8, 0.2) == CellState.UNKNOWN
-        assert _at(estimate, -0.2, 19.9 - 4) == CellState.UNKNOWN
+        assert _at(estimate, -17.9, 0.2) == CellState.UNKNOWN
+        assert _at(estimate, 0.2, -11.8) == CellState.UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -203,7 +231,7 @@ def test_the_window_reaches_across_the_back(make_level: MakeLevel) -> None:
 def test_the_median_leaves_out_azimuths_without_returns(make_level: MakeLevel) -> None:
     leveled = make_level(np.array([[0.2, 5.0, 1.0], [0.2, 12.0, 0.0]]))
     estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate(leveled)
-    assert [_at(estimate, 0.2, y) for y in (4.0, 9.0)] == [CellState.FREE, CellState.HIDDEN]
+    assert [float(estimate.at(np.array([0.2, y]))) for y in (4.0, 9.0)] == [1.0, 0.0]
 
 
 def test_bins_of_a_cropped_sweep_follow_its_step() -> None:

@@ -17,6 +17,7 @@ from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import CAR, GROUND_SECTORS
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
@@ -122,9 +123,14 @@ def test_an_azimuth_without_returns_is_unknown(make_level: MakeLevel, name: str,
     empty = (azimuth > 0.5) & (azimuth < 1.5)
     estimate: FovEstimate = POLAR[name].estimate(make_level(points[~empty]))
     x, y = GRID.centers[..., 0], GRID.centers[..., 1]
-    inside = (np.arctan2(y, x) > 0.56) & (np.arctan2(y, x) < 1.44)
+    away = np.abs(np.arctan2(y, x) - 1.0)
+    assert (estimate.visible_prob[away < 0.44] == 0).all()
+    assert not np.isin(estimate.state[away < 0.44], [CellState.FREE, CellState.SURFACE]).any()
+    # Beams beside the gap aim at a target as wide as a car that reaches out of it, to within two sectors of 2.8°.
+    half = np.arctan2(CAR.width_m / 2, np.hypot(x, y) - GRID.cell_m)
+    inside = away + half < 0.5 - 2 * 2 * np.pi / GROUND_SECTORS
+    assert inside.sum() > 50
     assert (estimate.state[inside] == CellState.UNKNOWN).all()
-    assert (estimate.visible_prob[inside] == 0).all()
 
 
 @settings(max_examples=10)

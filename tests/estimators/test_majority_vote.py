@@ -4,6 +4,8 @@ from viewshed import CAR, BevGrid, CellState, FovEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
+from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -23,9 +25,11 @@ def test_three_of_five_decide() -> None:
     assert 0 < estimate.visible().mean() < 1
 
 
-def test_states_agree_with_the_vote() -> None:
-    estimate = MajorityVote(GRID).estimate(SWEEP)
+def test_states_are_the_vote_where_the_beams_support_it() -> None:
+    estimate, leveled = MajorityVote(GRID).estimate(SWEEP), level(SWEEP, GRID)
+    evidence = beam_evidence(leveled, GRID, CAR)
     seen = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
-    assert (seen == estimate.visible()).all()
+    assert (seen == (estimate.visible() & evidence.supports_claim())).all()
+    assert ((estimate.state == CellState.HIDDEN) == (~estimate.visible() & evidence.supports_denial())).all()
     behind = tuple(GRID.index(np.array([20.0, 4.0]))[0])
     assert estimate.state[behind] == CellState.HIDDEN

@@ -1,9 +1,11 @@
 """The contract of every estimator over the learned ones, on the grid of a network made by hand; then what is theirs."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tests.estimators.test_contracts import (  # noqa: F401 - they run here with the fixtures of this file
     test_a_million_points_are_no_trouble,
     test_an_empty_sweep_sees_nothing_and_says_so,
@@ -19,7 +21,7 @@ from tests.estimators.test_contracts import (  # noqa: F401 - they run here with
     test_the_side_without_returns_is_not_claimed,
     test_the_sweep_is_left_as_it_was,
     test_time_agent_and_pose_are_passed_on,
-    test_visible_cells_are_free_or_surface,
+    test_free_or_surface_is_what_is_visible_and_what_the_beams_support,
 )
 from tests.networks.made import card, drawn, nearby
 
@@ -33,10 +35,13 @@ from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import TorchRunner
+from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(64, 16.0)
 SHAPE = UNetShape(4, 2, 0.3)
+Floats = NDArray[np.floating[Any]]
 
 
 @pytest.fixture(params=list(LEARNED))
@@ -64,12 +69,29 @@ def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: B
     assert estimate.visible_prob.max() <= 1
 
 
+def evidence_of(sweep: Sweep) -> BeamEvidence:
+    return beam_evidence(level(sweep, GRID), GRID, CAR)
+
+
+def is_bounded(found: Floats, said: Floats, evidence: BeamEvidence, threshold: float = 0.5, atol: float = 0.0) -> bool:
+    """Whether probabilities are those that a network ``said``, cut to below its threshold where beams support none."""
+    supported, within = evidence.supports_claim(), evidence.within_reach
+    kept = supported | (within & (said < threshold - 1e-6))
+    cut = ~supported & within & (said > threshold + 1e-6)
+    assert kept.any()
+    assert cut.any()
+    assert not found[~within].any()
+    return np.allclose(found[kept], said[kept], rtol=0.0, atol=atol) and bool(
+        (found[cut] < threshold).all() and (found[cut] > threshold - 1e-6).all()
+    )
+
+
 def test_one_pass_is_the_network_without_dropout(street: Sweep) -> None:
     runner = TorchRunner(card(SHAPE, GRID), drawn(SHAPE))
     found = UnetEstimator(runner, seed=3).estimate(street).visible_prob
     inputs = runner.card.input_of(street)[None]
-    assert np.array_equal(found, runner.run(inputs, SHAPE.no_masks(1))[0])
-    assert not np.allclose(found, runner.run(inputs, SHAPE.masks(1, np.random.default_rng(3)))[0])
+    assert is_bounded(found, runner.run(inputs, SHAPE.no_masks(1))[0], evidence_of(street))
+    assert not is_bounded(found, runner.run(inputs, SHAPE.masks(1, np.random.default_rng(3)))[0], evidence_of(street))
 
 
 def test_a_second_head_tells_the_deviation_in_one_pass(street: Sweep) -> None:
@@ -77,7 +99,7 @@ def test_a_second_head_tells_the_deviation_in_one_pass(street: Sweep) -> None:
     runner = TorchRunner(card(shape, GRID), drawn(shape))
     once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)
     prob, std = runner.run_with_doubt(runner.card.input_of(street)[None])
-    assert np.array_equal(once.visible_prob, prob[0])
+    assert is_bounded(once.visible_prob, prob[0], evidence_of(street))
     assert once.std is not None
     assert np.array_equal(once.std, std[0])
     assert several.std is not None
@@ -102,36 +124,43 @@ def test_the_mean_and_deviation_are_those_of_the_seeds_masks(street: Sweep) -> N
     passes = np.stack([runner.run(made.input_of(street)[None], mask[None])[0] for mask in masks]).astype(np.float64)
     found = UnetEstimator(runner, 6, seed=4).estimate(street)
     assert found.std is not None
-    np.testing.assert_allclose(found.visible_prob, passes.mean(axis=0), atol=1e-5)
+    assert is_bounded(found.visible_prob, passes.mean(axis=0), evidence_of(street), atol=1e-5)
     np.testing.assert_allclose(found.std, passes.std(axis=0), atol=1e-5)
     other = UnetEstimator(runner, 6, seed=5).estimate(street)
     assert not np.array_equal(found.visible_prob, other.visible_prob)
 
 
-def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_range() -> None:
+def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_reach() -> None:
+    # Ground out to 13 m, and a patch of it at 21 m, of so few returns that the reach stays 20 m.
     ground = np.stack(np.meshgrid(np.arange(-15, 15.5, 0.25), np.arange(-15, 15.5, 0.25)), axis=-1).reshape(-1, 2)
-    ground = ground[(np.abs(ground[:, 1]) > 4) | (ground[:, 0] < 6)]
+    ground = ground[((np.abs(ground[:, 1]) > 4) | (ground[:, 0] < 6)) & (np.hypot(*ground.T) < 13)]
+    patch = np.stack(np.meshgrid(np.arange(14.4, 15.9, 0.3), np.arange(14.4, 15.9, 0.3)), axis=-1).reshape(-1, 2)
+    ground = np.concatenate([ground, patch])
     wall = np.stack(
         [np.full(240, 6.0), np.tile(np.linspace(-1.0, 1.0, 80), 3), np.repeat([-1.0, -0.5, 0.0], 80)], axis=1
     )
     points = np.concatenate([np.column_stack([ground, np.full(len(ground), -1.8)]), wall]).astype(np.float32)
-    made = NetworkCard("made", SHAPE, GRID, max_range_m=14.0)
-    estimate = UnetEstimator(TorchRunner(made, nearby(SHAPE))).estimate(Sweep(points, sensor_height_m=1.8))
-    i, j = (GRID.index(np.array([[12.0, 0.1], [6.1, 0.1], [3.1, 3.1], [14.5, 3.0], [-12.0, 9.0]]))[0]).T
+    runner = TorchRunner(NetworkCard("made", SHAPE, GRID, max_range_m=30.0), nearby(SHAPE))
+    sweep = Sweep(points, sensor_height_m=1.8)
+    estimate = UnetEstimator(runner).estimate(sweep)
+    i, j = (GRID.index(np.array([[12.0, 0.1], [6.1, 0.1], [3.1, 3.1], [15.1, 15.1], [13.6, 13.9]]))[0]).T
     words = [CellState(state).name for state in estimate.state[i, j]]
-    assert words == ["HIDDEN", "SURFACE", "FREE", "UNKNOWN", "UNKNOWN"]
+    assert words == ["HIDDEN", "SURFACE", "FREE", "UNKNOWN", "FREE"]
+    # The network claims the patch, and beams reach it.
+    assert runner.run(runner.card.input_of(sweep)[None], SHAPE.no_masks(1))[0][i[3], j[3]] > 0.5
+    assert evidence_of(sweep).reaching[i[3], j[3]] > CAR.min_returns
     assert estimate.visible_prob[i[3], j[3]] == 0
 
 
-def test_nothing_is_hidden_beyond_the_farthest_return() -> None:
-    """A post at 4 m, and ground as far as 9 m on the other side: behind the post HIDDEN ends at 9 m."""
+def test_hidden_ends_where_no_beam_aims_at_a_target_any_more() -> None:
+    """A post at 4 m, 1 m up: beams from 1.8 m that end there are 0.3 m below the ground at 10.5 m."""
     post = np.stack([np.full(40, 4.0), np.linspace(-0.4, 0.4, 40), np.full(40, -0.8)], axis=1)
     ground = np.stack([np.full(40, -9.0), np.linspace(-0.4, 0.4, 40), np.full(40, -1.8)], axis=1)
     sweep = Sweep(np.concatenate([post, ground]).astype(np.float32), sensor_height_m=1.8)
     found = UnetEstimator(TorchRunner(card(SHAPE, GRID), nearby(SHAPE))).estimate(sweep)
-    cells = GRID.index(np.array([[7.5, 0.0], [8.5, 0.2], [9.6, 0.0], [13.0, 0.0]]))[0]
+    cells = GRID.index(np.array([[7.5, 0.0], [8.5, 0.2], [9.6, 0.0], [11.2, 0.0], [13.0, 0.0]]))[0]
     states = [CellState(found.state[i, j]).name for i, j in cells]
-    assert states == ["HIDDEN", "HIDDEN", "UNKNOWN", "UNKNOWN"]
+    assert states == ["HIDDEN", "HIDDEN", "HIDDEN", "UNKNOWN", "UNKNOWN"]
 
 
 def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
@@ -146,14 +175,16 @@ def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
 def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: float, sure: float) -> None:
     plain = UnetEstimator(TorchRunner(card(SHAPE, GRID, threshold=threshold), drawn(SHAPE)))
     every, found = plain.estimate(street), plain.with_abstention(sure).estimate(street)
-    assert np.array_equal(every.visible_prob, found.visible_prob)
-    claimed, denied = found.visible_prob >= max(threshold, sure), found.visible_prob <= np.float32(1 - sure)
+    said = plain.runner.run(plain.card.input_of(street)[None], SHAPE.no_masks(1))[0]
+    evidence = evidence_of(street)
+    claimed = evidence.supports_claim() & (said >= max(threshold, sure))
+    denied = evidence.supports_denial() & (said <= np.float32(1 - sure))
     assert claimed.any() or threshold == 0.9
-    assert (denied & (every.state == CellState.HIDDEN)).any()
+    assert denied.any()
     assert (~claimed & ~denied & (every.state != CellState.UNKNOWN)).any()
     assert np.array_equal(np.isin(found.state, [CellState.FREE, CellState.SURFACE]), claimed)
-    assert (found.state[~claimed & ~denied] == CellState.UNKNOWN).all()
-    kept = claimed | (denied & (every.visible_prob < threshold))
+    assert np.array_equal(found.state == CellState.HIDDEN, denied)
+    kept = claimed | (denied & (said < threshold))
     assert np.array_equal(found.state[kept], every.state[kept])
     assert np.array_equal(plain.with_abstention(0.5).estimate(street).state, every.state)
 

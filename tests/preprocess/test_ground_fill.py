@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from viewshed import GRIDS, Sweep
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
-from viewshed.preprocess.ground_fill import fill_ground
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 ROAD = GRIDS["road"]

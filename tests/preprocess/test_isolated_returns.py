@@ -9,7 +9,6 @@ from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.preprocess.isolated_returns import _least_confirmations
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor, silent_columns
-from viewshed.preprocess.reach import returns_beyond
 from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
@@ -165,8 +164,8 @@ def test_a_clear_sweep_has_no_clutter_and_neither_has_one_with_few_lies() -> Non
     for sweep in (STREET, spoofed(STREET, 0.01, (1.5, 4.0))[0]):
         image = image_of(sweep)
         assert image.clutter is None
-        beyond = returns_beyond(sweep.points, sweep.model)  # some of the lies
-        assert len(level_of(sweep).points) == len(sweep) - beyond
+        within = np.linalg.norm(sweep.points, axis=1) <= MODEL.max_range_m
+        assert np.array_equal(level_of(sweep).rows, np.flatnonzero(within))
 
 
 def test_most_random_returns_of_a_jammed_sweep_are_clutter_and_few_true_ones() -> None:
@@ -187,7 +186,10 @@ def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_vie
     assert leveled.range_image is not None
     assert leveled.range_image.clutter is not None
     assert set(leveled.rows) == set(np.flatnonzero(~leveled.range_image.clutter))
-    assert np.abs(leveled.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8].max() < 0.3
+    # A node holds its own returns: one that a random return alone lies on may be off by what a step of ground may be.
+    off_m = np.abs(leveled.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8]
+    assert np.quantile(off_m, 0.998) < 0.2
+    assert off_m.max() < 0.35
     assert (claimed(sweep) == claimed(STREET)).mean() > 0.96
 
 

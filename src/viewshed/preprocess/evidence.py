@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
+from weakref import ReferenceType, WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,14 @@ Mask = NDArray[np.bool_]
 
 States = NDArray[np.uint8]
 
-_EVIDENCE: WeakKeyDictionary[LeveledSweep, dict[tuple[BevGrid, Target, History | None], BeamEvidence]]
+_EVIDENCE: WeakKeyDictionary[
+    LeveledSweep | History, dict[tuple[BevGrid, Target, ReferenceType[LeveledSweep]], BeamEvidence]
+]
 _EVIDENCE = WeakKeyDictionary()
-"""The evidence of sweeps that are still in use: every estimator asks for that of the same sweep."""
+"""The evidence of sweeps that are still in use, by the sweep or by its history: every estimator asks for the same.
+
+It holds no sweep: that of a history, which holds the sweeps before, would keep those of a whole stream.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,12 +123,12 @@ class BeamEvidence:
 
 
 def beam_evidence(leveled: LeveledSweep, grid: BevGrid, target: Target, history: History | None = None) -> BeamEvidence:
-    """Return the evidence of a leveled sweep; computed once for a grid, a target and a history while the sweep is used.
+    """Return the evidence of a leveled sweep; computed once for a grid, a target and a history while they are used.
 
     Beams end at the obstacles that earlier sweeps saw.
     """
-    known = _EVIDENCE.setdefault(leveled, {})
-    key = grid, target, history
+    known = _EVIDENCE.setdefault(history or leveled, {})
+    key = grid, target, ref(leveled)
     if key not in known:
         known[key] = _count_beams(leveled, grid, target, history)
     return known[key]
