@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO
+from viewshed.cli._options import AUTO, complain
+from viewshed.cli._outputs import data_set_line, progress_bar
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
@@ -35,8 +36,8 @@ def label(
     kind: Annotated[str, typer.Option(help="auto, archive, or a layout: nuscenes, kitti, carla, …")] = AUTO,
     sensor: options.SensorName = AUTO,
     every: Annotated[bool, typer.Option("--every", help="Label sweeps between keyframes as well.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
-    engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
+    workers: options.Workers = None,
+    engine: options.EngineName = "local",
 ) -> None:
     """Label benign sweeps with what the sensor could have seen, using those before and after where poses exist.
 
@@ -50,8 +51,7 @@ def label(
     origin = Origin(*_place(source, index, kind), sensor, every)
     rules = _rules(origin, grid, definition, target, neighbors)
     archive, problems = _labeled(origin, rules, out, engine, workers)
-    size = sum(shard.bytes for shard in archive.shards)
-    typer.echo(f"{archive.store.place}: {len(archive)} labels in {len(archive.scenes)} scene(s), {size / 1e6:.1f} MB")
+    typer.echo(data_set_line(archive, f"{len(archive)} labels in {len(archive.scenes)} scene(s)"))
     if problems:
         raise typer.Exit(2)
 
@@ -81,9 +81,6 @@ def _rules(origin: Origin, grid: str | None, definition: str, target: str, neigh
 
 
 def _labeled(origin: Origin, rules: Rules, out: str, engine: str, workers: int | None) -> tuple[Archive, list[str]]:
-    from rich.console import Console
-    from rich.progress import Progress
-
     from viewshed._jobs import engine_named
     from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.labeling import label as run
@@ -93,9 +90,9 @@ def _labeled(origin: Origin, rules: Rules, out: str, engine: str, workers: int |
     def report(result: ShardResult) -> None:
         problems.extend(result.problems)
         for problem in result.problems:
-            typer.echo(f"viewshed: {problem}", err=True)
-        bar.advance(task, result.facts.frames if result.facts else 0)
+            complain(problem)
+        bar.advance(task, result.frames)
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with progress_bar(transient=True) as bar:
         task = bar.add_task("sweeps", total=None)
         return run(origin, rules, Storage.of(out), engine_named(engine, workers), report), problems
