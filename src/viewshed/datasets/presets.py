@@ -108,11 +108,7 @@ class Preset:
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Preset:
-        """Return the preset in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
+        """Return the preset in plain values: keys as the attributes, lists for tuples."""
         return cls(**flat.from_dict(cls, table, "preset"))
 
     def to_json(self) -> dict[str, Any]:
