@@ -9,7 +9,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
     from viewshed.datasets import Archive
+    from viewshed.datasets.archive.build import ShardResult
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
     from viewshed.preprocess.leveling import LeveledSweep
@@ -139,6 +140,28 @@ def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
         return
     with progress_bar(transient=True) as bar:
         yield from bar.track(items, total=count, description="sweeps")
+
+
+def build_with_bar(
+    name: str, total: int | None, build: Callable[[Callable[[ShardResult], None]], Archive]
+) -> tuple[Archive, int]:
+    """Return a data set and how many problems its shards had, each said as it comes up; a bar counts its sweeps.
+
+    ``build`` makes the data set and is given what to call with each finished shard.
+    """
+    from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    problems: list[str] = []
+
+    def report(result: ShardResult) -> None:
+        problems.extend(result.problems)
+        for problem in result.problems:
+            complain(problem)
+        bar.advance(task, result.frames)
+
+    with progress_bar(TextColumn("sweeps"), TimeElapsedColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task(name, total=total)
+        return build(report), len(problems)
 
 
 def data_set_line(archive: Archive, content: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +11,9 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, Reading, complain
-from viewshed.cli._outputs import data_set_line, progress_bar, refuse_inputs
+from viewshed.cli._outputs import build_with_bar, data_set_line, refuse_inputs
 
 if TYPE_CHECKING:
-    from viewshed.datasets import Archive
-    from viewshed.datasets.archive.build import ShardResult
     from viewshed.datasets.tampered import AttackPlan, Sweeps, TamperPlan
     from viewshed.grid import BevGrid
 
@@ -143,39 +142,23 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
 
 
 def _run(sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None) -> None:
-    failed = list(sweeps.problems)
-    for problem in failed:
-        complain(problem)
-    if output.file is not None:
-        _to_file(sweeps, plan, output)
-    else:
-        archive = _to_archive(sweeps, plan, output, engine, workers, failed)
-        typer.echo(data_set_line(archive, f"{len(archive)} of {sweeps.count} sweeps"))
-    if failed:
-        raise typer.Exit(2)
-
-
-def _to_archive(
-    sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None, failed: list[str]
-) -> Archive:
-    from rich.progress import TextColumn, TimeRemainingColumn
-
     from viewshed._jobs import engine_named
     from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.tampered import tamper
 
-    runner = engine_named(engine, workers)
-    with progress_bar(TextColumn("sweeps"), TimeRemainingColumn()) as bar:
-        task = bar.add_task(plan.name, total=sweeps.count)
-
-        def report(result: ShardResult) -> None:
-            bar.advance(task, result.frames)
-            failed.extend(result.problems)
-
-        archive = tamper(sweeps, plan, Storage.of(output.out), runner, output.seed, report)
-    for problem in failed[len(sweeps.problems) :]:
+    for problem in sweeps.problems:
         complain(problem)
-    return archive
+    failed = len(sweeps.problems)
+    if output.file is not None:
+        _to_file(sweeps, plan, output)
+    else:
+        store, runner = Storage.of(output.out), engine_named(engine, workers)
+        make = partial(tamper, sweeps, plan, store, runner, output.seed)
+        archive, problems = build_with_bar(plan.name, sweeps.count, make)
+        failed += problems
+        typer.echo(data_set_line(archive, f"{len(archive)} of {sweeps.count} sweeps"))
+    if failed:
+        raise typer.Exit(2)
 
 
 def _to_file(sweeps: Sweeps, plan: TamperPlan, output: _Output) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, complain
-from viewshed.cli._outputs import data_set_line, progress_bar
+from viewshed.cli._options import AUTO
+from viewshed.cli._outputs import build_with_bar, data_set_line
 
 if TYPE_CHECKING:
-    from viewshed.datasets import Archive
-    from viewshed.datasets.archive.build import ShardResult
     from viewshed.datasets.labeling import Origin, Rules
 
 
@@ -46,22 +44,21 @@ def label(
 
     Example: viewshed label /data/nuscenes --definition probe --out labels
     """
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.labeling import Origin
+    from viewshed.datasets.labeling import label as run
 
-    origin = Origin(*_place(source, index, kind), sensor, every)
+    if (source is None) == (index is None):
+        raise ValueError("name a recording SRC or an --index, one of them")
+    place = (str(source), kind) if index is None else (str(index), "index")
+    origin = Origin(*place, sensor, every)
     rules = _rules(origin, grid, definition, target, neighbors)
-    archive, problems = _labeled(origin, rules, out, engine, workers)
+    make = partial(run, origin, rules, Storage.of(out), engine_named(engine, workers))
+    archive, problems = build_with_bar("label", None, make)
     typer.echo(data_set_line(archive, f"{len(archive)} labels in {len(archive.scenes)} scene(s)"))
     if problems:
         raise typer.Exit(2)
-
-
-def _place(source: str | None, index: Path | None, kind: str) -> tuple[str, str]:
-    if (source is None) == (index is None):
-        raise ValueError("name a recording SRC or an --index, one of them")
-    if index is not None:
-        return str(index), "index"
-    return str(source), kind
 
 
 def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> Rules:
@@ -78,21 +75,3 @@ def _rules(origin: Origin, grid: str | None, definition: str, target: str, neigh
     else:
         cells = options.parse_grid(grid or "road")
     return Rules(cells, cast(Definition, definition), target, neighbors)
-
-
-def _labeled(origin: Origin, rules: Rules, out: str, engine: str, workers: int | None) -> tuple[Archive, list[str]]:
-    from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Storage
-    from viewshed.datasets.labeling import label as run
-
-    problems: list[str] = []
-
-    def report(result: ShardResult) -> None:
-        problems.extend(result.problems)
-        for problem in result.problems:
-            complain(problem)
-        bar.advance(task, result.frames)
-
-    with progress_bar(transient=True) as bar:
-        task = bar.add_task("sweeps", total=None)
-        return run(origin, rules, Storage.of(out), engine_named(engine, workers), report), problems

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._outputs import data_set_line, progress_bar
+from viewshed.cli._outputs import build_with_bar, data_set_line
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
@@ -36,13 +37,17 @@ def simulate(
 
     Example: viewshed simulate nuscenes-small --out sweeps
     """
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.presets import preset_named
+    from viewshed.datasets.simulated import simulate as run
 
     chosen = _configured(preset_named(preset), sweeps, seed, grid)
     if preview:
         _preview(chosen, out)
         return
-    archive = _simulated(chosen, out or preset, engine, workers)
+    store, runner = Storage.of(out or preset), engine_named(engine, workers)
+    archive, _ = build_with_bar(chosen.name, chosen.sweeps, partial(run, chosen, store, runner))
     typer.echo(_summary(archive))
 
 
@@ -109,19 +114,6 @@ def _preview(preset: Preset, out: str | None) -> None:
     path = Path(out or f"{preset.name}.png")
     write_atomic(path, preview_png(preset.name, preset.seed))
     typer.echo(f"Look at {path.resolve()}")
-
-
-def _simulated(preset: Preset, out: str, engine: str, workers: int | None) -> Archive:
-    from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Storage
-    from viewshed.datasets.simulated import simulate as run
-
-    store, runner = Storage.of(out), engine_named(engine, workers)
-    with progress_bar(TextColumn("sweeps"), TimeElapsedColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task(preset.name, total=preset.sweeps)
-        return run(preset, store, runner, lambda shard: bar.advance(task, shard.frames))
 
 
 def _summary(archive: Archive) -> str:
