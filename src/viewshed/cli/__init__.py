@@ -25,9 +25,7 @@ from viewshed.cli.train import crossval, train
 
 BAD_INPUT = 2
 INTERRUPTED = 130
-
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
-
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (

@@ -23,29 +23,17 @@ GridName = Annotated[
 ]
 
 SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
-
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
-
 FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
-
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
-
 Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
-
 Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
-
 TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
-
 Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the published parameters.")]
-
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
-
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
-
 Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
-
 EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
-
 AUTO = "auto"
 
 NO_SENSOR = "none"
@@ -214,9 +202,7 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
 
 
 Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]
-
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
-
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
 
 HistorySweeps = Annotated[

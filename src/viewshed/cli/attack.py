@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one file also a file (attacked.npz).")]
-
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
 
 

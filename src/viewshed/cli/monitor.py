@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 monitor_app = typer.Typer(help="Learn what doubt is usual, and alarm where there is more.")
-
 Named = tuple[str, "Sweep"]
 
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 dataset_app = typer.Typer(help="Look at a data set.")
-
 Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
 
 

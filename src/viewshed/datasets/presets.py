@@ -14,7 +14,6 @@ from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 
 MAX_SEED = 2**32 - 1
-
 _TABLES = "datasets/preset_tables"
 
 MAX_CELLS = 2048

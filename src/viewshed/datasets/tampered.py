@@ -162,7 +162,6 @@ ReadEarlier = Callable[[], tuple[Sweep, ...]]
 """Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
 
 PAPER = "paper"
-
 _LASTING = EARLIER | {"coherent_phantom"}
 _FACTORIES = ATTACKS | ADAPTIVE
 _ROOM_M = 20.0

@@ -98,10 +98,8 @@ FORMAT = 1
 """Version of what a checkpoint holds beside Lightning's own."""
 
 KEY = "viewshed"
-
 _LAST_RATE = 0.01
 _MOMENTUM = 0.1
-
 Batch = dict[str, Tensor]
 
 

@@ -126,7 +126,6 @@ def attack_strengths(name: str) -> tuple[int | tuple[str, float] | None, ...]:
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
 Arrays = dict[str, NDArray[np.float32]]
 
 Key = tuple[int, int]

@@ -28,9 +28,7 @@ SCHEMA_VERSION = 1
 """Of the columns and of the text in footer and manifest; a reader refuses any other."""
 
 MANIFEST = "manifest.json"
-
 REPAIR = "run the command that made the archive again, it writes anew only what is damaged or missing"
-
 _KIND = "viewshed archive"
 
 

@@ -26,7 +26,6 @@ SCHEMES = ("file", "s3", "gs", "gcs", "abfs", "abfss")
 """What a place may begin with, besides a folder's name."""
 
 _REQUESTS = 16  # under way at a time
-
 _DRAFT = re.compile(r"\..+\.[0-9a-f]{12}\.part")  # what viewshed._files writes beside a file
 
 _REPAIRS = {

@@ -24,7 +24,6 @@ CHANNEL = "LIDAR_TOP"
 """The sensor whose sweeps are read."""
 
 _MICROSECONDS_MAX = 2**63 // 1000
-
 _KINDS = {str: "text", int: "a whole number", bool: "true or false", list: "a list"}
 
 _SAMPLE_DATA: dict[str, type] = {

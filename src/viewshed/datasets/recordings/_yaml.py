@@ -14,7 +14,6 @@ _BYTES_MAX = 4_000_000
 _DEPTH_MAX = 50
 _NODES_MAX = 200_000
 _NUMBER_LETTERS = 64
-
 _DIRECTIVE = re.compile(r"(?:^|[\r\n\x85\u2028\u2029])%")
 _PYTHON = "tag:yaml.org,2002:python/"
 _TEXT = "tag:yaml.org,2002:str"

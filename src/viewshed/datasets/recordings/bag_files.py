@@ -26,7 +26,6 @@ from viewshed.io.formats import BAG_SUFFIXES
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
-
 _METADATA = "metadata.yaml"
 _PACKED = (".zstd", ".zst")
 _EMPTY_RECORDS_MAX = 100_000
