@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 
 
 J = TypeVar("J")
-
 R = TypeVar("R")
-
 R_co = TypeVar("R_co", covariant=True)
 
 TRIES = 3
@@ -92,14 +90,35 @@ def reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}{where}" if text else f"{type(error).__name__}{where}"
 
 
-def check_workers(workers: int | None) -> None:
-    """Check a number of workers; None stands for all cores.
-
-    Raises:
-        ValueError: it is below 1.
-    """
+def _check_workers(workers: int | None) -> None:
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
+
+
+@dataclass(slots=True)
+class _Pending:
+    """The numbers of the jobs that nobody has, with how often each was begun: lost ones first, then new ones."""
+
+    count: int
+    next_new: int = 0
+    lost: list[tuple[int, int]] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.lost) or self.next_new < self.count
+
+    def take(self) -> tuple[int, int]:
+        """Return a job to be begun, and how often it was begun before."""
+        if self.lost:
+            return self.lost.pop()
+        self.next_new += 1
+        return self.next_new - 1, 0
+
+    def lose(self, index: int, tries: int, end: str) -> Iterator[Done[Any]]:
+        """Take back a job whose worker died, begun so many times; yield it failed where it was begun often enough."""
+        if tries < TRIES:
+            self.lost.append((index, tries))
+        else:
+            yield Done(index, None, f"the worker died {TRIES} times over this job, at last with {end}")
 
 
 _GRACE_S = 2.0  # for a worker to remove what it has half written
@@ -119,18 +138,14 @@ class LocalEngine:
     workers: int | None = None
 
     def __post_init__(self) -> None:
-        check_workers(self.workers)
+        _check_workers(self.workers)
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        """Yield one ``Done`` for every job as they finish; see :class:`viewshed._jobs.Engine`.
-
-        Raises:
-            OSError: workers cannot start.
-        """
+        """Yield one ``Done`` for every job as they finish, see :class:`Engine`; an OSError if workers cannot start."""
         workers = cores() if self.workers is None else self.workers
         if workers == 1:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
-        return _Pool(pickle.dumps(work), min(workers, len(jobs))).run(jobs)
+        return _Pool(pickle.dumps(work), _Pending(len(jobs))).run(jobs, min(workers, len(jobs)))
 
 
 def cores() -> int:
@@ -154,24 +169,19 @@ class _Pool:
     """The workers of one run, and the jobs that are pending."""
 
     work: bytes
-    size: int
+    pending: _Pending
     workers: list[_Worker] = field(default_factory=list)
-    retries: list[tuple[int, int]] = field(default_factory=list)  # job, tries
-    next_job: int = 0
     failed_starts: int = 0
 
-    def run(self, jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+    def run(self, jobs: Sequence[J], size: int) -> Generator[Done[R], None, None]:
         try:
-            self.workers.extend(_start(self.work) for _ in range(self.size))
-            while self.retries or self.next_job < len(jobs) or any(worker.index is not None for worker in self.workers):
-                for worker in self._wait_for_workers():
+            self.workers.extend(_start(self.work) for _ in range(size))
+            while self.pending or any(worker.index is not None for worker in self.workers):
+                ready = set(wait([worker.pipe for worker in self.workers]))
+                for worker in [worker for worker in self.workers if worker.pipe in ready]:
                     yield from self._receive(worker, jobs)
         finally:
             _stop(self.workers)
-
-    def _wait_for_workers(self) -> list[_Worker]:
-        ready = set(wait([worker.pipe for worker in self.workers]))
-        return [worker for worker in self.workers if worker.pipe in ready]
 
     def _receive(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
         """Receive a message of a worker (that it is ready, or a job done) and assign it the next job."""
@@ -187,9 +197,8 @@ class _Pool:
         yield from self._assign(worker, jobs)
 
     def _assign(self, worker: _Worker, jobs: Sequence[J]) -> Iterator[Done[R]]:
-        while worker.index is None and (self.retries or self.next_job < len(jobs)):
-            index, tries = self.retries.pop() if self.retries else (self.next_job, 0)
-            self.next_job = max(self.next_job, index + 1)
+        while worker.index is None and self.pending:
+            index, tries = self.pending.take()
             try:
                 message = pickle.dumps((index, jobs[index]))
             except Exception as error:
@@ -211,10 +220,8 @@ class _Pool:
                 f"a worker process must start, got {end} {TRIES} times; call the engine below"
                 ' if __name__ == "__main__":, give it more memory, or use 1 worker'
             )
-        if worker.index is not None and worker.tries < TRIES:
-            self.retries.append((worker.index, worker.tries))
-        elif worker.index is not None:
-            yield Done(worker.index, None, f"the worker died {TRIES} times over this job, at last with {end}")
+        if worker.index is not None:
+            yield from self.pending.lose(worker.index, worker.tries, end)
         self.workers.append(_start(self.work))
 
 
@@ -314,16 +321,12 @@ class RayEngine:
     workers: int | None = None
 
     def __post_init__(self) -> None:
-        check_workers(self.workers)
+        _check_workers(self.workers)
         if importlib.util.find_spec("ray") is None:
             raise ImportError("engine ray needs Ray, which is not installed; pip install 'viewshed[ray]'")
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        """Yield one ``Done`` for every job as they finish; see :class:`viewshed._jobs.Engine`.
-
-        Raises:
-            OSError: the cluster cannot be reached or started.
-        """
+        """Yield one ``Done`` for every job as they finish, see :class:`Engine`; an OSError if there is no cluster."""
         with _cluster():
             yield from _Tasks(work, jobs).run(self.workers)
 
@@ -335,22 +338,20 @@ class _Tasks:
         import ray
 
         self._ray = ray
-        self._jobs = jobs
+        self._jobs, self._pending = jobs, _Pending(len(jobs))
         self._work = ray.put(work)
         # We begin lost tasks again ourselves: Ray would do so without end for those that run out of memory.
         self._task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(attempt)
         self._running: dict[ray.ObjectRef[Any], tuple[int, int]] = {}
 
     def run(self, workers: int | None) -> Generator[Done[R], None, None]:
-        indices = iter(range(len(self._jobs)))
         try:
-            while True:
-                while len(self._running) < (workers or self._cores()) and (index := next(indices, None)) is not None:
-                    yield from self._begin(index, 1)
-                if not self._running:
-                    return
-                finished, _ = self._ray.wait(list(self._running), num_returns=1)
-                yield from self._finish(finished[0])
+            while self._pending or self._running:
+                while self._pending and len(self._running) < (workers or self._cores()):
+                    yield from self._begin(*self._pending.take())
+                if self._running:
+                    finished, _ = self._ray.wait(list(self._running), num_returns=1)
+                    yield from self._finish(finished[0])
         finally:
             for task in self._running:
                 self._ray.cancel(task, force=True)
@@ -365,7 +366,7 @@ class _Tasks:
         except Exception as error:
             yield Done(index, None, f"job {index} cannot be sent to a worker: {reason(error)}")
             return
-        self._running[task] = index, tries
+        self._running[task] = index, tries + 1
 
     def _finish(self, task: ray.ObjectRef[Any]) -> Iterator[Done[R]]:
         index, tries = self._running.pop(task)
@@ -374,11 +375,7 @@ class _Tasks:
         except self._ray.exceptions.RayTaskError as error:
             yield Done(index, None, f"job {index} cannot travel between processes: {reason(error.cause or error)}")
         except self._ray.exceptions.RayError as error:
-            if tries < TRIES:
-                yield from self._begin(index, tries + 1)
-            else:
-                lost = f"{type(error).__name__}: {reason(error)}"[:300]
-                yield Done(index, None, f"the worker died {TRIES} times over this job, at last with {lost}")
+            yield from self._pending.lose(index, tries, f"{type(error).__name__}: {reason(error)}"[:300])
 
 
 @contextlib.contextmanager

@@ -33,7 +33,7 @@ def test_it_labels_a_data_set_on_its_own_grid(
     out = tmp_path / "labels"
     code, said, _ = _run(capsys, "label", str(recording), "--out", str(out), "--workers", "1")
     assert code == 0
-    assert re.fullmatch(rf"{re.escape(str(out))}: 6 labels in 2 scene\(s\), \d\.\d MB\n", said)
+    assert re.fullmatch(rf"{re.escape(str(out))}: 6 labels in 2 scene\(s\), 2 shards, \d\.\d MB\n", said)
     labels, truths = Archive.open(out), Archive.open(recording)
     assert labels.manifest.layout.grid == truths.manifest.layout.grid
     same = [

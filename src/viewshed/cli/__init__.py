@@ -8,7 +8,7 @@ from typing import Annotated, cast
 import typer
 
 from viewshed import __version__
-from viewshed.cli._options import BAD_INPUTS, one_line
+from viewshed.cli._options import BAD_INPUTS, complain, one_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
@@ -24,11 +24,8 @@ from viewshed.cli.study import report_app, reproduce, study_app
 from viewshed.cli.train import crossval, train
 
 BAD_INPUT = 2
-
 INTERRUPTED = 130
-
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
-
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (
@@ -37,17 +34,11 @@ _COMMANDS = (
 
 for _command in _COMMANDS:
     app.command()(_command)
-
 app.command(hidden=True)(reproduce)
-
 app.add_typer(evaluate_app, name="evaluate")
-
 app.add_typer(dataset_app, name="dataset")
-
 app.add_typer(study_app, name="study")
-
 app.add_typer(report_app, name="report", hidden=True)
-
 app.add_typer(monitor_app, name="monitor")
 
 
@@ -80,9 +71,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
     except _Refused as error:
-        _complain(cast(typer.BadParameter, error).format_message())
+        _refuse(cast(typer.BadParameter, error).format_message())
     except BAD_INPUTS as error:
-        _complain(one_line(error))
+        _refuse(one_line(error))
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
     except SystemError as error:  # how an interrupt leaves compiled code
@@ -111,6 +102,6 @@ def _from_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _complain(message: str) -> None:
-    typer.echo(f"viewshed: {' '.join(message.split())}", err=True)
+def _refuse(message: str) -> None:
+    complain(" ".join(message.split()))
     sys.exit(BAD_INPUT)

@@ -1,7 +1,4 @@
-"""Options that several commands share, and what they mean.
-
-Options of the estimators that are networks.
-"""
+"""Options that several commands share, and what they mean: how files are read, which estimator looks at them."""
 
 from __future__ import annotations
 
@@ -26,21 +23,17 @@ GridName = Annotated[
 ]
 
 SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
-
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
-
 FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
-
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
-
 Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
-
 Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
-
 TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
-
 Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the published parameters.")]
-
+Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
+Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
+Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
+EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
 AUTO = "auto"
 
 NO_SENSOR = "none"
@@ -62,8 +55,9 @@ class Reading:
     height_m: float | None = None
     attitude: str | None = None
 
-    def sweep(self, path: Path, entry: IndexEntry | None = None) -> Sweep:
-        """Return the first sweep of :meth:`sweeps`."""
+    def sweep(self, file: Path, index: Path | None = None) -> Sweep:
+        """Return the first sweep of a file, with what an index says of it."""
+        [(path, entry)] = chosen([file], index)
         return next(self.sweeps(path, entry))
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
@@ -90,20 +84,23 @@ class Reading:
 
     def _recorded(self, path: Path) -> Iterator[Sweep]:
         """Yield the sweeps of a recording; what cannot be read costs one line each and an error at the end."""
-        from viewshed.datasets.archive.archive import ArchiveSource, is_archive
-        from viewshed.datasets.recordings import open_source
+        from viewshed.datasets.recording import open_sweep_source
         from viewshed.datasets.recordings.source import each_sweep
 
         if self.file_frame is not None:
             raise ValueError("--file-frame does not go with a recording, which knows its own axes")
-        problems: list[str] = []
-        count = 0
-        source = ArchiveSource.open(path) if is_archive(path) else open_source(path)
-        for _, sweep in each_sweep(source, on_damage=lambda scene, line: _report(problems, line)):
+        count = problems = 0
+
+        def on_damage(scene: str, line: str) -> None:
+            nonlocal problems
+            problems += 1
+            complain(line)
+
+        for _, sweep in each_sweep(open_sweep_source(path), on_damage=on_damage):
             count += 1
             yield self._overridden(sweep)
         if problems or not count:
-            raise ValueError(f"{path}: {count} sweeps read, {len(problems)} problems")
+            raise ValueError(f"{path}: {count} sweeps read, {problems} problems")
 
     def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
         from viewshed.io import read_indexed
@@ -118,9 +115,16 @@ class Reading:
         return sweep.replace(**{name: value for name, value in given.items() if value is not None})
 
 
-def _report(problems: list[str], line: str) -> None:
-    problems.append(line)
+def complain(line: str) -> None:
+    """Print a line about what is wrong on standard error."""
     typer.echo(f"viewshed: {line}", err=True)
+
+
+def is_data_set(place: str) -> bool:
+    """Return whether a place is a data set of ours: a URI, or a folder with a manifest."""
+    from viewshed.datasets.archive.archive import is_archive
+
+    return "://" in place or is_archive(Path(place))
 
 
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
@@ -198,9 +202,7 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
 
 
 Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]
-
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
-
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
 
 HistorySweeps = Annotated[

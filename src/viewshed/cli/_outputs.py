@@ -1,4 +1,4 @@
-"""Where results go: one name for each sweep, and never over an input.
+"""Where results go: one name for each sweep, and never over an input; progress bars, and lines about data sets.
 
 What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it prints.
 """
@@ -6,24 +6,28 @@ What ``viewshed estimate`` does with its sweeps, one by one or in batches, and t
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-import typer
-
-from viewshed.cli._options import BAD_INPUTS, one_line
+from viewshed.cli._options import BAD_INPUTS, complain, one_line
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
+
+    from viewshed.datasets import Archive
+    from viewshed.datasets.archive.build import ShardResult
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
+T = TypeVar("T")
 
 RESULTS = ("png", "geojson", "npz")
 """What can be written of an estimate: picture, polygons, arrays."""
@@ -110,13 +114,60 @@ class Failures:
 
     count: int = 0
 
-    def report(self, file: Path, error: Exception) -> None:
+    def report(self, file: Path | str, error: Exception) -> None:
         """Say what went wrong with a file; an error that is no fault of the input is raised."""
         if not isinstance(error, BAD_INPUTS):
             raise error
         self.count += 1
         text = one_line(error)
-        typer.echo(f"viewshed: {text if file.name in text else f'{file}: {text}'}", err=True)
+        complain(text if Path(file).name in text else f"{file}: {text}")
+
+
+def progress_bar(*columns: ProgressColumn | str, transient: bool = False) -> Progress:
+    """Return a bar on standard error with a description, how many are done of how many, and then ``columns``."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    begin = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    to_terminal = sys.stdout.isatty()  # else the lines belong in the file or pipe, not above the bar
+    return Progress(*begin, *columns, console=Console(stderr=True), transient=transient, redirect_stdout=to_terminal)
+
+
+def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
+    """Yield some items, with a progress bar on standard error where that is a terminal and they are several."""
+    if count < 2 or not sys.stderr.isatty():
+        yield from items
+        return
+    with progress_bar(transient=True) as bar:
+        yield from bar.track(items, total=count, description="sweeps")
+
+
+def build_with_bar(
+    name: str, total: int | None, build: Callable[[Callable[[ShardResult], None]], Archive]
+) -> tuple[Archive, int]:
+    """Return a data set and how many problems its shards had, each said as it comes up; a bar counts its sweeps.
+
+    ``build`` makes the data set and is given what to call with each finished shard.
+    """
+    from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    problems: list[str] = []
+
+    def report(result: ShardResult) -> None:
+        problems.extend(result.problems)
+        for problem in result.problems:
+            complain(problem)
+        bar.advance(task, result.frames)
+
+    with progress_bar(TextColumn("sweeps"), TimeElapsedColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task(name, total=total)
+        return build(report), len(problems)
+
+
+def data_set_line(archive: Archive, content: str) -> str:
+    """Return where a data set lies, what is in it in words, and how large it is, in one line."""
+    size = sum(shard.bytes for shard in archive.shards)
+    return f"{archive.store.place}: {content}, {len(archive.shards)} shards, {size / 1e6:.1f} MB"
 
 
 @dataclass(slots=True)

@@ -3,39 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Reading
-from viewshed.cli._outputs import refuse_inputs
+from viewshed.cli._options import AUTO, Reading, complain
+from viewshed.cli._outputs import build_with_bar, data_set_line, refuse_inputs
 
 if TYPE_CHECKING:
-    from viewshed.datasets import Archive
-    from viewshed.datasets.archive.build import ShardResult
     from viewshed.datasets.tampered import AttackPlan, Sweeps, TamperPlan
     from viewshed.grid import BevGrid
 
 
-Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, a recording, or files.")]
-
 Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one file also a file (attacked.npz).")]
-
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
-
-Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
-
-Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
-
-EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
-
-_MANIFEST = "manifest.json"
 
 
 def attack(
-    sources: Sources,
+    sources: options.Sources,
     attack: Annotated[str, typer.Option(help="Name of an attack, or paper for the paper's mixture.")],
     out: Out,
     budget: Annotated[str | None, typer.Option(help="Most returns, or full; the attack's own if not given.")] = None,
@@ -44,11 +32,11 @@ def attack(
         str | None, typer.Option(help="Estimator that an attacker who adapts asks; shadow_map if not given.")
     ] = None,
     seed: Seed = 0,
-    split: Split = None,
+    split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    workers: Workers = None,
-    engine: EngineName = "local",
+    workers: options.Workers = None,
+    engine: options.EngineName = "local",
 ) -> None:
     """Attack every sweep of a data set, with a record of what was touched; truth stays as it was.
 
@@ -77,16 +65,16 @@ def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str 
 
 
 def corrupt(
-    sources: Sources,
+    sources: options.Sources,
     corruption: Annotated[str, typer.Option(help="Name of a corruption.")],
     out: Out,
     severity: Annotated[int, typer.Option(help="From 1, mild, to 5.")] = 3,
     seed: Seed = 0,
-    split: Split = None,
+    split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    workers: Workers = None,
-    engine: EngineName = "local",
+    workers: options.Workers = None,
+    engine: options.EngineName = "local",
 ) -> None:
     """Corrupt every sweep of a data set as weather and faults do; truth stays as it was. Else as attack.
 
@@ -140,7 +128,7 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
     from viewshed.io.formats import is_recording
 
     first, wanted = Path(sources[0]), options.parse_grid(grid)
-    if len(sources) == 1 and ("://" in sources[0] or (first / _MANIFEST).is_file()):
+    if len(sources) == 1 and options.is_data_set(sources[0]):
         return sweeps_of_archive(Archive.open(sources[0]), split)
     if split is not None:
         raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")
@@ -153,41 +141,23 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
 
 
 def _run(sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None) -> None:
-    failed = list(sweeps.problems)
-    for problem in failed:
-        typer.echo(f"viewshed: {problem}", err=True)
-    if output.file is not None:
-        _to_file(sweeps, plan, output)
-    else:
-        typer.echo(_summary(_to_archive(sweeps, plan, output, engine, workers, failed), sweeps.count))
-    if failed:
-        raise typer.Exit(2)
-
-
-def _to_archive(
-    sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None, failed: list[str]
-) -> Archive:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from viewshed._jobs import engine_named
     from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.tampered import tamper
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
-               TimeRemainingColumn())  # fmt: skip
-    runner = engine_named(engine, workers)
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(plan.name, total=sweeps.count)
-
-        def report(result: ShardResult) -> None:
-            bar.advance(task, 0 if result.facts is None else result.facts.frames)
-            failed.extend(result.problems)
-
-        archive = tamper(sweeps, plan, Storage.of(output.out), runner, output.seed, report)
-    for problem in failed[len(sweeps.problems) :]:
-        typer.echo(f"viewshed: {problem}", err=True)
-    return archive
+    for problem in sweeps.problems:
+        complain(problem)
+    failed = len(sweeps.problems)
+    if output.file is not None:
+        _to_file(sweeps, plan, output)
+    else:
+        store, runner = Storage.of(output.out), engine_named(engine, workers)
+        make = partial(tamper, sweeps, plan, store, runner, output.seed)
+        archive, problems = build_with_bar(plan.name, sweeps.count, make)
+        failed += problems
+        typer.echo(data_set_line(archive, f"{len(archive)} of {sweeps.count} sweeps"))
+    if failed:
+        raise typer.Exit(2)
 
 
 def _to_file(sweeps: Sweeps, plan: TamperPlan, output: _Output) -> None:
@@ -204,8 +174,3 @@ def _to_file(sweeps: Sweeps, plan: TamperPlan, output: _Output) -> None:
     write_sweep(sweep, output.file)
     write_atomic(record, about.encode())
     typer.echo(f"{output.file}: {len(sweep)} returns; what was touched is in {record.name}")
-
-
-def _summary(archive: Archive, count: int) -> str:
-    size = sum(shard.bytes for shard in archive.shards)
-    return f"{archive.store.place}: {len(archive)} of {count} sweeps, {len(archive.shards)} shards, {size / 1e6:.1f} MB"

@@ -14,7 +14,7 @@ from viewshed.cli._outputs import refuse_inputs
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
-    from viewshed.fov.estimate import CellState, FovEstimate
+    from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.preprocess.leveling import LeveledSweep
 
@@ -54,9 +54,8 @@ def compare(
     cells = options.parse_grid(grid)
     names = _all_names(profile, cells) if methods == "all" else _current_names(methods)
     estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
-    [(path, entry)] = options.chosen([file], index)
     refuse_inputs([out], [file])
-    sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
+    sweep = Reading(sensor, format, file_frame, height, attitude).sweep(file, index)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
     first = results[names[0]][0]
@@ -102,14 +101,10 @@ def _timed(estimator: Estimator, leveled: LeveledSweep) -> tuple[FovEstimate, fl
 
 
 def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate) -> list[str]:
+    from viewshed.fov.estimate import CellState
+
     mask, reference = estimate.visible(), first.visible()
     either = int((mask | reference).sum())
     overlap = int((mask & reference).sum()) / either if either else 1.0
-    shares = [f"{estimate.share(state):.1%}" for state in _hidden_and_unknown()]
+    shares = [f"{estimate.share(state):.1%}" for state in (CellState.HIDDEN, CellState.UNKNOWN)]
     return [name, f"{estimate.area_m2():.0f}", *shares, f"{overlap:.3f}", f"{elapsed_ms:.1f}"]
-
-
-def _hidden_and_unknown() -> tuple[CellState, CellState]:
-    from viewshed.fov.estimate import CellState
-
-    return CellState.HIDDEN, CellState.UNKNOWN

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +22,16 @@ from viewshed.cli._options import (
     Seed,
     Weights,
 )
-from viewshed.cli._outputs import Failures, Named, Run, free_name, output_names, parse_results, refuse_inputs
+from viewshed.cli._outputs import (
+    Failures,
+    Named,
+    Run,
+    free_name,
+    output_names,
+    parse_results,
+    refuse_inputs,
+    with_bar,
+)
 
 if TYPE_CHECKING:
     from viewshed.io import IndexEntry
@@ -113,7 +121,7 @@ def estimate(
 def _sweeps(reading: Reading, jobs: list[Job], names: list[str], failures: Failures) -> Iterator[Named]:
     """Yield every sweep that can be read."""
     taken = {name.casefold() for name in names}
-    for (file, entry), name in zip(_with_bar(jobs), names, strict=True):
+    for (file, entry), name in zip(with_bar(jobs, len(jobs)), names, strict=True):
         try:
             yield from (Named(sweep, own, file) for sweep, own in _named(reading.sweeps(file, entry), name, taken))
         except BAD_INPUTS as error:
@@ -135,19 +143,3 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
     yield second, free_name(f"{name}_001", taken)
     for number, sweep in enumerate(sweeps, start=2):
         yield sweep, free_name(f"{name}_{number:03}", taken)
-
-
-def _with_bar(jobs: list[Job]) -> Iterable[Job]:
-    """Return the jobs, with a progress bar on standard error where that is a terminal and they are several."""
-    if len(jobs) < 2 or not sys.stderr.isatty():
-        return jobs
-    return _tracked(jobs)
-
-
-def _tracked(jobs: list[Job]) -> Iterator[Job]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    to_terminal = sys.stdout.isatty()  # else the lines belong in the file or pipe, not above the bar
-    with Progress(console=Console(stderr=True), transient=True, redirect_stdout=to_terminal) as bar:
-        yield from bar.track(jobs, description="sweeps")

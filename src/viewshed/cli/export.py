@@ -49,11 +49,10 @@ def export(
     if _is_estimate(file):
         estimate = read_npz(file)
     else:
-        [(path, entry)] = options.chosen([file], index)
         estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
             method, options.parse_grid(grid), target
         )
-        estimate = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(path, entry))
+        estimate = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(file, index))
     content = json.dumps(to_cpm(estimate, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(estimate)
     name = stem_of(file.name) + EXPORTERS[to].suffix
     path_out = Path(name) if out is None else out / name if out.is_dir() else out

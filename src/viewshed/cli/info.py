@@ -32,8 +32,7 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    [(path, entry)] = options.chosen([file], index)
-    sweep = Reading("none", format, file_frame, height, attitude).sweep(path, entry)
+    sweep = Reading("none", format, file_frame, height, attitude).sweep(file, index)
     leveled = level(sweep, options.parse_grid(grid))
     for name, value in (*_points(sweep, leveled), *_beams(sweep, sensor), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")

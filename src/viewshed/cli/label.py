@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO
+from viewshed.cli._outputs import build_with_bar, data_set_line
 
 if TYPE_CHECKING:
-    from viewshed.datasets import Archive
-    from viewshed.datasets.archive.build import ShardResult
     from viewshed.datasets.labeling import Origin, Rules
 
 
@@ -35,8 +34,8 @@ def label(
     kind: Annotated[str, typer.Option(help="auto, archive, or a layout: nuscenes, kitti, carla, …")] = AUTO,
     sensor: options.SensorName = AUTO,
     every: Annotated[bool, typer.Option("--every", help="Label sweeps between keyframes as well.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
-    engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
+    workers: options.Workers = None,
+    engine: options.EngineName = "local",
 ) -> None:
     """Label benign sweeps with what the sensor could have seen, using those before and after where poses exist.
 
@@ -45,23 +44,21 @@ def label(
 
     Example: viewshed label /data/nuscenes --definition probe --out labels
     """
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.labeling import Origin
+    from viewshed.datasets.labeling import label as run
 
-    origin = Origin(*_place(source, index, kind), sensor, every)
-    rules = _rules(origin, grid, definition, target, neighbors)
-    archive, problems = _labeled(origin, rules, out, engine, workers)
-    size = sum(shard.bytes for shard in archive.shards)
-    typer.echo(f"{archive.store.place}: {len(archive)} labels in {len(archive.scenes)} scene(s), {size / 1e6:.1f} MB")
-    if problems:
-        raise typer.Exit(2)
-
-
-def _place(source: str | None, index: Path | None, kind: str) -> tuple[str, str]:
     if (source is None) == (index is None):
         raise ValueError("name a recording SRC or an --index, one of them")
-    if index is not None:
-        return str(index), "index"
-    return str(source), kind
+    place = (str(source), kind) if index is None else (str(index), "index")
+    origin = Origin(*place, sensor, every)
+    rules = _rules(origin, grid, definition, target, neighbors)
+    make = partial(run, origin, rules, Storage.of(out), engine_named(engine, workers))
+    archive, problems = build_with_bar("label", None, make)
+    typer.echo(data_set_line(archive, f"{len(archive)} labels in {len(archive.scenes)} scene(s)"))
+    if problems:
+        raise typer.Exit(2)
 
 
 def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> Rules:
@@ -78,24 +75,3 @@ def _rules(origin: Origin, grid: str | None, definition: str, target: str, neigh
     else:
         cells = options.parse_grid(grid or "road")
     return Rules(cells, cast(Definition, definition), target, neighbors)
-
-
-def _labeled(origin: Origin, rules: Rules, out: str, engine: str, workers: int | None) -> tuple[Archive, list[str]]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Storage
-    from viewshed.datasets.labeling import label as run
-
-    problems: list[str] = []
-
-    def report(result: ShardResult) -> None:
-        problems.extend(result.problems)
-        for problem in result.problems:
-            typer.echo(f"viewshed: {problem}", err=True)
-        bar.advance(task, result.facts.frames if result.facts else 0)
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("sweeps", total=None)
-        return run(origin, rules, Storage.of(out), engine_named(engine, workers), report), problems

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -13,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights, one_line
-from viewshed.cli._outputs import free_name, refuse_inputs, stem_of
+from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights
+from viewshed.cli._outputs import Failures, free_name, refuse_inputs, stem_of, with_bar
 
 if TYPE_CHECKING:
     from viewshed.estimators.unet import UnetEstimator
@@ -24,11 +23,6 @@ if TYPE_CHECKING:
 
 
 monitor_app = typer.Typer(help="Learn what doubt is usual, and alarm where there is more.")
-
-Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
-
-Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
-
 Named = tuple[str, "Sweep"]
 
 
@@ -39,11 +33,11 @@ def monitor() -> None:
 
 @monitor_app.command()
 def fit(
-    sources: Sources,
+    sources: options.Sources,
     out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
     false_alarm_rate: Annotated[float, typer.Option(help="Share of benign sweeps that may alarm.")] = 0.05,
     sigmas: Annotated[float, typer.Option(help="Standard deviations above its mean from which a cell is suspect.")] = 3,
-    split: Split = None,
+    split: options.Split = None,
     grid: options.GridName = "road",
     target: options.TargetName = "car",
     weights: Weights = None,
@@ -67,7 +61,7 @@ def fit(
     )  # fmt: skip
     count = sum(1 for _ in sweeps)
     require_sweeps(count - count // 2, false_alarm_rate)
-    estimates = (estimator.estimate(sweep) for _, sweep in _with_bar(sweeps, count))
+    estimates = (estimator.estimate(sweep) for _, sweep in with_bar(sweeps, count))
     made = DeviationMonitor.fit(islice(estimates, count // 2), rule).calibrated(estimates, false_alarm_rate)
     facts = {"network": _identity(estimator), "target": target, "passes": str(passes or PASSES), "seed": str(seed or 0)}
     save_monitor(replace(made, facts=facts), out)
@@ -79,9 +73,9 @@ def fit(
 
 @monitor_app.command()
 def check(
-    sources: Sources,
+    sources: options.Sources,
     monitor: Annotated[Path, typer.Option(help="File of viewshed monitor fit.")] = Path("monitor.npz"),
-    split: Split = None,
+    split: options.Split = None,
     weights: Weights = None,
     sensor: options.SensorName = AUTO,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
@@ -103,9 +97,9 @@ def check(
             for name, sweep in _Source((source,), split, sensor):
                 run.one(name, sweep)
         except BAD_INPUTS as error:
-            run.failed(source, error)
+            run.failures.report(source, error)
     typer.echo(f"{run.checked} sweeps, {run.alarms} alarms")
-    if run.failures:
+    if run.failures.count:
         raise typer.Exit(2)
 
 
@@ -119,7 +113,7 @@ class _Source:
 
     def __iter__(self) -> Iterator[Named]:
         for place in self.places:
-            if "://" in place or (Path(place) / "manifest.json").is_file():
+            if options.is_data_set(place):
                 yield from self._archived(place)
             elif self.split is not None:
                 raise ValueError(f"--split goes with a data set that has splits, got {place}")
@@ -148,7 +142,7 @@ class _Run:
     out: Path | None
     checked: int = 0
     alarms: int = 0
-    failures: int = 0
+    failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
 
     @classmethod
@@ -181,16 +175,10 @@ class _Run:
             line = f"{name}: score {report.score:.4f}, limit {report.threshold:.4f}, {word}"
             typer.echo(line if self.out is None else f"{line} → {self._drawn(name, line, found, report, sweep)}")
         except BAD_INPUTS as error:
-            self.failed(name, error)
+            self.failures.report(name, error)
         else:
             self.checked += 1
             self.alarms += report.alarm
-
-    def failed(self, what: str, error: BaseException) -> None:
-        """Say that something could not be read or checked."""
-        self.failures += 1
-        text = one_line(error)
-        typer.echo(f"viewshed: {text if Path(what).name in text else f'{what}: {text}'}", err=True)
 
     def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
         """Write picture and suspect cells of a sweep and return where the picture is."""
@@ -211,18 +199,3 @@ def _identity(estimator: UnetEstimator) -> str:
     """Return name and fingerprint of an estimator's network: its card tells how it was trained."""
     digest = hashlib.sha256(estimator.card.to_json().encode()).hexdigest()
     return f"{estimator.card.name} {digest[:12]}"
-
-
-def _with_bar(sweeps: Iterable[Named], count: int) -> Iterable[Named]:
-    """Return the sweeps, with a progress bar on standard error where that is a terminal."""
-    if not sys.stderr.isatty():
-        return sweeps
-    return _tracked(sweeps, count)
-
-
-def _tracked(sweeps: Iterable[Named], count: int) -> Iterator[Named]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        yield from bar.track(sweeps, total=count, description="sweeps")

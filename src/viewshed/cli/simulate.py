@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from viewshed.cli import _options as options
+from viewshed.cli._outputs import build_with_bar, data_set_line
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
 
 
 dataset_app = typer.Typer(help="Look at a data set.")
-
 Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
 
 
@@ -25,8 +26,8 @@ def simulate(
         str | None, typer.Option(help="Folder or URI (s3://bucket/data); its own name if not given.")
     ] = None,
     sweeps: Annotated[int | None, typer.Option(help="Number of sweeps; the preset's own if not given.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
-    engine: Annotated[str, typer.Option(help="local, or ray for a cluster.")] = "local",
+    workers: options.Workers = None,
+    engine: options.EngineName = "local",
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     grid: Annotated[str | None, typer.Option(help="Grid of the truth: a name, or CELLSxHALF_EXTENT_M.")] = None,
     preview: Annotated[bool, typer.Option("--preview", help="Only draw some samples, to PRESET.png or --out.")] = False,
@@ -35,13 +36,17 @@ def simulate(
 
     Example: viewshed simulate nuscenes-small --out sweeps
     """
+    from viewshed._jobs import engine_named
+    from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.presets import preset_named
+    from viewshed.datasets.simulated import simulate as run
 
     chosen = _configured(preset_named(preset), sweeps, seed, grid)
     if preview:
         _preview(chosen, out)
         return
-    archive = _simulated(chosen, out or preset, engine, workers)
+    store, runner = Storage.of(out or preset), engine_named(engine, workers)
+    archive, _ = build_with_bar(chosen.name, chosen.sweeps, partial(run, chosen, store, runner))
     typer.echo(_summary(archive))
 
 
@@ -133,30 +138,5 @@ def _preview(preset: Preset, out: str | None) -> None:
     typer.echo(f"Look at {path.resolve()}")
 
 
-def _simulated(preset: Preset, out: str, engine: str, workers: int | None) -> Archive:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    from viewshed._jobs import engine_named
-    from viewshed.datasets.archive.storage import Storage
-    from viewshed.datasets.simulated import simulate as run
-
-    store, runner = Storage.of(out), engine_named(engine, workers)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("sweeps"),
-               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(preset.name, total=preset.sweeps)
-        return run(preset, store, runner, lambda shard: bar.advance(task, shard.frames))
-
-
 def _summary(archive: Archive) -> str:
-    size = sum(shard.bytes for shard in archive.shards)
-    parts = f"{len(archive)} sweeps in {len(archive.scenes)} scene(s), {len(archive.shards)} shards"
-    return f"{archive.store.place}: {parts}, {size / 1e6:.1f} MB"
+    return data_set_line(archive, f"{len(archive)} sweeps in {len(archive.scenes)} scene(s)")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from viewshed.cli._outputs import progress_bar
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -68,10 +70,7 @@ def crossval(
     wanted = read_config(config)
     bar = _Bar(wanted.name)
     try:
-        validated = run(
-            wanted, out, search=Search(sampler, trials, folds), device=device,
-            on_progress=bar.show,
-        )  # fmt: skip
+        validated = run(wanted, out, search=Search(sampler, trials, folds), device=device, on_progress=bar.show)
     finally:
         bar.close()
     mean = mean_f1(validated.scores[validated.chosen])
@@ -111,11 +110,8 @@ class _Bar:
 
     def _started(self) -> Progress:
         if self.bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+            from rich.progress import TextColumn, TimeRemainingColumn
 
-            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-                       TextColumn("{task.fields[loss]}"))  # fmt: skip
-            self.bar = Progress(*columns, console=Console(stderr=True))
+            self.bar = progress_bar(TimeRemainingColumn(), TextColumn("{task.fields[loss]}"))
             self.bar.start()
         return self.bar

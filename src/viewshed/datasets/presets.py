@@ -14,7 +14,6 @@ from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 
 MAX_SEED = 2**32 - 1
-
 _TABLES = "datasets/preset_tables"
 
 MAX_CELLS = 2048
@@ -108,11 +107,7 @@ class Preset:
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Preset:
-        """Return the preset in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
+        """Return the preset in plain values: keys as the attributes, lists for tuples."""
         return cls(**flat.from_dict(cls, table, "preset"))
 
     def to_json(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from viewshed.datasets.archive.archive import ArchiveSource, is_archive
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.source import each_sweep
+from viewshed.datasets.recordings.source import SweepSource, each_sweep
 from viewshed.io import read_sweeps
 from viewshed.io.formats import is_recording
 from viewshed.sweep import Sweep
@@ -52,5 +52,10 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
         if not place.is_file():
             raise FileNotFoundError(f"{place}: no such file or folder")
         return Recording(place, lambda: read_sweeps(place))
-    source = ArchiveSource.open(place) if is_archive(place) else open_source(place)
+    source = open_sweep_source(place)
     return Recording(place, lambda: (sweep for _, sweep in each_sweep(source)))
+
+
+def open_sweep_source(place: Path) -> SweepSource:
+    """Return an archive of ours or somebody else's recording, scene by scene; errors as :func:`open_recording`."""
+    return ArchiveSource.open(place) if is_archive(place) else open_source(place)

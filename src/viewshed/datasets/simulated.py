@@ -28,9 +28,7 @@ from viewshed.sim.world import World
 from viewshed.sim.worlds import WORLDS
 
 _GOLDEN = (5**0.5 - 1) / 2
-
 _SILVER = 2**0.5 - 1
-
 _BRONZE = (13**0.5 - 3) / 2
 
 
@@ -114,15 +112,7 @@ class ScenePlan:
 
 @dataclass(frozen=True, slots=True)
 class ShardJob:
-    """What a worker must know to make one shard.
-
-    Attributes:
-        store: where the shard goes.
-        scene: that its frames are from.
-        name: of the file.
-        first: its first frame in the scene.
-        last: the frame after its last.
-    """
+    """What a worker must know to make one shard, of the frames of a scene from ``first`` to before ``last``."""
 
     store: Storage
     scene: ScenePlan
@@ -142,11 +132,7 @@ def jobs_of(preset: Preset, store: Storage) -> list[ShardJob]:
 
 
 def simulate_shard(job: ShardJob) -> ShardResult:
-    """Return what became of the shard of ``job``, which is written with a file beside it.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Return what became of the shard of ``job``, which is written with a file beside it."""
     samples = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
     return build_shard(job.store, job.name, samples)
 
@@ -168,11 +154,7 @@ def observe_frame(scene: ScenePlan, frame: int) -> Observation:
 
 @lru_cache(maxsize=2)
 def world_of(scene: ScenePlan) -> World:
-    """Return the world of a scene.
-
-    Raises:
-        ValueError: it does not have the agents of the preset.
-    """
+    """Return the world of a scene."""
     rng = np.random.Generator(np.random.PCG64(scene.seed(_SeedPurpose.WORLD)))
     world = WORLDS[scene.world_kind](rng, scene.preset.plan(scene.sensor, scene.duration_s))
     if len(world.agents) != scene.preset.agents:

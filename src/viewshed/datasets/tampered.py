@@ -1,8 +1,7 @@
 """Data sets under attack, or corrupted: shard by shard, truth kept, with a record of what was touched.
 
-The frames of one scene, wherever they lie: in an archive, in a recording, in a file.
-
-A plan says what is done to each sweep: an attack or a corruption, by name.
+A plan says what is done to each sweep, an attack or a corruption by name; the sweeps lie in an archive, a recording or
+files.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -45,27 +44,14 @@ class SceneFrames(Protocol):
         """Return the number of frames."""
         ...
 
-    def agent(self, index: int) -> str:
-        """Return who measured a frame; errors as :meth:`frame`."""
-        ...
-
     def frame(self, index: int) -> Sample:
-        """Return one frame.
-
-        Raises:
-            ValueError: it is damaged.
-            OSError: it cannot be read.
-        """
+        """Return one frame; a ValueError where it is damaged, an OSError where it cannot be read."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchiveScene:
-    """A scene of an archive.
-
-    Attributes:
-        archive: its frames alone; see :meth:`of`.
-    """
+    """A scene of an archive that has its frames alone; see :meth:`of`."""
 
     archive: Archive
 
@@ -77,10 +63,6 @@ class ArchiveScene:
 
     def __len__(self) -> int:
         return len(self.archive)
-
-    def agent(self, index: int) -> str:
-        """Return who measured a frame."""
-        return self.frame(index).measured.agent
 
     def frame(self, index: int) -> Sample:
         """Return one frame, as it is stored."""
@@ -104,18 +86,12 @@ class RecordingScene:
     grid: BevGrid
 
     def __len__(self) -> int:
-        return len(self._refs())
-
-    def agent(self, index: int) -> str:
-        """Return who measured a frame."""
-        return self._refs()[index].agent
+        return len(_refs(self.place, self.kind, self.scene))
 
     def frame(self, index: int) -> Sample:
         """Return one sweep as a frame whose truth is nowhere known."""
-        return without_truth(opened(self.place, self.kind).read(self._refs()[index]), self.grid, self.scene)
-
-    def _refs(self) -> tuple[SweepRef, ...]:
-        return _refs(self.place, self.kind, self.scene)
+        ref = _refs(self.place, self.kind, self.scene)[index]
+        return without_truth(opened(self.place, self.kind).read(ref), self.grid, self.scene)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +112,6 @@ class FileScene:
 
     def __len__(self) -> int:
         return self.count
-
-    def agent(self, index: int) -> str:
-        """Return who measured a frame."""
-        return self.frame(index).measured.agent
 
     def frame(self, index: int) -> Sample:
         """Return one sweep as a frame whose truth is nowhere known."""
@@ -190,11 +162,8 @@ ReadEarlier = Callable[[], tuple[Sweep, ...]]
 """Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
 
 PAPER = "paper"
-
 _LASTING = EARLIER | {"coherent_phantom"}
-
 _FACTORIES = ATTACKS | ADAPTIVE
-
 _ROOM_M = 20.0
 
 
@@ -202,15 +171,9 @@ class TamperPlan(Protocol):
     """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample with its sweep changed; its truth stays.
+        """Return the sample with its sweep changed; its truth stays. A ValueError where that cannot be done to it.
 
-        Args:
-            sample: the clean one, not modified.
-            history: returns earlier sweeps; called only where they are needed.
-            rng: all that is random.
-
-        Raises:
-            ValueError: it cannot be done to this sweep.
+        ``history`` returns earlier sweeps, and is called only where they are needed; ``rng`` is all that is random.
         """
         ...
 
@@ -245,6 +208,8 @@ class AttackPlan:
         ValueError: there is no such attack, or it has no such budget or mode.
     """
 
+    command: ClassVar[str] = "attack"
+
     attack: str
     budget: int | None = None
     mode: str | None = None
@@ -264,11 +229,6 @@ class AttackPlan:
             none = np.zeros(len(sample.sweep), np.bool_)
             return replace(sample, tampered=Tampered(sample.sweep, none, none), clean=None)
         return sample.attacked(self._made(earlier or (sample.sweep,)).apply(sample.sweep, rng))
-
-    @property
-    def command(self) -> str:
-        """What makes such a data set."""
-        return "attack"
 
     @property
     def name(self) -> str:
@@ -304,6 +264,8 @@ class CorruptionPlan:
         ValueError: there is no such corruption or severity.
     """
 
+    command: ClassVar[str] = "corrupt"
+
     corruption: str
     severity: int = 3
 
@@ -315,11 +277,6 @@ class CorruptionPlan:
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
         """Return the sample with a corrupted sweep; nobody says which returns moved."""
         return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
-
-    @property
-    def command(self) -> str:
-        """What makes such a data set."""
-        return "corrupt"
 
     @property
     def name(self) -> str:
@@ -378,14 +335,7 @@ class Sweeps:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TamperJob:
-    """What a worker must know to make one shard.
-
-    Attributes:
-        store: where the shard goes.
-        part: what it is made from.
-        plan: what is done.
-        seed: of all that is random.
-    """
+    """What a worker must know to make one shard: where it goes, from what, what is done, and the seed."""
 
     store: Storage
     part: Part
@@ -399,11 +349,7 @@ class TamperJob:
 
 
 def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
-    """Return the sweeps of an archive, or of one of its splits; a sweep has the same seed in both.
-
-    Raises:
-        ValueError: there is no such split.
-    """
+    """Return the sweeps of an archive, or of one of its splits; a sweep has the same seed in both."""
     wanted = {shard.name for shard in (archive if split is None else archive.split(split)).shards}
     parts = []
     for number, scene in enumerate(archive.scenes):
@@ -419,12 +365,7 @@ def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
 
 
 def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
-    """Return the sweeps of a recording, which has no truth: it is nowhere known.
-
-    Raises:
-        ValueError: no recording is there, or it is damaged.
-        OSError: it cannot be read.
-    """
+    """Return the sweeps of a recording, which has no truth: it is nowhere known; errors as ``open_source``."""
     source = opened(place, kind)
     parts: list[Part] = []
     listing, problems = [], list(source.damage())
@@ -436,7 +377,7 @@ def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps
             continue
         listing.append([[ref.scene, ref.index, Path(ref.file).name, ref.t_ns, ref.key] for ref in refs])
         parts += _split_into_parts(RecordingScene(place, kind, scene, grid), len(refs), scene, number)
-    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(listing)}, tuple(problems))
+    return _without_truth(parts, listing, problems, grid)
 
 
 def sweeps_of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
@@ -458,6 +399,10 @@ def sweeps_of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Swe
             problems.append(str(error))
         listing.append([file.name, count, file.stat().st_size if file.is_file() else 0])
         parts += _split_into_parts(FileScene(file.absolute(), count, read, grid), count, file.name, number)
+    return _without_truth(parts, listing, problems, grid)
+
+
+def _without_truth(parts: Sequence[Part], listing: Any, problems: Sequence[str], grid: BevGrid) -> Sweeps:
     return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(listing)}, tuple(problems))
 
 
@@ -517,21 +462,19 @@ def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Swe
 def tamper_shard(job: TamperJob) -> ShardResult:
     """Return what became of one shard: it is written with a file beside it; sweeps that cannot be used are left out.
 
-    Raises:
-        OSError: the source cannot be read now (a file that is not there is damage), or the shard cannot be written.
+    A file that is not there is damage of a sweep; a source that cannot be read now ends the job with an OSError.
     """
     problems: list[tuple[int, str]] = []
-    frames = _tampered_samples(job, problems)
-    return build_shard(job.store, job.name, frames, lambda: _problem_lines(job.part, problems))
 
+    def samples() -> Iterator[Sample]:
+        earlier = _EarlierSweeps(job.part)
+        for index in range(job.part.first, job.part.last):
+            try:
+                yield _tampered_sample(job, index, earlier)
+            except (ValueError, FileNotFoundError) as error:
+                problems.append((index, " ".join(str(error).split())))
 
-def _tampered_samples(job: TamperJob, problems: list[tuple[int, str]]) -> Iterator[Sample]:
-    earlier = _EarlierSweeps(job.part)
-    for index in range(job.part.first, job.part.last):
-        try:
-            yield _tampered_sample(job, index, earlier)
-        except (ValueError, FileNotFoundError) as error:
-            problems.append((index, " ".join(str(error).split())))
+    return build_shard(job.store, job.name, samples(), lambda: _problem_lines(job.part, problems))
 
 
 def _tampered_sample(job: TamperJob, index: int, earlier: _EarlierSweeps) -> Sample:
@@ -570,8 +513,9 @@ class _EarlierSweeps:
         """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
         for index in indices:
             try:
-                if self._part.frames.agent(index) == agent:
-                    return self._part.frames.frame(index).sweep
+                frame = self._part.frames.frame(index)
+                if frame.measured.agent == agent:
+                    return frame.sweep
             except (ValueError, FileNotFoundError):
                 continue
         return None

@@ -136,10 +136,11 @@ def format_named(name: str, path: str) -> str:
     return name
 
 
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+BAG_SUFFIXES = tuple(kind + packed for kind in (".bag", ".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
+"""Endings of the names of bags, as they are or packed."""
 
 
 def is_recording(path: str | os.PathLike[str]) -> bool:
     """Return whether a path is a folder or a bag; anything else is a file of sweeps."""
     place = Path(path)
-    return place.is_dir() or place.suffix.lower() in BAG_SUFFIXES
+    return place.is_dir() or place.name.lower().endswith(BAG_SUFFIXES)

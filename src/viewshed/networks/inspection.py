@@ -25,7 +25,6 @@ MOST_NUMBERS = 1 << 28
 """Numbers of the largest tensor in one pass: a GiB in float32."""
 
 Shape = tuple[int, ...]
-
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 _DTYPES: dict[int, type[np.generic]] = {1: np.float32, 2: np.uint8, 3: np.int8, 6: np.int32, 7: np.int64}

@@ -142,14 +142,12 @@ def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
 
 
 _OPSET, _IR = 19, 9
-
 _SEED = 0x6D61736B
 
 _SCALE_PRESERVING = ("Transpose", "Reshape", "MaxPool", "Slice")
 """Operators that only move values: their outputs have the scale of their inputs."""
 
 _QUANTIZED_OPERATORS = (*_SCALE_PRESERVING, "Conv", "Add", "Concat", "Mul")
-
 Range = tuple[float, float]
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed.metrics import Scores
@@ -22,8 +21,6 @@ FRAMES = 64
 """Sweeps that calibrate, and as many others that check, where not asked otherwise."""
 
 _EPOCH = 0x62797465
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +91,10 @@ def _check(config: TrainConfig, runner: OnnxRunner) -> None:
 def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample]) -> QuantizationCost:
     scores, differences, flipped = (Scores(), Scores()), [], []
     for frame in frames:
-        probs = [_probability(runner, frame) for runner in (whole, small)]
+        probs = [
+            runner.run(runner.card.shown(frame.maps)[None], runner.card.shape.no_masks(1))[0]
+            for runner in (whole, small)
+        ]
         for score, prob in zip(scores, probs, strict=True):
             score.add(prob[frame.known], frame.visible[frame.known])
         masks = [prob >= np.float32(whole.card.threshold) for prob in probs]
@@ -102,8 +102,3 @@ def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample])
         flipped.append(float((masks[0] != masks[1])[frame.known].mean()))
     f1, f1_int8 = (score.f1(whole.card.threshold) for score in scores)
     return QuantizationCost(f1, f1_int8, float(np.mean(differences)), float(np.mean(flipped)))
-
-
-def _probability(runner: OnnxRunner, frame: TrainingSample) -> Floats:
-    prob: Floats = runner.run(runner.card.shown(frame.maps)[None], runner.card.shape.no_masks(1))[0]
-    return prob

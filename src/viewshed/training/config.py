@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -192,10 +193,6 @@ class TrainConfig:
         dropout = self.dropout if self.variant == "mcd" else 0.0
         return UNetShape(self.width, self.depth, dropout, len(self.inputs), self.fold)
 
-    def with_inputs(self, inputs: tuple[str, ...]) -> TrainConfig:
-        """Return the config with other channels."""
-        return replace(self, inputs=inputs)
-
     def card(self, **trained: str) -> NetworkCard:
         """Return the card of the network, with facts of its training."""
         shape = replace(self.shape, doubt=self.doubt_frames > 0)
@@ -206,16 +203,17 @@ class TrainConfig:
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> TrainConfig:
-        """Return the config in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
+        """Return the config in plain values: keys as the attributes, lists for tuples."""
         return cls(**flat.from_dict(cls, table, "training config"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the config as plain values."""
         return flat.to_dict(self)
+
+
+def differing_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return the keys in which two tables of plain values differ, sorted, with commas."""
+    return ", ".join(sorted(key for key in {*before, *now} if before.get(key) != now.get(key)))
 
 
 def config_names() -> tuple[str, ...]:

@@ -20,7 +20,7 @@ import numpy as np
 import viewshed
 from viewshed._files import append_jsonl, is_begun
 from viewshed._page import facts, page, table
-from viewshed.training.config import TrainConfig
+from viewshed.training.config import TrainConfig, differing_keys
 from viewshed.training.data import Fold, check_data, check_folds
 from viewshed.training.log import Machines, save
 from viewshed.training.run import require_torch, train
@@ -28,21 +28,14 @@ from viewshed.training.run import require_torch, train
 if TYPE_CHECKING:
     from viewshed.training.module import Step
 
-
 FILE = "folds.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
 class FoldScore:
-    """The best epoch of one fold.
+    """The best epoch of one fold: its number, and its scores on the held-out scenes.
 
-    Attributes:
-        setting: name of what was tried.
-        fold: number of the fold, whose scenes were held out.
-        f1: of the held-out scenes.
-        iou: of the held-out scenes.
-        loss: of the held-out scenes.
-        epoch: its number.
+    ``setting`` names what was tried, ``fold`` is the number of the fold.
     """
 
     setting: str
@@ -67,12 +60,7 @@ class FoldStore:
 
     @classmethod
     def open(cls, folder: Path, about: dict[str, Any]) -> FoldStore:
-        """Return the store in a folder, begun if there is none; what a kill left of a last line is cut off.
-
-        Raises:
-            ValueError: the folder holds another cross-validation, or the file is damaged.
-            OSError: it cannot be read or written.
-        """
+        """Return the store in a folder, begun if there is none; what a kill left of a last line is cut off."""
         path = folder / FILE
         store = cls(path, {})
         if not is_begun(path):
@@ -85,31 +73,19 @@ class FoldStore:
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path} is damaged; delete it, finished folds are read from their folders") from error
         if head != about:
-            before, now = head.get("config", {}), about["config"]
-            keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
-            other = ", ".join(sorted(keys)) or ", ".join(key for key in about if head.get(key) != about[key])
+            other = differing_keys(head.get("config", {}), about["config"]) or differing_keys(head, about)
             raise ValueError(f"{path} is of a cross-validation with other {other}; choose another --out, or delete it")
         store.scores.update({(score.setting, score.fold): score for score in scores})
         return store
 
-    def get(self, setting: str, fold: int) -> FoldScore | None:
-        """Return a score, or None where that fold is not finished."""
-        return self.scores.get((setting, fold))
-
     def add(self, score: FoldScore) -> None:
-        """Add a score, on the disk when this returns.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Add a score, on the disk when this returns."""
         append_jsonl(self.path, asdict(score))
         self.scores[score.setting, score.fold] = score
 
 
 WIDTHS = (4, 8, 16, 32)
-
 DROPOUTS = (0.05, 0.10, 0.15)
-
 LEARNING_RATES = (1e-4, 1e-3, 1e-2)
 """The settings of arXiv 2503.07375."""
 
@@ -121,12 +97,7 @@ FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
 
 @dataclass(frozen=True, slots=True, order=True)
 class Setting:
-    """What cross-validation chooses.
-
-    Attributes:
-        width: channels of the first stage.
-        dropout: share of dropped channels.
-        learning_rate: of Adam.
+    """What cross-validation chooses: channels of the first stage, share of dropped channels, learning rate of Adam.
 
     >>> Setting(8, 0.1, 1e-3).name
     'w8-p0.10-lr1e-03'
@@ -143,9 +114,7 @@ class Setting:
 
     def of(self, config: TrainConfig) -> TrainConfig:
         """Return the config with this setting."""
-        return replace(
-            config, width=self.width, dropout=self.dropout, learning_rate=self.learning_rate,
-        )  # fmt: skip
+        return replace(config, width=self.width, dropout=self.dropout, learning_rate=self.learning_rate)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,14 +153,10 @@ class Search:
         """All settings."""
         return [Setting(*values) for values in product(self.widths, self.dropouts, self.learning_rates)]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what the results depend on as plain values: not how many or which are tried."""
-        return {"folds": self.folds}
-
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """What cross-validation result.
+    """The result of cross-validation.
 
     Attributes:
         chosen: the setting with the highest mean F1; of equals the smaller network.
@@ -233,7 +198,9 @@ def crossval(
     check_device(Machines(device))
     check_data(config)
     check_folds(config, wanted.folds)
-    store = FoldStore.open(folder, {"version": viewshed.__version__, "config": config.to_json()} | wanted.to_json())
+    # What the results depend on: not how many settings or which are tried.
+    about = {"version": viewshed.__version__, "config": config.to_json(), "folds": wanted.folds}
+    store = FoldStore.open(folder, about)
     runner = _Runner(config, folder, store, wanted.folds, device, on_progress)
     tried = (
         _search_with_optuna(wanted, config, runner)
@@ -241,7 +208,7 @@ def crossval(
         else _search_grid(wanted, config, runner)
     )
     scores = dict(tried)
-    result = CrossValidation(_best_setting(scores), scores)
+    result = CrossValidation(min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting)), scores)
     _write(config, folder, result)
     return result
 
@@ -262,9 +229,8 @@ class _Runner:
         return tuple(self._score(setting, number) for number in range(self.folds))
 
     def _score(self, setting: Setting, number: int) -> FoldScore:
-        finished = self.store.get(setting.name, number)
-        if finished is not None:
-            return finished
+        if (setting.name, number) in self.store.scores:
+            return self.store.scores[setting.name, number]
         name = f"{setting.name}/fold-{number}"
         on_step = None if self.on_progress is None else partial(self.on_progress, name)
         trained = train(
@@ -315,10 +281,6 @@ def mean_f1(scores: Sequence[FoldScore]) -> float:
     return float(np.mean([score.f1 for score in scores]))
 
 
-def _best_setting(scores: dict[Setting, tuple[FoldScore, ...]]) -> Setting:
-    return min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting))
-
-
 def _write(config: TrainConfig, out: Path, result: CrossValidation) -> None:
     """Write figure, page and the chosen config."""
     from viewshed.training.figures import fold_figure
@@ -333,7 +295,7 @@ def _write(config: TrainConfig, out: Path, result: CrossValidation) -> None:
 def page_of(config: TrainConfig, result: CrossValidation) -> str:
     """Return the page of a cross-validation: the setting chosen and the scores of all, as Markdown."""
     rows = []
-    for setting in sorted(result.scores, key=lambda key: -np.mean([score.f1 for score in result.scores[key]])):
+    for setting in sorted(result.scores, key=lambda key: -mean_f1(result.scores[key])):
         f1 = np.array([score.f1 for score in result.scores[setting]])
         iou = np.mean([score.iou for score in result.scores[setting]])
         name = f"**{setting.name}**" if setting == result.chosen else setting.name
@@ -355,8 +317,5 @@ def toml_of(config: TrainConfig) -> str:
 
     A string in JSON is a string in TOML, and so are the lists of strings and numbers here.
     """
-    return "".join(f"{key} = {_value(value)}\n" for key, value in config.to_json().items() if key != "name")
-
-
-def _value(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
+    values = {key: json.dumps(value, ensure_ascii=False) for key, value in config.to_json().items() if key != "name"}
+    return "".join(f"{key} = {value}\n" for key, value in values.items())

@@ -36,18 +36,12 @@ NEW_SCENES_VALIDATION_SHARE = 0.1
 """Frames that validate beside fresh ones, as a share of those of an epoch."""
 
 _VALIDATION = 0x76616C
-
 _WORTH_PROCESSES = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """One of the folds of cross-validation.
-
-    Attributes:
-        number: of the fold.
-        count: of all folds.
-    """
+    """One of the folds of cross-validation: its number, and how many there are."""
 
     number: int
     count: int
@@ -71,22 +65,13 @@ class TrainingData:
 
 
 def check_data(config: TrainConfig) -> None:
-    """Check that the archives of a config exist and have what it wants; presets have been checked by the config.
-
-    Raises:
-        ValueError: an archive is not there, damaged or does not fit.
-        OSError: one cannot be read.
-    """
+    """Check that the archives of a config exist and have what it wants; presets have been checked by the config."""
     if not config.simulated:
         check_archives(config, [_open_archive(place) for place in config.data])
 
 
 def check_folds(config: TrainConfig, count: int) -> None:
-    """Check that a config's data have scenes enough for so many folds.
-
-    Raises:
-        ValueError: they have fewer, or are made anew every epoch.
-    """
+    """Check that a config's data have scenes enough for so many folds."""
     if config.fresh:
         raise ValueError("fresh scenes have no folds: every epoch has its own; set fresh = false")
     for place in config.data:
@@ -203,18 +188,13 @@ def _simulated_archive(preset: Preset, cache: Path, on_progress: OnProgress | No
         archive = Archive.open(store.uri)
         if archive.manifest.recipe == recipe_of(preset):
             return archive
-    if _is_launched_with_others():
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:  # a launcher has started this process beside others
         raise ValueError(
             f"{store.place} must be finished before several processes train; run viewshed train with one process "
             "first, or simulate archives and name them as data"
         )
     counter = _ProgressCounter(on_progress, preset.name, preset.sweeps)
     return simulate(preset, store, LocalEngine(processes_for(preset.sweeps)), lambda shard: counter.add(shard.frames))
-
-
-def _is_launched_with_others() -> bool:
-    """Return whether a launcher has started this process beside others."""
-    return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
 def processes_for(frames: int) -> int:

@@ -27,7 +27,7 @@ from torch.utils.data import DataLoader, Dataset
 import viewshed
 from viewshed._page import facts
 from viewshed.networks.unet_torch import UNet, save_weights
-from viewshed.training.config import TrainConfig
+from viewshed.training.config import TrainConfig, differing_keys
 from viewshed.training.data import TrainingData
 from viewshed.training.log import (
     CHECKPOINT,
@@ -39,11 +39,10 @@ from viewshed.training.log import (
     Machines,
     best_of,
     csv_of,
-    epoch_from_json,
     is_finished,
     save,
 )
-from viewshed.training.module import FORMAT, KEY, Learner, OnProgress, Step
+from viewshed.training.module import FORMAT, KEY, Learner, OnProgress, Step, train_doubt_head
 from viewshed.training.samples import Share, TrainingFrames, TrainingOrder, ValidationOrder
 
 _REPAIR = "delete it, and training begins again"
@@ -53,32 +52,18 @@ class AtomicCheckpoints(TorchCheckpointIO):
     """Writes a checkpoint beside the old one and moves it into place; reads tensors and plain values only."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
-        """Write a checkpoint.
-
-        Raises:
-            OSError: it cannot be written; the one before is still there.
-        """
+        """Write a checkpoint; where an OSError is raised, the one before is still there."""
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
         save(Path(path), buffer.getvalue())
 
     def load_checkpoint(self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True) -> dict[str, Any]:
-        """Return a checkpoint of anything that Lightning wrote.
-
-        Raises:
-            ValueError: it is damaged.
-            OSError: it cannot be read.
-        """
+        """Return a checkpoint of anything that Lightning wrote."""
         return _load(Path(path))
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Return a checkpoint on the processor.
-
-    Raises:
-        ValueError: it is damaged, or no training's of this format.
-        OSError: it cannot be read.
-    """
+    """Return a checkpoint on the processor; a ValueError where it is damaged, or no training's of this format."""
     checkpoint = _load(path)
     if not isinstance(checkpoint.get(KEY), dict):
         raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {_REPAIR}")
@@ -97,16 +82,12 @@ def _load(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is damaged or no checkpoint; {_REPAIR}") from error
 
 
-def check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> None:
-    """Check that a checkpoint is of this config and version of the code.
-
-    Raises:
-        ValueError: it is of another one.
-    """
+def _check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> None:
+    """Check that a checkpoint is of this config and version of the code."""
     before, now = checkpoint[KEY]["config"], config.to_json()
     if before != now:
-        keys = ", ".join(sorted(key for key in {*before, *now} if before.get(key) != now.get(key)))
-        raise ValueError(f"{path} is of a training with other {keys}; choose another --out, or delete it")
+        other = differing_keys(before, now)
+        raise ValueError(f"{path} is of a training with other {other}; choose another --out, or delete it")
     version = checkpoint[KEY]["version"]
     if version != viewshed.__version__:
         raise ValueError(
@@ -143,7 +124,7 @@ def leave_cores_to_workers(workers: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """As :func:`hush`, and afterwards all is as it was."""
+    """As :func:`silence`, and afterwards all is as it was."""
     levels = {name: logging.getLogger(name).level for name in _LOGGERS}
     deterministic = torch.backends.cudnn.deterministic
     with warnings.catch_warnings():
@@ -157,16 +138,11 @@ def silenced() -> Iterator[None]:
 
 
 _PREFETCH = 4
-
 _CAUGHT = "Caught "  # how torch begins what a worker raised; its last line is type and message
 
 
 def check_device(machines: Machines) -> None:
-    """Check that the machine has what is asked for.
-
-    Raises:
-        ValueError: it has fewer graphics cards, or none.
-    """
+    """Check that the machine has the graphics cards that are asked for."""
     if machines.device == "cuda" and torch.cuda.device_count() < machines.devices:
         raise ValueError(
             f"device cuda needs {machines.devices} graphics card(s), {torch.cuda.device_count()} found; use --device "
@@ -175,18 +151,13 @@ def check_device(machines: Machines) -> None:
 
 
 def read_history(config: TrainConfig, out: Path) -> list[Epoch]:
-    """Return the epochs that a folder's checkpoint holds, none where there is no checkpoint.
-
-    Raises:
-        ValueError: the checkpoint is damaged or of another training.
-        OSError: it cannot be read.
-    """
+    """Return the epochs that a folder's checkpoint holds, none where there is no checkpoint."""
     path = out / CHECKPOINT
     if not path.is_file():
         return []
     checkpoint = read_checkpoint(path)
-    check_same(checkpoint, config, path)
-    return [epoch_from_json(table) for table in checkpoint[KEY]["history"]]
+    _check_same(checkpoint, config, path)
+    return [Epoch(**table) for table in checkpoint[KEY]["history"]]
 
 
 def fit(
@@ -212,13 +183,7 @@ def fit(
 
 
 class Loaders(L.LightningDataModule):
-    """Frames in batches, divided among the processes that train.
-
-    Args:
-        frames: what is read.
-        config: batch and workers.
-        machines: how many processes there are.
-    """
+    """Frames in batches, divided among the processes that train."""
 
     def __init__(self, frames: TrainingData, config: TrainConfig, machines: Machines) -> None:
         super().__init__()
@@ -301,13 +266,7 @@ def _build_trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trai
 
 
 def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | None) -> None:
-    """Fit; what other processes raise becomes one line.
-
-    Raises:
-        KeyboardInterrupt: Lightning was interrupted, and has ended the process's training.
-        OSError: a process that trains beside this one, or a worker, failed.
-        ValueError: a worker found that the data are damaged.
-    """
+    """Fit; what other processes and workers raise becomes one line, and Lightning's end by Ctrl-C an interrupt."""
     try:
         trainer.fit(learner, loaders, ckpt_path=last)
     except SystemExit as error:
@@ -333,14 +292,12 @@ def _finish(
     from viewshed.training.figures import curve_figure
 
     checkpoint = read_checkpoint(out / CHECKPOINT)[KEY]
-    history = [epoch_from_json(table) for table in checkpoint["history"]]
+    history = [Epoch(**table) for table in checkpoint["history"]]
     if (out / WEIGHTS).is_file() and (out / CURVES).is_file():
         return history
     module = UNet(config.shape)
     module.load_state_dict(checkpoint["best"])
     if config.doubt_frames:
-        from viewshed.training.module import train_doubt_head
-
         on_doubt = None if on_progress is None else _doubt_progress(on_progress, config)
         module = train_doubt_head(config, module, frames.train, torch.device(machines.device), on_doubt)
     card = config.card(**_training_facts(config, history))

@@ -8,14 +8,19 @@ import errno
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed._jobs import J, LocalEngine
 from viewshed.training.config import TrainConfig
 
 DEVICES = ("cpu", "cuda")
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
 """What a training leaves in its folder."""
@@ -23,16 +28,7 @@ CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "netw
 
 @dataclass(frozen=True, slots=True)
 class Machines:
-    """What a training runs on.
-
-    Attributes:
-        device: ``cpu`` or ``cuda``.
-        devices: processes, or graphics cards, of each machine.
-        nodes: machines.
-
-    Raises:
-        ValueError: a name or number is wrong.
-    """
+    """What a training runs on: ``cpu`` or ``cuda``, processes or graphics cards of each machine, and machines."""
 
     device: str = "cpu"
     devices: int = 1
@@ -46,15 +42,8 @@ class Machines:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-
-
 def save(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all; one that exists is replaced.
-
-    Raises:
-        OSError: it cannot be written; what was there before is still there.
-    """
+    """Write a file, whole or not at all; one that exists is replaced, or stays where an OSError is raised."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, content)
@@ -65,20 +54,36 @@ def save(path: Path, content: bytes) -> None:
         raise named from error
 
 
-def run_file_jobs(
-    work: Callable[[J], int], jobs: Sequence[J], workers: int, on_progress: Callable[[int], None] | None
+def build_files(
+    work: Callable[[J], int], folder: Path, jobs: Sequence[J], workers: int, on_progress: Callable[[int], None] | None
 ) -> None:
-    """Run jobs that each write a file and return how many frames it holds, in ``workers`` processes.
+    """Run jobs that each write a file into a folder and return how many frames it holds, in ``workers`` processes.
 
     Raises:
         OSError: a job failed; files that are finished stay.
     """
+    if jobs:
+        folder.mkdir(parents=True, exist_ok=True)
     with contextlib.closing(LocalEngine(workers).run(work, jobs)) as run:
         for done in run:
             if done.result is None:
                 raise OSError(f"{done.error}; what is finished is kept, the same command goes on from here")
             if on_progress is not None:
                 on_progress(done.result)
+
+
+def write_array(path: Path, rows: NDArray[np.uint8]) -> None:
+    """Write an array as NPY, whole or not at all."""
+    buffer = io.BytesIO()
+    np.save(buffer, rows)
+    write_atomic(path, buffer.getvalue())
+
+
+@lru_cache(maxsize=4096)
+def mapped_array(path: Path) -> NDArray[np.uint8]:
+    """Return an array of :func:`write_array`, mapped into memory: all processes share one copy in the page cache."""
+    rows: NDArray[np.uint8] = np.load(path, mmap_mode="r")
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +135,6 @@ def is_finished(history: Sequence[Epoch], config: TrainConfig) -> bool:
     return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
 
 
-def epoch_from_json(table: dict[str, Any]) -> Epoch:
-    """Return the epoch in plain values."""
-    return Epoch(**table)
-
-
 def history_to_json(history: Sequence[Epoch]) -> list[dict[str, Any]]:
     """Return a history as plain values."""
     return [asdict(epoch) for epoch in history]
@@ -156,14 +156,11 @@ def scores_of(counts: Sequence[float]) -> dict[str, float]:
     0.8
     """
     hit, over, missed, right = counts
-    return {
-        "precision": _ratio(hit, hit + over),
-        "recall": _ratio(hit, hit + missed),
-        "f1": _ratio(2 * hit, 2 * hit + over + missed),
-        "iou": _ratio(hit, hit + over + missed),
-        "accuracy": _ratio(hit + right, hit + over + missed + right),
+    shares = {
+        "precision": (hit, hit + over),
+        "recall": (hit, hit + missed),
+        "f1": (2 * hit, 2 * hit + over + missed),
+        "iou": (hit, hit + over + missed),
+        "accuracy": (hit + right, hit + over + missed + right),
     }
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else 0.0
+    return {name: part / whole if whole else 0.0 for name, (part, whole) in shares.items()}

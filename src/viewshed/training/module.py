@@ -21,16 +21,14 @@ import viewshed
 from viewshed.networks.card import MOST_DEVIATION
 from viewshed.networks.unet_torch import UNet
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import Epoch, best_of, epoch_from_json, history_to_json, scores_of
+from viewshed.training.log import Epoch, best_of, history_to_json, scores_of
 from viewshed.training.samples import TrainingFrames, TrainingOrder
 
 PASSES = 20
 """Passes whose deviation is the target."""
 
 _BATCH = 4
-
 _RATE = 3e-3
-
 _SEED = 0x646F756274
 
 DoubtProgress = Callable[[int, int, float], None]
@@ -47,13 +45,6 @@ def train_doubt_head(
     """Return the network with a second head, fitted to the deviation over ``PASSES`` dropout masks; the rest stays.
 
     The loss is the cross-entropy to twice the deviation, which lies in [0, 1], over known cells.
-
-    Args:
-        config: of the training; says how many frames.
-        module: the trained network.
-        frames: that it was trained on.
-        device: where it runs.
-        on_progress: is called after every step.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -107,11 +98,8 @@ FORMAT = 1
 """Version of what a checkpoint holds beside Lightning's own."""
 
 KEY = "viewshed"
-
 _LAST_RATE = 0.01
-
 _MOMENTUM = 0.1
-
 Batch = dict[str, Tensor]
 
 
@@ -164,13 +152,7 @@ class StepTimer:
 
 
 class Learner(L.LightningModule):
-    """Fits a U-Net to frames; checkpoints hold its history and the weights of its best epoch.
-
-    Args:
-        config: what is trained.
-        steps: of an epoch, for the schedule.
-        on_progress: is called after every batch.
-    """
+    """Fits a U-Net to frames, ``steps`` an epoch; checkpoints hold its history and the weights of the best epoch."""
 
     def __init__(self, config: TrainConfig, steps: int, on_progress: OnProgress | None = None) -> None:
         super().__init__()
@@ -262,11 +244,7 @@ class Learner(L.LightningModule):
         self.log("validation_loss", self._cells[0] / self._cells[1].clamp(min=1.0), rank_zero_only=False)
 
     def on_train_epoch_end(self) -> None:
-        """Add the epoch to the history; keep its weights if it is the best.
-
-        Raises:
-            ValueError: the loss is no number any more.
-        """
+        """Add the epoch to the history; keep its weights if it is the best."""
         loss, known, *counts = (float(value) for value in self._cells.cpu())
         trained, frames = (float(value) for value in self._summed(self._train).cpu())
         if not math.isfinite(trained + loss):
@@ -291,7 +269,7 @@ class Learner(L.LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Take over history and best weights."""
-        self.history = [epoch_from_json(table) for table in checkpoint[KEY]["history"]]
+        self.history = [Epoch(**table) for table in checkpoint[KEY]["history"]]
         self.best = checkpoint[KEY]["best"]
 
     def _set_momentum(self, momentum: float) -> None:

@@ -80,29 +80,24 @@ def train(
     machines, folder = Machines(device, devices, nodes), Path(out)
     require_torch()
     from viewshed.training.fit import check_device, fit, read_history
+    from viewshed.training.module import Step
 
     check_device(machines)
     check_data(config)
     history = read_history(config, folder)
-    on_preparation = None if on_progress is None else _preparation_progress(on_progress, config)
+
+    def on_preparation(stage: str, done: int, total: int) -> None:
+        if on_progress is not None:
+            on_progress(Step(stage, 0, config.epochs, done, total, float("nan")))
+
     data = prepare(config, folder / "cache" if cache is None else Path(cache), fold, on_preparation)
     return Trained.of(folder, fit(config, data, folder, machines, on_progress, history))
 
 
 def require_torch() -> None:
-    """Check that what training needs is installed.
-
-    Raises:
-        ImportError: it is not.
-    """
+    """Check that what training needs is installed."""
     try:
         import lightning  # noqa: F401
         import torch  # noqa: F401
     except ImportError as error:
         raise ImportError(f"training needs torch and lightning ({error}); pip install 'viewshed[train]'") from error
-
-
-def _preparation_progress(on_progress: Callable[[Step], None], config: TrainConfig) -> Callable[[str, int, int], None]:
-    from viewshed.training.module import Step
-
-    return lambda stage, done, total: on_progress(Step(stage, 0, config.epochs, done, total, float("nan")))

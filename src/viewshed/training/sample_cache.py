@@ -11,29 +11,22 @@ last, so a block whose truth is there has all the channels that were asked for w
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import viewshed
-from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import run_file_jobs
+from viewshed.training.log import build_files, mapped_array, write_array
 from viewshed.training.samples import TrainingFrames, TrainingSample
 
 _LAYOUT = 5
-
 _BLOCK = 256
-
-_OPEN = 4096
-
 _TRUTH = "truth"
 
 _CONFIG_KEYS = (
@@ -63,18 +56,15 @@ class SampleCache:
     versions: int
 
     def frame(self, epoch: int, index: int) -> TrainingSample:
-        """Return a frame in the version of an epoch.
-
-        Raises:
-            IndexError: there is no such frame.
-            OSError: its file cannot be read.
-        """
+        """Return a frame in the version of an epoch."""
         if not 0 <= index < self.frames:
             raise IndexError(f"index must be below {self.frames}, the number of frames, got {index}")
         block, row = divmod(index, _BLOCK)
         version = (epoch - self.first) % self.versions
-        maps = [_rows(self.path(version, block, name))[row].reshape(self.cells, self.cells) for name in self.inputs]
-        truth = _rows(self.path(version, block, _TRUTH))[row]
+        maps = [
+            mapped_array(self.path(version, block, name))[row].reshape(self.cells, self.cells) for name in self.inputs
+        ]
+        truth = mapped_array(self.path(version, block, _TRUTH))[row]
         bits = np.unpackbits(truth, axis=1, count=self.cells**2).astype(np.bool_)
         return TrainingSample(np.stack(maps), *bits.reshape(2, self.cells, self.cells))
 
@@ -89,22 +79,11 @@ class SampleCache:
         return tuple(name for name in self.inputs if not self.path(version, block, name).is_file())
 
     def build(self, frames: TrainingFrames, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
-        """Draw the samples of the blocks that are missing.
-
-        Args:
-            frames: that draw them.
-            workers: processes that share the work; 1 does it here.
-            on_progress: is called with the number of frames of each block that is finished.
-
-        Raises:
-            OSError: a frame cannot be read or a file cannot be written; what is finished stays.
-        """
+        """Draw the samples of the blocks that are missing, in so many processes; see :func:`build_files`."""
         blocks = range(-(-self.frames // _BLOCK))
         places = [(version, block) for version in range(self.versions) for block in blocks]
         jobs = [_BlockJob(self, frames, *place, names) for place in places if (names := self.missing(*place))]
-        if jobs:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        run_file_jobs(_write_block, jobs, workers, on_progress)
+        build_files(_write_block, self.folder, jobs, workers, on_progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,25 +98,11 @@ class _BlockJob:
 def sample_cache_of(
     config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int
 ) -> SampleCache:
-    """Return the cache of the samples of archives, which :meth:`SampleCache.build` fills.
-
-    Args:
-        config: what decides the samples, beside the archives.
-        archives: that are read.
-        folder: of all caches.
-        first: epoch whose attacks the first version has.
-        versions: of each frame.
-    """
+    """Return the cache of the samples of archives below ``folder``, which :meth:`SampleCache.build` fills."""
     table = config.to_json()
     shards = [shard.sha256 for archive in archives for shard in archive.shards]
-    words = [
-        _LAYOUT,
-        viewshed.__version__,
-        first,
-        config.card().clip,
-        {key: table[key] for key in _CONFIG_KEYS},
-        shards,
-    ]
+    decided_by = {key: table[key] for key in _CONFIG_KEYS}
+    words = [_LAYOUT, viewshed.__version__, first, config.card().clip, decided_by, shards]
     name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
     return SampleCache(folder / name, config.inputs, config.cells, sum(map(len, archives)), first, versions)
 
@@ -146,22 +111,11 @@ def _write_block(job: _BlockJob) -> int:
     """Return the number of frames of a block, whose missing channels are written, the truth last."""
     start = job.block * _BLOCK
     numbers = range(start, min(start + _BLOCK, job.cache.frames))
-    frames = replace(job.frames, config=job.frames.config.with_inputs(job.names))
+    frames = replace(job.frames, config=replace(job.frames.config, inputs=job.names))
     samples = [frames.draw(job.cache.first + job.version, number) for number in numbers]
+    path = partial(job.cache.path, job.version, job.block)
     for k, name in enumerate(job.names):
-        _write(job, name, np.stack([sample.maps[k].reshape(-1) for sample in samples]))
+        write_array(path(name), np.stack([sample.maps[k].reshape(-1) for sample in samples]))
     bits = np.stack([np.reshape([sample.visible, sample.known], (2, -1)) for sample in samples])
-    _write(job, _TRUTH, np.packbits(bits, axis=2))
+    write_array(path(_TRUTH), np.packbits(bits, axis=2))
     return len(samples)
-
-
-def _write(job: _BlockJob, name: str, rows: NDArray[np.uint8]) -> None:
-    buffer = io.BytesIO()
-    np.save(buffer, rows)
-    write_atomic(job.cache.path(job.version, job.block, name), buffer.getvalue())
-
-
-@lru_cache(maxsize=_OPEN)
-def _rows(path: Path) -> NDArray[np.uint8]:
-    rows: NDArray[np.uint8] = np.load(path, mmap_mode="r")
-    return rows

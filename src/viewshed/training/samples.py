@@ -78,13 +78,8 @@ def draw_attacked_sweep(
     """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
 
     Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
-    that this sweep does not allow leaves it as it is.
-
-    Args:
-        config: says which attacks, and how often.
-        sweep: the clean sweep, not modified.
-        earlier: returns earlier sweeps of the same sensor; asked only where the attack needs one.
-        rng: all that is random.
+    that this sweep does not allow leaves it as it is. ``earlier`` returns earlier sweeps of the same sensor, asked only
+    where the attack needs one.
     """
     if not config.attacks or rng.random() >= config.attack_share:
         return AttackedSweep(sweep)
@@ -131,7 +126,6 @@ def attack_strengths(name: str) -> tuple[int | tuple[str, float] | None, ...]:
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
 Arrays = dict[str, NDArray[np.float32]]
 
 Key = tuple[int, int]

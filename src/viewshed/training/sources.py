@@ -6,7 +6,6 @@ The label of arXiv 2503.07375 takes as long as the network, so it is computed on
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._files import write_atomic
 from viewshed.datasets.archive.archive import Archive
 from viewshed.datasets.archive.schema import ShardFacts
 from viewshed.datasets.presets import Preset, preset_named
@@ -27,11 +25,9 @@ from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import run_file_jobs
+from viewshed.training.log import build_files, mapped_array, write_array
 
 _VERSION = 1
-
-_OPEN = 512
 
 
 def paper_label(sweep: Sweep, grid: BevGrid, indoor: bool) -> NDArray[np.bool_]:
@@ -57,7 +53,7 @@ class PaperLabels:
     def of_frame(self, shard: ShardFacts, row: int) -> NDArray[np.bool_]:
         """Return the label (cells, cells) of a frame whose shard :meth:`build` has seen."""
         cells = self.grid.cells
-        bits = np.unpackbits(_read_bits(self.path(shard))[row], count=cells * cells)
+        bits = np.unpackbits(mapped_array(self.path(shard))[row], count=cells * cells)
         return bits.reshape(cells, cells).astype(np.bool_)
 
     def path(self, shard: ShardFacts) -> Path:
@@ -66,64 +62,35 @@ class PaperLabels:
         return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npy"
 
     def build(self, archive: Archive, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
-        """Label the shards of an archive that have no labels yet.
-
-        Args:
-            archive: of clean sweeps.
-            workers: processes that share the work; 1 does it here.
-            on_progress: is called with the number of frames of each shard that is finished.
-
-        Raises:
-            OSError: a shard cannot be read or a file cannot be written; what is finished stays.
-        """
-        jobs = [LabelJob(self, archive.of_scenes([shard.scene]), shard) for shard in archive.shards]
-        missing = [job for job in jobs if not self.path(job.shard).is_file()]
-        if missing:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        run_file_jobs(label_shard, missing, workers, on_progress)
+        """Label the shards of an archive that have no labels yet, in so many processes; see :func:`build_files`."""
+        missing = [shard for shard in archive.shards if not self.path(shard).is_file()]
+        jobs = [_LabelJob(self, archive.of_scenes([shard.scene]), shard) for shard in missing]
+        build_files(_label_shard, self.folder, jobs, workers, on_progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LabelJob:
-    """What a worker must know to label one shard.
-
-    Attributes:
-        labels: how and where.
-        scene: archive of the shard's scene.
-        shard: the shard.
-    """
+class _LabelJob:
+    """What a worker must know to label one shard: how and where, the archive of its scene, and which shard it is."""
 
     labels: PaperLabels
     scene: Archive
     shard: ShardFacts
 
 
-def label_shard(job: LabelJob) -> int:
+def _label_shard(job: _LabelJob) -> int:
     """Return the number of frames of a shard, whose labels are written."""
-    first = 0
-    for shard in job.scene.shards:
-        if shard.name == job.shard.name:
-            break
-        first += shard.frames
+    names = [shard.name for shard in job.scene.shards]
+    first = sum(shard.frames for shard in job.scene.shards[: names.index(job.shard.name)])
     sweeps = (job.scene[first + row].sweep for row in range(job.shard.frames))
     masks = [paper_label(sweep, job.labels.grid, job.labels.indoor) for sweep in sweeps]
-    buffer = io.BytesIO()
-    np.save(buffer, np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
-    write_atomic(job.labels.path(job.shard), buffer.getvalue())
+    write_array(job.labels.path(job.shard), np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
     return job.shard.frames
-
-
-@lru_cache(maxsize=_OPEN)
-def _read_bits(path: Path) -> NDArray[np.uint8]:
-    bits: NDArray[np.uint8] = np.load(path, mmap_mode="r")
-    return bits
 
 
 FRAMES_PER_NEW_SCENE = 8
 """Frames that are simulated of each fresh scene."""
 
 _LOOK_BACK_FRAMES = 24
-
 _FRESH = 0x7665777368
 
 
@@ -186,12 +153,7 @@ class ArchivedSamples:
         return sum(map(len, self.archives))
 
     def clean(self, epoch: int, index: int) -> CleanSample:
-        """Return one frame, of any epoch.
-
-        Raises:
-            ValueError: its shard is damaged.
-            OSError: its shard cannot be read.
-        """
+        """Return one frame, of any epoch."""
         archive, at = self._place(index)
         sample = archive[at]
         if self.labels is None:
@@ -286,16 +248,12 @@ def _with_label(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
 
 
 def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:
-    """Check that archives have what the config wants to learn.
-
-    Raises:
-        ValueError: an archive's grid, targets, splits or sweeps are not those that are needed.
-    """
+    """Check that archives have the grid, targets, splits and sweeps that the config wants to learn."""
     for archive in archives:
         layout, place = archive.manifest.layout, archive.store.place
         if config.train_split not in archive.splits:
-            raise ValueError(f"train_split must be one of {', '.join(archive.splits)} of {place}, got "
-                             f"{config.train_split!r}")  # fmt: skip
+            names = ", ".join(archive.splits)
+            raise ValueError(f"train_split must be one of {names} of {place}, got {config.train_split!r}")
         if config.truth == "paper_label":
             if archive.manifest.recipe.get("command") in ("attack", "corrupt"):
                 raise ValueError(

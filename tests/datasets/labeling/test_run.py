@@ -171,7 +171,7 @@ def test_real_drives_are_labeled(real_data: Path, tmp_path: Path) -> None:
     assert [ref.t_ns for ref in refs][:4] == [0, 100_000_000, 200_000_000, 300_000_000]
     assert len(source.read(refs[0])) == 124_668
     assert source.damage() == ()
-    with pytest.raises(ValueError, match="ref must be one of the index"):
+    with pytest.raises(ValueError, match=r"ref must be one of .*index\.json, got x"):
         source.read(replace(refs[0], file="x"))
     (tmp_path / "index.json").write_text("[]", encoding="utf-8")
     with pytest.raises(ValueError, match="must name at least one sweep, got none"):

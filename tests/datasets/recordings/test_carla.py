@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.carla import CarlaRecording, lidar_of_carla, rigid_of_carla, rotation_of_carla
+from viewshed.datasets.recordings.carla import lidar_of_carla, rigid_of_carla, rotation_of_carla
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io import read_index, read_indexed
 
@@ -95,7 +95,7 @@ def test_sweeps_come_in_the_order_of_time_and_survive_pickling(tmp_path: Path) -
             "a": {9: (_points(), (100, *still)), 3: (_points(), None)},
         },
     )
-    source = pickle.loads(pickle.dumps(CarlaRecording.open(folder)))  # noqa: S301
+    source = pickle.loads(pickle.dumps(open_source(folder)))  # noqa: S301
     refs = source.refs(tmp_path.name)
     assert [(ref.t_ns, ref.agent, ref.key) for ref in refs] == [
         (100, "a", "9"), (100, "b", "2"), (200, "b", "1"), (None, "a", "3"),
@@ -214,6 +214,6 @@ def test_one_line_for_each_damaged_thing_and_the_rest_goes_on(tmp_path: Path) ->
 def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     with pytest.raises(ValueError, match="must hold folders AGENT/000123"):
-        CarlaRecording.open(tmp_path)
+        open_source(tmp_path, "carla")
     with pytest.raises(ValueError, match="scene must be one of r, got 'other'"):
         open_source(_recording(tmp_path / "r", {"a": {0: (_points(), (0,) * 7)}})).refs("other")

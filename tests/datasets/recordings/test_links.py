@@ -96,11 +96,11 @@ def test_whatever_a_reader_raises_is_a_line_and_the_rest_goes_on(
 ) -> None:
     from viewshed.datasets.recordings import kitti
 
-    def faulty(*_: object) -> None:
+    def faulty(*_: object, **settings: object) -> None:
         raise RuntimeError("two\nlines")
 
     place = made.write(tmp_path, RECORDINGS["kitti_odometry"])
-    monkeypatch.setattr(kitti, "read_frame", faulty)
+    monkeypatch.setattr(kitti, "read_sweep", faulty)
     sweeps, _, lines = read_all(place)
     assert sweeps == 0
     [line] = lines

@@ -10,7 +10,6 @@ import yaml
 from scipy.spatial import cKDTree
 
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.opv2v import Opv2v
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io import read_index, read_indexed
 
@@ -111,7 +110,7 @@ def test_the_protocol_tells_the_beams_and_the_step(tmp_path: Path) -> None:
     for agent in ("641", "-1"):
         _frame(tmp_path / "s" / agent, 2, [[5, 3, 1]], lidar_pose=POSE)
     (tmp_path / "s" / "data_protocol.yaml").write_text(yaml.dump(protocol))
-    source = pickle.loads(pickle.dumps(Opv2v.open(tmp_path / "s")))  # noqa: S301
+    source = pickle.loads(pickle.dumps(open_source(tmp_path / "s")))  # noqa: S301
     (roadside, at_roadside), (car, on_car) = each_sweep(source)
     assert (roadside.agent, car.agent, car.t_ns) == ("-1", "641", 200_000_000)
     assert at_roadside.model is None
@@ -162,5 +161,5 @@ def test_damaged_vehicles_are_named(tmp_path: Path) -> None:
     source = open_source(tmp_path)
     with pytest.raises(ValueError, match=r"000068\.yaml: a vehicle is damaged"):
         source.boxes(source.refs("s")[0])
-    with pytest.raises(ValueError, match="found none"):
-        Opv2v.open(tmp_path / "s" / "641")
+    with pytest.raises(ValueError, match=r"must hold folders SCENARIO/AGENT/.*, got none"):
+        open_source(tmp_path / "s" / "641", "opv2v")

@@ -15,8 +15,8 @@ import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
 
+from viewshed.datasets.recording import open_recording
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.rosbag import BagRecording
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io import read_sweep
 from viewshed.sweep import Sweep
@@ -265,7 +265,7 @@ def test_topics_are_agents_and_come_in_the_order_of_their_stamps(tmp_path: Path,
         ("/front/points", 10, cloud(3 * S, 1.0)), ("/rear/points", 10, cloud(2 * S, 2.0)),
         ("/front/points", 10, cloud(1 * S, 3.0)), ("/rear/points", 11, cloud(0, 4.0)),
     ]  # fmt: skip
-    source = pickle.loads(pickle.dumps(BagRecording.open(write(tmp_path / "a", entries))))  # noqa: S301
+    source = pickle.loads(pickle.dumps(open_source(write(tmp_path / "a", entries))))  # noqa: S301
     read = [(ref.agent, ref.t_ns, float(sweep.points[0, 0])) for ref, sweep in each_sweep(source)]
     assert read == [
         ("rear/points", 11, 9.0), ("front/points", S, 8.0), ("rear/points", 2 * S, 7.0), ("front/points", 3 * S, 6.0),
@@ -288,6 +288,33 @@ def test_an_mcap_chunk_that_claims_too_much_is_refused(tmp_path: Path) -> None:
         (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + _record(0x06, head + packed) + _record(0x0F, bytes(4)))
         with pytest.raises(ValueError, match=words):
             open_source(tmp_path / "a.mcap")
+
+
+def test_many_chunks_that_add_up_to_too_much_are_refused(tmp_path: Path) -> None:
+    # Each chunk of 900 kB is small enough by itself; forty of them unpack to 36 MB, from a file of 5 kB.
+    def chunk(number: int) -> bytes:
+        empty = _record(0x05, struct.pack("<HIQQ", 1, number, number, number) + bytes(900_000))
+        packed = bytes(pa.Codec("zstd").compress(empty, asbytes=True))
+        head = struct.pack("<QQQI", 0, 0, len(empty), 0) + _text("zstd") + struct.pack("<Q", len(packed))
+        return _record(0x06, head + packed)
+
+    channel = _record(0x04, struct.pack("<HH", 1, 0) + _text("/other") + _text("cdr") + struct.pack("<I", 0))
+    content = b"\x89MCAP0\r\n" + channel + b"".join(map(chunk, range(40))) + _record(0x0F, bytes(4))
+    (tmp_path / "a.mcap").write_bytes(content)
+    limit = max(200 * len(content), 1_000_000)
+    assert limit < 40 * 900_000
+    with pytest.raises(
+        ValueError, match=rf"a\.mcap: is damaged: it unpacks to more than {limit} bytes in all; refused"
+    ):
+        open_source(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("ending", [".zstd", ".zst", ".ZSTD"])
+def test_a_packed_bag_is_a_recording(tmp_path: Path, ending: str) -> None:
+    place = tmp_path / f"a.mcap{ending}"
+    place.write_bytes(bytes(pa.compress(recording_files.mcap(), codec="zstd", asbytes=True)))
+    assert [len(sweep) for sweep in open_recording(place)] == [6, 6]
+    assert [len(sweep) for sweep in open_recording(tmp_path)] == [6, 6]
 
 
 def test_records_that_only_keep_a_reader_busy_are_refused(tmp_path: Path) -> None:
@@ -370,7 +397,7 @@ def test_every_cut_of_an_mcap_file_is_one_line(tmp_path: Path) -> None:
     for end in range(len(content) - 50):
         place.write_bytes(content[:end])
         try:
-            lines: Iterable[str] = BagRecording.open(place).damage()
+            lines: Iterable[str] = open_source(place).damage()
         except ValueError as error:
             lines = [str(error)]
         assert all(line.startswith(str(place)) and "\n" not in line for line in lines)
@@ -390,7 +417,7 @@ def test_bytes_changed_at_random_never_trace(tmp_path: Path) -> None:
             place.write_bytes(changed.tobytes())
             try:
                 told: list[str] = []
-                count = len(list(each_sweep(BagRecording.open(place), on_damage=lambda _, line: told.append(line))))  # noqa: B023
+                count = len(list(each_sweep(open_source(place), on_damage=lambda _, line: told.append(line))))  # noqa: B023
             except ValueError as error:
                 told, count = [str(error)], 0
             assert count <= 2

@@ -50,8 +50,7 @@ class Archive:
     """
 
     def __init__(self, store: Storage, manifest: Manifest, shards: Iterable[ShardFacts] | None = None) -> None:
-        self.store = store
-        self.manifest = manifest
+        self.store, self.manifest = store, manifest
         self.shards = tuple(manifest.shards if shards is None else shards)
         self._ends = np.array(list(accumulate(shard.frames for shard in self.shards)), np.int64)
         self._open_shards = _OpenShards(store, manifest.layout)
@@ -85,11 +84,7 @@ class Archive:
         return self._open_shards.shard(shard).sample(row)
 
     def locate(self, index: int) -> tuple[ShardFacts, int]:
-        """Return the shard that a frame is in, and its row there.
-
-        Raises:
-            IndexError: there is no such frame.
-        """
+        """Return the shard that a frame is in, and its row there; an IndexError where there is no such frame."""
         count = len(self)
         if not -count <= index < count:
             raise IndexError(f"index must lie in [{-count}, {count}), got {index}")
@@ -184,65 +179,43 @@ class Archive:
         return Archive(self.store, self.manifest, shards)
 
 
-@dataclass(slots=True)
-class _OpenFiles:
-    """What one process has open: files (a few, the last used) and footers (all that were read)."""
-
-    process: int
-    files: OrderedDict[str, Shard]
-    footers: dict[str, pq.FileMetaData]
-
-
 class _OpenShards:
-    """Opens shards when they are first read, again in each process."""
+    """Opens shards when they are first read, again in each process: the last used files, and all footers read."""
 
     def __init__(self, store: Storage, layout: Layout) -> None:
         self._store, self._layout = store, layout
-        self._open = _OpenFiles(os.getpid(), OrderedDict(), {})
+        self._process = os.getpid()
+        self._files: OrderedDict[str, Shard] = OrderedDict()
+        self._footers: dict[str, pq.FileMetaData] = {}
 
-    def __getstate__(self) -> tuple[Storage, Layout]:
-        return self._store, self._layout
-
-    def __setstate__(self, state: tuple[Storage, Layout]) -> None:
-        self.__init__(*state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _OpenShards, (self._store, self._layout)
 
     def shard(self, facts: ShardFacts) -> Shard:
         """Return an open shard that is the one of the manifest."""
-        if self._open.process != os.getpid():
-            self._open = _OpenFiles(os.getpid(), OrderedDict(), self._open.footers)
-        name, files, footers = facts.name, self._open.files, self._open.footers
-        if name not in files:
-            shard = Shard(self._store, name, metadata=footers.get(name))
+        if self._process != os.getpid():
+            self._process, self._files = os.getpid(), OrderedDict()
+        name = facts.name
+        if name not in self._files:
+            shard = Shard(self._store, name, metadata=self._footers.get(name))
             shard.check(facts, self._layout)
-            files[name], footers[name] = shard, shard.metadata
-            if len(files) > OPEN_SHARDS:
-                files.popitem(last=False)[1].close()
-        files.move_to_end(name)
-        return files[name]
-
-
-LAYOUT = f"a folder with {MANIFEST}, made by viewshed"
+            self._files[name], self._footers[name] = shard, shard.metadata
+            if len(self._files) > OPEN_SHARDS:
+                self._files.popitem(last=False)[1].close()
+        self._files.move_to_end(name)
+        return self._files[name]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchiveSource:
-    """The sweeps of an archive, scene by scene.
-
-    Attributes:
-        archive: that holds them.
-    """
+    """The sweeps of an archive, scene by scene: a :class:`~viewshed.datasets.recordings.source.SweepSource`."""
 
     archive: Archive
     _damage: list[str] = field(default_factory=list)
 
     @classmethod
     def open(cls, place: Path | str) -> ArchiveSource:
-        """Return the archive in a folder or at a URI.
-
-        Raises:
-            ValueError: it is no archive, not finished, damaged, or of another schema version.
-            OSError: it cannot be read.
-        """
+        """Return the archive in a folder or at a URI; errors as :meth:`Archive.open`."""
         return cls(Archive.open(place))
 
     def scenes(self) -> tuple[str, ...]:
@@ -254,11 +227,7 @@ class ArchiveSource:
         return next(shard.split for shard in self.archive.shards if shard.scene == scene)
 
     def refs(self, scene: str) -> list[SweepRef]:
-        """Return the sweeps of a scene in time order; of a shard that cannot be read there are none.
-
-        Raises:
-            ValueError: there is no such scene, or no shard of it can be read.
-        """
+        """Return the sweeps of a scene in time order; of a shard that cannot be read there are none."""
         if scene not in self.scenes():
             raise ValueError(f"scene must be one of the {len(self.scenes())} of the archive, got {scene!r}")
         rows: list[tuple[str, int, dict[str, Any]]] = []
@@ -279,28 +248,20 @@ class ArchiveSource:
         ]  # fmt: skip
 
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep.
-
-        Raises:
-            ValueError: its shard is damaged, or the ref is not of this archive.
-            OSError: its shard cannot be read.
-        """
+        """Return a sweep."""
         return self.sample(ref).sweep
 
     def measured(self, ref: SweepRef) -> StoredSweep | Sweep:
-        """Return a sweep as it is stored: the range image where there is one; errors as :meth:`read`."""
+        """Return a sweep as it is stored: the range image where there is one."""
         return self.sample(ref).measured
 
     def sample(self, ref: SweepRef) -> Sample:
-        """Return a sweep with its truth, to compare with; errors as :meth:`read`."""
-        return self.archive[self._index(ref)]
-
-    def _index(self, ref: SweepRef) -> int:
+        """Return a sweep with its truth, to compare with."""
         name, _, frame = ref.key.rpartition(":")
         start = 0
         for facts in self.archive.shards:
             if facts.name == name and frame.isdigit() and int(frame) < facts.frames:
-                return start + int(frame)
+                return self.archive[start + int(frame)]
             start += facts.frames
         raise ValueError(f"ref must be one of {self.archive.store.place}, got {ref.key!r}")
 

@@ -107,16 +107,10 @@ def build_archive(
     store.clear_drafts()
     # 2. Keep the shards that are there and whole; build the others.
     results: dict[str, ShardResult] = {}
-
-    def record(name: str, result: ShardResult) -> None:
+    for name, result in chain(_find_finished(manifest, store, plan.jobs), _build_missing(plan, results, engine)):
         results[name] = result
         if on_progress is not None:
             on_progress(result)
-
-    for name, result in _find_finished(manifest, store, plan.jobs):
-        record(name, result)
-    for name, result in _build_missing(plan, [job for job in plan.jobs if job.name not in results], engine):
-        record(name, result)
     # 3. The manifest last: only now is it an archive. A shard without frames is none, and is tried again by every run.
     written = {job.name: results[job.name] for job in plan.jobs if results[job.name].facts is not None}
     _write_problems(store, {name: result.problems for name, result in written.items()})
@@ -130,16 +124,10 @@ def build_archive(
 def build_shard(
     store: Storage, name: str, samples: Iterable[Sample], problems: Callable[[], tuple[str, ...]] = tuple
 ) -> ShardResult:
-    """Return what became of a shard: it is written, and its line in a file beside it.
+    """Return what became of a shard of one scene: it is written, and its line in a file beside it.
 
-    Args:
-        store: where it goes.
-        name: of its file.
-        samples: of one scene; none is a shard that is left out.
-        problems: is called when the samples have been read: one line for each that had to be left out.
-
-    Raises:
-        OSError: a file cannot be written.
+    No samples are a shard that is left out. ``problems`` is called when the samples have been read: one line for each
+    that had to be left out.
     """
     iterator = iter(samples)
     first = next(iterator, None)
@@ -214,12 +202,11 @@ def _read_sidecar(job: J, names: set[str]) -> ShardResult | None:
     return None
 
 
-def _build_missing(plan: BuildPlan[J], jobs: Sequence[J], engine: Engine) -> Iterator[tuple[str, ShardResult]]:
-    """Yield the shards of jobs by name as they are finished.
-
-    Raises:
-        OSError: one failed; the message is its own.
-    """
+def _build_missing(
+    plan: BuildPlan[J], finished: Mapping[str, ShardResult], engine: Engine
+) -> Iterator[tuple[str, ShardResult]]:
+    """Yield the shards that are not finished when this begins, by name, as they are built; errors are their own."""
+    jobs = [job for job in plan.jobs if job.name not in finished]
     with contextlib.closing(engine.run(plan.work, jobs)) as run:
         for done in run:
             if done.result is None:

@@ -42,11 +42,7 @@ MOST_MADE = 0.5
 
 
 def row_of_sample(sample: Sample, layout: Layout, sensors: Sensors) -> Row:
-    """Return a sample as columns; its beam table is added to ``sensors``.
-
-    Raises:
-        ValueError: its truth does not have this layout.
-    """
+    """Return a sample as columns; its beam table is added to ``sensors``."""
     truth, tampered = sample.truth, sample.tampered
     if Layout.of(truth) != layout:
         raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(truth)}")
@@ -75,11 +71,7 @@ def _pack_measured(sample: Sample, sensors: Sensors) -> tuple[dict[str, Any], by
 
 
 def sample_of_row(row: Row, footer: Footer) -> Sample:
-    """Return the sample of :func:`row_of_sample`.
-
-    Raises:
-        ValueError: the columns do not fit the footer or each other.
-    """
+    """Return the sample of :func:`row_of_sample`; a ValueError where columns do not fit the footer or each other."""
     text, ranges, intensity, points, returns, states, masks, touched = row
     clean = tampered = None
     try:
@@ -123,14 +115,7 @@ def made_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:
 def merge_rows(clean: Sweep, made: Sweep, added: NDArray[np.bool_], removed: NDArray[np.bool_]) -> Sweep:
     """Return the attacked sweep of :func:`made_rows`; all but its rows is that of ``made``.
 
-    Args:
-        clean: the sweep before the attack.
-        made: the rows that the attacker made.
-        added: (N,) which rows of the attacked sweep those are.
-        removed: (M,) which rows of the clean sweep are gone.
-
-    Raises:
-        ValueError: they do not fit each other.
+    ``added`` (N,): which rows of the attacked sweep the attacker made; ``removed`` (M,): which clean rows are gone.
     """
     new, old, source = np.flatnonzero(added), np.flatnonzero(~added), np.flatnonzero(~removed)
     if len(removed) != len(clean) or len(source) != len(old) or len(made) != len(new):
@@ -149,13 +134,13 @@ def merge_rows(clean: Sweep, made: Sweep, added: NDArray[np.bool_], removed: NDA
 
 def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
     """Return what is neither array nor truth, as plain values; Python's floats survive JSON exactly."""
-    pose = _pose_numbers(measured.world_from_sensor)
+    pose = measured.world_from_sensor
     about: dict[str, Any] = {
         "agent": measured.agent,
         "t_ns": None if measured.t_ns is None else int(measured.t_ns),
         "sensor": sensors.number(measured.model),
         "sensor_height_m": None if measured.sensor_height_m is None else float(measured.sensor_height_m),
-        "world_from_sensor": None if pose is None else pose.tolist(),
+        "world_from_sensor": None if pose is None else [*pose.rotation.ravel().tolist(), *pose.translation.tolist()],
     }
     if isinstance(measured, StoredSweep):
         motion = measured.motion
@@ -222,10 +207,6 @@ def _sweep(about: dict[str, Any], raw: packing.Buffer, sensors: Sensors) -> Swee
         agent=about["agent"],
         dropped_points=int(about["dropped_points"]),
     )
-
-
-def _pose_numbers(pose: Rigid | None) -> NDArray[np.float64] | None:
-    return None if pose is None else np.concatenate([pose.rotation.ravel(), pose.translation])
 
 
 def _pose(numbers: list[float] | None) -> Rigid | None:

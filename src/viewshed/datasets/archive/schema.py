@@ -21,24 +21,19 @@ import viewshed
 from viewshed.datasets.archive.storage import Storage
 from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
+from viewshed.io._input import one_line
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 
 SCHEMA_VERSION = 1
 """Of the columns and of the text in footer and manifest; a reader refuses any other."""
 
 MANIFEST = "manifest.json"
-
 REPAIR = "run the command that made the archive again, it writes anew only what is damaged or missing"
-
 _KIND = "viewshed archive"
 
 
 def check_version(where: str, table: Any) -> None:
-    """Check the schema version in the plain values read from ``where``.
-
-    Raises:
-        ValueError: it is another one than :data:`SCHEMA_VERSION`, or there is none.
-    """
+    """Check the schema version in the plain values read from ``where``: it must be :data:`SCHEMA_VERSION`."""
     version = table.get("schema_version") if isinstance(table, dict) else None
     if version != SCHEMA_VERSION:
         known = f"schema_version must be {SCHEMA_VERSION}, got {version!r}"
@@ -47,19 +42,13 @@ def check_version(where: str, table: Any) -> None:
 
 @contextlib.contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Give whatever a damaged file raises one line that names it and the repair.
-
-    Raises:
-        ValueError: the file is damaged.
-    """
+    """Make a ValueError of whatever a damaged file raises: one line that names it and the repair."""
     import pyarrow as pa
 
     try:
         yield
     except (ValueError, KeyError, OSError, OverflowError, pa.ArrowException) as error:
-        text = " ".join(str(error).split())
-        short = text if len(text) <= 200 else f"{text[:199]}…"
-        raise ValueError(f"{where} is damaged: {short}; {REPAIR}") from error
+        raise ValueError(f"{where} is damaged: {one_line(error, 200)}; {REPAIR}") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +92,6 @@ class Layout:
 
 
 _LISTS = ("elevation", "azimuth_offset", "origin_m")
-
 _SINGLES = ("name", "azimuth_columns", "min_range_m", "max_range_m", "source")
 
 
@@ -117,11 +105,7 @@ def text_of_model(model: LidarModel) -> str:
 
 @lru_cache(maxsize=256)
 def model_of_text(text: str) -> LidarModel:
-    """Return the beam table in a line of :func:`text_of_model`; one that travels with the package is that very object.
-
-    Raises:
-        ValueError: the text is not such a line, or the table is not valid.
-    """
+    """Return the beam table in a line of :func:`text_of_model`; one that is shipped is that very object."""
     shipped = _shipped_models().get(text)
     if shipped is not None:
         return shipped
@@ -210,11 +194,7 @@ class ShardFacts:
 
     @classmethod
     def from_json(cls, table: Any) -> ShardFacts:
-        """Return the facts in plain values.
-
-        Raises:
-            ValueError: there are other keys or types, or a count below 1.
-        """
+        """Return the facts in plain values; a ValueError where keys or types are others, or a count is below 1."""
         types = {"name": str, "scene": str, "split": str, "frames": int, "bytes": int, "sha256": str}
         if not isinstance(table, dict) or {key: type(value) for key, value in table.items()} != types:
             raise ValueError(f"a shard must have {', '.join(types)}, got {str(table)[:100]}")

@@ -108,18 +108,11 @@ class Shard:
         return int(self._file.metadata.num_row_groups)
 
     def check(self, facts: ShardFacts, layout: Layout) -> None:
-        """Compare what a manifest says with the shard's own footer: a manifest is a text that anybody can edit.
-
-        Raises:
-            ValueError: they differ.
-        """
+        """Refuse a manifest that differs from the shard's own footer: a manifest is a text that anybody can edit."""
         rows = self._file.metadata.num_rows
         own = {
-            "scene": self.footer.scene,
-            "split": self.footer.split,
-            "frames": len(self),
-            "layout": self.footer.layout,
-        }
+            "scene": self.footer.scene, "split": self.footer.split, "frames": len(self), "layout": self.footer.layout,
+        }  # fmt: skip
         listed = {"scene": facts.scene, "split": facts.split, "frames": facts.frames, "layout": layout}
         with reading(self.name):
             for key, value in listed.items():
@@ -129,11 +122,7 @@ class Shard:
                 raise ValueError(f"a row group must hold one frame, got {rows} rows in {len(self)}")
 
     def sample(self, index: int) -> Sample:
-        """Return the sample with this number; its points are computed when they are first asked for.
-
-        Raises:
-            ValueError: the file is damaged.
-        """
+        """Return the sample with this number; its points are computed when they are first asked for."""
         with reading(self.name):
             batch = self._file.read_row_group(index, use_threads=False)
             about, *blobs = (batch.column(name)[0] for name in ("about", *BLOBS))
@@ -142,11 +131,7 @@ class Shard:
             return sample_of_row(row, self.footer)
 
     def abouts(self) -> list[dict[str, Any]]:
-        """Return what is said of each frame beside its arrays, without reading these.
-
-        Raises:
-            ValueError: the file is damaged.
-        """
+        """Return what is said of each frame beside its arrays, without reading these."""
         with reading(self.name):
             return [json.loads(text) for text in self._file.read(columns=["about"]).column("about").to_pylist()]
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from viewshed._files import write_atomic
+from viewshed.io._input import one_line
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,7 +26,6 @@ SCHEMES = ("file", "s3", "gs", "gcs", "abfs", "abfss")
 """What a place may begin with, besides a folder's name."""
 
 _REQUESTS = 16  # under way at a time
-
 _DRAFT = re.compile(r"\..+\.[0-9a-f]{12}\.part")  # what viewshed._files writes beside a file
 
 _REPAIRS = {
@@ -50,6 +50,8 @@ _LOCAL_REPAIRS = {
 @dataclass(frozen=True, slots=True)
 class Storage:
     """Files by name below one place; small enough to travel to other processes and machines.
+
+    What cannot be listed, read, written or removed is an OSError of one line that names it and, if known, the repair.
 
     Attributes:
         uri: the place with its options, which may hold secrets; show :attr:`place` instead.
@@ -94,29 +96,17 @@ class Storage:
         return Path(_opened(self.uri)[1]) if self.uri.startswith("file:") else None
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file.
-
-        Raises:
-            OSError: it does not exist or cannot be read.
-        """
+        """Return the content of a file."""
         with self.open(name) as file, _named(self, name):
             return bytes(file.read())
 
     def open(self, name: str) -> pa.NativeFile:
-        """Return a file that can be read anywhere, for ``pyarrow.parquet``; close it after use.
-
-        Raises:
-            OSError: it does not exist or cannot be read.
-        """
+        """Return a file that can be read anywhere, for ``pyarrow.parquet``; close it after use."""
         with _named(self, name):
             return self._files.open_input_file(self._path(name))
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file, whole or not at all; one that exists is replaced.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Write a file, whole or not at all; one that exists is replaced."""
         path = self._path(name)
         with _named(self, name):
             if self.folder is not None:
@@ -128,45 +118,30 @@ class Storage:
                 stream.write(content)  # an object appears when its stream is closed, so not after a failure
                 stream.close()
             except FileNotFoundError as error:
-                raise OSError(f"{_short(error)}: no such bucket") from error
+                raise OSError(f"{one_line(error, 200)}: no such bucket") from error
 
     def names(self) -> list[str]:
-        """Return the names of all files, sorted, without what was left half written; [] where the place is not there.
-
-        Raises:
-            OSError: the place cannot be listed.
-        """
+        """Return the names of all files but those left half written, sorted; [] where the place is not there."""
         return [name for name in self._listed() if not _is_draft(name)]
 
     def size(self, name: str) -> int:
-        """Return the length of a file in bytes.
-
-        Raises:
-            OSError: it does not exist or cannot be read.
-        """
+        """Return the length of a file in bytes."""
         with self.open(name) as file:
             return int(file.size())
 
     def delete(self, *names: str) -> None:
-        """Remove files, several at a time: an object store answers one request in the time of many.
+        """Remove files, several at a time: an object store answers one request in the time of many."""
 
-        Raises:
-            OSError: one does not exist or cannot be removed; others may be gone.
-        """
+        def delete(name: str, path: str) -> None:
+            with _named(self, name):
+                self._files.delete_file(path)
+
         paths = {name: self._path(name) for name in names}
         with ThreadPoolExecutor(_REQUESTS) as pool:
-            list(pool.map(self._delete, paths, paths.values()))
-
-    def _delete(self, name: str, path: str) -> None:
-        with _named(self, name):
-            self._files.delete_file(path)
+            list(pool.map(delete, paths, paths.values()))
 
     def clear_drafts(self) -> None:
-        """Remove what killed writers left half written; nobody else may be writing. Object stores keep no drafts.
-
-        Raises:
-            OSError: a draft cannot be removed.
-        """
+        """Remove what killed writers left half written; nobody else may be writing. Object stores keep no drafts."""
         if self.folder is None:
             return
         self.delete(*(name for name in self._listed() if _is_draft(name)))
@@ -199,7 +174,7 @@ def _opened(uri: str) -> tuple[pafs.FileSystem, str]:
         files, root = pafs.FileSystem.from_uri(uri)
     except (ValueError, OSError) as error:  # pyarrow.ArrowInvalid is a ValueError
         parts = urlsplit(uri)
-        raise ValueError(f"{parts.scheme}://{parts.hostname or ''}{parts.path}: {_short(error)}") from error
+        raise ValueError(f"{parts.scheme}://{parts.hostname or ''}{parts.path}: {one_line(error, 200)}") from error
     return files, str(root)
 
 
@@ -227,11 +202,6 @@ def _repair(error: Exception, local: bool) -> str:
     if isinstance(error, FileNotFoundError):
         return "no such file"
     if local and isinstance(error, OSError):
-        return _LOCAL_REPAIRS.get(error.errno or 0, _short(error))
+        return _LOCAL_REPAIRS.get(error.errno or 0, one_line(error, 200))
     advice = [repair for pattern, repair in _REPAIRS.items() if re.search(pattern, str(error))]
-    return "; ".join([_short(error), *advice[:1]])
-
-
-def _short(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 200 else f"{text[:199]}…"
+    return "; ".join([one_line(error, 200), *advice[:1]])

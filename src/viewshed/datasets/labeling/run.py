@@ -16,7 +16,7 @@ from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.source import IndexSource, SweepRef, SweepSource
+from viewshed.datasets.recordings.source import SweepRef, SweepSource, open_index
 from viewshed.datasets.sample import Sample
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model
@@ -51,7 +51,7 @@ class Origin:
             OSError: it cannot be read.
         """
         if self.kind == "index":
-            return IndexSource.open(self.place)
+            return open_index(self.place)
         if self.kind == "archive" or (self.kind == "auto" and ("://" in self.place or is_archive(Path(self.place)))):
             return ArchiveSource.open(self.place)
         return open_source(self.place, self.kind)

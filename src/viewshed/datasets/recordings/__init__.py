@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from viewshed.datasets.recordings import carla, kitti, nuscenes, opv2v
-from viewshed.datasets.recordings import rosbag as bags
-from viewshed.datasets.recordings.source import ObjectBox, SourceKind, SweepRef, SweepSource
+from viewshed.datasets.recordings import bag_files, carla, kitti, nuscenes, opv2v, rosbag
+from viewshed.datasets.recordings.source import RecordingSource, SourceKind, SweepSource
 from viewshed.io._input import errors_named
-from viewshed.sweep import Sweep
 
 SOURCES: dict[str, SourceKind] = {
-    "nuscenes": SourceKind(nuscenes.LAYOUT, nuscenes.is_nuscenes, nuscenes.open_nuscenes),
-    "kitti_raw": SourceKind(kitti.RAW_LAYOUT, kitti.is_raw, kitti.KittiRaw),
-    "kitti_odometry": SourceKind(kitti.ODOMETRY_LAYOUT, kitti.is_odometry, kitti.KittiOdometry),
-    "kitti_object": SourceKind(kitti.OBJECT_LAYOUT, kitti.is_object, kitti.KittiObject),
-    "carla": SourceKind(carla.LAYOUT, carla.is_recording, carla.CarlaRecording.open),
-    "opv2v": SourceKind(opv2v.LAYOUT, opv2v.is_opv2v, opv2v.Opv2v.open),
-    "bag": SourceKind(bags.LAYOUT, bags.is_bag, bags.BagRecording.open),
-}
+    "nuscenes": SourceKind("nuScenes' tables in v1.0-*/", nuscenes.versions_in, nuscenes.Nuscenes.open),
+    "kitti_raw": SourceKind("KITTI's drives with velodyne_points/data/", kitti.drives_in, kitti.KittiRaw),
+    "kitti_odometry": SourceKind("KITTI's sequences/*/velodyne/", kitti.sequences_in, kitti.KittiOdometry),
+    "kitti_object": SourceKind("KITTI's training/velodyne/ or testing/velodyne/", kitti.parts_in, kitti.KittiObject),
+    "carla": SourceKind(
+        "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)",
+        carla.recordings_in, carla.CarlaRecording.open,
+    ),
+    "opv2v": SourceKind(
+        "folders SCENARIO/AGENT/000068.pcd with 000068.yaml", opv2v.scenarios_in, opv2v.Opv2v.open
+    ),
+    "bag": SourceKind(
+        "a .bag or .mcap file, a folder with metadata.yaml, or a folder of these",
+        bag_files.bags_in, rosbag.BagRecording.open,
+    ),
+}  # fmt: skip
 """Name → how to recognize and open it; the first that fits is taken."""
 
 
@@ -43,36 +47,11 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSourc
         problem = "its links lead in a circle" if path.is_symlink() else "no such folder"
         raise FileNotFoundError(f"{path}: {problem}")
     with errors_named(path, path.parent):
-        known = (
-            SOURCES[kind] if kind != "auto" else next((known for known in SOURCES.values() if known.fits(path)), None)
-        )
-        if known is not None:
-            return _OneLineErrors(path.parent, known.open(path))
+        for known in SOURCES.values() if kind == "auto" else (SOURCES[kind],):
+            if kind != "auto" or known.fits(path):
+                reader = known.open(path)
+                if not reader.scenes:
+                    raise ValueError(f"{path}: must hold {known.layout}, got none")
+                return RecordingSource(path, reader)
     layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
     raise ValueError(f"{path}: no recording found here; looked for {layouts}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _OneLineErrors:
-    """A recording whose errors are all of one line that names a file, whatever its reader raises."""
-
-    root: Path
-    source: SweepSource
-
-    def scenes(self) -> tuple[str, ...]:
-        return self.source.scenes()
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        with errors_named(self.root / scene, self.root):
-            return self.source.refs(scene)
-
-    def read(self, ref: SweepRef) -> Sweep:
-        with errors_named(ref.file, self.root):
-            return self.source.read(ref)
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        with errors_named(ref.file, self.root):
-            return self.source.boxes(ref)
-
-    def damage(self) -> tuple[str, ...]:
-        return self.source.damage()

@@ -11,35 +11,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings.source import (
-    ObjectBox,
-    named_texts,
-    note_damage,
-    numbers_of,
-    rigid_named,
-    rigid_of,
-    text_lines,
-)
+from viewshed.datasets.recordings._kitti_files import named_texts, numbers_of, rigid_named, rigid_of, text_lines
+from viewshed.datasets.recordings.source import ObjectBox, note_damage
 from viewshed.geometry import Rigid
 from viewshed.io._input import InputFile, one_line, open_input
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+FILE = "tracklet_labels.xml"
+"""Name of the file of tracklets, in the folder of the drive."""
 
 _IGNORED = "DontCare"
-
 _NUMBERS = 14
+_MOST_BYTES = 64_000_000
+_MOST_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
+_DEPTH_MAX = 16
+_SIZE = ("l", "w", "h")
+_POSE = ("tx", "ty", "tz", "rz")
 
 
 def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
     """Return the transform from the rectified camera (x right, y down, z forward) to the LiDAR.
 
     The inverse of ``R0_rect * Tr_velo_to_cam``, as in the readme of KITTI's development kit.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it lacks one of the two, or that is not rigid.
     """
     texts = named_texts(root, calibration)
     where = f"{calibration}, R0_rect"
@@ -48,12 +43,7 @@ def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
 
 
 def read_labels(root: Path, labels: Path, calibration: Path) -> tuple[ObjectBox, ...]:
-    """Return the labeled objects in the LiDAR's frame; regions marked ``DontCare`` are left out.
-
-    Raises:
-        OSError: a file cannot be read.
-        ValueError: one is damaged.
-    """
+    """Return the labeled objects in the LiDAR's frame; regions marked ``DontCare`` are left out."""
     if labels.is_file() and labels.stat().st_size == 0:  # a frame without objects
         return ()
     frame = velodyne_from_camera(root, calibration)
@@ -74,20 +64,6 @@ def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
         return ObjectBox(velodyne_from_camera @ camera_from_box, (length, width, height), category)
     except ValueError as error:
         raise ValueError(one_line(f"{where}: {error}")) from error
-
-
-FILE = "tracklet_labels.xml"
-"""Name of the file, in the folder of the drive."""
-
-_MOST_BYTES = 64_000_000
-
-_MOST_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
-
-_DEPTH_MAX = 16
-
-_SIZE = ("l", "w", "h")
-
-_POSE = ("tx", "ty", "tz", "rz")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,12 +101,7 @@ class Tracklets:
 
     @classmethod
     def read(cls, place: Path) -> Tracklets:
-        """Return the objects in a file.
-
-        Raises:
-            OSError: it cannot be read.
-            ValueError: it is no XML, or holds no tracklets.
-        """
+        """Return the objects in a file, which must be XML that holds tracklets."""
         tracks: list[_Track] = []
         damage: list[str] = []
         with open_input(place) as source:
@@ -147,11 +118,7 @@ class Tracklets:
         return cls(place, tuple(tracks), tuple(damage))
 
     def of(self, frame: int, world_from_velodyne: Rigid) -> tuple[ObjectBox, ...]:
-        """Return the objects of the sweep with this number, in the world.
-
-        Raises:
-            ValueError: one of them is damaged.
-        """
+        """Return the objects of the sweep with this number, in the world."""
         return tuple(
             self._box(track, frame, world_from_velodyne)
             for track in self.tracks
@@ -169,11 +136,7 @@ class Tracklets:
 
 
 def _items(source: InputFile) -> Iterator[Element]:
-    """Yield the tracklets of a file one by one, so that they never all are in memory.
-
-    Raises:
-        ValueError: it is no XML, is too large or too deep, or holds no tracklets.
-    """
+    """Yield the tracklets of a file one by one, so that they never all are in memory."""
     from xml.etree import ElementTree
 
     content = source.content(_MOST_BYTES)

@@ -1,53 +1,65 @@
-"""What KITTI's three layouts share: sweeps named by numbers, their times, and their poses."""
+"""The text files of KITTI's three layouts: times, calibration and poses, looked up by the numbers of the sweeps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings.source import (
-    SweepRef,
-    named_texts,
-    note_damage,
-    numbers_of,
-    rigid_named,
-    rigid_of,
-    rigid_of_line,
-    text_lines,
-)
+from viewshed.datasets.recordings.source import note_damage, numbers_in
 from viewshed.geometry import Rigid
-from viewshed.io import read_sweep
-from viewshed.io._input import inside, one_line
-from viewshed.sweep import Sweep
+from viewshed.io._input import inside, one_line, open_input
 
-SENSOR = "hdl64e"
-"""Beam table of KITTI's LiDAR."""
+EARTH_RADIUS_M = 6378137.0
+"""Radius that KITTI's development kit uses."""
 
-SENSOR_HEIGHT_M = 1.73
-"""Height of the LiDAR above the ground (https://www.cvlibs.net/datasets/kitti/setup.php)."""
-
-
-def sweep_files(folder: Path, damage: list[str]) -> list[Path]:
-    """Return the ``.bin`` files of a folder by their numbers; others are named in ``damage``."""
-    files = sorted(folder.glob("*.bin"))
-    numbered = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
-    for file in sorted(set(files) - set(numbered)):
-        note_damage(damage, f"{file}: must be named by a number; it is left out")
-    return sorted(numbered, key=lambda file: int(file.stem))
+_TEXT_BYTES_MAX = 64_000_000
+_CALIBRATION_BYTES_MAX = 1_000_000
+_OXTS_COLUMNS = 6
 
 
-def timed_refs(scene: str, files: Sequence[Path], times: Sequence[int | None]) -> tuple[SweepRef, ...]:
-    """Return the refs of a scene; in the order of their times where all have one, else of their numbers."""
-    refs = [SweepRef(scene, 0, str(file), t_ns, sensor="velodyne", key=file.stem)
-            for file, t_ns in zip(files, times, strict=True)]  # fmt: skip
-    if None not in times:
-        refs.sort(key=lambda ref: ref.t_ns or 0)
-    return tuple(replace(ref, index=index) for index, ref in enumerate(refs))
+def text_lines(root: Path, path: Path, limit_bytes: int = _TEXT_BYTES_MAX) -> list[str]:
+    """Return the lines of a text file of a recording, which links must not leave."""
+    with open_input(inside(root, path)) as source:
+        return source.content(limit_bytes).decode("utf-8").splitlines()
+
+
+def numbers_of(text: str, count: int, where: str) -> NDArray[np.float64]:
+    """Return the first ``count`` numbers of a line, (count,) float64."""
+    return np.array(numbers_in(text.split(None, count)[:count], count, f"{where}:"))
+
+
+def named_texts(root: Path, path: Path) -> dict[str, str]:
+    """Return name → what follows it, of lines ``name: …`` of a calibration file."""
+    parts = (line.partition(":") for line in text_lines(root, path, _CALIBRATION_BYTES_MAX))
+    return {name.strip(): rest for name, colon, rest in parts if colon}
+
+
+def rigid_of(rotation: NDArray[np.float64], translation: NDArray[np.float64], where: str) -> Rigid:
+    """Return the transform of a rotation (3, 3) and a translation (3,)."""
+    try:
+        return Rigid(rotation, translation)
+    except ValueError as error:
+        raise ValueError(one_line(f"{where}: {error}")) from error
+
+
+def rigid_of_line(text: str, where: str) -> Rigid:
+    """Return the transform of a line of 12 numbers, the first three rows of its matrix."""
+    matrix = numbers_of(text, 12, where).reshape(3, 4)
+    return rigid_of(matrix[:, :3], matrix[:, 3], where)
+
+
+def rigid_named(root: Path, path: Path, name: str) -> Rigid:
+    """Return the transform of the line ``name: 12 numbers`` of a calibration file."""
+    texts = named_texts(root, path)
+    if name not in texts:
+        raise ValueError(f"{path}: must have a line {name}: …, got {', '.join(texts)[:80] or 'none'}")
+    return rigid_of_line(texts[name], f"{path}, {name}")
 
 
 def times_of(root: Path, place: Path, files: Sequence[Path], damage: list[str], *, seconds: bool) -> list[int | None]:
@@ -71,8 +83,8 @@ def times_of(root: Path, place: Path, files: Sequence[Path], damage: list[str], 
     times: list[int | None] = []
     for number in numbers:
         try:
-            text = line_of(lines, number, place)
-            times.append(_seconds_ns(text, f"{place}, line {number + 1}") if seconds else _date_ns(text, place))
+            text, where = _line_of(lines, number, place), f"{place}, line {number + 1}"
+            times.append(round(float(numbers_of(text, 1, where)[0]) * 1e9) if seconds else _date_ns(text, place))
         except ValueError as error:
             note_damage(damage, f"{error}; that sweep has no time")
             times.append(None)
@@ -84,19 +96,10 @@ def times_of(root: Path, place: Path, files: Sequence[Path], damage: list[str], 
     return times
 
 
-def line_of(lines: Sequence[str], number: int, place: Path) -> str:
-    """Return one line of a file.
-
-    Raises:
-        ValueError: it has no such line.
-    """
+def _line_of(lines: Sequence[str], number: int, place: Path) -> str:
     if number >= len(lines):
         raise ValueError(f"{place}: has {len(lines)} lines, none for sweep {number}")
     return lines[number]
-
-
-def _seconds_ns(text: str, where: str) -> int:
-    return round(float(numbers_of(text, 1, where)[0]) * 1e9)
 
 
 def _date_ns(text: str, place: Path) -> int:
@@ -109,43 +112,85 @@ def _date_ns(text: str, place: Path) -> int:
         raise ValueError(f"{place}: must be dates and times, got {text[:40]!r}") from error
 
 
-def read_frame(root: Path, ref: SweepRef, pose: Rigid | None) -> Sweep:
-    """Return the sweep of a ref with KITTI's beams and height.
+class PoseTrack(Protocol):
+    """The poses of one drive or sequence."""
 
-    Raises:
-        ValueError: it is damaged.
-        OSError: its file cannot be read.
+    def world_from_velodyne(self, key: str) -> Rigid:
+        """Return the pose of the sweep with this number; an error where it has none, or a damaged one."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraTrack:
+    """Poses of one sequence of KITTI odometry, in the LiDAR's frame at the first sweep.
+
+    Attributes:
+        place: the file of poses.
+        lines: its lines, each the pose of the left camera in the camera's frame at the first sweep.
+        camera_from_velodyne: calibration.
     """
-    file = inside(root, ref.file)
-    sweep = read_sweep(file, format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M, world_from_sensor=pose)
-    return sweep if ref.t_ns is None else sweep.replace(t_ns=ref.t_ns)
+
+    place: Path
+    lines: Sequence[str]
+    camera_from_velodyne: Rigid
+
+    @classmethod
+    def read(cls, root: Path, place: Path, calibration: Path) -> CameraTrack:
+        """Return the track in a file of poses."""
+        return cls(place, text_lines(root, place), rigid_named(root, calibration, "Tr"))
+
+    def world_from_velodyne(self, key: str) -> Rigid:
+        """Return the pose of the sweep with this number."""
+        text = _line_of(self.lines, int(key), self.place)
+        first_from_camera = rigid_of_line(text, f"{self.place}, line {int(key) + 1}")
+        return self.camera_from_velodyne.inverse() @ first_from_camera @ self.camera_from_velodyne
 
 
-def refs_of(scenes: dict[str, tuple[SweepRef, ...]], scene: str) -> tuple[SweepRef, ...]:
-    """Return the refs of a scene.
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialTrack:
+    """Poses of one drive of KITTI raw.
 
-    Raises:
-        ValueError: there is no such scene.
+    Attributes:
+        root: the recording.
+        folder: the records, named by the numbers of the sweeps.
+        first: the record (6,) where the world has its origin: the first that can be read.
+        imu_from_velodyne: calibration.
     """
-    if scene not in scenes:
-        raise ValueError(f"scene must be one of {', '.join(scenes)[:200]}, got {scene!r}")
-    return scenes[scene]
+
+    root: Path
+    folder: Path
+    first: NDArray[np.float64]
+    imu_from_velodyne: Rigid
+
+    @classmethod
+    def read(cls, root: Path, drive: Path) -> InertialTrack:
+        """Return the track of a drive."""
+        calibration = drive.parent / "calib_imu_to_velo.txt"
+        texts = named_texts(root, calibration)
+        rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
+        translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
+        folder = drive / "oxts" / "data"
+        first = _first_readable(root, folder)
+        return cls(root, folder, first, rigid_of(rotation, translation, str(calibration)).inverse())
+
+    def world_from_velodyne(self, key: str) -> Rigid:
+        """Return the pose of the sweep with this number."""
+        return world_from_imu(_read_oxts(self.root, self.folder / f"{key}.txt"), self.first) @ self.imu_from_velodyne
 
 
-EARTH_RADIUS_M = 6378137.0
-"""Radius that KITTI's development kit uses."""
+def _first_readable(root: Path, folder: Path) -> NDArray[np.float64]:
+    problem: Exception = FileNotFoundError(f"{folder}: must hold the records of the inertial unit, got none")
+    for file in sorted(folder.glob("*.txt")):
+        try:
+            return _read_oxts(root, file)
+        except (ValueError, OSError) as error:
+            problem = error
+    raise problem
 
-_COLUMNS = 6
 
-
-def read_oxts(root: Path, place: Path) -> NDArray[np.float64]:
-    """Return latitude and longitude in degrees, altitude in meters, roll, pitch and yaw in radians, (6,) float64.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: its first line is not as above, or the latitude is that of a pole.
-    """
-    record = numbers_of(text_lines(root, place)[0], _COLUMNS, str(place))
+def _read_oxts(root: Path, place: Path) -> NDArray[np.float64]:
+    """Return latitude and longitude in degrees, altitude in meters, roll, pitch and yaw in radians, (6,) float64."""
+    record = numbers_of(text_lines(root, place)[0], _OXTS_COLUMNS, str(place))
     if abs(record[0]) >= 89.0:
         raise ValueError(f"{place}: latitude must lie in (-89, 89) degrees, got {record[0]}")
     return record
@@ -181,103 +226,3 @@ def _about(axis: int, angle: float) -> NDArray[np.float64]:
     rotation[[one, other], [one, other]] = np.cos(angle)
     rotation[one, other], rotation[other, one] = -np.sin(angle), np.sin(angle)
     return rotation
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class InertialTrack:
-    """Poses of one drive of KITTI raw.
-
-    Attributes:
-        root: the recording.
-        folder: the records, named by the numbers of the sweeps.
-        first: the record (6,) where the world has its origin.
-        imu_from_velodyne: calibration.
-    """
-
-    root: Path
-    folder: Path
-    first: NDArray[np.float64]
-    imu_from_velodyne: Rigid
-
-    @classmethod
-    def read(cls, root: Path, drive: Path) -> InertialTrack:
-        """Return the track of a drive; the world has its origin where the first readable record was taken.
-
-        Raises:
-            OSError: there are no records, or the calibration cannot be read.
-            ValueError: the calibration or every record is damaged.
-        """
-        calibration = drive.parent / "calib_imu_to_velo.txt"
-        texts = named_texts(root, calibration)
-        rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
-        translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
-        folder = drive / "oxts" / "data"
-        first = _first_readable(root, folder)
-        return cls(root, folder, first, rigid_of(rotation, translation, str(calibration)).inverse())
-
-    def world_from_velodyne(self, key: str) -> Rigid:
-        """Return the pose of the sweep with this number.
-
-        Raises:
-            OSError: its record cannot be read.
-            ValueError: its record is damaged.
-        """
-        return world_from_imu(read_oxts(self.root, self.folder / f"{key}.txt"), self.first) @ self.imu_from_velodyne
-
-
-def _first_readable(root: Path, folder: Path) -> NDArray[np.float64]:
-    problem: Exception = FileNotFoundError(f"{folder}: must hold the records of the inertial unit, got none")
-    for file in sorted(folder.glob("*.txt")):
-        try:
-            return read_oxts(root, file)
-        except (ValueError, OSError) as error:
-            problem = error
-    raise problem
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraTrack:
-    """Poses of one sequence of KITTI odometry.
-
-    Attributes:
-        place: the file of poses.
-        lines: its lines, each the pose of the left camera in the camera's frame at the first sweep.
-        camera_from_velodyne: calibration.
-    """
-
-    place: Path
-    lines: Sequence[str]
-    camera_from_velodyne: Rigid
-
-    @classmethod
-    def read(cls, root: Path, place: Path, calibration: Path) -> CameraTrack:
-        """Return the track in a file of poses.
-
-        Raises:
-            OSError: a file cannot be read.
-            ValueError: the calibration is damaged.
-        """
-        return cls(place, text_lines(root, place), rigid_named(root, calibration, "Tr"))
-
-    def world_from_velodyne(self, key: str) -> Rigid:
-        """Return the pose of the sweep with this number, in the LiDAR's frame at the first sweep.
-
-        Raises:
-            ValueError: it has no line, or that is damaged.
-        """
-        number = int(key)
-        text = line_of(self.lines, number, self.place)
-        first_from_camera = rigid_of_line(text, f"{self.place}, line {number + 1}")
-        return self.camera_from_velodyne.inverse() @ first_from_camera @ self.camera_from_velodyne
-
-
-def pose_of(ref: SweepRef, pose: Callable[[str], Rigid]) -> Rigid:
-    """Return the pose of a ref; errors name the sweep's file too.
-
-    Raises:
-        ValueError: it has no pose, or that is damaged.
-    """
-    try:
-        return pose(ref.key)
-    except (ValueError, OSError) as error:
-        raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error

@@ -6,18 +6,15 @@ from array import array
 from dataclasses import dataclass, replace
 from pathlib import Path
 from sys import intern
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings._nuscenes_tables import rows_of_table
+from viewshed.datasets.recordings._nuscenes_tables import floats_of, rows_of_table
 from viewshed.datasets.recordings.source import ObjectBox
 from viewshed.datasets.recordings.tf_tree import slerp
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.io._input import one_line
-
-_DAMAGED = array("d", [np.nan] * 10)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +38,7 @@ class Annotations:
 
     @classmethod
     def read(cls, folder: Path) -> Annotations:
-        """Return the annotations of the version in a folder.
-
-        Raises:
-            OSError: a table is missing or cannot be read.
-            ValueError: a table is no list of JSON objects.
-        """
+        """Return the annotations of the version in a folder."""
         names = {str(row.get("token")): str(row.get("name")) for row in rows_of_table(folder / "category.json")}
         objects = (
             (str(row.get("token")), str(row.get("category_token"))) for row in rows_of_table(folder / "instance.json")
@@ -58,15 +50,11 @@ class Annotations:
         for number, row in enumerate(rows_of_table(place)):
             rows.setdefault(str(row.get("sample_token")), array("q")).append(number)
             instances.append(intern(str(row.get("instance_token"))))
-            values.extend(_ten(row))
+            values.extend(floats_of([row.get(key) for key in ("rotation", "translation", "size")], (4, 3, 3)))
         return cls(place, rows, np.array(values).reshape(-1, 10), instances, categories)
 
     def of(self, sample: str) -> tuple[ObjectBox, ...] | None:
-        """Return the boxes of a sample; None where the version has no annotations at all.
-
-        Raises:
-            ValueError: a box is damaged, or the name of its category is missing.
-        """
+        """Return the boxes of a sample; None where the version has no annotations at all."""
         return tuple(self._box(row) for row in self.rows.get(sample, ())) if self.rows else None
 
     def between(self, before: str, after: str, share: float) -> tuple[ObjectBox, ...] | None:
@@ -74,9 +62,6 @@ class Annotations:
 
         Centers go straight, headings the shorter way round, and the size is the later one, as in ``get_boxes`` of the
         development kit; objects of the later sample alone are left out, which it shows where they will be.
-
-        Raises:
-            ValueError: a box of one of them is damaged, or the name of its category is missing.
         """
         first = {self.instances[row]: row for row in self.rows.get(before, ())}
         pairs = ((first.get(self.instances[row]), row) for row in self.rows.get(after, ()))
@@ -100,11 +85,3 @@ class Annotations:
             return ObjectBox(pose, size_m, self.categories[instance], instance)
         except ValueError as error:
             raise ValueError(one_line(f"{self.place}: row {row}: {error}")) from error
-
-
-def _ten(row: dict[str, Any]) -> array[float]:
-    try:
-        parts = [array("d", row[key]) for key in ("rotation", "translation", "size")]
-    except (KeyError, TypeError, OverflowError):
-        return _DAMAGED
-    return parts[0] + parts[1] + parts[2] if [len(part) for part in parts] == [4, 3, 3] else _DAMAGED

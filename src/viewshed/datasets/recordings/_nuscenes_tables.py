@@ -6,7 +6,7 @@ The schema is that of https://www.nuscenes.org/nuscenes#data-format.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from sys import intern
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings.source import note_damage
+from viewshed.datasets.recordings.source import SweepRef, note_damage
 from viewshed.geometry import Rigid
 from viewshed.io._input import inside, open_input
 from viewshed.io._json import json_rows
@@ -24,27 +24,24 @@ CHANNEL = "LIDAR_TOP"
 """The sensor whose sweeps are read."""
 
 _MICROSECONDS_MAX = 2**63 // 1000
-
 _KINDS = {str: "text", int: "a whole number", bool: "true or false", list: "a list"}
 
-_NO_POSE = array("d", [np.nan] * 7)
+_SAMPLE_DATA: dict[str, type] = {
+    "token": str, "sample_token": str, "calibrated_sensor_token": str, "ego_pose_token": str,
+    "timestamp": int, "is_key_frame": bool, "filename": str,
+}  # fmt: skip
+"""The columns of ``sample_data`` that are read."""
 
-_POSE: dict[str, type] = {"token": str, "rotation": list, "translation": list}
 
+class Tokens(NamedTuple):
+    """What a sweep's row of ``sample_data`` refers to: rows of ``sample``, ``calibrated_sensor``, ``ego_pose``."""
 
-class SweepRow(NamedTuple):
-    """One row of ``sample_data``: its token, those of its sample, calibration and ego pose; its time and file."""
-
-    token: str
     sample: str
     calibration: str
     pose: str
-    t_us: int
-    keyframe: bool
-    file: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Poses:
     """A table of poses.
 
@@ -58,12 +55,19 @@ class Poses:
     rows: dict[str, int]
     values: NDArray[np.float64]
 
-    def pose(self, token: str) -> Rigid:
-        """Return the pose with this token.
+    @classmethod
+    def read(cls, place: Path, needed: Container[str], damage: list[str]) -> Poses:
+        """Return the poses whose tokens are needed; what is wrong with their rows is added to ``damage``."""
+        rows: dict[str, int] = {}
+        values = array("d")
+        kinds: dict[str, type] = {"token": str, "rotation": list, "translation": list}
+        for token, *pose in _columns(place, kinds, damage, lambda row: str(row.get("token")) in needed):
+            rows[token] = len(values) // 7
+            values.extend(floats_of(pose, (4, 3)))
+        return cls(place, rows, np.array(values).reshape(-1, 7))
 
-        Raises:
-            ValueError: there is none, or it is not a quaternion of norm 1 and three finite numbers.
-        """
+    def pose(self, token: str) -> Rigid:
+        """Return the pose with this token; a ValueError where it has no row, or a damaged one."""
         row = self.rows.get(token)
         if row is None:
             raise ValueError(f"{self.place} has no row {token!r}")
@@ -78,115 +82,96 @@ class Tables:
     """What the tables of one version say about the LiDAR.
 
     Attributes:
-        folder: where they lie.
-        scenes: name of the scene → its sweeps in time order.
+        scenes: name of the scene → its sweeps in time order, keyframes among them; their key is the row's token.
+        tokens: the sweep's token → what its row refers to.
         calibrations: ego from LiDAR.
         poses: global from ego.
-        damage: one line for each row that had to be left out.
     """
 
-    folder: Path
-    scenes: dict[str, list[SweepRow]]
+    scenes: dict[str, list[SweepRef]]
+    tokens: dict[str, Tokens]
     calibrations: Poses
     poses: Poses
-    damage: tuple[str, ...]
 
     @classmethod
-    def read(cls, folder: Path) -> Tables:
-        """Return the tables in a folder.
-
-        Raises:
-            OSError: one is missing or cannot be read.
-            ValueError: one is no list of JSON objects.
-        """
-        damage: list[str] = []
-        channels = dict(table_rows(folder / "sensor.json", {"token": str, "channel": str}, damage))
-        sensors = dict(table_rows(folder / "calibrated_sensor.json", {"token": str, "sensor_token": str}, damage))
+    def read(cls, folder: Path, damage: list[str]) -> Tables:
+        """Return the tables in a folder; a line for each row that must be left out is added to ``damage``."""
+        # 1. Which calibrations are the LiDAR's.
+        channels = dict(_columns(folder / "sensor.json", {"token": str, "channel": str}, damage))
+        sensors = dict(_columns(folder / "calibrated_sensor.json", {"token": str, "sensor_token": str}, damage))
         lidar = {token: channels.get(sensor) == CHANNEL for token, sensor in sensors.items() if sensor in channels}
         candidates = {token for token in sensors if lidar.get(token, True)}
-        calibrations = read_poses(folder / "calibrated_sensor.json", candidates, damage)
-        names = dict(table_rows(folder / "scene.json", {"token": str, "name": str}, damage))
-        samples = _scenes_of_samples(folder / "sample.json", names, damage)
-        scenes: dict[str, list[SweepRow]] = {name: [] for name in names.values()}
-        for row in _sweep_rows(folder / "sample_data.json", lidar, damage):
-            if row.sample in samples:
-                scenes[samples[row.sample]].append(row)
+        calibrations = Poses.read(folder / "calibrated_sensor.json", candidates, damage)
+        # 2. Which samples belong to which scene.
+        names = dict(_columns(folder / "scene.json", {"token": str, "name": str}, damage))
+        samples = {}
+        for token, scene in _columns(folder / "sample.json", {"token": str, "scene_token": str}, damage):
+            if scene in names:
+                samples[token] = names[scene]
             else:
-                _leave_out(
-                    damage, folder / "sample_data.json", f"{row.file} names no sample of a scene, {row.sample!r}"
-                )
-        for rows in scenes.values():
-            rows.sort(key=lambda row: row.t_us)
-        needed = {row.pose for rows in scenes.values() for row in rows}
-        poses = read_poses(folder / "ego_pose.json", needed, damage)
-        return cls(folder, scenes, calibrations, poses, tuple(damage))
+                problem = f"row {token!r} names no row of scene.json, {scene!r}"
+                _leave_out(damage, folder / "sample.json", problem)
+        # 3. The sweeps of the LiDAR by scene, and the poses that they need.
+        rows: dict[str, list[tuple[int, bool, str, str]]] = {name: [] for name in names.values()}
+        tokens: dict[str, Tokens] = {}
+        for token, sample, calibration, pose, t_us, keyframe, file in _lidar_rows(folder, lidar, damage):
+            if sample in samples:
+                rows[samples[sample]].append((t_us, keyframe, token, str(folder.parent / file)))
+                tokens[token] = Tokens(intern(sample), intern(calibration), token if pose == token else pose)
+            else:
+                problem = f"{file} names no sample of a scene, {sample!r}"
+                _leave_out(damage, folder / "sample_data.json", problem)
+        scenes = {
+            scene: [
+                SweepRef(scene, index, file, t_us * 1000, sensor=CHANNEL, keyframe=keyframe, key=token)
+                for index, (t_us, keyframe, token, file) in enumerate(sorted(sweeps, key=lambda sweep: sweep[0]))
+            ]
+            for scene, sweeps in rows.items()
+        }
+        needed = {row.pose for row in tokens.values()}
+        return cls(scenes, tokens, calibrations, Poses.read(folder / "ego_pose.json", needed, damage))
 
 
-def _scenes_of_samples(place: Path, names: dict[str, str], damage: list[str]) -> dict[str, str]:
-    """Return token of the sample → name of its scene."""
-    samples = {}
-    for token, scene in table_rows(place, {"token": str, "scene_token": str}, damage):
-        if scene in names:
-            samples[token] = names[scene]
-        else:
-            _leave_out(damage, place, f"row {token!r} names no row of scene.json, {scene!r}")
-    return samples
-
-
-def _sweep_rows(place: Path, lidar: dict[str, bool], damage: list[str]) -> Iterator[SweepRow]:
+def _lidar_rows(folder: Path, lidar: Mapping[str, bool], damage: list[str]) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of the LiDAR: calibrations tell, and names of files where a calibration is not known."""
-    kinds = {
-        "token": str, "sample_token": str, "calibrated_sensor_token": str, "ego_pose_token": str,
-        "timestamp": int, "is_key_frame": bool, "filename": str,
-    }  # fmt: skip
+    place = folder / "sample_data.json"
 
     def of_lidar(row: dict[str, Any]) -> bool:
         known = lidar.get(str(row.get("calibrated_sensor_token")))
         return CHANNEL in str(row.get("filename")) if known is None else known
 
-    for token, sample, calibration, pose, t_us, keyframe, file in table_rows(place, kinds, damage, of_lidar):
+    for row in _columns(place, _SAMPLE_DATA, damage, of_lidar):
+        token, t_us = row[0], row[4]
         if abs(t_us) < _MICROSECONDS_MAX:
-            pose_token = token if pose == token else pose
-            yield SweepRow(token, intern(sample), intern(calibration), pose_token, t_us, keyframe, file)
+            yield row
         else:
             _leave_out(damage, place, f"row {token!r} must have microseconds as 'timestamp', got {str(t_us)[:30]}")
 
 
-def read_poses(place: Path, needed: Container[str], damage: list[str]) -> Poses:
-    """Return the poses whose tokens are needed; what is wrong with their rows is added to ``damage``.
+def floats_of(parts: list[Any], lengths: tuple[int, ...]) -> array[float]:
+    """Return lists of so many numbers one after the other; all NaN where one is something else.
 
-    Raises:
-        OSError: the table cannot be read.
-        ValueError: it is no list of JSON objects.
+    >>> floats_of([[1, 2], [3.5]], (2, 1)), floats_of([[1, 2], None], (2, 1))
+    (array('d', [1.0, 2.0, 3.5]), array('d', [nan, nan, nan]))
     """
-    rows: dict[str, int] = {}
-    values = array("d")
-    for token, rotation, translation in table_rows(place, _POSE, damage, lambda row: str(row.get("token")) in needed):
-        rows[token] = len(values) // 7
-        values.extend(_seven(rotation, translation))
-    return Poses(place, rows, np.array(values).reshape(-1, 7))
-
-
-def _seven(rotation: list[Any], translation: list[Any]) -> array[float]:
+    numbers = array("d")
     try:
-        numbers = array("d", [*rotation, *translation])
+        for part, length in zip(parts, lengths, strict=True):
+            numbers.extend(array("d", part))
+            if len(part) != length:
+                raise TypeError
     except (TypeError, OverflowError):
-        return _NO_POSE
-    return numbers if len(rotation) == 4 and len(numbers) == 7 else _NO_POSE
+        return array("d", [np.nan] * sum(lengths))
+    return numbers
 
 
-def table_rows(
+def _columns(
     place: Path,
-    kinds: dict[str, type],
+    kinds: Mapping[str, type],
     damage: list[str],
     wanted: Callable[[dict[str, Any]], bool] = lambda row: True,
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield the columns that ``kinds`` names of the rows that are wanted; rows without them go to ``damage``.
-
-    Raises:
-        OSError: the table cannot be read.
-        ValueError: it is no list of JSON objects.
-    """
+    """Yield the columns that ``kinds`` names of the rows that are wanted; rows without them go to ``damage``."""
     types = tuple(kinds.values())
     for number, row in enumerate(rows_of_table(place)):
         if not wanted(row):
@@ -201,12 +186,7 @@ def table_rows(
 
 
 def rows_of_table(place: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a table, which must lie in its recording: the folder above that of the tables.
-
-    Raises:
-        OSError: the table cannot be read.
-        ValueError: it is no list of JSON objects, or a link leads out of the recording.
-    """
+    """Yield the rows of a table, which must lie in its recording: the folder above that of the tables."""
     with open_input(inside(place.parents[1], place)) as source:
         yield from json_rows(source)
 

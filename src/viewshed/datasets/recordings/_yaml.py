@@ -11,21 +11,13 @@ from typing import Any
 from viewshed.io._input import open_input
 
 _BYTES_MAX = 4_000_000
-
 _DEPTH_MAX = 50
-
 _NODES_MAX = 200_000
-
 _NUMBER_LETTERS = 64
-
 _DIRECTIVE = re.compile(r"(?:^|[\r\n\x85\u2028\u2029])%")
-
 _PYTHON = "tag:yaml.org,2002:python/"
-
 _TEXT = "tag:yaml.org,2002:str"
-
 _INT = re.compile(r"[-+]?[0-9]{1,18}")
-
 _FLOAT = re.compile(
     r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 )
@@ -61,11 +53,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def load_pyyaml() -> Any:
-    """Return PyYAML.
-
-    Raises:
-        ImportError: it is not installed.
-    """
+    """Return PyYAML; an ImportError where the extra ``opv2v`` is not installed."""
     try:
         import yaml
     except ImportError as error:

@@ -1,9 +1,10 @@
 """Bags as streams of messages: ROS 1 files, MCAP files, SQLite files of ROS 2, and folders of these.
 
 Each is read from its start, record by record, so that a bag that was cut off gives what lies before the cut. Nothing in
-it is believed: lengths are checked against what is there, chunks may unpack to 200 times their size, and files that
-only keep a reader busy are refused. (The reader of the ``mcap`` package checks none of this and takes 1.6 times as
-long; rosbags' readers need an index that was written at the end, and follow one that leads in circles.)
+it is believed: lengths are checked against what is there, a chunk may unpack to 200 times its size and all chunks of a
+file to 200 times the file's, and files that only keep a reader busy are refused. (The reader of the ``mcap`` package
+checks none of this and takes 1.6 times as long; rosbags' readers need an index that was written at the end, and follow
+one that leads in circles.)
 
 Sources: https://mcap.dev/spec, http://wiki.ros.org/Bags/Format/2.0, rosbag2_storage_sqlite3.
 """
@@ -20,17 +21,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, Protocol
 
-from viewshed.io._input import inside, one_line, unpack_limit
+from viewshed.io._input import MAX_RATIO, inside, one_line, unpack_limit
+from viewshed.io.formats import BAG_SUFFIXES
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
-
-SUFFIXES = (".bag", ".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-
 _METADATA = "metadata.yaml"
-
+_PACKED = (".zstd", ".zst")
 _EMPTY_RECORDS_MAX = 100_000
+_ROW_BYTES_MIN = 8
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +78,14 @@ class BagFile(Protocol):
 def bags_in(place: Path) -> list[Path]:
     """Return the bags at a place, by names alone: itself, or those in the folder, in alphabetical order."""
     if place.is_file():
-        return [place] if place.name.endswith(SUFFIXES) else []
+        return [place] if _is_bag_file(place) else []
     if _is_ros2(place):
         return [place]
-    return sorted(path for path in place.iterdir() if path.name.endswith(SUFFIXES) or _is_ros2(path))
+    return sorted(path for path in place.iterdir() if _is_bag_file(path) or _is_ros2(path))
+
+
+def _is_bag_file(path: Path) -> bool:
+    return path.name.lower().endswith(BAG_SUFFIXES)
 
 
 def _is_ros2(folder: Path) -> bool:
@@ -89,28 +93,42 @@ def _is_ros2(folder: Path) -> bool:
 
 
 def open_bag(root: Path, path: Path) -> BagFile:
-    """Return an opened bag.
-
-    Raises:
-        ValueError: it does not begin like a bag, or a link leads out of the recording.
-        OSError: it cannot be read.
-    """
+    """Return an opened bag; a ValueError where it does not begin like one, or a link leads out of the recording."""
     inside(root, path)
     if path.is_dir():
         return FolderBag(root, path)
-    stream: BinaryIO = io.BytesIO(_unzstd(path.read_bytes())) if path.suffix == ".zstd" else path.open("rb")
+    packed = path.name.lower().endswith(_PACKED)
+    stream: BinaryIO = io.BytesIO(_unzstd(path.read_bytes())) if packed else path.open("rb")
+    budget = _UnpackBudget.of(path.stat().st_size)
     head = stream.read(16)
     stream.seek(0)
     if head.startswith(MCAP_MAGIC):
-        return RecordBag(stream, _Mcap())
+        return RecordBag(stream, _Mcap(), budget)
     if head.startswith(ROS1_MAGIC):
-        return RecordBag(stream, _Ros1())
+        return RecordBag(stream, _Ros1(), budget)
     with stream:
         if head == b"SQLite format 3\0":
-            return SqliteBag(stream.read() if path.suffix == ".zstd" else path)
+            return SqliteBag(stream.read() if packed else path, budget)
     if path.suffix in {".bag", ".mcap"}:
         raise ValueError(f"is no {'MCAP' if path.suffix == '.mcap' else 'ROS 1'} file: its first bytes are others")
     raise ValueError("is damaged: it is no SQLite database")
+
+
+@dataclass(slots=True)
+class _UnpackBudget:
+    """How many bytes all chunks and messages of a file may still unpack to: many small ones add up as a large one."""
+
+    limit: int
+    spent: int = 0
+
+    @classmethod
+    def of(cls, file_bytes: int) -> _UnpackBudget:
+        return cls(max(MAX_RATIO * file_bytes, unpack_limit(file_bytes)))
+
+    def spend(self, count: int) -> None:
+        self.spent += count
+        if self.spent > self.limit:
+            raise ValueError(f"is damaged: it unpacks to more than {self.limit} bytes in all; refused")
 
 
 Read = Callable[[int, int], bytes]
@@ -265,15 +283,10 @@ def _name_in_ros2(name: str) -> str:
 
 
 class RecordBag:
-    """A bag of records, MCAP or ROS 1, of which some are chunks of packed records.
+    """A bag of records, MCAP or ROS 1, of which some are chunks of packed records."""
 
-    Args:
-        file: the opened bag.
-        layout: how its records are written.
-    """
-
-    def __init__(self, file: BinaryIO, layout: _Layout) -> None:
-        self._file, self._layout = file, layout
+    def __init__(self, file: BinaryIO, layout: _Layout, budget: _UnpackBudget) -> None:
+        self._file, self._layout, self._budget = file, layout, budget
         self._size = file.seek(0, io.SEEK_END)
         self._unpacked: tuple[int, bytes] = (-1, b"")
         self._empty = 0
@@ -297,6 +310,7 @@ class RecordBag:
                 yield from self._wanted(record, -1, self._read, kinds)
                 continue
             read = _reader_of(self._chunk(at, record))
+            self._budget.spend(record.unpacked)
             for _, inner in self._records(read, 0, record.unpacked):
                 yield from self._wanted(inner, at, read, kinds)
 
@@ -374,17 +388,11 @@ def _unpack(packed: bytes, packing: str, size: int, at: int) -> bytes:
 
 
 class SqliteBag:
-    """One SQLite file of a ROS 2 bag.
+    """One SQLite file of a ROS 2 bag: the file, or what it holds."""
 
-    Args:
-        content: the file, or what it holds.
-
-    Raises:
-        ValueError: it is damaged, or no such bag.
-    """
-
-    def __init__(self, content: Path | bytes) -> None:
+    def __init__(self, content: Path | bytes, budget: _UnpackBudget) -> None:
         self.types: dict[str, str] = {}
+        self._budget = budget
         self._rows_left = (len(content) if isinstance(content, bytes) else content.stat().st_size) // _ROW_BYTES_MIN
         where = ":memory:" if isinstance(content, bytes) else f"{content.absolute().as_uri()}?mode=ro&immutable=1"
         self._base = sqlite3.connect(where, uri=True)
@@ -436,7 +444,9 @@ class SqliteBag:
                     continue
                 if not isinstance(t_ns, int):
                     raise ValueError(f"is damaged: message {row} has no time")
-                yield Message(topic, kind, encoding, t_ns, str(row), self.message(str(row)))
+                raw = self.message(str(row))
+                self._budget.spend(len(raw))
+                yield Message(topic, kind, encoding, t_ns, str(row), raw)
 
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""
@@ -445,11 +455,6 @@ class SqliteBag:
         if row is None or not isinstance(row[0], bytes):
             raise ValueError(f"is damaged: message {where} is no bytes")
         return _unzstd(row[0]) if row[0][:4] == _ZSTD_MAGIC else row[0]  # rosbag2 may pack each message
-
-
-_ROW_BYTES_MIN = 8
-
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def _unzstd(packed: bytes) -> bytes:
@@ -475,19 +480,11 @@ def _sqlite_errors() -> Iterator[None]:
 
 
 class FolderBag:
-    """A folder of a ROS 2 bag: its SQLite or MCAP files, one after the other. Its metadata.yaml is not needed.
-
-    Args:
-        root: the recording, which links must not leave.
-        folder: the folder.
-
-    Raises:
-        ValueError: it holds no such file.
-    """
+    """A folder of a ROS 2 bag: its SQLite or MCAP files, one after the other. Its metadata.yaml is not needed."""
 
     def __init__(self, root: Path, folder: Path) -> None:
         self._root = root
-        self._files = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
+        self._files = sorted(path for path in folder.iterdir() if _is_bag_file(path))
         if not self._files:
             raise ValueError("is damaged: it holds no .db3 and no .mcap file")
         self._open: tuple[int, BagFile] | None = None

@@ -11,7 +11,7 @@ import io
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -98,16 +98,20 @@ def lidar_of_carla(
     return LidarModel(f"CARLA {channels:g}", elevation, columns, min_range_m=0.3, max_range_m=range_m, source=source)
 
 
+def lidar_described(beams: Any, names: Sequence[str]) -> LidarModel:
+    """Return the beams that a table (or a list) describes, its names in the order of :func:`lidar_of_carla`."""
+    values = [beams.get(name) for name in names] if isinstance(beams, dict) else beams
+    return lidar_of_carla(*numbers_in(values, len(names), ", ".join(names)))
+
+
 _ROWS_MAX = 200_000  # 5 hours at 10 Hz
-
 _POSES_BYTES_MAX = 100_000_000
-
 _LINE_BYTES_MAX = 4_000_000
 
 POSE_COLUMNS = ("frame", "t_ns", "x", "y", "z", "roll", "pitch", "yaw")
 """``frame`` is the number in the file's name; meters and degrees, left-handed, as ``carla.Transform`` gives them."""
 
-_ACTOR_NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
+_POSE_NUMBERS = POSE_COLUMNS[2:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +145,7 @@ class Actors:
     places: Mapping[int, tuple[int, int]]
 
     def boxes(self, frame: int, agent: str) -> tuple[ObjectBox, ...] | None:
-        """Return the boxes of a tick in the world, without that of the actor that carries ``agent``; None without it.
-
-        Raises:
-            ValueError: a box is not as it must be; one line that names the file.
-            OSError: the file cannot be read.
-        """
+        """Return the boxes of a tick in the world, without the actor that carries ``agent``; None without a tick."""
         if frame not in self.places:
             return None
         start, length = self.places[frame]
@@ -163,8 +162,8 @@ class Actors:
 
 
 def _box(row: Mapping[str, Any]) -> ObjectBox:
-    what = f"{', '.join(_ACTOR_NUMBERS)} of an actor"
-    x, y, z, *angles = numbers_in([row.get(name) for name in _ACTOR_NUMBERS], len(_ACTOR_NUMBERS), what)
+    what = f"{', '.join(_POSE_NUMBERS)} of an actor"
+    x, y, z, *angles = numbers_in([row.get(name) for name in _POSE_NUMBERS], len(_POSE_NUMBERS), what)
     extent = numbers_in(row.get("extent"), 3, "extent of an actor")
     category, number = row.get("type"), row.get("id")
     if not isinstance(category, str) or not isinstance(number, int):
@@ -173,11 +172,7 @@ def _box(row: Mapping[str, Any]) -> ObjectBox:
 
 
 def _json_object(line: bytes | str) -> Mapping[str, Any]:
-    """Return the object on a line of JSON.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """Return the object on a line of JSON; a ValueError where it is something else."""
     try:
         row = json.loads(line)
     except RecursionError as error:
@@ -215,7 +210,7 @@ def read_actors(root: Path, path: Path, damage: list[str]) -> Actors | None:
 
 def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPose]:
     """Return the poses of an agent by frame; what is wrong with them is added to a list, the other rows are kept."""
-    path = next((folder / name for name in ("poses.jsonl", "poses.csv") if (folder / name).is_file()), None)
+    path = next((folder / name for name in _POSES if (folder / name).is_file()), None)
     if path is None:
         note_damage(damage, f"{folder}: has no poses.csv or poses.jsonl; its sweeps have no pose and no time")
         return {}
@@ -242,7 +237,8 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
 
 def _add_pose(poses: dict[int, AgentPose], row: Mapping[str, Any]) -> None:
     frame, t_ns = _whole(row.get("frame"), "frame"), _whole(row.get("t_ns"), "t_ns")
-    numbers = numbers_in([row.get(name) for name in POSE_COLUMNS[2:]], 6, f"a pose ({', '.join(POSE_COLUMNS[2:])})")
+    what = f"a pose ({', '.join(_POSE_NUMBERS)})"
+    numbers = numbers_in([row.get(name) for name in _POSE_NUMBERS], len(_POSE_NUMBERS), what)
     if frame in poses:
         raise ValueError(f"frame {frame} appears twice; the first is kept")
     poses[frame] = AgentPose(t_ns, numbers)
@@ -266,8 +262,6 @@ def _rows(path: Path, text: str) -> Iterator[tuple[int, Any]]:
             yield number, line
 
 
-LAYOUT = "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)"
-
 AXES = ("carla", "carla_0.9.9", "sensor")
 """Axes of the points in the files: carla is x forward, y right, z up (what CARLA 0.9.10 and newer give);
 carla_0.9.9 is x right, y backward, z down (0.9.9 and older); sensor is x forward, y left, z up (our own)."""
@@ -276,8 +270,7 @@ BEAMS = ("channels", "upper_fov_deg", "lower_fov_deg", "range_m", "points_per_se
 """What ``recording.json`` says about a sensor's beams: arguments of :func:`lidar_of_carla`, in this order."""
 
 _SWEEPS = (".ply", ".npy", ".ply.gz", ".npy.gz")
-
-_POSES = ("poses.csv", "poses.jsonl")
+_POSES = ("poses.jsonl", "poses.csv")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,60 +291,23 @@ class _Scene:
     actors: Actors | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class CarlaRecording:
-    """A recording, or a folder of recordings, from :meth:`open`; each is a scene.
+    """A recording, or a folder of recordings; each is a scene."""
 
-    >>> CarlaRecording({}, ()).scenes()
-    ()
-    """
-
-    _scenes: Mapping[str, _Scene]
-    _damage: tuple[str, ...] = field(default=())
+    def __init__(self, scenes: Mapping[str, _Scene], problems: Sequence[str]) -> None:
+        self._scenes = scenes
+        self.problems = problems
+        self.scenes = {name: _refs_of(name, scene) for name, scene in scenes.items()}
 
     @classmethod
     def open(cls, place: Path) -> CarlaRecording:
-        """Return the recording in a folder.
-
-        Raises:
-            ValueError: there is none.
-            OSError: the folder cannot be read.
-        """
-        folders = recordings_in(place)
-        if not folders:
-            raise ValueError(f"{place}: must hold {LAYOUT}, found none")
+        """Return the recordings at a place."""
         damage: list[str] = []
-        return cls({folder.name: _open_scene(place, folder, damage) for folder in folders}, tuple(damage))
-
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the recordings, in alphabetical order."""
-        return tuple(self._scenes)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a recording by time, then agent; those without a pose come last.
-
-        Raises:
-            ValueError: there is no such recording.
-        """
-        in_order = sorted(
-            (float("inf") if pose is None else pose.t_ns, agent, frame, str(file))
-            for agent, folder in self._scene(scene).agents.items()
-            for frame, file in folder.files.items()
-            for pose in (folder.poses.get(frame),)
-        )
-        return [
-            SweepRef(scene, index, file, None if t_ns == float("inf") else int(t_ns), agent, key=str(frame))
-            for index, (t_ns, agent, frame, file) in enumerate(in_order)
-        ]
+        return cls({folder.name: _open_scene(place, folder, damage) for folder in recordings_in(place)}, damage)
 
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep in the sensor's frame, with pose and time where the table of poses has its frame.
-
-        Raises:
-            ValueError: the file is damaged.
-            OSError: it cannot be read.
-        """
-        scene = self._scene(ref.scene)
+        """Return a sweep in the sensor's frame, with pose and time where the table of poses has its frame."""
+        scene = self._scenes[ref.scene]
         agent = scene.agents[ref.agent]
         file_frame = "carla" if scene.axes == "carla_0.9.9" else None
         sweep = read_sweep(inside(scene.root, ref.file), file_frame=file_frame)
@@ -365,28 +321,23 @@ class CarlaRecording:
         )  # fmt: skip
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none.
-
-        Raises:
-            ValueError: ``actors.jsonl`` is damaged there.
-            OSError: it cannot be read.
-        """
-        actors = self._scene(ref.scene).actors
+        """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none."""
+        actors = self._scenes[ref.scene].actors
         return None if actors is None else actors.boxes(int(ref.key), ref.agent)
 
-    def damage(self) -> tuple[str, ...]:
-        """Return what is wrong with the tables: missing poses, rows that cannot be used."""
-        return self._damage
 
-    def _scene(self, name: str) -> _Scene:
-        if name not in self._scenes:
-            raise ValueError(f"scene must be one of {', '.join(self._scenes)}, got {name!r}")
-        return self._scenes[name]
-
-
-def is_recording(place: Path) -> bool:
-    """Return whether a folder holds a recording or several, by names alone."""
-    return bool(recordings_in(place))
+def _refs_of(name: str, scene: _Scene) -> list[SweepRef]:
+    """Return the sweeps of a recording by time, then agent; those without a pose come last."""
+    in_order = sorted(
+        (float("inf") if pose is None else pose.t_ns, agent, frame, str(file))
+        for agent, folder in scene.agents.items()
+        for frame, file in folder.files.items()
+        for pose in (folder.poses.get(frame),)
+    )
+    return [
+        SweepRef(name, index, file, None if t_ns == float("inf") else int(t_ns), agent, key=str(frame))
+        for index, (t_ns, agent, frame, file) in enumerate(in_order)
+    ]
 
 
 def recordings_in(place: Path) -> list[Path]:
@@ -469,10 +420,8 @@ def _sensor(sensor: Any, folder: Path, damage: list[str]) -> tuple[LidarModel | 
         return None, None
     try:
         beams, height = sensor.get("lidar"), sensor.get("sensor_height_m")
-        if beams is not None:
-            values = [beams.get(name) for name in BEAMS] if isinstance(beams, dict) else beams
-            beams = lidar_of_carla(*numbers_in(values, len(BEAMS), ", ".join(BEAMS)))
-        return beams, None if height is None else numbers_in([height], 1, "sensor_height_m")[0]
+        model = None if beams is None else lidar_described(beams, BEAMS)
+        return model, None if height is None else numbers_in([height], 1, "sensor_height_m")[0]
     except ValueError as error:
         note_damage(damage, f"{folder}: recording.json describes its sensor wrongly: {error}")
         return None, None

@@ -2,264 +2,162 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from viewshed.datasets.recordings._kitti_boxes import FILE, Tracklets, read_labels
-from viewshed.datasets.recordings._kitti_files import (
-    CameraTrack,
-    InertialTrack,
-    pose_of,
-    read_frame,
-    refs_of,
-    sweep_files,
-    timed_refs,
-    times_of,
-)
+from viewshed.datasets.recordings._kitti_files import CameraTrack, InertialTrack, PoseTrack, times_of
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage
 from viewshed.geometry import Rigid
-from viewshed.io._input import inside
+from viewshed.io import read_sweep
+from viewshed.io._input import inside, one_line
 from viewshed.sweep import Sweep
 
-RAW_LAYOUT = "KITTI's drives with velodyne_points/data/"
+SENSOR = "hdl64e"
+"""Beam table of KITTI's LiDAR."""
 
-ODOMETRY_LAYOUT = "KITTI's sequences/*/velodyne/"
+SENSOR_HEIGHT_M = 1.73
+"""Height of the LiDAR above the ground (https://www.cvlibs.net/datasets/kitti/setup.php)."""
 
-OBJECT_LAYOUT = "KITTI's training/velodyne/ or testing/velodyne/"
+
+class _Kitti:
+    """What the three layouts share: sweeps named by numbers, with KITTI's beams and height, and perhaps poses."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.scenes: dict[str, tuple[SweepRef, ...]] = {}
+        self.problems: list[str] = []
+        self._tracks: dict[str, PoseTrack] = {}
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep with beams and height, its time where there is one, its pose unless the scene has none."""
+        sweep = read_sweep(
+            inside(self.root, ref.file), format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M,
+            world_from_sensor=self._pose(ref),
+        )  # fmt: skip
+        return sweep if ref.t_ns is None else sweep.replace(t_ns=ref.t_ns)
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return None: nobody annotated objects."""
+        return None
+
+    def _add_scene(self, name: str, folder: Path, stamps: Path | None = None, *, seconds: bool = False) -> None:
+        """Add the sweeps of a folder, in the order of their times where all have one, else of their numbers."""
+        files = _sweep_files(folder, self.problems)
+        times: Sequence[int | None] = [None] * len(files)
+        if stamps is not None:
+            times = times_of(self.root, stamps, files, self.problems, seconds=seconds)
+        refs = [SweepRef(name, 0, str(file), t_ns, sensor="velodyne", key=file.stem)
+                for file, t_ns in zip(files, times, strict=True)]  # fmt: skip
+        if None not in times:
+            refs.sort(key=lambda ref: ref.t_ns or 0)
+        self.scenes[name] = tuple(replace(ref, index=index) for index, ref in enumerate(refs))
+
+    def _add_poses(self, name: str, what: str, read: Callable[[], PoseTrack]) -> None:
+        try:
+            self._tracks[name] = read()
+        except (ValueError, OSError) as error:
+            note_damage(self.problems, f"{error}; the sweeps of {what} have no poses")
+
+    def _pose(self, ref: SweepRef) -> Rigid | None:
+        if ref.scene not in self._tracks:
+            return None
+        try:
+            return self._tracks[ref.scene].world_from_velodyne(ref.key)
+        except (ValueError, OSError) as error:
+            raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error
 
 
-class KittiRaw:
-    """Drives of KITTI raw (synchronized and rectified); see :class:`~viewshed.datasets.recordings.source.SweepSource`.
+class KittiRaw(_Kitti):
+    """Drives of KITTI raw (synchronized and rectified): a drive, a date with its drives, or the folder of the dates.
 
-    The world of a drive is east, north, up from where its first pose was recorded.
-
-    Args:
-        place: a drive, a date with its drives, or the folder of the dates.
-
-    Raises:
-        ValueError: there is no drive.
+    The world of a drive is east, north, up from where its first pose was recorded. The damage of tracklets joins that
+    of the recording when boxes of their drive are first asked for.
     """
 
     def __init__(self, place: Path) -> None:
-        self._damage: list[str] = []
-        self._scenes: dict[str, tuple[SweepRef, ...]] = {}
-        self._tracks: dict[str, InertialTrack] = {}
+        drives = drives_in(place)
+        super().__init__(place.parent if place in drives else place)  # calibration lies beside a drive
         self._tracklets: dict[str, Tracklets | None] = {}
-        drives = _drives(place)
-        self._root = place.parent if place in drives else place  # calibration lies beside a drive
         for drive in drives:
-            files = sweep_files(drive / "velodyne_points" / "data", self._damage)
-            stamps = drive / "velodyne_points" / "timestamps.txt"
-            times = times_of(self._root, stamps, files, self._damage, seconds=False)
-            self._scenes[drive.name] = timed_refs(drive.name, files, times)
-            try:
-                self._tracks[drive.name] = InertialTrack.read(self._root, drive)
-            except (ValueError, OSError) as error:
-                note_damage(self._damage, f"{error}; the sweeps of {drive.name} have no poses")
-        _check_any(self._scenes, place, RAW_LAYOUT)
-
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the drives, sorted."""
-        return tuple(self._scenes)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a drive in time order.
-
-        Raises:
-            ValueError: there is no such drive.
-        """
-        return refs_of(self._scenes, scene)
-
-    def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with time, beams and height, and its pose unless the whole drive has none.
-
-        Raises:
-            ValueError: it or the record of its pose is damaged.
-            OSError: one of these files cannot be read.
-        """
-        return read_frame(self._root, ref, self._pose(ref))
+            points = drive / "velodyne_points"
+            self._add_scene(drive.name, points / "data", points / "timestamps.txt")
+            self._add_poses(drive.name, drive.name, partial(InertialTrack.read, self.root, drive))
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the objects of the drive's tracklets; None where it has no such file.
-
-        Raises:
-            ValueError: the tracklets, or one of this sweep, or its pose are damaged.
-            OSError: one of these files cannot be read.
-        """
-        drive = Path(ref.file).parents[2]
+        """Return the objects of the drive's tracklets; None where it has no such file."""
         if ref.scene not in self._tracklets:
-            file = drive / FILE
-            tracklets = Tracklets.read(inside(self._root, file)) if file.is_file() else None
-            self._tracklets[ref.scene] = tracklets
-            for problem in () if tracklets is None else tracklets.damage:
-                note_damage(self._damage, problem)
+            file = Path(ref.file).parents[2] / FILE
+            read = Tracklets.read(inside(self.root, file)) if file.is_file() else None
+            self._tracklets[ref.scene] = read
+            for problem in () if read is None else read.damage:
+                note_damage(self.problems, problem)
         tracklets = self._tracklets[ref.scene]
         return None if tracklets is None else tracklets.of(int(ref.key), self._pose(ref) or Rigid.identity())
 
-    def damage(self) -> tuple[str, ...]:
-        """Return one line for each file that is missing or damaged for a whole drive, and for times that are.
 
-        Those of tracklets join them when boxes of their drive are asked for.
-        """
-        return tuple(self._damage)
-
-    def _pose(self, ref: SweepRef) -> Rigid | None:
-        track = self._tracks.get(ref.scene)
-        return None if track is None else pose_of(ref, track.world_from_velodyne)
-
-
-class KittiOdometry:
-    """Sequences of KITTI odometry; see :class:`~viewshed.datasets.recordings.source.SweepSource`.
+class KittiOdometry(_Kitti):
+    """Sequences of KITTI odometry, in the folder that holds ``sequences`` and ``poses``.
 
     The world of a sequence is the LiDAR's frame at its first sweep, so its z is only nearly vertical. Times are those
     since the first sweep. Sequences without a file of poses (11 to 21) are read without poses.
-
-    Args:
-        place: the folder that holds ``sequences`` and ``poses``.
-
-    Raises:
-        ValueError: there is no sequence.
     """
 
     def __init__(self, place: Path) -> None:
-        self._root = place
-        self._damage: list[str] = []
-        self._scenes: dict[str, tuple[SweepRef, ...]] = {}
-        self._tracks: dict[str, CameraTrack] = {}
-        for folder in sorted(place.glob("sequences/*/velodyne")):
+        super().__init__(place)
+        for folder in sequences_in(place):
             sequence = folder.parent
-            files = sweep_files(folder, self._damage)
-            times = times_of(place, sequence / "times.txt", files, self._damage, seconds=True)
-            self._scenes[sequence.name] = timed_refs(sequence.name, files, times)
-            poses = _poses_of(place, sequence.name)
-            try:
-                if poses is not None:
-                    self._tracks[sequence.name] = CameraTrack.read(place, poses, sequence / "calib.txt")
-            except (ValueError, OSError) as error:
-                note_damage(self._damage, f"{error}; the sweeps of sequence {sequence.name} have no poses")
-        _check_any(self._scenes, place, ODOMETRY_LAYOUT)
-
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the sequences, sorted."""
-        return tuple(self._scenes)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a sequence in time order.
-
-        Raises:
-            ValueError: there is no such sequence.
-        """
-        return refs_of(self._scenes, scene)
-
-    def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with time, beams and height, and its pose unless the whole sequence has none.
-
-        Raises:
-            ValueError: it or its pose is damaged, or the file of poses is too short.
-            OSError: its file cannot be read.
-        """
-        track = self._tracks.get(ref.scene)
-        return read_frame(self._root, ref, None if track is None else pose_of(ref, track.world_from_velodyne))
-
-    def boxes(self, ref: SweepRef) -> None:
-        """Return None: the set has no annotated objects."""
-
-    def damage(self) -> tuple[str, ...]:
-        """Return one line for each file that is missing or damaged for a whole sequence, and for times that are."""
-        return tuple(self._damage)
+            self._add_scene(sequence.name, folder, sequence / "times.txt", seconds=True)
+            # KITTI's own file of poses, else the one that SemanticKITTI puts into the sequence.
+            candidates = (place / "poses" / f"{sequence.name}.txt", sequence / "poses.txt")
+            for poses in [file for file in candidates if file.is_file()][:1]:
+                what, calibration = f"sequence {sequence.name}", sequence / "calib.txt"
+                self._add_poses(sequence.name, what, partial(CameraTrack.read, place, poses, calibration))
 
 
-class KittiObject:
-    """KITTI's object set, scenes ``training`` and ``testing``; a ``SweepSource``.
+class KittiObject(_Kitti):
+    """KITTI's object set, scenes ``training`` and ``testing``, as far as they are there.
 
     The sweeps of a scene do not belong together: they have neither time nor pose, and the boxes of each are in the
     frame of its sensor.
-
-    Args:
-        place: the folder that holds ``training`` or ``testing``.
-
-    Raises:
-        ValueError: it holds neither.
     """
 
     def __init__(self, place: Path) -> None:
-        self._place = place
-        self._damage: list[str] = []
-        self._scenes: dict[str, tuple[SweepRef, ...]] = {}
-        for folder in _object_folders(place):
-            files = sweep_files(folder, self._damage)
-            self._scenes[folder.parent.name] = timed_refs(folder.parent.name, files, [None] * len(files))
-        _check_any(self._scenes, place, OBJECT_LAYOUT)
-
-    def scenes(self) -> tuple[str, ...]:
-        """Return ``training`` and ``testing``, as far as they are there."""
-        return tuple(self._scenes)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a scene in the order of their numbers.
-
-        Raises:
-            ValueError: there is no such scene.
-        """
-        return refs_of(self._scenes, scene)
-
-    def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with beams and height.
-
-        Raises:
-            ValueError: it is damaged.
-            OSError: its file cannot be read.
-        """
-        return read_frame(self._place, ref, None)
+        super().__init__(place)
+        for folder in parts_in(place):
+            self._add_scene(folder.parent.name, folder)
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the labeled objects in front of the car, in the sensor's frame; None where there are no labels.
-
-        Raises:
-            ValueError: the labels or the calibration are damaged.
-            OSError: one of these files cannot be read.
-        """
-        scene = self._place / ref.scene
+        """Return the labeled objects in front of the car, in the sensor's frame; None where there are no labels."""
+        scene = self.root / ref.scene
         if not (scene / "label_2").is_dir():
             return None
-        return read_labels(self._place, scene / "label_2" / f"{ref.key}.txt", scene / "calib" / f"{ref.key}.txt")
-
-    def damage(self) -> tuple[str, ...]:
-        """Return one line for each file that is no sweep."""
-        return tuple(self._damage)
+        return read_labels(self.root, scene / "label_2" / f"{ref.key}.txt", scene / "calib" / f"{ref.key}.txt")
 
 
-def is_raw(place: Path) -> bool:
-    """Return whether a folder holds drives of KITTI raw, or is one."""
-    return bool(_drives(place))
-
-
-def is_odometry(place: Path) -> bool:
-    """Return whether a folder holds sequences of KITTI odometry."""
-    return any(place.glob("sequences/*/velodyne"))
-
-
-def is_object(place: Path) -> bool:
-    """Return whether a folder holds a part of KITTI's object set."""
-    return bool(_object_folders(place))
-
-
-def _drives(place: Path) -> list[Path]:
+def drives_in(place: Path) -> list[Path]:
+    """Return the drives of KITTI raw at a place, itself perhaps one."""
     depths = ("", "*/", "*/*/")
     return sorted({data.parents[1] for depth in depths for data in place.glob(f"{depth}velodyne_points/data")})
 
 
-def _object_folders(place: Path) -> list[Path]:
+def sequences_in(place: Path) -> list[Path]:
+    """Return the folders of sweeps of KITTI odometry."""
+    return sorted(place.glob("sequences/*/velodyne"))
+
+
+def parts_in(place: Path) -> list[Path]:
+    """Return the folders of sweeps of KITTI's object set."""
     folders = (place / name / "velodyne" for name in ("training", "testing"))
     return [folder for folder in folders if folder.is_dir()]
 
 
-def _poses_of(place: Path, sequence: str) -> Path | None:
-    """Return the file of poses: KITTI's, else the one that SemanticKITTI puts into the sequence."""
-    candidates = (place / "poses" / f"{sequence}.txt", place / "sequences" / sequence / "poses.txt")
-    return next((file for file in candidates if file.is_file()), None)
-
-
-def _check_any(scenes: dict[str, tuple[SweepRef, ...]], place: Path, layout: str) -> None:
-    if not scenes:
-        raise ValueError(f"{place}: must hold {layout}, got none")
+def _sweep_files(folder: Path, damage: list[str]) -> list[Path]:
+    """Return the ``.bin`` files of a folder by their numbers; others are named in ``damage``."""
+    files = sorted(folder.glob("*.bin"))
+    numbered = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
+    for file in sorted(set(files) - set(numbered)):
+        note_damage(damage, f"{file}: must be named by a number; it is left out")
+    return sorted(numbered, key=lambda file: int(file.stem))

@@ -6,12 +6,12 @@ The layout is that of OpenCDA's ``data_dumper.py``, which recorded OPV2V.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from viewshed.datasets.recordings._yaml import load_pyyaml, read_yaml
-from viewshed.datasets.recordings.carla import box_of_carla, lidar_of_carla, mirrored, rigid_of_carla
+from viewshed.datasets.recordings.carla import box_of_carla, lidar_described, mirrored, rigid_of_carla
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
@@ -19,17 +19,12 @@ from viewshed.io._input import inside
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
-LAYOUT = "folders SCENARIO/AGENT/000068.pcd with 000068.yaml"
-
 STEP_S = 0.05
 """Seconds from one frame number to the next, where ``data_protocol.yaml`` does not tell; OpenCDA's default."""
 
 _PROTOCOL = "data_protocol.yaml"
-
 _HEIGHTS_M = (0.5, 5.0)
-
 _FRAME_DIGITS = 9
-
 _LIDAR = ("channels", "upper_fov", "lower_fov", "range", "points_per_second", "rotation_frequency")
 
 
@@ -44,62 +39,24 @@ class _Scenario:
     roadside_lidar: LidarModel | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Opv2v:
-    """Scenarios with their agents, from :meth:`open`; a scene is a scenario, agents have the names of their folders.
+    """Scenarios with their agents; a scene is a scenario, agents have the names of their folders."""
 
-    >>> Opv2v({}, ()).scenes()
-    ()
-    """
-
-    _scenarios: Mapping[str, _Scenario]
-    _damage: tuple[str, ...] = field(default=())
+    def __init__(self, scenarios: Mapping[str, _Scenario], problems: Sequence[str]) -> None:
+        self._scenarios = scenarios
+        self.problems = problems
+        self.scenes = {name: _refs_of(name, scenario) for name, scenario in scenarios.items()}
 
     @classmethod
     def open(cls, place: Path) -> Opv2v:
-        """Return the scenarios in a folder: itself one, a folder of them, or the data set with its splits.
-
-        Raises:
-            ValueError: there is none.
-            ImportError: the extra ``opv2v`` is not installed.
-            OSError: the folder cannot be read.
-        """
+        """Return the scenarios in a folder: itself one, a folder of them, or the data set with its splits."""
         load_pyyaml()
         damage: list[str] = []
-        scenarios = {name: _open_scenario(place, folder, damage) for name, folder in _scenarios_in(place)}
-        if not scenarios:
-            raise ValueError(f"{place}: must hold {LAYOUT}, found none")
-        return cls(scenarios, tuple(damage))
-
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the scenarios, in alphabetical order; with the split before them where there is one."""
-        return tuple(self._scenarios)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a scenario by time, then agent.
-
-        Raises:
-            ValueError: there is no such scenario.
-        """
-        scenario = self._scenario(scene)
-        in_order = sorted(
-            (frame, position, agent, str(file))
-            for position, (agent, files) in enumerate(scenario.agents.items())
-            for frame, file in files.items()
-        )
-        return [
-            SweepRef(scene, index, file, round(frame * scenario.step_s * 1e9), agent)
-            for index, (frame, _, agent, file) in enumerate(in_order)
-        ]
+        return cls({name: _open_scenario(place, folder, damage) for name, folder in scenarios_in(place)}, damage)
 
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there.
-
-        Raises:
-            ValueError: the points or the pose are damaged.
-            OSError: a file cannot be read.
-        """
-        scenario = self._scenario(ref.scene)
+        """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there."""
+        scenario = self._scenarios[ref.scene]
         about = _about(scenario.root, ref)
         pose = None if about is None else _pose(about, ref)
         model = scenario.roadside_lidar if _is_roadside(ref.agent) else scenario.vehicle_lidar
@@ -109,13 +66,8 @@ class Opv2v:
         )  # fmt: skip
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the vehicles that the agent's own YAML file names, in the world; None where there is no such file.
-
-        Raises:
-            ValueError: a vehicle is not as it must be.
-            OSError: the file cannot be read.
-        """
-        about = _about(self._scenario(ref.scene).root, ref)
+        """Return the vehicles that the agent's own YAML file names, in the world; None where there is no such file."""
+        about = _about(self._scenarios[ref.scene].root, ref)
         if about is None:
             return None
         vehicles = about.get("vehicles") or {}
@@ -126,22 +78,22 @@ class Opv2v:
         except ValueError as error:
             raise ValueError(f"{_yaml_of(ref.file)}: a vehicle is damaged: {error}") from error
 
-    def damage(self) -> tuple[str, ...]:
-        """Return what was wrong with the files' names: points without YAML, YAML without points."""
-        return self._damage
 
-    def _scenario(self, name: str) -> _Scenario:
-        if name not in self._scenarios:
-            raise ValueError(f"scene must be one of {', '.join(self._scenarios)}, got {name!r}")
-        return self._scenarios[name]
+def _refs_of(name: str, scenario: _Scenario) -> list[SweepRef]:
+    """Return the sweeps of a scenario by time, then agent."""
+    in_order = sorted(
+        (frame, position, agent, str(file))
+        for position, (agent, files) in enumerate(scenario.agents.items())
+        for frame, file in files.items()
+    )
+    return [
+        SweepRef(name, index, file, round(frame * scenario.step_s * 1e9), agent)
+        for index, (frame, _, agent, file) in enumerate(in_order)
+    ]
 
 
-def is_opv2v(place: Path) -> bool:
-    """Return whether a folder has this layout, by names alone."""
-    return any(True for _ in _scenarios_in(place))
-
-
-def _scenarios_in(place: Path) -> Iterator[tuple[str, Path]]:
+def scenarios_in(place: Path) -> Iterator[tuple[str, Path]]:
+    """Yield name and folder of the scenarios at a place, in alphabetical order; with the split before the name."""
     if _is_scenario(place):
         yield place.resolve().name, place
         return
@@ -215,8 +167,7 @@ def _lidar(protocol: Any, part: str, folder: Path, damage: list[str]) -> LidarMo
     if about is None:
         return None
     try:
-        values = [about.get(name) for name in _LIDAR] if isinstance(about, dict) else about
-        return lidar_of_carla(*numbers_in(values, len(_LIDAR), ", ".join(_LIDAR)))
+        return lidar_described(about, _LIDAR)
     except ValueError as error:
         note_damage(damage, f"{folder / _PROTOCOL}: does not describe the lidar of {part}: {error}")
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -19,9 +19,7 @@ from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.sweep import Sweep
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
-
 TF = "tf2_msgs/msg/TFMessage"
-
 TRANSFORMS = (TF, "tf/msg/tfMessage")
 
 PACKETS = ("velodyne_msgs/msg/VelodyneScan", "pandar_msgs/msg/PandarScan", "ouster_ros/msg/PacketMsg",
@@ -37,11 +35,7 @@ _ODOMETRY_CHILD = "base_link"
 
 @lru_cache(maxsize=2)
 def decoder(encoding: str) -> Callable[[bytes, str], Any]:
-    """Return what turns the bytes of a message and the name of its type into an object.
-
-    Raises:
-        ImportError: the extra ``bags`` is not installed.
-    """
+    """Return what turns the bytes of a message and the name of its type into an object."""
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
@@ -205,7 +199,10 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         for index, cloud in enumerate(clouds)
     )  # fmt: skip
     worlds = {frame: _world(contents, frame, damage) for frame in dict.fromkeys(cloud.frame for cloud in clouds)}
-    poses = tuple(_pose(contents, worlds[cloud.frame], cloud) for cloud in clouds)
+    poses = tuple(
+        None if (world := worlds[cloud.frame]) is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
+        for cloud in clouds
+    )
     for topic in topics:
         at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
         if at.count(None):
@@ -222,10 +219,6 @@ def _world(contents: _Contents, frame: str, damage: list[str]) -> str | None:
         return None
 
 
-def _pose(contents: _Contents, world: str | None, cloud: _Cloud) -> Rigid | None:
-    return None if world is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
-
-
 def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
     if FOOTPRINT not in contents.transforms.frames():
         return None
@@ -236,40 +229,25 @@ def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
     return None if pose is None or pose.translation[2] <= 0 else float(pose.translation[2])
 
 
-LAYOUT = "a .bag or .mcap file, a folder with metadata.yaml, or a folder of these"
-
-
 class BagRecording:
     """One bag or several, from :meth:`open`; each is a scene, each topic of PointCloud2 an agent.
 
     One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when asked for.
-
-    Args:
-        bags: name → bag.
-        damage: what was found wrong.
     """
 
-    def __init__(self, bags: dict[str, Bag], damage: tuple[str, ...] = ()) -> None:
+    def __init__(self, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
         self._bags = bags
-        self._damage = damage
+        self.problems = problems
+        self.scenes = {name: bag.refs for name, bag in bags.items()}
         self._open: dict[str, BagFile] = {}
         self._process = os.getpid()
 
-    def __getstate__(self) -> tuple[dict[str, Bag], tuple[str, ...]]:
-        return self._bags, self._damage
-
-    def __setstate__(self, state: tuple[dict[str, Bag], tuple[str, ...]]) -> None:
-        self.__init__(*state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BagRecording, (self._bags, self.problems)
 
     @classmethod
     def open(cls, place: Path) -> BagRecording:
-        """Return the bags at a place.
-
-        Raises:
-            ValueError: there is none, or none of them has a cloud; one line that says why.
-            ImportError: the extra ``bags`` is not installed.
-            OSError: it cannot be read.
-        """
+        """Return the bags at a place; where none has a cloud, an error of one line that says why."""
         decoder("cdr")
         root = place if place.is_dir() else place.parent
         damage: dict[str, None] = {}
@@ -285,26 +263,9 @@ class BagRecording:
             raise ValueError("; ".join(damage))
         return cls(bags, tuple(damage))
 
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the bags, without their endings."""
-        return tuple(self._bags)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the clouds of a bag in the order of their headers' times.
-
-        Raises:
-            ValueError: there is no such bag.
-        """
-        return self._bag(scene).refs
-
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep in the frame of its header, with its pose where transforms lead to it.
-
-        Raises:
-            ValueError: the message is damaged; one line that names the file and the topic.
-            OSError: the bag cannot be read.
-        """
-        bag = self._bag(ref.scene)
+        """Return a sweep in the frame of its header, with its pose where transforms lead to it."""
+        bag = self._bags[ref.scene]
         try:
             cloud = decoder(bag.encoding)(self._file(bag).message(ref.key), CLOUD)
             sweep = sweep_of_cloud(cloud)
@@ -319,17 +280,7 @@ class BagRecording:
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return None: bags hold no annotations that are read."""
-        self._bag(ref.scene)
         return None
-
-    def damage(self) -> tuple[str, ...]:
-        """Return what is wrong with the bags: damaged ones, empty topics, sweeps without a pose."""
-        return self._damage
-
-    def _bag(self, scene: str) -> Bag:
-        if scene not in self._bags:
-            raise ValueError(f"scene must be one of {', '.join(self._bags)}, got {scene!r}")
-        return self._bags[scene]
 
     def _file(self, bag: Bag) -> BagFile:
         """Return the opened bag; only one is kept open, and none that another process opened."""
@@ -341,8 +292,3 @@ class BagRecording:
                 file.close()
             self._open = {name: open_bag(bag.root, bag.path)}
         return self._open[name]
-
-
-def is_bag(place: Path) -> bool:
-    """Return whether a place is a bag or a folder of bags, by names alone."""
-    return bool(bags_in(place))

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.io._input import inside, one_line, open_input
+from viewshed.io._input import errors_named, one_line
 from viewshed.sweep import Sweep
 
 _A = TypeVar("_A")
-
 _R = TypeVar("_R")
 
 
@@ -121,19 +120,91 @@ class SweepSource(Protocol):
         ...
 
 
+class SweepReader(Protocol):
+    """What one layout says of a recording that :class:`RecordingSource` has opened; errors may be of any type."""
+
+    @property
+    def scenes(self) -> Mapping[str, Sequence[SweepRef]]:
+        """Scene → its sweeps, in the order of :meth:`SweepSource.refs`."""
+        ...
+
+    @property
+    def problems(self) -> Sequence[str]:
+        """The lines of :meth:`SweepSource.damage`; reading may add to them."""
+        ...
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep."""
+        ...
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the annotated objects at the time of a sweep; None where nobody annotated it."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class SourceKind:
     """One layout that can be opened.
 
     Attributes:
         layout: what is looked for, in a few words, for messages.
-        fits: whether a folder (or file) has this layout, from names alone.
-        open: opens it; a ValueError or an OSError of one line where it cannot.
+        find: yields the parts of a place (itself, or what lies in it) that have this layout, from names alone.
+        open: opens a place; whatever it raises says why it cannot.
     """
 
     layout: str
-    fits: Callable[[Path], bool]
-    open: Callable[[Path], SweepSource]
+    find: Callable[[Path], Iterable[object]]
+    open: Callable[[Path], SweepReader]
+
+    def fits(self, place: Path) -> bool:
+        """Return whether a folder (or file) has this layout, from names alone."""
+        return any(True for _ in self.find(place))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingSource:
+    """An opened recording as a :class:`SweepSource`: whatever its reader raises is one line that names a file.
+
+    Attributes:
+        place: where it lies.
+        reader: what its layout says of it.
+    """
+
+    place: Path
+    reader: SweepReader
+
+    def scenes(self) -> tuple[str, ...]:
+        """Return the names of the scenes, in the recording's order."""
+        return tuple(self.reader.scenes)
+
+    def refs(self, scene: str) -> Sequence[SweepRef]:
+        """Return the sweeps of a scene; errors as :meth:`SweepSource.refs`."""
+        scenes = self.reader.scenes
+        if scene not in scenes:
+            names = one_line(", ".join(scenes), 200)
+            raise ValueError(f"{self.place}: scene must be one of {names}, got {scene!r}")
+        return scenes[scene]
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep; errors as :meth:`SweepSource.read`."""
+        self._check(ref)
+        with errors_named(ref.file, self.place.parent):
+            return self.reader.read(ref)
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the annotated objects at the time of a sweep; errors as :meth:`SweepSource.boxes`."""
+        self._check(ref)
+        with errors_named(ref.file, self.place.parent):
+            return self.reader.boxes(ref)
+
+    def damage(self) -> tuple[str, ...]:
+        """Return one line for each thing that was found wrong so far and that no ref stands for."""
+        return tuple(self.reader.problems)
+
+    def _check(self, ref: SweepRef) -> None:
+        refs = self.refs(ref.scene)
+        if not 0 <= ref.index < len(refs) or (refs[ref.index].file, refs[ref.index].key) != (ref.file, ref.key):
+            raise ValueError(f"ref must be one of {self.place}, got {ref.file}")
 
 
 def each_sweep(
@@ -175,67 +246,41 @@ def _tried(
         return None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class IndexSource:
-    """The sweeps that an index names, from :meth:`open`; those of one drive are a scene, each other one its own."""
+def open_index(index: str | os.PathLike[str]) -> SweepSource:
+    """Return the sweeps that an index names; those of one drive are a scene, each other one its own.
 
-    _scenes: Mapping[str, tuple[IndexEntry, ...]]
+    Raises:
+        ValueError: it is no index, or names no sweep.
+        OSError: it cannot be read.
+    """
+    place = Path(index).absolute()
+    drives: dict[str, list[IndexEntry]] = {}
+    for entry in read_index(index):
+        if entry.points:
+            drives.setdefault(_scene(entry, place.resolve().parent), []).append(entry)
+    if not drives:
+        raise ValueError(f"{index} must name at least one sweep, got none")
+    return RecordingSource(place, _Index({name: sorted(entries, key=_time) for name, entries in drives.items()}))
 
-    @classmethod
-    def open(cls, index: str | os.PathLike[str]) -> IndexSource:
-        """Return the sweeps of an index file.
 
-        Raises:
-            ValueError: it is no index, or names no sweep.
-            OSError: it cannot be read.
-        """
-        drives: dict[str, list[IndexEntry]] = {}
-        for entry in read_index(index):
-            if entry.points:
-                drives.setdefault(_scene(entry, Path(index).resolve().parent), []).append(entry)
-        if not drives:
-            raise ValueError(f"{index} must name at least one sweep, got none")
-        return cls({name: tuple(sorted(entries, key=_time)) for name, entries in drives.items()})
+class _Index:
+    """The sweeps of an index by drive."""
 
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the drives, and of the files that belong to none, in the index's order."""
-        return tuple(self._scenes)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a drive in time order.
-
-        Raises:
-            ValueError: there is no such drive.
-        """
-        return [
-            SweepRef(scene, k, str(entry.file), None if entry.t is None else round(entry.t * 1e6) * 1000, key=str(k))
-            for k, entry in enumerate(self._entries(scene))
-        ]
+    def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
+        self._drives = drives
+        self.problems = ()
+        self.scenes = {
+            scene: [SweepRef(scene, k, str(entry.file), _t_ns(entry), key=str(k)) for k, entry in enumerate(entries)]
+            for scene, entries in drives.items()
+        }
 
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with what the index tells about it.
-
-        Raises:
-            ValueError: its file is not a sweep, or the ref is not of this index.
-            OSError: its file cannot be read.
-        """
-        entries = self._entries(ref.scene)
-        if not 0 <= ref.index < len(entries) or str(entries[ref.index].file) != ref.file:
-            raise ValueError(f"ref must be one of the index, got {ref.file}")
-        return read_indexed(entries[ref.index])
+        """Return a sweep with what the index tells about it."""
+        return read_indexed(self._drives[ref.scene][ref.index])
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return None: an index has no boxes."""
         return None
-
-    def damage(self) -> tuple[str, ...]:
-        """Return nothing: an index that is damaged cannot be opened."""
-        return ()
-
-    def _entries(self, scene: str) -> tuple[IndexEntry, ...]:
-        if scene not in self._scenes:
-            raise ValueError(f"scene must be one of the {len(self._scenes)} of the index, got {scene!r}")
-        return self._scenes[scene]
 
 
 def _scene(entry: IndexEntry, folder: Path) -> str:
@@ -244,16 +289,15 @@ def _scene(entry: IndexEntry, folder: Path) -> str:
     return name if entry.seq is None else f"{entry.seq} ({entry.sensor})"
 
 
+def _t_ns(entry: IndexEntry) -> int | None:
+    return None if entry.t is None else round(entry.t * 1e6) * 1000
+
+
 def _time(entry: IndexEntry) -> tuple[float, str]:
     return (0.0 if entry.t is None else entry.t, str(entry.file))
 
 
 _DAMAGE_LINES_MAX = 1000
-
-_TEXT_BYTES_MAX = 64_000_000
-
-_CALIBRATION_BYTES_MAX = 1_000_000
-
 _NUMBER_MAX = 1e12
 
 
@@ -263,17 +307,6 @@ def note_damage(damage: list[str], problem: str) -> None:
         damage.append(one_line(problem))
     elif len(damage) == _DAMAGE_LINES_MAX:
         damage.append(f"there is more damage; only the first {_DAMAGE_LINES_MAX} lines are named")
-
-
-def text_lines(root: Path, path: Path, limit_bytes: int = _TEXT_BYTES_MAX) -> list[str]:
-    """Return the lines of a text file of a recording.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is empty, no text, too large, or a link leads out of the recording.
-    """
-    with open_input(inside(root, path)) as source:
-        return source.content(limit_bytes).decode("utf-8").splitlines()
 
 
 def numbers_in(values: object, count: int, what: str) -> tuple[float, ...]:
@@ -293,58 +326,3 @@ def numbers_in(values: object, count: int, what: str) -> tuple[float, ...]:
         if len(numbers) == count and all(abs(number) <= _NUMBER_MAX for number in numbers):
             return numbers
     raise ValueError(f"{what} must be {count} finite numbers, got {one_line(values, 60)}")
-
-
-def numbers_of(text: str, count: int, where: str) -> NDArray[np.float64]:
-    """Return the first ``count`` numbers of a line, (count,) float64.
-
-    Raises:
-        ValueError: there are fewer, or one is not finite; the message begins with ``where``.
-    """
-    return np.array(numbers_in(text.split(None, count)[:count], count, f"{where}:"))
-
-
-def named_texts(root: Path, path: Path) -> dict[str, str]:
-    """Return name → what follows it, of lines ``name: …`` of a calibration file.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is empty, no text, too large, or a link leads out of the recording.
-    """
-    parts = (line.partition(":") for line in text_lines(root, path, _CALIBRATION_BYTES_MAX))
-    return {name.strip(): rest for name, colon, rest in parts if colon}
-
-
-def rigid_of(rotation: NDArray[np.float64], translation: NDArray[np.float64], where: str) -> Rigid:
-    """Return the transform of a rotation (3, 3) and a translation (3,).
-
-    Raises:
-        ValueError: it is not rigid; the message begins with ``where``.
-    """
-    try:
-        return Rigid(rotation, translation)
-    except ValueError as error:
-        raise ValueError(one_line(f"{where}: {error}")) from error
-
-
-def rigid_of_line(text: str, where: str) -> Rigid:
-    """Return the transform of a line of 12 numbers, the first three rows of its matrix.
-
-    Raises:
-        ValueError: the line is not one; the message begins with ``where``.
-    """
-    matrix = numbers_of(text, 12, where).reshape(3, 4)
-    return rigid_of(matrix[:, :3], matrix[:, 3], where)
-
-
-def rigid_named(root: Path, path: Path, name: str) -> Rigid:
-    """Return the transform of the line ``name: 12 numbers`` of a calibration file.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it has no such line, or the line is damaged.
-    """
-    texts = named_texts(root, path)
-    if name not in texts:
-        raise ValueError(f"{path}: must have a line {name}: …, got {', '.join(texts)[:80] or 'none'}")
-    return rigid_of_line(texts[name], f"{path}, {name}")
