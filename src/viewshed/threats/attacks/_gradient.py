@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ from viewshed.threats.attacks.adaptive import SearchResult
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
-from viewshed.threats.attacks.ghosts import aim_wedge
 from viewshed.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m
-from viewshed.threats.parameters import require, require_sector
+from viewshed.threats.attacks.wedge_attack import aim_wedge
+from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector, Share
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _REFINES = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Expectation:
+class Expectation(Checked):
     """What an attacker averages over, so that a plan survives what cannot be known (Athalye et al. 2018).
 
     Attributes:
@@ -41,18 +41,11 @@ class Expectation:
         shift_m: standard deviation of a shift of the whole cloud, along each level axis.
     """
 
-    samples: int = 8
-    noise_m: float = 0.10
-    lost_share: float = 0.015
-    yaw: float = 0.0
-    shift_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        require("samples", self.samples, 1, 10_000)
-        require("noise_m", self.noise_m, 0.0, 10.0)
-        require("lost_share", self.lost_share, 0.0, 1.0)
-        require("yaw", self.yaw, 0.0, np.pi)
-        require("shift_m", self.shift_m, 0.0, 100.0)
+    samples: Annotated[int, Between(1, 10_000)] = 8
+    noise_m: Annotated[float, Between(0.0, 10.0)] = 0.10
+    lost_share: Share = 0.015
+    yaw: Annotated[float, Between(0.0, np.pi)] = 0.0
+    shift_m: Annotated[float, Between(0.0, 100.0)] = 0.0
 
 
 NO_EXPECTATION = Expectation(1, 0.0, 0.0)
@@ -60,7 +53,7 @@ NO_EXPECTATION = Expectation(1, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WhiteBox:
+class WhiteBox(Checked):
     """Ascends a gradient in the ranges of beams that returned, each along its beam, within what the sensor reports.
 
     First all beams of the wedge move; what each gained is the integral of its slope along its way, by trapezoids. Those
@@ -80,20 +73,14 @@ class WhiteBox:
     """
 
     objective: ValueAndGradient
-    budget: int | None = 150
-    steps: int = 80
-    step_m: float = 2.0
-    sector_deg: float = 30.0
-    azimuth: float | None = None
-    aim_m: float = 25.0
+    budget: Budget = 150
+    steps: Annotated[int, Between(2, 100_000)] = 80
+    step_m: Annotated[float, Between(1e-6, 1000.0)] = 2.0
+    sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
+    aim_m: Range = 25.0
     expectation: Expectation = NO_EXPECTATION
     spoofer: Spoofer = MEASURED_SPOOFER
-
-    def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg)
-        require("steps", self.steps, 2, 100_000)
-        require("step_m", self.step_m, 1e-6, 1000.0)
-        require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
