@@ -177,13 +177,14 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
     column, phase = _columns(azimuth, columns)
     pixels = np.full((columns, len(elevation)), -1, np.int32)
     assign_pixels(rings.ring, column, length, pixels)
-    step, times = np.float32(2 * np.pi / columns), mean_times(column, seconds, columns)
+    step, times = np.float32(2 * np.pi / columns), _mean_times(column, seconds, columns)
     # Every beam: the returns, and the pattern between them.
     origins, directions = np.empty((2, *pixels.shape, 3), np.float32)
     depth = np.empty(pixels.shape, np.float32)
     pattern = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
     fill_image(pixels, start, direction, length, *pattern, *motion, origins, directions, depth)
-    return BeamImage(origins, directions, depth, pixels, _max_range_m(model, length), model)
+    max_range_m = float(length.max(initial=0.0)) if model is None else model.max_range_m
+    return BeamImage(origins, directions, depth, pixels, max_range_m, model)
 
 
 def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
@@ -235,10 +236,12 @@ def _columns(azimuth: Floats, columns: int) -> tuple[NDArray[np.int64], float]:
     return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
 
 
-def _max_range_m(model: LidarModel | None, length: Floats) -> float:
-    if model is not None:
-        return model.max_range_m
-    return float(length.max(initial=0.0))
+def _mean_times(column: NDArray[np.int64], seconds: Floats, columns: int) -> Floats:
+    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
+    total, count = np.bincount(column, seconds, columns), np.bincount(column, minlength=columns)
+    last = np.maximum.accumulate(np.where(count > 0, np.arange(columns), -1))
+    last[last < 0] = last[-1]
+    return np.asarray(total / np.maximum(count, 1), np.float32)[last]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -278,12 +281,9 @@ def beams_of_returns(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
-    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
-
-    Returns how many points found none.
-    """
-    spare, spares, lost = np.empty(ring.shape[0], np.int64), 0, 0
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> None:  # pragma: no cover - compiled
+    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other takes an empty one nearby."""
+    spare, spares = np.empty(ring.shape[0], np.int64), 0
     for n in range(ring.shape[0]):
         if ring[n] < 0:
             continue
@@ -295,36 +295,17 @@ def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # p
         if nearer:
             pixels[column[n], ring[n]] = n
     for k in range(spares):
-        lost += not _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
-    return lost
+        _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> None:  # pragma: no cover - compiled
     for step in range(1, JITTER_COLUMNS + 1):
         for side in (-1, 1):
             c = (column + side * step) % pixels.shape[0]
             if pixels[c, ring] < 0:
                 pixels[c, ring] = n
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_times(column: Any, seconds: Any, columns: Any) -> Any:  # pragma: no cover - compiled
-    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
-    total, count = np.zeros(columns, np.float64), np.zeros(columns, np.int64)
-    for n in range(column.shape[0]):
-        total[column[n]] += seconds[n]
-        count[column[n]] += 1
-    out = np.zeros(columns, np.float32)
-    for step in range(2 * columns):
-        c = step % columns
-        if count[c] > 0:
-            out[c] = total[c] / count[c]
-        else:
-            out[c] = out[c - 1]
-    return out
+                return
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

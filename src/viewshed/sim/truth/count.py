@@ -121,10 +121,8 @@ def patches_of(grid: BevGrid) -> Patches:
 
 def count_targets(
     lines: BeamLines, grid: BevGrid, ground: Floats, targets: tuple[Target, Target], mask: Mask | None = None
-) -> tuple[tuple[Target, Target], NDArray[np.int32]]:
-    """Return the targets, the wider one first, and how many beams aim at and reach them in each cell (cells²,) int32.
-
-    Bytes, the lowest first, up to 255: aimed at the wider, at the narrower, reaching the wider, reaching the narrower.
+) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255.
 
     Args:
         lines: the beams.
@@ -148,15 +146,26 @@ def count_targets(
         patches = Patches(patches.lanes[rows], patches.cells[rows], patches.middles[rows])
     counts = np.zeros(ground.size, np.int32)
     count_cells(lines.sorted, patches, ground, plates, limits, counts)
-    return (a, b), counts
+    aimed_a, aimed_b, reached_a, reached_b = ((counts >> shift).astype(np.uint8) for shift in (0, 8, 16, 24))
+    return {a.name: (aimed_a, reached_a), b.name: (aimed_b, reached_b)}
+
+
+def states_of_cells(
+    aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, target: Target
+) -> NDArray[np.uint8]:
+    """Return states (cells²,) by how many beams aim at the target and reach it, and where a surface stands."""
+    least = min(target.min_returns, MANY)
+    visible = np.where(surface, SURFACE, FREE)
+    return np.where(reached >= least, visible, np.where(aimed >= least, HIDDEN, UNKNOWN))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def count_cells(
     beams: Any, patches: Any, ground: Any, plates: Any, limits: Any, out: Any
 ) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (cells²,) int32, zeros before, with the counts of :func:`count_targets`.
+    """Fill ``out`` (cells²,) int32, zeros before, with counts, each a byte, the lowest first.
 
+    Beams aimed at the wider plate, aimed at the narrower, reaching the wider, reaching the narrower.
     Beams that do not reach are counted as aimed up to the least number that is needed, perhaps not further: then only
     tiles that reach the patch are looked at. ``ground`` (cells²,) is z from the sensor.
     """
@@ -381,17 +390,3 @@ def _rings_of(
             k -= 1
         first, last = min(first, f), max(last, k)
     return first, last
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def states_of_cells(counts: Any, which: Any, surface: Any, least: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (2, cells) uint8 with beams that reach plate ``which`` (0 or 1) and with states.
-
-    ``counts`` are those of ``count_cells``, ``surface`` is where a surface stands, ``least`` how many beams it takes.
-    """
-    shift = 8 * which
-    for n in range(counts.shape[0]):
-        aimed, reached = (counts[n] >> shift) & 255, (counts[n] >> (shift + 16)) & 255
-        visible = SURFACE if surface[n] else FREE
-        out[0, n] = reached
-        out[1, n] = visible if reached >= least else (HIDDEN if aimed >= least else UNKNOWN)

@@ -16,12 +16,14 @@ from viewshed.sim.assets.shapes import REFLECTIVITY, Shape
 from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.beam_lines import BeamLines, stops_on_surfaces
-from viewshed.sim.truth.count import BELOW_GROUND_M, MANY, count_targets, ranges_of, states_of_cells
+from viewshed.sim.truth.count import BELOW_GROUND_M, count_targets, ranges_of, states_of_cells
 from viewshed.sim.truth.definitions import (
+    BLOCKER,
     BLOCKS,
+    FARTHEST,
+    SIGHT,
     batches_of,
     beams_of_bins,
-    definition_masks,
     see_cells,
     stop_flags,
     stop_limits,
@@ -82,7 +84,8 @@ def exact_truth(
     if not targets:
         raise ValueError("targets must be at least one, got none")
     terrain = world.terrain if isinstance(world, World) else world
-    ground, known = _ground(scan, terrain, grid)
+    centers = grid.centers
+    ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
     view = _view(scan, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
     known &= (ranges_of(grid) > view.lines.offset_m).reshape(grid.shape)
     if agent is not None and agent.carrier is not None and isinstance(world, World):
@@ -96,12 +99,6 @@ def exact_truth(
         {name: mask.reshape(shape) for name, mask in _definitions(view).items()},
     )
     return truth, known
-
-
-def _ground(scan: ExactScan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
-    """Return the ground (cells, cells) at the centers, from the sensor's height, and where there is terrain."""
-    centers = grid.centers
-    return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 
 
 def _view(scan: ExactScan, grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
@@ -120,11 +117,10 @@ def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[CountsByTarget, 
     reached, state = {}, {}
     for k in range(0, len(targets), 2):
         both = (targets[k], targets[min(k + 1, len(targets) - 1)])
-        pair, counts = count_targets(view.lines, view.grid, view.ground, both)
-        for which, target in enumerate(pair):
-            out = np.empty((2, len(counts)), np.uint8)
-            states_of_cells(counts, which, surface[target.name], min(target.min_returns, MANY), out)
-            reached[target.name], state[target.name] = out
+        counts = count_targets(view.lines, view.grid, view.ground, both)
+        for target in both:
+            reached[target.name] = counts[target.name][1]
+            state[target.name] = states_of_cells(*counts[target.name], surface[target.name], target)
     return reached, state
 
 
@@ -137,9 +133,7 @@ def _definitions(view: _View) -> dict[str, Mask]:
     seen = np.empty(len(view.ground), np.uint8)
     high, below, cell = (np.float32(length) for length in (CAR.height_m, BELOW_GROUND_M, view.grid.cell_m))
     see_cells(limits, table, batches_of(view.grid, bins), view.ground, high, below, cell, seen)
-    out = np.empty((len(OTHER_DEFINITIONS), len(seen)), np.bool_)
-    definition_masks(seen, out)
-    return dict(zip(OTHER_DEFINITIONS, out, strict=True))
+    return {name: seen & flag != 0 for name, flag in zip(OTHER_DEFINITIONS, (FARTHEST, BLOCKER, SIGHT), strict=True)}
 
 
 def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, view: _View) -> Mask:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks._search import BeamSearchSpace, Candidate, PointSearchSpace, evolution, random_search
+from viewshed.threats.attacks._search import DRAWN_SHARE, BeamSearchSpace, Candidate, PointSearchSpace, evolution
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.points import Mode, check_free_budget
@@ -188,8 +188,9 @@ class BlackBox(Checked):
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
         space = self._space(sweep, wedge)
         limit = max(0, (self.queries - 2) // self.samples)
-        search = evolution if self.method == "evolution" else random_search
-        best = search(space, lambda candidate: self._expected_value(space, candidate, value_of, seed), limit, rng)
+        drawn_share = DRAWN_SHARE if self.method == "evolution" else 1.0
+        worth = partial(self._expected_value, space, value_of=value_of, seed=seed)
+        best = evolution(space, worth, limit, rng, drawn_share)
         history = np.append(nothing, best.history)
         queries = 2 + len(best.history) * self.samples
         if best.candidate is None or best.value <= nothing:

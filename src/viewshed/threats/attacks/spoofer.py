@@ -71,19 +71,12 @@ def scene_of(sweep: Sweep) -> LeveledSweep:
     return level(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
 
 
-def heights_above_ground(sweep: Sweep) -> NDArray[np.float32]:
-    """Return the height (N,) in meters of each return above local ground; NaN for ego and null returns."""
+def is_obstacle(sweep: Sweep, rays: Rays) -> Mask:
+    """Return which rays (K,) returned from more than 0.3 m above local ground; ego and null returns did not."""
     leveled = scene_of(sweep)
-    heights = np.full(len(sweep), np.nan, np.float32)
-    heights[leveled.rows] = leveled.height_m
-    return heights
-
-
-def is_obstacle(sweep: Sweep, rays: Rays) -> NDArray[np.bool_]:
-    """Return which rays (K,) returned from more than 0.3 m above local ground."""
-    heights = np.append(heights_above_ground(sweep), np.float32(np.nan))[rays.row]
-    result: NDArray[np.bool_] = heights > OBSTACLE_HEIGHTS_M[0]
-    return result
+    raised = np.zeros(len(sweep) + 1, np.bool_)  # the last is for rays without a return, whose row is -1
+    raised[leveled.rows] = leveled.height_m > OBSTACLE_HEIGHTS_M[0]
+    return np.asarray(raised[rays.row])
 
 
 def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
