@@ -27,6 +27,7 @@ from viewshed.threats.attacks.adaptive import (
 )
 from viewshed.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
+from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.points import (
     PAPER_ATTACK,
     PAPER_INDOOR_ATTACK,
@@ -42,8 +43,8 @@ from viewshed.threats.attacks.spoofer import FINGERPRINT_RELIABILITY, RELIABILIT
 __all__ = [
     "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
     "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory",
-    "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "SearchResult", "Spoofer", "Tampered",
-    "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
+    "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
+    "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
@@ -93,7 +94,15 @@ _MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
     "relay": lambda known: Relay(offset_m=5.0 * known.scale, aim_m=30.0 * known.scale),
     "pose_spoof": lambda known: PoseSpoof(shift_m=known.scale),
     "removal_and_far_wall": lambda known: RemovalAndFarWall(far_m=50.0 * known.scale),
+    "far_wall_aimed": lambda known: _aimed("far_wall", known),
+    "removal_aimed": lambda known: _aimed("removal", known),
+    "removal_and_far_wall_aimed": lambda known: _aimed("removal_and_far_wall", known),
 }
+
+
+def _aimed(name: str, known: Knowledge) -> Attack:
+    attack: Any = _MAKERS[name](known)
+    return cast(Attack, replace(attack, placement="largest_hidden_area"))
 
 
 def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
@@ -112,7 +121,8 @@ FAMILY: dict[str, int] = {
     "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,
     "wedge_cluster_free": 3, "frustum": 4, "frustum_before": 4, "frustum_free": 4, "ghost_car": 5, "ghost_wall": 6,
     "far_wall": 7, "removal": 8, "high_frequency_removal": 9, "jamming": 10, "replay": 11, "coherent_phantom": 11,
-    "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14,
+    "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
+    "removal_and_far_wall_aimed": 14,
 }  # fmt: skip
 """The number of the family that each belongs to."""
 

@@ -14,8 +14,9 @@ from viewshed.threats.attacks.adaptive import SearchResult
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
+from viewshed.threats.attacks.ghosts import FarWall
+from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m
-from viewshed.threats.attacks.wedge_attack import aim_wedge
 from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector, Share
 
 Floats = NDArray[np.float64]
@@ -66,8 +67,9 @@ class WhiteBox(Checked):
         steps: half before, half after the choice of beams; the gradient is asked for once more in each half.
         step_m: first step, meters; a beam goes no farther than ``step_m * steps / 4`` before the choice.
         sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle.
+        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.
         aim_m: obstacles nearer than this are aimed at.
+        placement: how that is aimed, see :class:`WedgeAttack`.
         expectation: what is averaged over.
         spoofer: how well the beams are won.
     """
@@ -79,6 +81,7 @@ class WhiteBox(Checked):
     sector_deg: Sector = 30.0
     azimuth: Azimuth = None
     aim_m: Range = 25.0
+    placement: Placement = "random"
     expectation: Expectation = NO_EXPECTATION
     spoofer: Spoofer = MEASURED_SPOOFER
 
@@ -92,7 +95,8 @@ class WhiteBox(Checked):
         Raises:
             ValueError: the objective's gradient does not have the shape of the points, or is not finite.
         """
-        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        aimed = FarWall(self.budget, self.sector_deg, self.azimuth, self.placement, near_m=self.aim_m)
+        wedge = aimed.aim(sweep, rng)
         rays = rays_in(sweep, wedge)
         climb = _Climb(sweep, rays, self.objective, self.expectation, int(rng.integers(2**62)))
         everywhere, first = np.ones(len(rays), np.bool_), self.steps // 2

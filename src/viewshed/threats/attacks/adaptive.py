@@ -19,9 +19,10 @@ from viewshed.sweep import Sweep
 from viewshed.threats.attacks._search import DRAWN_SHARE, BeamSearchSpace, Candidate, PointSearchSpace, evolution
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
+from viewshed.threats.attacks.ghosts import FarWall
+from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.points import Mode, check_free_budget
 from viewshed.threats.attacks.spoofer import MEASURED_SPOOFER, Spoofer, scene_of
-from viewshed.threats.attacks.wedge_attack import aim_wedge
 from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector
 
 Value = Callable[[Sweep], float]
@@ -154,8 +155,9 @@ class BlackBox(Checked):
         budget: most returns; None for every beam of the wedge.
         queries: most questions to the victim.
         sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle.
+        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.
         aim_m: obstacles nearer than this are aimed at.
+        placement: how that is aimed, see :class:`WedgeAttack`.
         mode: ``beam_constrained`` or ``free_form``.
         method: ``evolution`` or ``random``.
         samples: draws of the noise over which a plan's worth is averaged; each is a question.
@@ -168,6 +170,7 @@ class BlackBox(Checked):
     sector_deg: Sector = 30.0
     azimuth: Azimuth = None
     aim_m: Range = 25.0
+    placement: Placement = "random"
     mode: Mode = "beam_constrained"
     method: Method = "evolution"
     samples: Annotated[int, Between(1, 1000)] = 1
@@ -183,7 +186,8 @@ class BlackBox(Checked):
 
     def search(self, sweep: Sweep, rng: np.random.Generator) -> SearchResult:
         """Return the attacked sweep with what it is worth and what it cost to find."""
-        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        aimed = FarWall(self.budget, self.sector_deg, self.azimuth, self.placement, near_m=self.aim_m)
+        wedge = aimed.aim(sweep, rng)
         value_of = self.objective.on(sweep, wedge)
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
         space = self._space(sweep, wedge)

@@ -69,6 +69,11 @@ class FarWall(WedgeAttack):
         """Obstacles nearer than this are aimed at."""
         return self.near_m
 
+    @property
+    def reach_m(self) -> float:
+        """Ground up to the wall can be opened."""
+        return self.far_m
+
     def plan(self, sweep: Sweep, rays: Rays, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
         """Return the beams that hit near obstacles, with what an empty street would report where that is farther."""
         near = is_obstacle(sweep, rays) & (rays.depth_m < self.near_m)
@@ -92,6 +97,8 @@ class RemovalAndFarWall(WedgeAttack):
     def aim_m(self) -> float:
         """Obstacles nearer than this are aimed at."""
         return self.far_m
+
+    reach_m = aim_m
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""

@@ -19,6 +19,7 @@ from viewshed.threats.attacks.assembly import add_points, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed.threats.attacks.spoofer import (
+    FULL_CIRCLE,
     LEAVE,
     MEASURED_SPOOFER,
     Box,
@@ -43,8 +44,6 @@ Mode = Literal["free_form", "beam_constrained"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 Side = Literal["behind", "before"]
-
-FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
 
 HEIGHTS_M = (0.2, 1.8)
 """Free points lie between these heights above the ground."""

@@ -17,8 +17,8 @@ from viewshed.threats.attacks.assembly import COLUMNS, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed.threats.attacks.ghosts import CAR_M, GhostCar
-from viewshed.threats.attacks.points import FULL_CIRCLE, Mode
-from viewshed.threats.attacks.spoofer import MEASURED_SPOOFER, NO_RETURN, NOISELESS_SPOOFER, Spoofer
+from viewshed.threats.attacks.points import Mode
+from viewshed.threats.attacks.spoofer import FULL_CIRCLE, MEASURED_SPOOFER, NO_RETURN, NOISELESS_SPOOFER, Spoofer
 from viewshed.threats.parameters import Angle, Ascending, Between, Budget, Checked, Sector
 
 Anchor = Literal["world", "sensor"]

@@ -36,6 +36,8 @@ FINGERPRINT_RELIABILITY = 0.02
 LEAVE, NO_RETURN = np.nan, np.inf
 """Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
 
+FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
+
 _MAX_RANGE_M = 100.0
 """How far a sensor is taken to see that is not known."""
 
