@@ -32,13 +32,18 @@ _ONE_OBSTACLE_M = 1.0
 """Obstacles of neighboring bins whose nearest ranges differ by no more belong together."""
 
 
+_MUCH = 0.5
+"""Share of the largest hidden area of any bin from which on an obstacle hides much."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenGround:
     """What near obstacles hide, by bins of azimuth in the sensor's frame, the first from -π on.
 
     Attributes:
         area_m2: (BINS,) float64 ground behind them at which beams aim and which none reaches.
-        nearest_m: (BINS,) float64 horizontal range of the nearest one, infinite where none hides anything.
+        nearest_m: (BINS,) float64 horizontal range of the nearest one, infinite where they hide little: less than half
+            of what they hide in the bin where they hide most. A post is no place to hide behind.
         beams: (BINS,) int64 returns from them, which an attacker must move to open it.
     """
 
@@ -62,7 +67,7 @@ class HiddenGround:
         return np.asarray(area_m2.sum(axis=1))
 
     def behind_nearest(self) -> int:
-        """Return the bin in which the nearest obstacle that hides anything hides the most ground."""
+        """Return the bin in which the nearest obstacle that hides much hides the most ground."""
         first = int(np.argmin(self.nearest_m))
         bins = [first]
         for way in (1, -1):
@@ -129,5 +134,5 @@ def hidden_ground_of(sweep: Sweep, near_m: float, reach_m: float) -> HiddenGroun
     area_m2 = (hidden * (ranges * step_m * (2 * np.pi / BINS))[:, None]).sum(axis=0)
     nearest_m = np.full(BINS, np.inf)
     np.minimum.at(nearest_m, bins[blocks], range_m[blocks])
-    nearest_m[area_m2 == 0.0] = np.inf
+    nearest_m[area_m2 < _MUCH * area_m2.max()] = np.inf
     return HiddenGround(area_m2, nearest_m, np.bincount(bins[blocks], minlength=BINS))
