@@ -31,13 +31,13 @@ _UNEVEN_M, _SHORT_M, _SHORT_SHARE = np.float32(0.08), np.float32(0.5), np.float3
 
 Floats = NDArray[np.float32]
 
-SURE = 0.85
+SURE = np.float32(0.85)
 """Share of returns from which on ground at a range is sure to return; a beam that does not was swallowed."""
 
-GAP_M = 5.0
+GAP_M = np.float32(5.0)
 """A surface goes on behind missing beams over a gap of at most this: a shop window, a black car."""
 
-SURE_GAP_M = 0.6
+SURE_GAP_M = np.float32(0.6)
 """Over a gap of at most this it surely does; a wider one may be a window that beams pass."""
 
 ISOLATED_M = 35.0
@@ -54,14 +54,9 @@ _QUANTILE = 0.8
 
 
 class GroundFrame(NamedTuple):
-    """Where a square lattice of ground heights lies about the sensor; all float32.
+    """Where a square lattice of ground heights lies about the sensor, in float32 meters and its own axes.
 
-    Attributes:
-        half: half its side in meters.
-        middle_x: of its middle from the sensor, in its axes.
-        middle_y: see ``middle_x``.
-        cos: of the sensor's yaw in its axes.
-        sin: see ``cos``.
+    Half its side, its middle from the sensor, and cosine and sine of the sensor's yaw.
     """
 
     half: np.float32
@@ -98,17 +93,11 @@ class Limits(NamedTuple):
         reach: maximum range.
         nearest: minimum range.
         band: width of a band of ranges.
-        sure: share of returns from which a return is sure.
-        gap: widest gap in a surface that likely goes on behind it.
-        sure_gap: widest gap in a surface that surely goes on behind it.
     """
 
     reach: np.float32
     nearest: np.float32
     band: np.float32
-    sure: np.float32
-    gap: np.float32
-    sure_gap: np.float32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +153,7 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     ring_share = np.asarray((depth > 0).mean(axis=0), np.float32)
     evidence = Evidence(depth, to_ground, thing, lost, _ground_share(depth, to_ground, thing, reach, band), ring_share)
     nearest = 0.0 if image.model is None else image.model.min_range_m
-    limits = Limits(reach, np.float32(nearest), band, np.float32(SURE), np.float32(GAP_M), np.float32(SURE_GAP_M))
+    limits = Limits(reach, np.float32(nearest), band)
     depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)
     end_beams(evidence, limits, depths, kinds)
     return BeamEnds(depths[0], depths[1], depths[2], thing, kinds)
@@ -309,18 +298,18 @@ def _end_missing_beam(evidence: Any, limits: Any, c: Any, r: Any) -> Any:  # pra
     # The neighbors on both sides met one surface: a window, a black car.
     wide = np.float32(0.5) * (left + right)
     gap = np.float32((gap_left + gap_right) * (2 * np.pi / depth.shape[0])) * wide
-    across, along = _one_surface(left, right) & (gap < limits.gap), _one_surface(up, down)
+    across, along = _one_surface(left, right) & (gap < GAP_M), _one_surface(up, down)
     if across or along:
         best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR, g)
-        certain = across and gap < limits.sure_gap
+        certain = across and gap < SURE_GAP_M
         return best, best, best if certain else g, SURFACE
     # Between two things, in a ring that nearly always returns: one of them, or what lies between.
-    if left > 0 and right > 0 and evidence.ring_share[r] > limits.sure:
+    if left > 0 and right > 0 and evidence.ring_share[r] > SURE:
         return min(wide, g), min(near, g), g, SURFACE
     # Ground so near always returns, so something swallowed the beam; one or two lost amid ground are only lost.
     alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
     shares = evidence.ground_share
-    expected = g < limits.reach and shares[min(int(g / limits.band), shares.shape[0] - 1)] > limits.sure
+    expected = g < limits.reach and shares[min(int(g / limits.band), shares.shape[0] - 1)] > SURE
     if expected and not alone:
         best = near if near < g else none
         return best, best, g, SWALLOWED

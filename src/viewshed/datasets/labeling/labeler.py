@@ -23,9 +23,10 @@ from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import EGO_BOX_M, EGO_HEIGHTS_M, LeveledSweep, level
-from viewshed.sim.truth.beam_lines import BeamLines, stops_on_surfaces
-from viewshed.sim.truth.count import count_targets, states_of_cells
+from viewshed.sim.truth.beam_lines import BeamLines
+from viewshed.sim.truth.count import count_targets, reached_and_states
 from viewshed.sim.truth.definitions import BLOCKS, RETURNS, stop_limits
+from viewshed.sim.truth.exact import MAX_BINS
 from viewshed.sweep import Sweep
 
 Floats = NDArray[np.float32]
@@ -38,11 +39,6 @@ DEFINITIONS: tuple[Definition, ...] = ("probe", "farthest", "first_blocker")
 """For which of them a label can say where it is known; it holds the masks of all."""
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
-
-MAX_BINS = 1080
-"""Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
-
-SURFACE_FROM_M = 0.2
 
 MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""
@@ -144,23 +140,11 @@ class _Labeling:
         grid = self.rules.grid
         ground = self.patch.at(grid.centers.reshape(-1, 2))
         lines = self._lines(self.ends.best_m)
-        counts = count_targets(lines, grid, ground, TARGETS)
-        reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
         things = self._things()
-        surface = self._surface(lines, ground, things)
-        state = {
-            target.name: states_of_cells(*counts[target.name], surface[target.name], target).reshape(grid.shape)
-            for target in TARGETS
-        }
+        reached, state = reached_and_states(lines, things.reshape(-1), ground, grid, TARGETS)
         definitions, returned = self._definitions(lines, things)
         known = self._sure(reached, ground) if self.rules.definition == "probe" else returned
         return Truth(grid, reached, state, definitions), known & ~self._own()
-
-    def _surface(self, lines: BeamLines, ground: Floats, things: Mask) -> dict[str, Mask]:
-        """Return by target the cells (cells²,) with a stop on a thing between 0.2 m and its top above the ground."""
-        tops = np.array([target.height_m for target in TARGETS], np.float32)
-        marked = stops_on_surfaces(lines, things.reshape(-1), ground, self.rules.grid, SURFACE_FROM_M, tops)
-        return dict(zip((target.name for target in TARGETS), marked, strict=True))
 
     def _lines(self, depth_m: Floats) -> BeamLines:
         """Return the beams of the sweep, which ended at depths (C, R)."""

@@ -17,7 +17,7 @@ from viewshed._numba import atan2
 from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.sim.truth.beam_lines import LANES, REACH, SECTORS, BeamLines
+from viewshed.sim.truth.beam_lines import LANES, REACH, SECTORS, BeamLines, stops_on_surfaces
 
 MANY = 255
 """Beams are counted up to here."""
@@ -46,7 +46,12 @@ _PI = np.float32(np.pi)
 
 FREE, SURFACE, HIDDEN, UNKNOWN = (np.uint8(CellState[name]) for name in ("FREE", "SURFACE", "HIDDEN", "UNKNOWN"))
 
+SURFACE_FROM_M = 0.2
+"""Stops on things from this height above local ground on make a cell a surface."""
+
 Floats = NDArray[np.float32]
+
+ByTarget = dict[str, NDArray[np.uint8]]
 
 Mask = NDArray[np.bool_]
 
@@ -150,13 +155,28 @@ def count_targets(
     return {a.name: (aimed_a, reached_a), b.name: (aimed_b, reached_b)}
 
 
-def states_of_cells(
-    aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, target: Target
-) -> NDArray[np.uint8]:
-    """Return states (cells²,) by how many beams aim at the target and reach it, and where a surface stands."""
-    least = min(target.min_returns, MANY)
-    visible = np.where(surface, SURFACE, FREE)
-    return np.where(reached >= least, visible, np.where(aimed >= least, HIDDEN, UNKNOWN))
+def reached_and_states(
+    lines: BeamLines, blocks: NDArray[Any], ground: Floats, grid: BevGrid, targets: tuple[Target, ...]
+) -> tuple[ByTarget, ByTarget]:
+    """Return by target how many beams reach it, up to 255, and states (cells, cells) uint8.
+
+    ``blocks`` (C·R,) says which beams stopped on a thing; ``ground`` (cells²,) is z from the sensor.
+    """
+    tops = np.array([target.height_m for target in targets], np.float32)
+    surfaces = stops_on_surfaces(lines, blocks, ground, grid, SURFACE_FROM_M, tops)
+    surface = dict(zip((target.name for target in targets), surfaces, strict=True))
+    reached: ByTarget = {}
+    state: ByTarget = {}
+    for k in range(0, len(targets), 2):  # two at a time
+        pair = (targets[k], targets[min(k + 1, len(targets) - 1)])
+        counts = count_targets(lines, grid, ground, pair)
+        for target in pair:
+            least = min(target.min_returns, MANY)
+            aimed, reaching = counts[target.name]
+            visible = np.where(surface[target.name], SURFACE, FREE)
+            states = np.where(reaching >= least, visible, np.where(aimed >= least, HIDDEN, UNKNOWN))
+            reached[target.name], state[target.name] = reaching.reshape(grid.shape), states.reshape(grid.shape)
+    return reached, state
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
