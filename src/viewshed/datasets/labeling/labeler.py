@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
-from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, well_spaced
-from viewshed.datasets.labeling.ground_map import Lows, Patch, lows_of, patch_of
+from viewshed.datasets.labeling.beam_image import BeamImage, beam_image
+from viewshed.datasets.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
+from viewshed.datasets.labeling.motion import Drift, Moment, drift_of, well_spaced
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
@@ -81,7 +82,7 @@ class Rules:
     @property
     def node_m(self) -> float:
         """Side of the nodes on which ground is kept: 1 m on roads."""
-        return self.grid.half_extent_m / 64
+        return self.grid.half_extent_m / NODES_PER_HALF
 
 
 def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
