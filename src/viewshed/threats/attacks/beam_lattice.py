@@ -69,9 +69,9 @@ class BeamLattice:
         ring starts at the sensor itself.
         """
         ring, column = self.ring[row], self.firing.column[row]
-        lift_m = np.where(ring >= 0, self.origin_m[ring], 0.0)
-        start_m = self.firing.shift_m[column] + self.firing.turn[column, :, 2] * lift_m[:, None]
-        return start_m, *_towards(points[row] - start_m)
+        lift_m = np.where(ring >= 0, self.origin_m[ring], 0.0)[:, None]
+        start_m = np.take(self.firing.shift_m, column, 0) + np.take(self.firing.turn[:, :, 2], column, 0) * lift_m
+        return start_m, *_towards(np.take(points, row, 0) - start_m)
 
     def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[Floats, Floats]:
         """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
@@ -251,7 +251,8 @@ def _returned_rays(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.in
 
 def _towards(reach: Floats) -> tuple[Floats, Floats]:
     """Return unit directions (K, 3) and lengths (K,) of vectors (K, 3)."""
-    depth_m = np.sqrt((reach * reach).sum(axis=1))
+    x, y, z = reach.T
+    depth_m = np.sqrt(x * x + y * y + z * z)
     return reach / np.maximum(depth_m, 1e-9)[:, None], depth_m
 
 
@@ -272,10 +273,9 @@ def _pixel_rows(
     """
     known = np.flatnonzero(ring >= 0)
     pixel = ring[known].astype(np.intp) * shape[1] + column[known]
-    pixel, first, count = np.unique(pixel, return_index=True, return_counts=True)
-    rows, several = np.full(shape, -1, np.int32), np.zeros(shape, np.bool_)
-    rows.flat[pixel], several.flat[pixel] = known[first], count > 1
-    return rows, several
+    rows = np.full(shape, -1, np.int32)
+    rows.reshape(-1)[pixel[::-1]] = known[::-1]  # of several rows of a pixel the last that is written stays: the first
+    return rows, (np.bincount(pixel, minlength=rows.size) > 1).reshape(shape)
 
 
 def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings: bool) -> Mask:
