@@ -23,7 +23,7 @@ from viewshed.grid import BevGrid
 from viewshed.threats.attacks import Attack, Tampered, Wedge
 from viewshed.threats.attacks._gradient import WhiteBox
 from viewshed.threats.attacks.adaptive import BlackBox, Evade, Objective, OverClaim, UnderClaim, cells_in
-from viewshed.threats.attacks.ghosts import FarWall, RemovalAndFarWall, aim_wedge
+from viewshed.threats.attacks.ghosts import FarWall, RemovalAndFarWall
 from viewshed.threats.defenses import DEFENSES
 
 BUDGET, QUERIES, SECTOR_DEG, STEPS = 150, 200, 30.0, 80
@@ -108,7 +108,7 @@ def measured(name: str, victim: FovEstimator, scenes: list[Scene]) -> Sums:
     """Return what one way achieves against one victim."""
     sums = Sums()
     for number, scene in enumerate(scenes):
-        wedge = aim_wedge(scene.sweep, None, SECTOR_DEG, 25.0, _rng(number, 0))
+        wedge = FarWall(sector_deg=SECTOR_DEG).aim(scene.sweep, _rng(number, 0))
         attack = _way(name, victim, wedge.azimuth)
         start = time.perf_counter()
         if isinstance(attack, BlackBox):
@@ -171,7 +171,7 @@ def _evading(scenes: list[Scene]) -> list[list[str]]:
                 "over-claim, unnoticed by radius": Evade(OverClaim(victim), lambda s: radius.apply(s).score, limit),
                 "under-claim": UnderClaim(victim),
             }
-            wedge = aim_wedge(scene.sweep, None, SECTOR_DEG, 25.0, _rng(number, 0))
+            wedge = FarWall(sector_deg=SECTOR_DEG).aim(scene.sweep, _rng(number, 0))
             found = BlackBox(aims[aim_name], BUDGET, QUERIES, azimuth=wedge.azimuth).search(scene.sweep, _rng(number))
             values.append(found.value)
             scores.append(radius.apply(found.tampered.sweep).score / limit)

@@ -102,6 +102,8 @@ def test_an_attacker_who_adapts_asks_the_victim(
     (["--attack", "uniform", "--budget", "full"], "budget must be a number for uniform"),
     (["--attack", "relay", "--budget", "ten"], "budget must be a whole number of returns or full, got 'ten'"),
     (["--attack", "relay", "--mode", "free_form"], "leave mode out"),
+    (["--attack", "ghost_wall", "--placement", "random"], "leave placement out"),
+    (["--attack", "relay", "--placement", "best"], "placement must be one of random, behind_nearest_obstacle, largest"),
     (["--attack", "relay", "--victim", "shadow_map"], "--victim goes with adaptive_over_claim"),
     (["--attack", "adaptive_over_claim", "--victim", "oracle"], "method must be one of continuous, .*, got 'oracle'"),
     (["--attack", "adaptive_over_claim_free", "--budget", "full"], "for free points, got 1000000000"),

@@ -203,6 +203,7 @@ def test_recordings_and_files_have_no_truth(tmp_path: Path) -> None:
     (lambda: AttackPlan("paper", 100), "attack paper draws its own points"),
     (lambda: AttackPlan("relay", mode="free_form"), "attack relay must be left in its own mode, got 'free_form'"),
     (lambda: AttackPlan("cluster", mode="both"), "mode must be one of free_form, beam_constrained, got 'both'"),
+    (lambda: AttackPlan("paper", placement="random"), "leave budget, mode and placement out"),
     (lambda: AttackPlan("far_wall", -3), "budget must be a whole number of returns"),
     (lambda: CorruptionPlan("hail"), "corruption must be one of rain, .*, got 'hail'"),
     (lambda: CorruptionPlan("rain", 6), "severity must be a whole number from 1 to 5, got 6"),

@@ -28,6 +28,12 @@ def attack(
     out: Out,
     budget: Annotated[str | None, typer.Option(help="Most returns, or full; the attack's own if not given.")] = None,
     mode: Annotated[str | None, typer.Option(help="free_form or beam_constrained, where an attack has both.")] = None,
+    placement: Annotated[
+        str | None,
+        typer.Option(
+            help="random, behind_nearest_obstacle or largest_hidden_area, where an attack aims a wedge at obstacles."
+        ),
+    ] = None,
     victim: Annotated[
         str | None, typer.Option(help="Estimator that an attacker who adapts asks; shadow_map if not given.")
     ] = None,
@@ -45,13 +51,16 @@ def attack(
 
     Example: viewshed attack sweeps --attack far_wall --budget 150 --out attacked
     """
-    _attack_plan(attack, budget, mode, victim, options.parse_grid(grid))  # refuses what cannot be before SRC is read
+    chosen = (attack, budget, mode, placement, victim)
+    _attack_plan(*chosen, options.parse_grid(grid))  # refuses what cannot be before SRC is read
     sweeps = _opened(sources, split, grid, sensor)
-    plan = _attack_plan(attack, budget, mode, victim, sweeps.layout.grid)
+    plan = _attack_plan(*chosen, sweeps.layout.grid)
     _run(sweeps, plan, _Output(sources, out, seed), engine, workers)
 
 
-def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str | None, grid: BevGrid) -> AttackPlan:
+def _attack_plan(
+    attack: str, budget: str | None, mode: str | None, placement: str | None, victim: str | None, grid: BevGrid
+) -> AttackPlan:
     from viewshed.datasets.tampered import AttackPlan
     from viewshed.threats.attacks.adaptive import ADAPTIVE
 
@@ -59,9 +68,10 @@ def _attack_plan(attack: str, budget: str | None, mode: str | None, victim: str 
     if attack not in ADAPTIVE:
         if victim is not None:
             raise ValueError(f"--victim goes with {', '.join(ADAPTIVE)}, got {attack}")
-        return AttackPlan(attack, returns, mode, half_m)
+        return AttackPlan(attack, returns, mode, half_m, placement)
     name = victim or "shadow_map"
-    return AttackPlan(attack, returns, mode, half_m, name, options.NetworkOptions().estimator(name, grid, "car"))
+    estimator = options.NetworkOptions().estimator(name, grid, "car")
+    return AttackPlan(attack, returns, mode, half_m, placement, name, estimator)
 
 
 def corrupt(

@@ -201,11 +201,12 @@ class AttackPlan:
         budget: most returns; None is the attack's own.
         mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
         half_extent_m: half the side of the victim's grid.
+        placement: one of ``Placement``; None is the attack's own.
         victim: name of the estimator that an attacker who adapts asks.
         estimator: that estimator.
 
     Raises:
-        ValueError: there is no such attack, or it has no such budget or mode.
+        ValueError: there is no such attack, or it has no such budget, mode or placement.
     """
 
     command: ClassVar[str] = "attack"
@@ -214,6 +215,7 @@ class AttackPlan:
     budget: int | None = None
     mode: str | None = None
     half_extent_m: float = 64.0
+    placement: str | None = None
     victim: str | None = None
     estimator: FovEstimator | None = None
 
@@ -240,16 +242,19 @@ class AttackPlan:
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "estimator"}
 
     def _made(self, earlier: tuple[Sweep, ...]) -> Attack:
+        chosen = {"mode": self.mode, "placement": self.placement}
+        chosen = {name: value for name, value in chosen.items() if value is not None}
         if self.attack == PAPER:
-            if self.budget is not None or self.mode is not None:
-                raise ValueError("attack paper draws its own points; leave budget and mode out")
+            if self.budget is not None or chosen:
+                raise ValueError("attack paper draws its own points; leave budget, mode and placement out")
             return PAPER_INDOOR_ATTACK if self.half_extent_m <= _ROOM_M else PAPER_ATTACK
         attack: Any = _FACTORIES[self.attack](self.budget, Knowledge(earlier, self.estimator, self.half_extent_m))
-        if self.mode is None:
-            return attack  # type: ignore[no-any-return]
-        if "mode" not in {field.name for field in fields(attack)}:
-            raise ValueError(f"attack {self.attack} must be left in its own mode, got {self.mode!r}; leave mode out")
-        return replace(attack, mode=self.mode)  # type: ignore[no-any-return]
+        for name, value in chosen.items():
+            if name not in {field.name for field in fields(attack)}:
+                raise ValueError(
+                    f"attack {self.attack} must be left in its own {name}, got {value!r}; leave {name} out"
+                )
+        return replace(attack, **chosen)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, SWALLOWED, BeamEnds, beam_ends_of
-from viewshed.datasets.labeling.beam_image import AT_REST, beam_image
+from viewshed.datasets.labeling.beam_image import beam_image
 from viewshed.datasets.labeling.ground_map import lows_of, patch_of
+from viewshed.datasets.labeling.motion import AT_REST
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import level

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from tests.datasets.labeling.scene import MODEL, Shot
 
-from viewshed.datasets.labeling.beam_image import AT_REST, BeamImage, Moment, beam_image, drift_of
+from viewshed.datasets.labeling.beam_image import BeamImage, beam_image
+from viewshed.datasets.labeling.motion import AT_REST, Moment, drift_of
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 

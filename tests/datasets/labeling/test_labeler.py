@@ -5,8 +5,8 @@ import pytest
 from tests.datasets.labeling.scene import GRID, Shot
 
 from viewshed.datasets.labeling import Rules, Track, label_sweep
-from viewshed.datasets.labeling.beam_image import AT_REST
 from viewshed.datasets.labeling.labeler import lows_of_sweep
+from viewshed.datasets.labeling.motion import AT_REST
 from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.grid import polar_of_cells

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from viewshed.datasets.labeling.beam_image import AT_REST, Moment, drift_of, well_spaced
+from viewshed.datasets.labeling.motion import AT_REST, Moment, drift_of, well_spaced
 from viewshed.geometry import Rigid
 
 

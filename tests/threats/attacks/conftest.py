@@ -14,7 +14,7 @@ MODEL = LidarModel("by hand", np.deg2rad(np.linspace(-24.0, 3.0, 28)), 720, max_
 FlatScene = Callable[..., Sweep]
 
 
-def flat(wall_x_m: float = np.inf, pose: Rigid | None = None) -> Sweep:
+def flat(wall_x_m: float = np.inf, pose: Rigid | None = None, wall_y_m: tuple[float, float] = (-4.0, 6.0)) -> Sweep:
     """Flat ground 1.8 m below the sensor and, across y = -4 to 6 m, a wall of 2.5 m at ``wall_x_m``."""
     azimuth = -np.pi + (np.repeat(np.arange(720), 28) + 0.5) * MODEL.azimuth_step
     ring = np.tile(np.arange(28), 720)
@@ -24,7 +24,7 @@ def flat(wall_x_m: float = np.inf, pose: Rigid | None = None) -> Sweep:
     with np.errstate(divide="ignore", invalid="ignore"):
         at_wall = wall_x_m / way[:, 0]
         y, z = at_wall * way[:, 1], at_wall * way[:, 2]
-        hit = (at_wall > 0) & (at_wall < range_m) & (y > -4) & (y < 6) & (z < 2.5 - SENSOR_M)
+        hit = (at_wall > 0) & (at_wall < range_m) & (y > wall_y_m[0]) & (y < wall_y_m[1]) & (z < 2.5 - SENSOR_M)
     range_m = np.where(hit, at_wall, range_m)
     seen = range_m < 60.0
     points = (way[seen] * range_m[seen, None]).astype(np.float32)

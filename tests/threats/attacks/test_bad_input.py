@@ -11,7 +11,7 @@ from viewshed import Sweep, lidar_model
 from viewshed.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Knowledge, Spoofer
 from viewshed.threats.attacks.replay import CoherentPhantom, Replay
 
-MOVE_RETURNS = {"frustum", "frustum_before", "far_wall", "removal", "relay"}
+MOVE_RETURNS = {"frustum", "frustum_before", "far_wall", "far_wall_aimed", "removal", "removal_aimed", "relay"}
 
 
 @pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))
@@ -60,6 +60,7 @@ def test_free_points_need_a_bound(name: str) -> None:
         ("pose_spoof", {"yaw_deg": -1.0}, r"yaw_deg must lie in \[0, 180\], got -1"),
         ("coherent_phantom", {"velocity_mps": (1.0, 0.0)}, "a ghost that moves must have a start, got no first_ns"),
         ("coherent_phantom", {"anchor": "moon"}, "anchor must be one of world, sensor, got 'moon'"),
+        ("far_wall", {"placement": "best"}, "placement must be one of random, .*, largest_hidden_area, got 'best'"),
         ("removal_and_far_wall", {"sector_deg": 0.0}, "sector_deg must lie in"),
     ],
 )

@@ -37,7 +37,7 @@ def _text(value: object) -> str:
 def test_the_table_of_attacks_is_that_of_the_program() -> None:
     found = re.search(r"<!-- attacks.*?-->\n(.*?)\n<!-- end of attacks -->", PAGE.read_text("utf-8"), re.DOTALL)
     assert found is not None
-    assert found[1].strip() == attacks_table(), "python tests/attacks/test_page.py writes it"
+    assert found[1].strip() == attacks_table(), "python tests/threats/attacks/test_page.py writes it"
 
 
 @pytest.mark.slow

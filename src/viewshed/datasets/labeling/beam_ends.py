@@ -31,13 +31,13 @@ _UNEVEN_M, _SHORT_M, _SHORT_SHARE = np.float32(0.08), np.float32(0.5), np.float3
 
 Floats = NDArray[np.float32]
 
-SURE = 0.85
+SURE = np.float32(0.85)
 """Share of returns from which on ground at a range is sure to return; a beam that does not was swallowed."""
 
-GAP_M = 5.0
+GAP_M = np.float32(5.0)
 """A surface goes on behind missing beams over a gap of at most this: a shop window, a black car."""
 
-SURE_GAP_M = 0.6
+SURE_GAP_M = np.float32(0.6)
 """Over a gap of at most this it surely does; a wider one may be a window that beams pass."""
 
 ISOLATED_M = 35.0
@@ -54,14 +54,9 @@ _QUANTILE = 0.8
 
 
 class GroundFrame(NamedTuple):
-    """Where a square lattice of ground heights lies about the sensor; all float32.
+    """Where a square lattice of ground heights lies about the sensor, in float32 meters and its own axes.
 
-    Attributes:
-        half: half its side in meters.
-        middle_x: of its middle from the sensor, in its axes.
-        middle_y: see ``middle_x``.
-        cos: of the sensor's yaw in its axes.
-        sin: see ``cos``.
+    Half its side, its middle from the sensor, and cosine and sine of the sensor's yaw.
     """
 
     half: np.float32
@@ -98,17 +93,11 @@ class Limits(NamedTuple):
         reach: maximum range.
         nearest: minimum range.
         band: width of a band of ranges.
-        sure: share of returns from which a return is sure.
-        gap: widest gap in a surface that likely goes on behind it.
-        sure_gap: widest gap in a surface that surely goes on behind it.
     """
 
     reach: np.float32
     nearest: np.float32
     band: np.float32
-    sure: np.float32
-    gap: np.float32
-    sure_gap: np.float32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,18 +142,18 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     heights, beams = patch.ground.heights_m, (image.origin_m, image.direction)
     cast_to_ground(*beams, image.depth_m, heights, frame, reach, low_m, to_ground, thing)
     # Drops and flakes count as missing where they are many.
-    depth, lost = np.empty_like(to_ground), np.empty(len(to_ground), np.bool_)
-    isolated = drop_isolated(image.depth_m, thing, np.float32(ISOLATED_M), depth)
-    if isolated < ISOLATED_SHARE * np.count_nonzero(thing):
-        depth = image.depth_m
-    else:
+    depth, isolated = image.depth_m, is_isolated(image.depth_m, thing, np.float32(ISOLATED_M))
+    if isolated.sum() >= ISOLATED_SHARE * np.count_nonzero(thing):
+        depth = np.where(isolated, np.float32(0.0), depth)
         cast_to_ground(*beams, depth, heights, frame, reach, low_m, to_ground, thing)
-    empty_columns(depth, lost)
+    # Columns without a return, next to such ones: they were not fired, or not kept.
+    empty = ~(depth > 0).any(axis=1)
+    lost = empty & np.roll(empty, 1) & np.roll(empty, -1)
     band = np.float32(max(image.max_range_m / _BANDS, 1e-3))
     ring_share = np.asarray((depth > 0).mean(axis=0), np.float32)
     evidence = Evidence(depth, to_ground, thing, lost, _ground_share(depth, to_ground, thing, reach, band), ring_share)
     nearest = 0.0 if image.model is None else image.model.min_range_m
-    limits = Limits(reach, np.float32(nearest), band, np.float32(SURE), np.float32(GAP_M), np.float32(SURE_GAP_M))
+    limits = Limits(reach, np.float32(nearest), band)
     depths, kinds = np.empty((3, *to_ground.shape), np.float32), np.empty(to_ground.shape, np.uint8)
     end_beams(evidence, limits, depths, kinds)
     return BeamEnds(depths[0], depths[1], depths[2], thing, kinds)
@@ -174,10 +163,13 @@ def _ground_share(
     depth: Floats, to_ground: Floats, thing: NDArray[np.bool_], reach: np.float32, band: np.float32
 ) -> Floats:
     """Return how often ground returns (bands,), by its range, in the better sectors: others hold windows and cars."""
-    counts = np.zeros((_BANDS, _SECTORS, 2))
-    count_ground(depth, to_ground, thing, band / 2, reach, band, counts)
-    total = counts.sum(axis=-1)
-    share = np.where(total >= _ENOUGH, counts[..., 0] / np.maximum(total, 1), np.nan)
+    missing = depth <= 0
+    column, ring = np.nonzero((band / 2 < to_ground) & (to_ground < reach) & (missing | ~thing))
+    # Beams that met the ground and those that are missing (2, bands, sectors), by range and azimuth of the ground.
+    bands = np.minimum((to_ground[column, ring] / band).astype(np.intp), _BANDS - 1)
+    place = (missing[column, ring] * _BANDS + bands) * _SECTORS + column * _SECTORS // len(depth)
+    met, lost = np.bincount(place, minlength=2 * _BANDS * _SECTORS).reshape(2, _BANDS, _SECTORS)
+    share = np.where(met + lost >= _ENOUGH, met / np.maximum(met + lost, 1), np.nan)
     share[np.isnan(share).all(axis=1), 0] = 0.0
     return np.asarray(np.nanquantile(share, _QUANTILE, axis=1), np.float32)
 
@@ -231,39 +223,6 @@ def cast_to_ground(
             out[column, ring] = depth[column, ring] if returned else min(end, reach)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_ground(
-    depth: Any, to_ground: Any, thing: Any, near: Any, reach: Any, band_m: Any, counts: Any
-) -> None:  # pragma: no cover - compiled
-    """Add to ``counts`` (bands, sectors, 2) the beams that met the ground, and those that are missing, by its range.
-
-    Ranges count from ``near`` to ``reach``; a band is ``band_m`` wide.
-    """
-    columns, rings = depth.shape
-    bands, sectors = counts.shape[:2]
-    for c in range(columns):
-        sector = c * sectors // columns
-        for r in range(rings):
-            g = to_ground[c, r]
-            if near < g < reach:
-                band = min(int(g / band_m), bands - 1)
-                if depth[c, r] <= 0:
-                    counts[band, sector, 1] += 1
-                elif not thing[c, r]:
-                    counts[band, sector, 0] += 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def empty_columns(depth: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Set ``out`` (C,) where no beam of a column and of those next to it returned: they were not fired, or not kept."""
-    columns = depth.shape[0]
-    for c in range(columns):
-        out[c] = True
-        for near in (c - 1, c, (c + 1) % columns):
-            for r in range(depth.shape[1]):
-                out[c] &= depth[near, r] <= 0
-
-
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _next_in_ring(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
     """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
@@ -286,26 +245,22 @@ def _next_in_column(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def drop_isolated(depth: Any, thing: Any, far_m: Any, out: Any) -> Any:  # pragma: no cover - compiled
-    """Fill ``out`` (C, R) with the depths, 0 for returns in the air up to ``far_m`` that fewer than three others share.
+def is_isolated(depth: Any, thing: Any, far_m: Any) -> Any:  # pragma: no cover - compiled
+    """Return which beams (C, R) returned in the air, up to ``far_m``, from where fewer than three others did.
 
-    Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not. Returns how many.
+    Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not.
     """
     columns, rings = depth.shape
-    isolated = 0
+    isolated = np.zeros(depth.shape, np.bool_)
     for c in range(columns):
         for r in range(rings):
             d = depth[c, r]
-            out[c, r] = d
-            if not thing[c, r] or d > far_m:
-                continue
-            near, shared = np.float32(0.3) + np.float32(0.03) * d, 0
-            for k in range(max(r - 2, 0), min(r + 3, rings)):
-                for step in range(-2, 3):
-                    shared += abs(depth[(c + step) % columns, k] - d) < near
-            if shared < 4:
-                out[c, r] = np.float32(0.0)
-                isolated += 1
+            if thing[c, r] and d <= far_m:
+                near, shared = np.float32(0.3) + np.float32(0.03) * d, 0
+                for k in range(max(r - 2, 0), min(r + 3, rings)):
+                    for step in range(-2, 3):
+                        shared += abs(depth[(c + step) % columns, k] - d) < near
+                isolated[c, r] = shared < 4
     return isolated
 
 
@@ -343,18 +298,18 @@ def _end_missing_beam(evidence: Any, limits: Any, c: Any, r: Any) -> Any:  # pra
     # The neighbors on both sides met one surface: a window, a black car.
     wide = np.float32(0.5) * (left + right)
     gap = np.float32((gap_left + gap_right) * (2 * np.pi / depth.shape[0])) * wide
-    across, along = _one_surface(left, right) & (gap < limits.gap), _one_surface(up, down)
+    across, along = _one_surface(left, right) & (gap < GAP_M), _one_surface(up, down)
     if across or along:
         best = min(wide if across else _FAR, np.float32(0.5) * (up + down) if along else _FAR, g)
-        certain = across and gap < limits.sure_gap
+        certain = across and gap < SURE_GAP_M
         return best, best, best if certain else g, SURFACE
     # Between two things, in a ring that nearly always returns: one of them, or what lies between.
-    if left > 0 and right > 0 and evidence.ring_share[r] > limits.sure:
+    if left > 0 and right > 0 and evidence.ring_share[r] > SURE:
         return min(wide, g), min(near, g), g, SURFACE
     # Ground so near always returns, so something swallowed the beam; one or two lost amid ground are only lost.
     alone = (gap_left + gap_right <= 3) & (left == _GROUND) & (right == _GROUND)
     shares = evidence.ground_share
-    expected = g < limits.reach and shares[min(int(g / limits.band), shares.shape[0] - 1)] > limits.sure
+    expected = g < limits.reach and shares[min(int(g / limits.band), shares.shape[0] - 1)] > SURE
     if expected and not alone:
         best = near if near < g else none
         return best, best, g, SWALLOWED

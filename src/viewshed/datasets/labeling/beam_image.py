@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,25 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import atan2
-from viewshed.geometry import Rigid
+from viewshed.datasets.labeling.motion import Drift
 from viewshed.preprocess.no_return import JITTER_COLUMNS
 from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 Floats = NDArray[np.float32]
-
-MAX_GAP_S = 1.5
-"""Poses farther apart than this say nothing about the motion in between."""
-
-MAX_SPEED_MPS = 70.0
-"""Poses that could only be reached faster do not belong together."""
-
-POST_S = 2.0
-"""Sweeps that stand for all are at most so far apart in time."""
-
-_SHORT_S = 0.15
-"""Times are uncertain by so much when speeds are judged."""
 
 _SAMPLED = 4000
 """Returns from which the number of columns is estimated."""
@@ -39,95 +26,6 @@ _NEAR_COLUMNS = 2
 
 _ALMOST = 0.98
 """A likely number of columns that fits so well is taken before a better fit."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Drift:
-    """How a sensor moves about its reference pose, in the axes of its ``level`` frame.
-
-    Attributes:
-        velocity_mps: (3,) float64.
-        yaw_rate: radians a second, counter-clockwise from above.
-    """
-
-    velocity_mps: NDArray[np.float64]
-    yaw_rate: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moment:
-    """Where a sensor was, and when.
-
-    Attributes:
-        world_from_sensor: its pose, or None.
-        t_ns: its time, or None.
-    """
-
-    world_from_sensor: Rigid | None
-    t_ns: int | None
-
-    def seconds_to(self, other: Moment) -> float:
-        """Return the seconds from this moment to another; 0 where a time is not known."""
-        return 0.0 if self.t_ns is None or other.t_ns is None else (other.t_ns - self.t_ns) * 1e-9
-
-    def meters_to(self, other: Moment) -> float:
-        """Return the meters to another; infinite where a pose is not known."""
-        if self.world_from_sensor is None or other.world_from_sensor is None:
-            return float("inf")
-        return float(np.linalg.norm(other.world_from_sensor.translation - self.world_from_sensor.translation))
-
-
-AT_REST = Drift(np.zeros(3), 0.0)
-"""No motion, or none that is known."""
-
-
-def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
-    """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known.
-
-    >>> pose = Rigid.from_yaw(np.pi / 2)
-    >>> later = Moment(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
-    >>> drift_of(None, Moment(pose, 0), later).velocity_mps.round(6).tolist()
-    [20.0, 0.0, 0.0]
-    """
-    posed = [one for one in (before, now, after) if one is not None and one.world_from_sensor is not None]
-    pose = now.world_from_sensor
-    if pose is None or len(posed) < 2 or not _reachable(posed[0], posed[-1]):
-        return AT_REST
-    first, last = posed[0].world_from_sensor, posed[-1].world_from_sensor
-    seconds = posed[0].seconds_to(posed[-1])
-    if first is None or last is None or not 1e-3 < seconds <= 2 * MAX_GAP_S:
-        return AT_REST
-    turned = Rigid(last.rotation @ first.rotation.T, np.zeros(3)).yaw
-    velocity = (last.translation - first.translation) / seconds
-    return Drift(velocity @ Rigid.from_yaw(pose.yaw).rotation, turned / seconds)
-
-
-def _reachable(one: Moment, other: Moment) -> bool:
-    return one.meters_to(other) <= MAX_SPEED_MPS * max(abs(one.seconds_to(other)), _SHORT_S)
-
-
-def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
-    """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
-
-    Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
-
-    >>> at = [Moment(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
-    >>> well_spaced(at, 2.0)
-    [0, 2, 4]
-    """
-    posts: list[int] = []
-    last: Moment | None = None
-    for place, moment in enumerate(moments):
-        if moment is None or moment.world_from_sensor is None:
-            continue
-        if last is None or (_reachable(last, moment) and _apart(last, moment, spacing_m)):
-            posts.append(place)
-            last = moment
-    return posts
-
-
-def _apart(one: Moment, other: Moment, spacing_m: float) -> bool:
-    return one.meters_to(other) >= spacing_m or one.seconds_to(other) >= POST_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,13 +75,14 @@ def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drif
     column, phase = _columns(azimuth, columns)
     pixels = np.full((columns, len(elevation)), -1, np.int32)
     assign_pixels(rings.ring, column, length, pixels)
-    step, times = np.float32(2 * np.pi / columns), mean_times(column, seconds, columns)
+    step, times = np.float32(2 * np.pi / columns), _mean_times(column, seconds, columns)
     # Every beam: the returns, and the pattern between them.
     origins, directions = np.empty((2, *pixels.shape, 3), np.float32)
     depth = np.empty(pixels.shape, np.float32)
     pattern = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
     fill_image(pixels, start, direction, length, *pattern, *motion, origins, directions, depth)
-    return BeamImage(origins, directions, depth, pixels, _max_range_m(model, length), model)
+    max_range_m = float(length.max(initial=0.0)) if model is None else model.max_range_m
+    return BeamImage(origins, directions, depth, pixels, max_range_m, model)
 
 
 def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[Floats, Floats, Floats]:
@@ -235,10 +134,12 @@ def _columns(azimuth: Floats, columns: int) -> tuple[NDArray[np.int64], float]:
     return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
 
 
-def _max_range_m(model: LidarModel | None, length: Floats) -> float:
-    if model is not None:
-        return model.max_range_m
-    return float(length.max(initial=0.0))
+def _mean_times(column: NDArray[np.int64], seconds: Floats, columns: int) -> Floats:
+    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
+    total, count = np.bincount(column, seconds, columns), np.bincount(column, minlength=columns)
+    last = np.maximum.accumulate(np.where(count > 0, np.arange(columns), -1))
+    last[last < 0] = last[-1]
+    return np.asarray(total / np.maximum(count, 1), np.float32)[last]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -278,12 +179,9 @@ def beams_of_returns(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # pragma: no cover - compiled
-    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other moves to an empty one nearby.
-
-    Returns how many points found none.
-    """
-    spare, spares, lost = np.empty(ring.shape[0], np.int64), 0, 0
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> None:  # pragma: no cover - compiled
+    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other takes an empty one nearby."""
+    spare, spares = np.empty(ring.shape[0], np.int64), 0
     for n in range(ring.shape[0]):
         if ring[n] < 0:
             continue
@@ -295,36 +193,17 @@ def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> Any:  # p
         if nearer:
             pixels[column[n], ring[n]] = n
     for k in range(spares):
-        lost += not _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
-    return lost
+        _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> bool:  # pragma: no cover - compiled
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> None:  # pragma: no cover - compiled
     for step in range(1, JITTER_COLUMNS + 1):
         for side in (-1, 1):
             c = (column + side * step) % pixels.shape[0]
             if pixels[c, ring] < 0:
                 pixels[c, ring] = n
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_times(column: Any, seconds: Any, columns: Any) -> Any:  # pragma: no cover - compiled
-    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
-    total, count = np.zeros(columns, np.float64), np.zeros(columns, np.int64)
-    for n in range(column.shape[0]):
-        total[column[n]] += seconds[n]
-        count[column[n]] += 1
-    out = np.zeros(columns, np.float32)
-    for step in range(2 * columns):
-        c = step % columns
-        if count[c] > 0:
-            out[c] = total[c] / count[c]
-        else:
-            out[c] = out[c - 1]
-    return out
+                return
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
-from viewshed.datasets.labeling.beam_image import BeamImage, Drift, Moment, beam_image, drift_of, well_spaced
-from viewshed.datasets.labeling.ground_map import Lows, Patch, lows_of, patch_of
-from viewshed.fov.estimate import CellState
+from viewshed.datasets.labeling.beam_image import BeamImage, beam_image
+from viewshed.datasets.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
+from viewshed.datasets.labeling.motion import Drift, Moment, drift_of, well_spaced
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import EGO_BOX_M, EGO_HEIGHTS_M, LeveledSweep, level
-from viewshed.sim.truth.beam_lines import BeamLines, stops_on_surfaces
-from viewshed.sim.truth.count import count_targets
+from viewshed.sim.truth.beam_lines import BeamLines
+from viewshed.sim.truth.count import count_targets, reached_and_states
 from viewshed.sim.truth.definitions import BLOCKS, RETURNS, stop_limits
+from viewshed.sim.truth.exact import MAX_BINS
 from viewshed.sweep import Sweep
 
 Floats = NDArray[np.float32]
@@ -39,11 +40,6 @@ DEFINITIONS: tuple[Definition, ...] = ("probe", "farthest", "first_blocker")
 """For which of them a label can say where it is known; it holds the masks of all."""
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
-
-MAX_BINS = 1080
-"""Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
-
-SURFACE_FROM_M = 0.2
 
 MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""
@@ -86,7 +82,7 @@ class Rules:
     @property
     def node_m(self) -> float:
         """Side of the nodes on which ground is kept: 1 m on roads."""
-        return self.grid.half_extent_m / 64
+        return self.grid.half_extent_m / NODES_PER_HALF
 
 
 def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
@@ -145,28 +141,11 @@ class _Labeling:
         grid = self.rules.grid
         ground = self.patch.at(grid.centers.reshape(-1, 2))
         lines = self._lines(self.ends.best_m)
-        counts = _aimed_and_reached(lines, grid, ground)
-        reached = {target.name: counts[target.name][1].reshape(grid.shape) for target in TARGETS}
         things = self._things()
-        surface = self._surface(lines, ground, things)
-        state = {target.name: self._state(*counts[target.name], surface[target.name], target) for target in TARGETS}
+        reached, state = reached_and_states(lines, things.reshape(-1), ground, grid, TARGETS)
         definitions, returned = self._definitions(lines, things)
         known = self._sure(reached, ground) if self.rules.definition == "probe" else returned
         return Truth(grid, reached, state, definitions), known & ~self._own()
-
-    def _state(
-        self, aimed: NDArray[np.uint8], reached: NDArray[np.uint8], surface: Mask, target: Target
-    ) -> NDArray[np.uint8]:
-        state = np.where(aimed >= target.min_returns, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-        state[reached >= target.min_returns] = CellState.FREE
-        state[(reached >= target.min_returns) & surface] = CellState.SURFACE
-        return state.reshape(self.rules.grid.shape)
-
-    def _surface(self, lines: BeamLines, ground: Floats, things: Mask) -> dict[str, Mask]:
-        """Return by target the cells (cells²,) with a stop on a thing between 0.2 m and its top above the ground."""
-        tops = np.array([target.height_m for target in TARGETS], np.float32)
-        marked = stops_on_surfaces(lines, things.reshape(-1), ground, self.rules.grid, SURFACE_FROM_M, tops)
-        return dict(zip((target.name for target in TARGETS), marked, strict=True))
 
     def _lines(self, depth_m: Floats) -> BeamLines:
         """Return the beams of the sweep, which ended at depths (C, R)."""
@@ -213,7 +192,7 @@ class _Labeling:
         for depth in (self.ends.least_m, self.ends.most_m):
             lines = self._lines(depth)
             for height in (ground - wrong, ground + wrong):
-                again = _aimed_and_reached(lines, grid, height, doubtful)[target.name][1]
+                again = count_targets(lines, grid, height, TARGETS, doubtful)[target.name][1]
                 verdicts.append((again >= target.min_returns) == (counts >= target.min_returns))
         sure: Mask = np.all(verdicts, axis=0) | ~doubtful
         return sure.reshape(grid.shape)
@@ -226,15 +205,6 @@ class _Labeling:
         if self.has_vehicle:
             own = own | (np.abs(grid.centers) < np.add(EGO_BOX_M, grid.cell_m / 2)).all(axis=-1)
         return own
-
-
-def _aimed_and_reached(
-    lines: BeamLines, grid: BevGrid, ground: Floats, mask: Mask | None = None
-) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255."""
-    (a, b), counts = count_targets(lines, grid, np.asarray(ground, np.float32), TARGETS, mask)
-    aimed_a, aimed_b, reached_a, reached_b = ((counts >> shift).astype(np.uint8) for shift in (0, 8, 16, 24))
-    return {a.name: (aimed_a, reached_a), b.name: (aimed_b, reached_b)}
 
 
 R = TypeVar("R")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -133,8 +134,10 @@ def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob
         except (ValueError, OSError) as error:
             problems.append(" ".join(str(error).split()))
             continue
-        for track, sensor in enumerate(_sensors(refs)):
-            wanted = len(_refs_to_label(refs, sensor, origin))
+        # Sensors in the order in which they come, and how many of their sweeps are labeled.
+        counts = Counter(dict.fromkeys(((ref.agent, ref.sensor) for ref in refs), 0))
+        counts.update((ref.agent, ref.sensor) for ref in refs if ref.keyframe or origin.every)
+        for track, (sensor, wanted) in enumerate(counts.items()):
             for part, first in zip(count(), range(0, wanted, FRAMES_PER_SHARD)):
                 name = f"{number:04d}-{track:02d}-{part:03d}.parquet"
                 last = min(first + FRAMES_PER_SHARD, wanted)
@@ -158,23 +161,15 @@ def labeled_samples(job: LabelJob, problems: list[str]) -> Iterator[Sample]:
     source = opened(job.origin)
     split = _split(source, job.scene)
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
-    wanted = [place for place, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
+    wanted = [index for index, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
     reader = _Reader(source, job.origin)
     track = Track.of(reader.sweep, refs, job.rules, (wanted[0], wanted[-1] + 1))
-    for place in wanted:
+    for index in wanted:
         try:
-            truth, known = track.label(place)
-            yield Sample(reader.stored(refs[place]), truth, known, job.scene, split)
+            truth, known = track.label(index)
+            yield Sample(reader.stored(refs[index]), truth, known, job.scene, split)
         except (ValueError, OSError) as error:
             problems.append(" ".join(str(error).split()))
-
-
-def _sensors(refs: Any) -> list[tuple[str, str]]:
-    return list(dict.fromkeys((ref.agent, ref.sensor) for ref in refs))
-
-
-def _refs_to_label(refs: Any, sensor: tuple[str, str], origin: Origin) -> list[SweepRef]:
-    return [ref for ref in refs if (ref.agent, ref.sensor) == sensor and (ref.keyframe or origin.every)]
 
 
 def _split(source: SweepSource, scene: str) -> str:

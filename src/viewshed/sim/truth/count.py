@@ -17,7 +17,7 @@ from viewshed._numba import atan2
 from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.sim.truth.beam_lines import LANES, REACH, SECTORS, BeamLines
+from viewshed.sim.truth.beam_lines import LANES, REACH, SECTORS, BeamLines, stops_on_surfaces
 
 MANY = 255
 """Beams are counted up to here."""
@@ -46,7 +46,12 @@ _PI = np.float32(np.pi)
 
 FREE, SURFACE, HIDDEN, UNKNOWN = (np.uint8(CellState[name]) for name in ("FREE", "SURFACE", "HIDDEN", "UNKNOWN"))
 
+SURFACE_FROM_M = 0.2
+"""Stops on things from this height above local ground on make a cell a surface."""
+
 Floats = NDArray[np.float32]
+
+ByTarget = dict[str, NDArray[np.uint8]]
 
 Mask = NDArray[np.bool_]
 
@@ -121,10 +126,8 @@ def patches_of(grid: BevGrid) -> Patches:
 
 def count_targets(
     lines: BeamLines, grid: BevGrid, ground: Floats, targets: tuple[Target, Target], mask: Mask | None = None
-) -> tuple[tuple[Target, Target], NDArray[np.int32]]:
-    """Return the targets, the wider one first, and how many beams aim at and reach them in each cell (cells²,) int32.
-
-    Bytes, the lowest first, up to 255: aimed at the wider, at the narrower, reaching the wider, reaching the narrower.
+) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255.
 
     Args:
         lines: the beams.
@@ -148,15 +151,41 @@ def count_targets(
         patches = Patches(patches.lanes[rows], patches.cells[rows], patches.middles[rows])
     counts = np.zeros(ground.size, np.int32)
     count_cells(lines.sorted, patches, ground, plates, limits, counts)
-    return (a, b), counts
+    aimed_a, aimed_b, reached_a, reached_b = ((counts >> shift).astype(np.uint8) for shift in (0, 8, 16, 24))
+    return {a.name: (aimed_a, reached_a), b.name: (aimed_b, reached_b)}
+
+
+def reached_and_states(
+    lines: BeamLines, blocks: NDArray[Any], ground: Floats, grid: BevGrid, targets: tuple[Target, ...]
+) -> tuple[ByTarget, ByTarget]:
+    """Return by target how many beams reach it, up to 255, and states (cells, cells) uint8.
+
+    ``blocks`` (C·R,) says which beams stopped on a thing; ``ground`` (cells²,) is z from the sensor.
+    """
+    tops = np.array([target.height_m for target in targets], np.float32)
+    surfaces = stops_on_surfaces(lines, blocks, ground, grid, SURFACE_FROM_M, tops)
+    surface = dict(zip((target.name for target in targets), surfaces, strict=True))
+    reached: ByTarget = {}
+    state: ByTarget = {}
+    for k in range(0, len(targets), 2):  # two at a time
+        pair = (targets[k], targets[min(k + 1, len(targets) - 1)])
+        counts = count_targets(lines, grid, ground, pair)
+        for target in pair:
+            least = min(target.min_returns, MANY)
+            aimed, reaching = counts[target.name]
+            visible = np.where(surface[target.name], SURFACE, FREE)
+            states = np.where(reaching >= least, visible, np.where(aimed >= least, HIDDEN, UNKNOWN))
+            reached[target.name], state[target.name] = reaching.reshape(grid.shape), states.reshape(grid.shape)
+    return reached, state
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def count_cells(
     beams: Any, patches: Any, ground: Any, plates: Any, limits: Any, out: Any
 ) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (cells²,) int32, zeros before, with the counts of :func:`count_targets`.
+    """Fill ``out`` (cells²,) int32, zeros before, with counts, each a byte, the lowest first.
 
+    Beams aimed at the wider plate, aimed at the narrower, reaching the wider, reaching the narrower.
     Beams that do not reach are counted as aimed up to the least number that is needed, perhaps not further: then only
     tiles that reach the patch are looked at. ``ground`` (cells²,) is z from the sensor.
     """
@@ -381,17 +410,3 @@ def _rings_of(
             k -= 1
         first, last = min(first, f), max(last, k)
     return first, last
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def states_of_cells(counts: Any, which: Any, surface: Any, least: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (2, cells) uint8 with beams that reach plate ``which`` (0 or 1) and with states.
-
-    ``counts`` are those of ``count_cells``, ``surface`` is where a surface stands, ``least`` how many beams it takes.
-    """
-    shift = 8 * which
-    for n in range(counts.shape[0]):
-        aimed, reached = (counts[n] >> shift) & 255, (counts[n] >> (shift + 16)) & 255
-        visible = SURFACE if surface[n] else FREE
-        out[0, n] = reached
-        out[1, n] = visible if reached >= least else (HIDDEN if aimed >= least else UNKNOWN)

@@ -220,10 +220,3 @@ def _through_gap(table: Any, b: Any, ring: Any, r: Any, foot: Any, cell: Any) ->
     above = ring == rings or table[b, ring, 2] >= r - cell
     below = ring == 0 or int(table[b, ring - 1, 3]) & BLOCKS == 0 or table[b, ring - 1, 2] >= r - cell
     return SIGHT if above and below else 0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def definition_masks(seen: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` (3, cells) bool with what ``see_cells`` found of each definition."""
-    for n in range(seen.shape[0]):
-        out[0, n], out[1, n], out[2, n] = seen[n] & FARTHEST != 0, seen[n] & BLOCKER != 0, seen[n] & SIGHT != 0

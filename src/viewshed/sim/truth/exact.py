@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,50 +11,29 @@ from viewshed.fov.truth import OTHER_DEFINITIONS, Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.sensors import LidarModel
 from viewshed.sim.assets.shapes import REFLECTIVITY, Shape
 from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.truth.beam_lines import BeamLines, stops_on_surfaces
-from viewshed.sim.truth.count import BELOW_GROUND_M, MANY, count_targets, ranges_of, states_of_cells
+from viewshed.sim.truth.beam_lines import BeamLines
+from viewshed.sim.truth.count import BELOW_GROUND_M, ranges_of, reached_and_states
 from viewshed.sim.truth.definitions import (
+    BLOCKER,
     BLOCKS,
+    FARTHEST,
+    SIGHT,
     batches_of,
     beams_of_bins,
-    definition_masks,
     see_cells,
     stop_flags,
     stop_limits,
 )
 from viewshed.sim.world import DECK, GROUND, Agent, World
 
-SURFACE_FROM_M = 0.2
-"""Stops on things from this height above local ground on make a cell a surface."""
-
 MAX_BINS = 1080
 """Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
 
 Mask = NDArray[np.bool_]
-
-CountsByTarget = dict[str, NDArray[np.uint8]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """A scan over a grid, in the axes of the grid, seen from the sensor's reference position.
-
-    Attributes:
-        scan: the scan.
-        grid: the grid.
-        lines: the beams.
-        flags: (C·R,) uint8 what stopped them, see :func:`viewshed.sim.truth.definitions.stop_flags`.
-        ground: (cells²,) float32 z at the centers of the cells.
-    """
-
-    scan: ExactScan
-    grid: BevGrid
-    lines: BeamLines
-    flags: NDArray[np.uint8]
-    ground: NDArray[np.float32]
 
 
 def exact_truth(
@@ -81,31 +59,23 @@ def exact_truth(
     """
     if not targets:
         raise ValueError("targets must be at least one, got none")
+    # To those on an upper level the decks that carry them are the ground.
     if isinstance(world, World):
         terrain = world.ground_of(agent)
         thing = _with_decks_as_ground(scan.thing, world) if terrain is world.upper else scan.thing
     else:
         terrain, thing = world, scan.thing
-    ground, known = _ground(scan, terrain, grid)
-    view = _view(scan, thing, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
-    known &= (ranges_of(grid) > view.lines.offset_m).reshape(grid.shape)
-    if agent is not None and agent.carrier is not None and isinstance(world, World):
-        known &= ~_covered(world.things[agent.carrier].parts, scan.world_from_sensor @ agent.mount.inverse(), view)
-    reached, state = _targets(view, targets)
-    shape = grid.shape
-    truth = Truth(
-        grid,
-        {name: count.reshape(shape) for name, count in reached.items()},
-        {name: values.reshape(shape) for name, values in state.items()},
-        {name: mask.reshape(shape) for name, mask in _definitions(view).items()},
-    )
-    return truth, known
-
-
-def _ground(scan: ExactScan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
-    """Return the ground (cells, cells) at the centers, from the sensor's height, and where there is terrain."""
     centers = grid.centers
-    return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
+    ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
+    ground, pose, vehicle = ground.reshape(-1), scan.world_from_sensor, None if agent is None else agent.carrier
+    # The beams as lines in the axes of the grid, and what stopped them; no thing has the number -3.
+    lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, scan.model.max_range_m, pose.yaw)
+    flags = stop_flags(scan.depth_m, thing, scan.material, -3 if vehicle is None else vehicle, REFLECTIVITY)
+    known &= (ranges_of(grid) > lines.offset_m).reshape(grid.shape)
+    if agent is not None and vehicle is not None and isinstance(world, World):
+        known &= ~_covered(world.things[vehicle].parts, pose @ agent.mount.inverse(), grid, pose)
+    reached, state = reached_and_states(lines, flags & BLOCKS, ground, grid, targets)
+    return Truth(grid, reached, state, _definitions(lines, flags, ground, grid, scan.model)), known
 
 
 def _with_decks_as_ground(thing: NDArray[np.int32], world: World) -> NDArray[np.int32]:
@@ -114,47 +84,21 @@ def _with_decks_as_ground(thing: NDArray[np.int32], world: World) -> NDArray[np.
     return np.where(np.isin(thing, decks), GROUND, thing).astype(np.int32)
 
 
-def _view(scan: ExactScan, thing: NDArray[np.int32], grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
-    """Return the scan over the grid; ``vehicle`` is the thing that carries the sensor, or a number of none."""
-    max_range_m, yaw = scan.model.max_range_m, scan.world_from_sensor.yaw
-    lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, max_range_m, yaw)
-    flags = stop_flags(scan.depth_m, thing, scan.material, vehicle, REFLECTIVITY)
-    return _View(scan, grid, lines, flags, ground.reshape(-1))
-
-
-def _targets(view: _View, targets: tuple[Target, ...]) -> tuple[CountsByTarget, CountsByTarget]:
-    """Return beams that reach, up to 255, and states (cells²,) by target; two targets at a time."""
-    tops = np.array([target.height_m for target in targets], np.float32)
-    surfaces = stops_on_surfaces(view.lines, view.flags & BLOCKS, view.ground, view.grid, SURFACE_FROM_M, tops)
-    surface = dict(zip((target.name for target in targets), surfaces, strict=True))
-    reached, state = {}, {}
-    for k in range(0, len(targets), 2):
-        both = (targets[k], targets[min(k + 1, len(targets) - 1)])
-        pair, counts = count_targets(view.lines, view.grid, view.ground, both)
-        for which, target in enumerate(pair):
-            out = np.empty((2, len(counts)), np.uint8)
-            states_of_cells(counts, which, surface[target.name], min(target.min_returns, MANY), out)
-            reached[target.name], state[target.name] = out
-    return reached, state
-
-
-def _definitions(view: _View) -> dict[str, Mask]:
-    """Return the masks (cells,) of the definitions that others use."""
-    model = view.scan.model
+def _definitions(
+    lines: BeamLines, flags: NDArray[np.uint8], ground: NDArray[np.float32], grid: BevGrid, model: LidarModel
+) -> dict[str, Mask]:
+    """Return the masks (cells, cells) of the definitions that others use."""
     bins = min(model.azimuth_columns, MAX_BINS)
-    limits = stop_limits(view.lines.lines, view.flags, bins)
-    table = beams_of_bins(view.lines.lines, view.lines.azimuth, view.flags, model.rings, bins)
-    seen = np.empty(len(view.ground), np.uint8)
-    high, below, cell = (np.float32(length) for length in (CAR.height_m, BELOW_GROUND_M, view.grid.cell_m))
-    see_cells(limits, table, batches_of(view.grid, bins), view.ground, high, below, cell, seen)
-    out = np.empty((len(OTHER_DEFINITIONS), len(seen)), np.bool_)
-    definition_masks(seen, out)
-    return dict(zip(OTHER_DEFINITIONS, out, strict=True))
+    limits = stop_limits(lines.lines, flags, bins)
+    table = beams_of_bins(lines.lines, lines.azimuth, flags, model.rings, bins)
+    seen = np.empty(grid.shape, np.uint8)
+    high, below, cell = (np.float32(length) for length in (CAR.height_m, BELOW_GROUND_M, grid.cell_m))
+    see_cells(limits, table, batches_of(grid, bins), ground, high, below, cell, seen.reshape(-1))
+    return {name: seen & flag != 0 for name, flag in zip(OTHER_DEFINITIONS, (FARTHEST, BLOCKER, SIGHT), strict=True)}
 
 
-def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, view: _View) -> Mask:
-    """Return which cells (cells, cells) the upright box around a thing's solids touches."""
-    grid, pose = view.grid, view.scan.world_from_sensor
+def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, grid: BevGrid, pose: Rigid) -> Mask:
+    """Return which cells (cells, cells) of a grid at ``pose`` the upright box around a thing's solids touches."""
     low, high = (corner + side * grid.cell_m / 2 for corner, side in zip(_footprint(parts), (-1, 1), strict=True))
     away = float(np.linalg.norm(world_from_thing.translation - pose.translation))
     near = np.flatnonzero(ranges_of(grid) <= away + np.abs([low, high]).sum())

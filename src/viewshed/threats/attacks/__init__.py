@@ -10,22 +10,29 @@ The attacks by name: ``ATTACKS[name](budget)`` makes one; what each is tried wit
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, cast
 
-from viewshed.fov.estimate import FovEstimator
-from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Attack, Tampered, Wedge
+from viewshed.threats.attacks._gradient import Expectation, WhiteBox
+from viewshed.threats.attacks.adaptive import (
+    ADAPTIVE,
+    BlackBox,
+    Evade,
+    Objective,
+    OverClaim,
+    SearchResult,
+    Trip,
+    UnderClaim,
+)
+from viewshed.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
+from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.points import (
     PAPER_ATTACK,
     PAPER_INDOOR_ATTACK,
     Cluster,
     Frustum,
-    Mode,
-    Side,
     Uniform,
     WedgeCluster,
 )
@@ -33,116 +40,78 @@ from viewshed.threats.attacks.removal import HighFrequencyRemoval, Jamming, Phys
 from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed.threats.attacks.spoofer import FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
 
-if TYPE_CHECKING:
-    from viewshed.threats.attacks._gradient import Expectation, WhiteBox
-    from viewshed.threats.attacks.adaptive import (
-        ADAPTIVE,
-        BlackBox,
-        Evade,
-        Objective,
-        OverClaim,
-        SearchResult,
-        Trip,
-        UnderClaim,
-    )
-
+__all__ = [
+    "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
+    "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory",
+    "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
+    "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
+]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
 """A budget that no wedge holds: every beam in it."""
 
-ROAD_EXTENT_M = 64.0
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
-    """What an attacker has beside the sweep that is attacked.
-
-    Attributes:
-        earlier: sweeps of the same sensor before this one, the oldest first; the first is where phantoms appear, the
-            last is what is replayed.
-        estimator: what the victim runs, for attackers that adapt to it.
-        half_extent_m: half the side of the victim's grid; ranges are in proportion to it, 64 m on roads.
-    """
-
-    earlier: tuple[Sweep, ...] = ()
-    estimator: FovEstimator | None = None
-    half_extent_m: float = ROAD_EXTENT_M
-
-    @property
-    def scale(self) -> float:
-        """Ranges of an attack as a multiple of those on roads."""
-        return self.half_extent_m / ROAD_EXTENT_M
-
-
-NOTHING = Knowledge()
-
-
-class AttackFactory(Protocol):
-    """Makes an attack with at most ``budget`` returns; None for the attack's own default."""
-
-    def __call__(self, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-        """Return the attack."""
-        ...
-
-
-def _uniform(budget: int | None, known: Knowledge, mode: Mode) -> Attack:
-    return Uniform(150 if budget is None else budget, known.half_extent_m, mode)
-
-
-def _cluster(budget: int | None, known: Knowledge, mode: Mode) -> Attack:
-    range_m = (10.0 * known.scale, 70.0 * known.scale)
-    return Cluster(150 if budget is None else budget, range_m=range_m, mode=mode)
-
-
-def _wedge_cluster(budget: int | None, known: Knowledge, mode: Mode) -> Attack:
-    return WedgeCluster(100 if budget is None else budget, range_m=10.0 * known.scale, mode=mode)
-
-
-def _frustum(budget: int | None, known: Knowledge, side: Side, mode: Mode = "beam_constrained") -> Attack:
-    k, behind = known.scale, side == "behind"
-    range_m = ((4.0 if behind else 8.0) * k, 40.0 * k)
-    return Frustum(200 if budget is None else budget, side, (8.0 if behind else 4.0) * k, range_m, mode=mode)
-
-
-def _replay(budget: int | None, known: Knowledge) -> Attack:
+def _replay(known: Knowledge) -> Attack:
     if not known.earlier:
         raise ValueError("replay needs an earlier sweep, got none; give Knowledge(earlier=(sweep, …))")
-    return Replay(known.earlier[-1], budget)
+    return Replay(known.earlier[-1])
 
 
-def _coherent_phantom(budget: int | None, known: Knowledge) -> Attack:
+def _coherent_phantom(known: Knowledge) -> Attack:
     first = known.earlier[0] if known.earlier else None
-    pose = None if first is None else first.world_from_sensor
-    range_m, reach_m = max(12.0 * known.scale, 4.0), (3.0, 50.0 * known.scale)
-    return CoherentPhantom(pose, None if first is None else first.t_ns, budget, range_m, reach_m=reach_m)
+    pose, first_ns = (None, None) if first is None else (first.world_from_sensor, first.t_ns)
+    return CoherentPhantom(pose, first_ns, range_m=max(12.0 * known.scale, 4.0), reach_m=(3.0, 50.0 * known.scale))
 
 
-_MAKERS: dict[str, Callable[[int | None, Knowledge], Attack]] = {
-    "uniform": lambda budget, known: _uniform(budget, known, "free_form"),
-    "uniform_on_beams": lambda budget, known: _uniform(budget, known, "beam_constrained"),
-    "cluster": lambda budget, known: _cluster(budget, known, "free_form"),
-    "cluster_on_beams": lambda budget, known: _cluster(budget, known, "beam_constrained"),
-    "wedge_cluster": lambda budget, known: _wedge_cluster(budget, known, "beam_constrained"),
-    "wedge_cluster_free": lambda budget, known: _wedge_cluster(budget, known, "free_form"),
-    "frustum": lambda budget, known: _frustum(budget, known, "behind"),
-    "frustum_before": lambda budget, known: _frustum(budget, known, "before"),
-    "frustum_free": lambda budget, known: _frustum(budget, known, "behind", "free_form"),
-    "ghost_car": lambda budget, known: GhostCar(budget, range_m=max(10.0 * known.scale, 4.0)),
-    "ghost_wall": lambda budget, known: GhostWall(budget, range_m=15.0 * known.scale),
-    "far_wall": lambda budget, known: FarWall(budget, near_m=25.0 * known.scale, far_m=50.0 * known.scale),
-    "removal": lambda budget, known: PhysicalRemoval(budget, aim_m=30.0 * known.scale),
-    "high_frequency_removal": lambda budget, known: HighFrequencyRemoval(budget, aim_m=30.0 * known.scale),
-    "jamming": lambda budget, known: Jamming(budget),
+def _cluster(known: Knowledge) -> Cluster:
+    return Cluster(range_m=(10.0 * known.scale, 70.0 * known.scale))
+
+
+def _frustum(known: Knowledge) -> Frustum:
+    return Frustum(apart_m=8.0 * known.scale, range_m=(4.0 * known.scale, 40.0 * known.scale))
+
+
+_MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
+    "uniform": lambda known: Uniform(half_extent_m=known.half_extent_m),
+    "uniform_on_beams": lambda known: Uniform(half_extent_m=known.half_extent_m, mode="beam_constrained"),
+    "cluster": _cluster,
+    "cluster_on_beams": lambda known: replace(_cluster(known), mode="beam_constrained"),
+    "wedge_cluster": lambda known: WedgeCluster(range_m=10.0 * known.scale),
+    "wedge_cluster_free": lambda known: WedgeCluster(range_m=10.0 * known.scale, mode="free_form"),
+    "frustum": _frustum,
+    "frustum_before": lambda known: Frustum(
+        side="before", apart_m=4.0 * known.scale, range_m=(8.0 * known.scale, 40.0 * known.scale)
+    ),
+    "frustum_free": lambda known: replace(_frustum(known), mode="free_form"),
+    "ghost_car": lambda known: GhostCar(range_m=max(10.0 * known.scale, 4.0)),
+    "ghost_wall": lambda known: GhostWall(range_m=15.0 * known.scale),
+    "far_wall": lambda known: FarWall(near_m=25.0 * known.scale, far_m=50.0 * known.scale),
+    "removal": lambda known: PhysicalRemoval(aim_m=30.0 * known.scale),
+    "high_frequency_removal": lambda known: HighFrequencyRemoval(aim_m=30.0 * known.scale),
+    "jamming": lambda known: Jamming(),
     "replay": _replay,
     "coherent_phantom": _coherent_phantom,
-    "relay": lambda budget, known: Relay(budget, 5.0 * known.scale, aim_m=30.0 * known.scale),
-    "pose_spoof": lambda budget, known: PoseSpoof(0.0, 0.0) if budget == 0 else PoseSpoof(shift_m=known.scale),
-    "removal_and_far_wall": lambda budget, known: RemovalAndFarWall(budget, far_m=50.0 * known.scale),
+    "relay": lambda known: Relay(offset_m=5.0 * known.scale, aim_m=30.0 * known.scale),
+    "pose_spoof": lambda known: PoseSpoof(shift_m=known.scale),
+    "removal_and_far_wall": lambda known: RemovalAndFarWall(far_m=50.0 * known.scale),
+    "far_wall_aimed": lambda known: _aimed("far_wall", known),
+    "removal_aimed": lambda known: _aimed("removal", known),
+    "removal_and_far_wall_aimed": lambda known: _aimed("removal_and_far_wall", known),
 }
 
 
+def _aimed(name: str, known: Knowledge) -> Attack:
+    attack: Any = _MAKERS[name](known)
+    return cast(Attack, replace(attack, placement="largest_hidden_area"))
+
+
 def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    return _MAKERS[name](budget, knowledge)
+    attack: Any = _MAKERS[name](knowledge)
+    if budget is None:
+        return cast(Attack, attack)
+    if name == "pose_spoof":  # touches no return: a budget of 0 is no attack, any other is all of it
+        return PoseSpoof(0.0, 0.0) if budget == 0 else attack
+    return cast(Attack, replace(attack, budget=budget))
 
 
 ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS}
@@ -152,7 +121,8 @@ FAMILY: dict[str, int] = {
     "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,
     "wedge_cluster_free": 3, "frustum": 4, "frustum_before": 4, "frustum_free": 4, "ghost_car": 5, "ghost_wall": 6,
     "far_wall": 7, "removal": 8, "high_frequency_removal": 9, "jamming": 10, "replay": 11, "coherent_phantom": 11,
-    "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14,
+    "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
+    "removal_and_far_wall_aimed": 14,
 }  # fmt: skip
 """The number of the family that each belongs to."""
 
@@ -194,29 +164,3 @@ def at_severity(name: str, attribute: str, value: float, knowledge: Knowledge = 
     """
     attack = PoseSpoof(0.0, 0.0) if name == "pose_spoof" else ATTACKS[name](None, knowledge)
     return cast(Attack, replace(cast(Any, attack), **{attribute: value}))
-
-
-_HOMES = {
-    "ADAPTIVE": "adaptive", "BlackBox": "adaptive", "SearchResult": "adaptive",
-    "Expectation": "_gradient", "WhiteBox": "_gradient",
-    "Evade": "adaptive", "Objective": "adaptive", "OverClaim": "adaptive", "Trip": "adaptive",
-    "UnderClaim": "adaptive",
-}  # fmt: skip
-
-__all__ = [
-    "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
-    "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "SEVERITIES", "Attack", "AttackFactory", "BlackBox", "Evade",
-    "Expectation", "Knowledge", "Objective", "OverClaim", "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim",
-    "Wedge", "WhiteBox", "at_severity",
-]  # fmt: skip
-
-
-def __getattr__(name: str) -> Any:
-    """Import what attackers who adapt need when it is first used; most attacks need none of it."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'viewshed.threats.attacks' has no attribute {name!r}")
-    return getattr(import_module(f"viewshed.threats.attacks.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__

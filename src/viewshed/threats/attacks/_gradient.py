@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from viewshed.threats.attacks.adaptive import SearchResult
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
-from viewshed.threats.attacks.ghosts import aim_wedge
+from viewshed.threats.attacks.ghosts import FarWall
+from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m
-from viewshed.threats.parameters import require, require_sector
+from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector, Share
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ _REFINES = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Expectation:
+class Expectation(Checked):
     """What an attacker averages over, so that a plan survives what cannot be known (Athalye et al. 2018).
 
     Attributes:
@@ -41,18 +42,11 @@ class Expectation:
         shift_m: standard deviation of a shift of the whole cloud, along each level axis.
     """
 
-    samples: int = 8
-    noise_m: float = 0.10
-    lost_share: float = 0.015
-    yaw: float = 0.0
-    shift_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        require("samples", self.samples, 1, 10_000)
-        require("noise_m", self.noise_m, 0.0, 10.0)
-        require("lost_share", self.lost_share, 0.0, 1.0)
-        require("yaw", self.yaw, 0.0, np.pi)
-        require("shift_m", self.shift_m, 0.0, 100.0)
+    samples: Annotated[int, Between(1, 10_000)] = 8
+    noise_m: Annotated[float, Between(0.0, 10.0)] = 0.10
+    lost_share: Share = 0.015
+    yaw: Annotated[float, Between(0.0, np.pi)] = 0.0
+    shift_m: Annotated[float, Between(0.0, 100.0)] = 0.0
 
 
 NO_EXPECTATION = Expectation(1, 0.0, 0.0)
@@ -60,7 +54,7 @@ NO_EXPECTATION = Expectation(1, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WhiteBox:
+class WhiteBox(Checked):
     """Ascends a gradient in the ranges of beams that returned, each along its beam, within what the sensor reports.
 
     First all beams of the wedge move; what each gained is the integral of its slope along its way, by trapezoids. Those
@@ -73,27 +67,23 @@ class WhiteBox:
         steps: half before, half after the choice of beams; the gradient is asked for once more in each half.
         step_m: first step, meters; a beam goes no farther than ``step_m * steps / 4`` before the choice.
         sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle.
+        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.
         aim_m: obstacles nearer than this are aimed at.
+        placement: how that is aimed, see :class:`WedgeAttack`.
         expectation: what is averaged over.
         spoofer: how well the beams are won.
     """
 
     objective: ValueAndGradient
-    budget: int | None = 150
-    steps: int = 80
-    step_m: float = 2.0
-    sector_deg: float = 30.0
-    azimuth: float | None = None
-    aim_m: float = 25.0
+    budget: Budget = 150
+    steps: Annotated[int, Between(2, 100_000)] = 80
+    step_m: Annotated[float, Between(1e-6, 1000.0)] = 2.0
+    sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
+    aim_m: Range = 25.0
+    placement: Placement = "random"
     expectation: Expectation = NO_EXPECTATION
     spoofer: Spoofer = MEASURED_SPOOFER
-
-    def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg)
-        require("steps", self.steps, 2, 100_000)
-        require("step_m", self.step_m, 1e-6, 1000.0)
-        require("aim_m", self.aim_m, 0.5, 1000.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -105,7 +95,8 @@ class WhiteBox:
         Raises:
             ValueError: the objective's gradient does not have the shape of the points, or is not finite.
         """
-        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        aimed = FarWall(self.budget, self.sector_deg, self.azimuth, self.placement, near_m=self.aim_m)
+        wedge = aimed.aim(sweep, rng)
         rays = rays_in(sweep, wedge)
         climb = _Climb(sweep, rays, self.objective, self.expectation, int(rng.integers(2**62)))
         everywhere, first = np.ones(len(rays), np.bool_), self.steps // 2

@@ -90,33 +90,17 @@ class SearchSpace(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BestCandidate:
-    """The best plan that was met.
+class Attempts:
+    """The plans that were tried: the best, what it is worth, and what each was worth, in order.
 
-    Attributes:
-        candidate: the plan, or None where no query was left.
-        value: what it is worth.
-        history: (Q,) what each plan that was tried is worth, in order.
+    Of equals the later is the best, so that a plateau is crossed.
     """
 
-    candidate: Candidate | None
-    value: float
-    history: NDArray[np.float64]
-
-
-class _Attempts:
-    """Counts what is tried and keeps the best; of equals the later, so that a plateau is crossed."""
-
-    def __init__(self, value_of: Callable[[Candidate], float], limit: int) -> None:
-        self._value_of, self._limit = value_of, limit
+    def __init__(self, value_of: Callable[[Candidate], float]) -> None:
+        self._value_of = value_of
         self.candidate: Candidate | None = None
         self.value = -np.inf
         self.history: list[float] = []
-
-    @property
-    def remaining(self) -> int:
-        return self._limit - len(self.history)
 
     def attempt(self, candidate: Candidate) -> bool:
         """Return whether a plan is better than all before."""
@@ -127,36 +111,28 @@ class _Attempts:
             self.candidate, self.value = candidate, value
         return better
 
-    def best(self) -> BestCandidate:
-        return BestCandidate(self.candidate, self.value, np.array(self.history))
-
-
-def random_search(
-    space: SearchSpace, value_of: Callable[[Candidate], float], limit: int, rng: np.random.Generator
-) -> BestCandidate:
-    """Return the best of ``limit`` random draws."""
-    tried = _Attempts(value_of, limit)
-    for number in range(limit):
-        tried.attempt(space.draw(number, rng))
-    return tried.best()
-
 
 def evolution(
-    space: SearchSpace, value_of: Callable[[Candidate], float], limit: int, rng: np.random.Generator
-) -> BestCandidate:
-    """Return the best plan of ``limit``: random draws, then a (1 + λ) evolution strategy with λ = 6 from the best.
+    space: SearchSpace,
+    value_of: Callable[[Candidate], float],
+    limit: int,
+    rng: np.random.Generator,
+    drawn_share: float = DRAWN_SHARE,
+) -> Attempts:
+    """Try ``limit`` plans: a share drawn at random, then a (1 + λ) evolution strategy with λ = 6 from the best.
 
-    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws.
+    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws; with
+    a share of 1 it is a random search.
     """
-    tried, step = _Attempts(value_of, limit), 0.6
-    for number in range(int(np.ceil(DRAWN_SHARE * limit))):
+    tried, step = Attempts(value_of), 0.6
+    for number in range(int(np.ceil(drawn_share * limit))):
         tried.attempt(space.draw(number, rng))
-    while tried.remaining > 0 and tried.candidate is not None:
+    while (left := limit - len(tried.history)) > 0 and tried.candidate is not None:
         parent = tried.candidate
-        children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, tried.remaining))]
+        children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, left))]
         won = [tried.attempt(child) for child in children]
         step = float(np.clip(step * (_GROWS if any(won) else _SHRINKS), *_STEPS))
-    return tried.best()
+    return tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks import NOTHING, AttackFactory, Knowledge
-from viewshed.threats.attacks._search import BeamSearchSpace, Candidate, PointSearchSpace, evolution, random_search
+from viewshed.threats.attacks._search import DRAWN_SHARE, BeamSearchSpace, Candidate, PointSearchSpace, evolution
 from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import Attack, Tampered, Wedge
-from viewshed.threats.attacks.ghosts import aim_wedge
-from viewshed.threats.attacks.points import MODES, MOST_FREE, Mode
+from viewshed.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
+from viewshed.threats.attacks.ghosts import FarWall
+from viewshed.threats.attacks.placement import Placement
+from viewshed.threats.attacks.points import Mode, check_free_budget
 from viewshed.threats.attacks.spoofer import MEASURED_SPOOFER, Spoofer, scene_of
-from viewshed.threats.parameters import require, require_one_of, require_sector
+from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector
 
 Value = Callable[[Sweep], float]
 """From an attacked sweep to what it is worth to the attacker."""
@@ -53,26 +53,30 @@ class OverClaim:
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
         """Return the objective; the victim is asked once."""
-        hidden = ~self.estimator.estimate(clean).visible(self.threshold) & cells_in(self.estimator.grid, clean, wedge)
-        return _Area(self.estimator, hidden, True, self.threshold)
+        return _changed_area(self, clean, wedge, claimed=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UnderClaim:
+class UnderClaim(OverClaim):
     """Area in the wedge, in m², that the victim claimed before and no longer claims under attack.
 
-    Attributes:
-        estimator: what the victim runs.
-        threshold: probability from which a cell is claimed.
+    Its attributes are those of :class:`OverClaim`.
     """
-
-    estimator: FovEstimator
-    threshold: float = THRESHOLD
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
         """Return the objective; the victim is asked once."""
-        seen = self.estimator.estimate(clean).visible(self.threshold) & cells_in(self.estimator.grid, clean, wedge)
-        return _Area(self.estimator, seen, False, self.threshold)
+        return _changed_area(self, clean, wedge, claimed=False)
+
+
+def _changed_area(aim: OverClaim, clean: Sweep, wedge: Wedge, claimed: bool) -> Value:
+    """Return the area in m² of the wedge's cells that become ``claimed`` and were not, for any sweep."""
+    grid = aim.estimator.grid
+
+    def claims(sweep: Sweep) -> NDArray[np.bool_]:
+        return np.asarray(aim.estimator.estimate(sweep).visible(aim.threshold) == claimed)
+
+    others = ~claims(clean) & cells_in(grid, clean, wedge)
+    return lambda sweep: float((others & claims(sweep)).sum()) * grid.cell_area_m2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +95,7 @@ class Trip:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evade:
+class Evade(Checked):
     """Another objective, worth nothing like as much where a monitor's score is above a limit.
 
     Attributes:
@@ -104,29 +108,12 @@ class Evade:
     aim: Objective
     score: Value
     limit: float = 0.0
-    penalty: float = 1e6
-
-    def __post_init__(self) -> None:
-        require("penalty", self.penalty, 0.0, 1e12)
+    penalty: Annotated[float, Between(0.0, 1e12)] = 1e6
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
         """Return the aim less the penalty."""
         aim = self.aim.on(clean, wedge)
         return lambda sweep: aim(sweep) - self.penalty * max(0.0, float(self.score(sweep)) - self.limit)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Area:
-    """Area of some cells, in m², that the victim claims (or does not)."""
-
-    estimator: FovEstimator
-    cells: NDArray[np.bool_]
-    claimed: bool
-    threshold: float
-
-    def __call__(self, sweep: Sweep) -> float:
-        claimed = self.estimator.estimate(sweep).visible(self.threshold)
-        return float((self.cells & (claimed == self.claimed)).sum()) * self.estimator.grid.cell_area_m2
 
 
 def cells_in(grid: BevGrid, sweep: Sweep, wedge: Wedge) -> NDArray[np.bool_]:
@@ -137,8 +124,6 @@ def cells_in(grid: BevGrid, sweep: Sweep, wedge: Wedge) -> NDArray[np.bool_]:
 
 
 Method = Literal["evolution", "random"]
-
-METHODS: tuple[Method, ...] = ("evolution", "random")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +144,7 @@ class SearchResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BlackBox:
+class BlackBox(Checked):
     """Searches for the plan that is worth most, by asking the victim what it makes of attacked sweeps.
 
     Plans are tried with range noise and lost beams as the spoofer has them, drawn once; the attack itself meets other
@@ -170,8 +155,9 @@ class BlackBox:
         budget: most returns; None for every beam of the wedge.
         queries: most questions to the victim.
         sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle.
+        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.
         aim_m: obstacles nearer than this are aimed at.
+        placement: how that is aimed, see :class:`WedgeAttack`.
         mode: ``beam_constrained`` or ``free_form``.
         method: ``evolution`` or ``random``.
         samples: draws of the noise over which a plan's worth is averaged; each is a question.
@@ -179,25 +165,20 @@ class BlackBox:
     """
 
     objective: Objective
-    budget: int | None = 150
-    queries: int = 200
-    sector_deg: float = 30.0
-    azimuth: float | None = None
-    aim_m: float = 25.0
+    budget: Budget = 150
+    queries: Annotated[int, Between(1, 10_000_000)] = 200
+    sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
+    aim_m: Range = 25.0
+    placement: Placement = "random"
     mode: Mode = "beam_constrained"
     method: Method = "evolution"
-    samples: int = 1
+    samples: Annotated[int, Between(1, 1000)] = 1
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg)
-        require("queries", self.queries, 1, 10_000_000)
-        require("aim_m", self.aim_m, 0.5, 1000.0)
-        require("samples", self.samples, 1, 1000)
-        require_one_of("mode", self.mode, MODES)
-        require_one_of("method", self.method, METHODS)
-        if self.mode == "free_form" and (self.budget is None or self.budget > MOST_FREE):
-            raise ValueError(f"budget must lie in [0, {MOST_FREE}] for free points, got {self.budget}")
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -205,13 +186,15 @@ class BlackBox:
 
     def search(self, sweep: Sweep, rng: np.random.Generator) -> SearchResult:
         """Return the attacked sweep with what it is worth and what it cost to find."""
-        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.aim_m, rng)
+        aimed = FarWall(self.budget, self.sector_deg, self.azimuth, self.placement, near_m=self.aim_m)
+        wedge = aimed.aim(sweep, rng)
         value_of = self.objective.on(sweep, wedge)
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
         space = self._space(sweep, wedge)
         limit = max(0, (self.queries - 2) // self.samples)
-        search = evolution if self.method == "evolution" else random_search
-        best = search(space, lambda candidate: self._expected_value(space, candidate, value_of, seed), limit, rng)
+        drawn_share = DRAWN_SHARE if self.method == "evolution" else 1.0
+        worth = partial(self._expected_value, space, value_of=value_of, seed=seed)
+        best = evolution(space, worth, limit, rng, drawn_share)
         history = np.append(nothing, best.history)
         queries = 2 + len(best.history) * self.samples
         if best.candidate is None or best.value <= nothing:

@@ -67,14 +67,9 @@ def add_points(sweep: Sweep, points: NDArray[Any], rng: np.random.Generator) -> 
     if lattice is not None:
         ring, column = lattice.nearest_pixels(points)
     elif sweep.model is not None:
-        ring = np.abs(_elevation(points)[:, None] - sweep.model.elevation).argmin(axis=1)
+        x, y, z = points.T.astype(np.float64)
+        ring = np.abs(np.arctan2(z, np.hypot(x, y))[:, None] - sweep.model.elevation).argmin(axis=1)
     return assemble(sweep, np.zeros(len(sweep), np.bool_), Forged(points, ring, column, none), None, rng)
-
-
-def _elevation(points: NDArray[np.float32]) -> Floats:
-    x, y, z = points.T.astype(np.float64)
-    elevation: Floats = np.arctan2(z, np.hypot(x, y))
-    return elevation
 
 
 def _neighbors(sweep: Sweep, forged: Forged) -> tuple[NDArray[np.intp], Floats]:

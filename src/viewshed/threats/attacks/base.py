@@ -1,4 +1,4 @@
-"""The role of an attack, the sector that it reaches, and its record of what it touched."""
+"""The role of an attack, what the attacker knows and reaches, and the record of what was touched."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fov.estimate import FovEstimator
 from viewshed.sweep import Sweep
+
+ROAD_EXTENT_M = 64.0
+"""Half the side of the grid on roads, for which the ranges of attacks are set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,4 +86,36 @@ class Attack(Protocol):
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """What an attacker has beside the sweep that is attacked.
+
+    Attributes:
+        earlier: sweeps of the same sensor before this one, the oldest first; the first is where phantoms appear, the
+            last is what is replayed.
+        estimator: what the victim runs, for attackers that adapt to it.
+        half_extent_m: half the side of the victim's grid; ranges are in proportion to it, 64 m on roads.
+    """
+
+    earlier: tuple[Sweep, ...] = ()
+    estimator: FovEstimator | None = None
+    half_extent_m: float = ROAD_EXTENT_M
+
+    @property
+    def scale(self) -> float:
+        """Ranges of an attack as a multiple of those on roads."""
+        return self.half_extent_m / ROAD_EXTENT_M
+
+
+NOTHING = Knowledge()
+
+
+class AttackFactory(Protocol):
+    """Makes an attack with at most ``budget`` returns; None for the attack's own default."""
+
+    def __call__(self, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+        """Return the attack."""
         ...

@@ -63,12 +63,15 @@ class BeamLattice:
     seam: int
 
     def of_returns(self, points: NDArray[np.float32], row: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
-        """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns."""
-        firing, axis = self.firing, np.ascontiguousarray(self.firing.turn[:, :, 2])
-        beams: tuple[Floats, Floats, Floats] = beams_of_returns(
-            points, row, self.ring[row], firing.column[row], self.origin_m, axis, firing.shift_m
-        )
-        return beams
+        """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns.
+
+        A beam starts ``origin_m`` of its ring up the sensor's axis, as that stood when its column fired; a return of no
+        ring starts at the sensor itself.
+        """
+        ring, column = self.ring[row], self.firing.column[row]
+        lift_m = np.where(ring >= 0, self.origin_m[ring], 0.0)[:, None]
+        start_m = np.take(self.firing.shift_m, column, 0) + np.take(self.firing.turn[:, :, 2], column, 0) * lift_m
+        return start_m, *_towards(np.take(points, row, 0) - start_m)
 
     def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[Floats, Floats]:
         """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
@@ -134,11 +137,11 @@ def _lattice(
 ) -> BeamLattice:
     exact = step_m > 0.0
     columns = len(firing.azimuth)
-    rows, several = pixel_rows(ring, firing.column, len(elevation), columns)
+    rows, several = _pixel_rows(ring, firing.column, (len(elevation), columns))
     by_column, sense, ends = _storage_order(ring, firing.column)
     if not exact and not by_column:
         several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
-    empty = empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
+    empty = _empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
     seam = 0 if by_column or len(ends) == 0 else _seam(firing.column[ends], columns)
     return BeamLattice(ring, elevation, azimuth_offset, origin_m, firing, rows, empty, step_m, by_column, sense, seam)
 
@@ -242,9 +245,15 @@ def _returned_rays(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.in
     if lattice is not None:
         ring, column = lattice.ring[row].astype(np.intp), lattice.firing.column[row].astype(np.intp)
         return Rays(row, ring, column, *lattice.of_returns(sweep.points, row))
-    unknown, reach = np.full(len(row), -1), sweep.points[row].astype(np.float64)
-    depth_m = np.sqrt((reach * reach).sum(axis=1))
-    return Rays(row, unknown, unknown, np.zeros((len(row), 3)), reach / np.maximum(depth_m, 1e-9)[:, None], depth_m)
+    unknown = np.full(len(row), -1)
+    return Rays(row, unknown, unknown, np.zeros((len(row), 3)), *_towards(sweep.points[row].astype(np.float64)))
+
+
+def _towards(reach: Floats) -> tuple[Floats, Floats]:
+    """Return unit directions (K, 3) and lengths (K,) of vectors (K, 3)."""
+    x, y, z = reach.T
+    depth_m = np.sqrt(x * x + y * y + z * z)
+    return reach / np.maximum(depth_m, 1e-9)[:, None], depth_m
 
 
 def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
@@ -255,46 +264,32 @@ def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
     return missing if wedge.width >= 2 * np.pi else missing.select(within(direction, wedge))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def pixel_rows(ring: Any, column: Any, rings: int, columns: int) -> Any:  # pragma: no cover - compiled
-    """Return the first row of each pixel (R, C) int32, -1 where there is none, and which pixels hold several (R, C).
+def _pixel_rows(
+    ring: NDArray[np.int16], column: NDArray[np.int32], shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], Mask]:
+    """Return the first row of each pixel (R, C), -1 where there is none, and which pixels (R, C) hold several.
 
     ``ring`` and ``column`` (N,) are those of the returns; ring -1 has no pixel.
     """
-    rows = np.full((rings, columns), -1, np.int32)
-    several = np.zeros((rings, columns), np.bool_)
-    for n in range(ring.shape[0]):
-        r, c = ring[n], column[n]
-        if r < 0:
-            continue
-        if rows[r, c] < 0:
-            rows[r, c] = n
-        else:
-            several[r, c] = True
-    return rows, several
+    known = np.flatnonzero(ring >= 0)
+    pixel = ring[known].astype(np.intp) * shape[1] + column[known]
+    rows = np.full(shape, -1, np.int32)
+    rows.reshape(-1)[pixel[::-1]] = known[::-1]  # of several rows of a pixel the last that is written stays: the first
+    return rows, (np.bincount(pixel, minlength=rows.size) > 1).reshape(shape)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def empty_pixels(rows: Any, several: Any, jitter: int, all_rings: bool) -> Any:  # pragma: no cover - compiled
-    """Return which pixels (R, C) bool are beams that were fired and did not return.
+def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings: bool) -> Mask:
+    """Return which pixels (R, C) are beams that were fired and did not return.
 
-    Columns without any return were not fired, rings without any may not exist (``all_rings`` says that they do), and
-    next to a pixel with several returns, within ``jitter`` columns, the azimuth only jittered.
+    Columns without any return were not fired, and rings without any may not exist (``all_rings`` says that they do). A
+    second return of a pixel is the neighbor's, within ``jitter`` columns, whose pixel only looks empty.
     """
-    rings, columns = rows.shape
-    fired = np.zeros(columns, np.bool_)
-    for r in range(rings):
-        for c in range(columns):
-            fired[c] |= rows[r, c] >= 0
-    empty = np.zeros((rings, columns), np.bool_)
-    for r in range(rings):
-        if all_rings or rows[r].max() >= 0:
-            empty[r] = fired & (rows[r] < 0)
-            # A second return of a pixel is the neighbor's, whose pixel only looks empty.
-            for c in range(columns):
-                if several[r, c]:
-                    for offset in range(-jitter, jitter + 1):
-                        empty[r, (c + offset) % columns] = False
+    returned = rows >= 0
+    empty: Mask = ~returned & returned.any(axis=0)
+    if not all_rings:
+        empty &= returned.any(axis=1, keepdims=True)
+    for offset in range(-jitter, jitter + 1):
+        empty &= ~np.roll(several, offset, axis=1)
     return empty
 
 
@@ -319,7 +314,7 @@ def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover -
     """Search the pixel's own column, then one column earlier at a time: those are stored before it."""
     rings, columns = rows.shape
     for away in range(columns):
-        row, ahead = _nearest_in_column(rows, r, (c - away) % columns)
+        row, ahead = _nearest_in_line(rows[:, (c - away) % columns], r)
         if row >= 0:
             return row, ahead + away * rings
     return -1, 0
@@ -332,55 +327,21 @@ def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - c
     for away in range(rings):
         for side in (r - away, r + away):
             if 0 <= side < rings:
-                row, ahead = _nearest_in_ring(rows, side, c)
+                row, ahead = _nearest_in_line(rows[side], c)
                 if row >= 0:
                     return row, ahead + (r - side) * columns
     return -1, 0
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _nearest_in_column(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
-    for away in range(rows.shape[0]):
-        if r - away >= 0 and rows[r - away, c] >= 0:
-            return rows[r - away, c], away
-        if r + away < rows.shape[0] and rows[r + away, c] >= 0:
-            return rows[r + away, c], -away
-    return -1, 0
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _nearest_in_ring(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
-    """Rows are stored from column 0 on: what lies on the other side of that seam is no neighbor."""
-    columns = rows.shape[1]
-    for away in range(columns):
-        if c - away >= 0 and rows[r, c - away] >= 0:
-            return rows[r, c - away], away
-        if c + away < columns and rows[r, c + away] >= 0:
-            return rows[r, c + away], -away
-    return -1, 0
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def beams_of_returns(
-    points: Any, row: Any, ring: Any, column: Any, origin_m: Any, axis: Any, shift_m: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return starts (K, 3), unit directions (K, 3) and depths (K,) of the beams of the returns ``row`` (K,).
-
-    A beam starts ``origin_m`` of its ring up the sensor's axis, which stood along ``axis`` (C, 3) at ``shift_m`` (C, 3)
-    when its column fired; a return of ring -1 starts at the sensor itself. It points from there to its return.
-    """
-    start, direction = np.empty((row.shape[0], 3)), np.empty((row.shape[0], 3))
-    depth_m = np.empty(row.shape[0])
-    for k in range(row.shape[0]):
-        c, lift, square = column[k], origin_m[ring[k]] if ring[k] >= 0 else 0.0, 0.0
-        for i in range(3):
-            start[k, i] = shift_m[c, i] + axis[c, i] * lift
-            direction[k, i] = points[row[k], i] - start[k, i]
-            square += direction[k, i] ** 2
-        depth_m[k] = np.sqrt(square)
-        for i in range(3):
-            direction[k, i] /= max(depth_m[k], 1e-9)
-    return start, direction, depth_m
+def _nearest_in_line(rows: Any, at: Any) -> Any:  # pragma: no cover - compiled
+    """Search a column or a ring; rows are stored from its first pixel on: beyond its ends is no neighbor."""
+    for away in range(rows.shape[0]):
+        if at - away >= 0 and rows[at - away] >= 0:
+            return rows[at - away], away
+        if at + away < rows.shape[0] and rows[at + away] >= 0:
+            return rows[at + away], -away
+    return -1, 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

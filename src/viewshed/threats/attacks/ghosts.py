@@ -6,12 +6,14 @@ Far walls: obstacles become free road with a wall at its end, the dangerous dire
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.base import Tampered, Wedge
-from viewshed.threats.attacks.beam_lattice import rays_in
+from viewshed.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed.threats.attacks.points import wedge_around
 from viewshed.threats.attacks.spoofer import (
     LEAVE,
@@ -19,7 +21,6 @@ from viewshed.threats.attacks.spoofer import (
     NO_RETURN,
     Box,
     Spoofer,
-    azimuth_or_random,
     choose_nearest,
     chord_m,
     ground_at,
@@ -27,11 +28,11 @@ from viewshed.threats.attacks.spoofer import (
     level_rays,
     limits_m,
     position_at,
-    random_obstacle_azimuth,
     random_open_azimuth,
     street_depth_m,
 )
-from viewshed.threats.parameters import require, require_azimuth, require_budget, require_sector
+from viewshed.threats.attacks.wedge_attack import WedgeAttack
+from viewshed.threats.parameters import Angle, Azimuth, Between, Budget, Checked, Range
 
 _MARGIN_M = 2.0
 """A far wall stands so much nearer than the sensor's maximum range."""
@@ -50,89 +51,75 @@ _BEYOND = 1.2
 
 
 @dataclass(frozen=True, slots=True)
-class FarWall:
+class FarWall(WedgeAttack):
     """Beams that hit a near obstacle report what an empty street would: the ground behind it, or a far wall.
 
-    Opens a false corridor. The wedge is aimed at a near obstacle drawn at random.
+    Opens a false corridor.
 
     Attributes:
-        budget: most beams, those nearest to the middle of the wedge; None for all.
-        sector_deg: width of the wedge.
-        near_m: obstacles nearer than this disappear.
+        near_m: obstacles nearer than this disappear, and are aimed at.
         far_m: range of the wall; at most 2 m less than the sensor's maximum.
-        azimuth: middle of the wedge in the sensor's frame; None aims.
-        spoofer: how well the beams are won.
     """
 
-    budget: int | None = None
-    sector_deg: float = 30.0
-    near_m: float = 25.0
-    far_m: float = 50.0
-    azimuth: float | None = None
-    spoofer: Spoofer = MEASURED_SPOOFER
+    near_m: Range = 25.0
+    far_m: Range = 50.0
 
-    def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg)
-        require("near_m", self.near_m, 0.5, 1000.0)
-        require("far_m", self.far_m, 0.5, 1000.0)
+    @property
+    def aim_m(self) -> float:
+        """Obstacles nearer than this are aimed at."""
+        return self.near_m
 
-    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
-        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.near_m, rng)
-        rays = rays_in(sweep, wedge)
+    @property
+    def reach_m(self) -> float:
+        """Ground up to the wall can be opened."""
+        return self.far_m
+
+    def plan(self, sweep: Sweep, rays: Rays, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Return the beams that hit near obstacles, with what an empty street would report where that is farther."""
         near = is_obstacle(sweep, rays) & (rays.depth_m < self.near_m)
-        depth_m = street_depth_m(sweep, rays, min(self.far_m, limits_m(sweep)[1] - _MARGIN_M))
-        depth_m = np.where(depth_m > rays.depth_m, depth_m, LEAVE)
-        return self.spoofer.spoof_nearest(sweep, rays, near, depth_m, wedge, self.budget, rng)
+        depth_m = street_depth_m(sweep, rays, _wall_m(sweep, self.far_m))
+        return near, np.where(depth_m > rays.depth_m, depth_m, LEAVE)
 
 
 @dataclass(frozen=True, slots=True)
-class RemovalAndFarWall:
+class RemovalAndFarWall(WedgeAttack):
     """Every obstacle in the wedge is removed, then its beams and the empty ones report an empty street to a far wall.
 
-    The strongest over-claim. A beam won by the removal and lost by the injection does not return.
+    The strongest over-claim. A beam is won twice: one won by the removal and lost by the injection does not return.
 
     Attributes:
-        budget: most beams, those nearest to the middle of the wedge; None for all.
-        sector_deg: width of the wedge.
-        far_m: range of the wall; at most 2 m less than the sensor's maximum.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle.
-        spoofer: how well the beams are won, at each of the two steps.
+        far_m: range of the wall; at most 2 m less than the sensor's maximum. Obstacles nearer than this are aimed at.
     """
 
-    budget: int | None = None
-    sector_deg: float = 30.0
-    far_m: float = 50.0
-    azimuth: float | None = None
-    spoofer: Spoofer = MEASURED_SPOOFER
+    far_m: Range = 50.0
 
-    def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg)
-        require("far_m", self.far_m, 0.5, 1000.0)
+    @property
+    def aim_m(self) -> float:
+        """Obstacles nearer than this are aimed at."""
+        return self.far_m
+
+    reach_m = aim_m
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
-        wedge = aim_wedge(sweep, self.azimuth, self.sector_deg, self.far_m, rng)
+        wedge = self.aim(sweep, rng)
         rays = rays_in(sweep, wedge, empty=True)
-        wall_m = min(self.far_m, limits_m(sweep)[1] - _MARGIN_M)
+        wall_m = _wall_m(sweep, self.far_m)
         low = (rays.row < 0) & (rays.start_m[:, 2] + wall_m * rays.direction[:, 2] < _MARGIN_M)
-        chosen = choose_nearest(rays, is_obstacle(sweep, rays) | low, wedge, self.budget)
-        rays = rays.select(chosen)
+        rays = rays.select(choose_nearest(rays, is_obstacle(sweep, rays) | low, wedge, self.budget))
         depth_m = street_depth_m(sweep, rays, wall_m)
         depth_m = np.where((depth_m > rays.depth_m) | (rays.row < 0), depth_m, LEAVE)
         lost = ~self.spoofer.wins(sweep, len(rays), rng)
         return self.spoofer.spoof(sweep, rays, np.where(lost, NO_RETURN, depth_m), wedge, rng)
 
 
-def aim_wedge(sweep: Sweep, azimuth: float | None, sector_deg: float, near_m: float, rng: np.random.Generator) -> Wedge:
-    """Return the wedge at ``azimuth``; where that is None, at an obstacle nearer than ``near_m``, else anywhere."""
-    if azimuth is None:
-        azimuth = random_obstacle_azimuth(sweep, 0.0, near_m, rng)
-    return Wedge.of_sector(azimuth_or_random(azimuth, rng), sector_deg)
+def _wall_m(sweep: Sweep, far_m: float) -> float:
+    """Return the range of a far wall, which the sensor must be able to report."""
+    return min(far_m, limits_m(sweep)[1] - _MARGIN_M)
 
 
 @dataclass(frozen=True, slots=True)
-class GhostCar:
+class GhostCar(Checked):
     """A car that is not there: one return for each beam that would meet it, and so a shadow behind it.
 
     What stands nearer than the ghost hides it as it would hide a car.
@@ -146,20 +133,12 @@ class GhostCar:
         spoofer: how well the beams are won.
     """
 
-    budget: int | None = None
-    range_m: float = 10.0
-    azimuth: float | None = None
-    heading: float = 0.0
-    size_m: tuple[float, float, float] = CAR_M
+    budget: Budget = None
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0
+    azimuth: Azimuth = None
+    heading: Angle = 0.0
+    size_m: Annotated[tuple[float, float, float], Between(0.05, 100.0)] = CAR_M
     spoofer: Spoofer = MEASURED_SPOOFER
-
-    def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require_azimuth(self.heading)
-        require("range_m", self.range_m, 0.1, 1000.0)
-        for size_m in self.size_m:
-            require("size_m", size_m, 0.05, 100.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -171,7 +150,7 @@ class GhostCar:
 
 
 @dataclass(frozen=True, slots=True)
-class GhostWall:
+class GhostWall(Checked):
     """A wall that is not there, across a sector: blinds what lies behind it.
 
     Attributes:
@@ -183,17 +162,12 @@ class GhostWall:
         spoofer: how well the beams are won.
     """
 
-    budget: int | None = None
-    sector_deg: float = 30.0
-    range_m: float = 15.0
-    azimuth: float | None = None
-    height_m: float = _WALL_M[1]
+    budget: Budget = None
+    sector_deg: Annotated[float, Between(0.01, 150.0)] = 30.0
+    range_m: Annotated[float, Between(0.2, 1000.0)] = 15.0
+    azimuth: Azimuth = None
+    height_m: Annotated[float, Between(0.05, 100.0)] = _WALL_M[1]
     spoofer: Spoofer = MEASURED_SPOOFER
-
-    def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg, 150.0)
-        require("range_m", self.range_m, 0.2, 1000.0)
-        require("height_m", self.height_m, 0.05, 100.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""

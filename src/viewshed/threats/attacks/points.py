@@ -8,7 +8,7 @@ The attack of arXiv 2503.07375 as its code draws it, for its own profile.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from viewshed.threats.attacks.assembly import add_points, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed.threats.attacks.spoofer import (
+    FULL_CIRCLE,
     LEAVE,
     MEASURED_SPOOFER,
     Box,
@@ -36,15 +37,13 @@ from viewshed.threats.attacks.spoofer import (
     street_depth_m,
     to_sensor,
 )
-from viewshed.threats.parameters import require, require_azimuth, require_budget, require_one_of
+from viewshed.threats.parameters import Ascending, Azimuth, Between, Budget, Checked, Points, Share
 
 Mode = Literal["free_form", "beam_constrained"]
 
-MODES: tuple[Mode, ...] = ("free_form", "beam_constrained")
+MODES: tuple[Mode, ...] = get_args(Mode)
 
 Side = Literal["behind", "before"]
-
-FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
 
 HEIGHTS_M = (0.2, 1.8)
 """Free points lie between these heights above the ground."""
@@ -56,7 +55,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Uniform:
+class Uniform(Checked):
     """Points over the whole extent: the paper's, which stretches whatever trusts the farthest return.
 
     Free-form, x and y are uniform over the square. On beams, those to hit are drawn at random and their ranges so that
@@ -69,15 +68,14 @@ class Uniform:
         spoofer: of the mode on beams.
     """
 
-    budget: int = 150
-    half_extent_m: float = 64.0
+    budget: Points = 150
+    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 64.0
     mode: Mode = "free_form"
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require("half_extent_m", self.half_extent_m, 1.0, 1000.0)
-        _require_mode(self.mode, self.budget)
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -94,7 +92,7 @@ class Uniform:
 
 
 @dataclass(frozen=True, slots=True)
-class Cluster:
+class Cluster(Checked):
     """Points in one cluster: the paper's, an object where there is none.
 
     Attributes:
@@ -106,20 +104,16 @@ class Cluster:
         spoofer: of the mode on beams.
     """
 
-    budget: int = 150
-    spread_m: float = 3.0
-    range_m: tuple[float, float] = (10.0, 70.0)
+    budget: Points = 150
+    spread_m: Annotated[float, Between(0.01, 100.0)] = 3.0
+    range_m: Annotated[tuple[float, float], Ascending(0.1, 1000.0)] = (10.0, 70.0)
     mode: Mode = "free_form"
-    azimuth: float | None = None
+    azimuth: Azimuth = None
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require("spread_m", self.spread_m, 0.01, 100.0)
-        require("range_m[0]", self.range_m[0], 0.1, self.range_m[1])
-        require("range_m[1]", self.range_m[1], self.range_m[0], 1000.0)
-        require_azimuth(self.azimuth)
-        _require_mode(self.mode, self.budget)
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -140,7 +134,7 @@ class Cluster:
 
 
 @dataclass(frozen=True, slots=True)
-class WedgeCluster:
+class WedgeCluster(Checked):
     """Points within a few degrees at one range: the classic spoof of an object.
 
     Attributes:
@@ -152,19 +146,16 @@ class WedgeCluster:
         spoofer: of the mode on beams.
     """
 
-    budget: int = 100
-    sector_deg: float = 8.0
-    range_m: float = 10.0
+    budget: Points = 100
+    sector_deg: Annotated[float, Between(0.01, 180.0)] = 8.0
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0
     mode: Mode = "beam_constrained"
-    azimuth: float | None = None
+    azimuth: Azimuth = None
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require("sector_deg", self.sector_deg, 0.01, 180.0)
-        require("range_m", self.range_m, 0.1, 1000.0)
-        require_azimuth(self.azimuth)
-        _require_mode(self.mode, self.budget)
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -190,9 +181,9 @@ def wedge_around(azimuth: float, range_m: float, radius_m: float) -> Wedge:
     return Wedge(azimuth, 2 * np.pi if radius_m >= range_m else 2 * float(np.arcsin(radius_m / range_m)))
 
 
-def _require_mode(mode: str, budget: int | None) -> None:
-    require_one_of("mode", mode, MODES)
-    if mode == "free_form" and budget is not None and budget > MOST_FREE:
+def check_free_budget(mode: str, budget: int | None) -> None:
+    """Raise a ValueError where free points have no bound, or too large a one."""
+    if mode == "free_form" and (budget is None or budget > MOST_FREE):
         raise ValueError(f"budget must lie in [0, {MOST_FREE}] for free points, got {budget}")
 
 
@@ -203,7 +194,7 @@ def _at_obstacle_heights(sweep: Sweep, xy: Floats, rng: np.random.Generator) -> 
 
 
 @dataclass(frozen=True, slots=True)
-class Frustum:
+class Frustum(Checked):
     """Points behind or before a real object, on beams that meet it: consistent with what a camera sees.
 
     The object is the obstacle around a return drawn at random. Without any obstacle in range nothing is done.
@@ -218,21 +209,13 @@ class Frustum:
         spoofer: of the mode on beams.
     """
 
-    budget: int | None = 200
+    budget: Budget = 200
     side: Side = "behind"
-    apart_m: float = 8.0
-    range_m: tuple[float, float] = (4.0, 40.0)
-    radius_m: float = 2.5
+    apart_m: Annotated[float, Between(0.1, 200.0)] = 8.0
+    range_m: Annotated[tuple[float, float], Ascending(0.1)] = (4.0, 40.0)
+    radius_m: Annotated[float, Between(0.1, 50.0)] = 2.5
     mode: Mode = "beam_constrained"
     spoofer: Spoofer = MEASURED_SPOOFER
-
-    def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_one_of("side", self.side, ("behind", "before"))
-        require_one_of("mode", self.mode, MODES)
-        require("apart_m", self.apart_m, 0.1, 200.0)
-        require("range_m[0]", self.range_m[0], 0.1, self.range_m[1])
-        require("radius_m", self.radius_m, 0.1, 50.0)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -271,7 +254,7 @@ def _range_m(sweep: Sweep, rays: Rays) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class PaperAttack:
+class PaperAttack(Checked):
     """For each sweep one of: points over the extent (p .6), one cluster (p .2), nothing (p .2).
 
     The paper adds its points to the projection; here they are returns at the sensor's own height in the level frame,
@@ -287,22 +270,17 @@ class PaperAttack:
         spread_m: points lie within this of the middle, along each axis.
     """
 
-    uniform_share: float = 0.6
+    uniform_share: Share = 0.6
     cluster_share: float = 0.2
-    half_extent_m: float = 80.0
-    uniform_points: tuple[int, int] = (80, 119)
-    cluster_points: tuple[int, int] = (10, 159)
-    cluster_m: tuple[float, float] = (40.0, 70.0)
-    spread_m: float = 3.0
+    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 80.0
+    uniform_points: Annotated[tuple[int, int], Ascending(0)] = (80, 119)
+    cluster_points: Annotated[tuple[int, int], Ascending(0)] = (10, 159)
+    cluster_m: Annotated[tuple[float, float], Ascending(0.0)] = (40.0, 70.0)
+    spread_m: Annotated[float, Between(0.0, 100.0)] = 3.0
 
     def __post_init__(self) -> None:
-        require("uniform_share", self.uniform_share, 0.0, 1.0)
-        require("cluster_share", self.cluster_share, 0.0, 1.0 - self.uniform_share + 1e-9)
-        require("half_extent_m", self.half_extent_m, 1.0, 1000.0)
-        require("uniform_points[0]", self.uniform_points[0], 0, self.uniform_points[1])
-        require("cluster_points[0]", self.cluster_points[0], 0, self.cluster_points[1])
-        require("cluster_m[0]", self.cluster_m[0], 0.0, self.cluster_m[1])
-        require("spread_m", self.spread_m, 0.0, 100.0)
+        Checked.__post_init__(self)
+        Between(0.0, 1.0 - self.uniform_share + 1e-9).check("cluster_share", self.cluster_share)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""

@@ -6,7 +6,7 @@ Pose spoof: the returns are true, the place they are put at is not (family 13).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +17,15 @@ from viewshed.threats.attacks.assembly import COLUMNS, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed.threats.attacks.ghosts import CAR_M, GhostCar
-from viewshed.threats.attacks.points import FULL_CIRCLE, MODES, Mode
-from viewshed.threats.attacks.spoofer import (
-    MEASURED_SPOOFER,
-    NO_RETURN,
-    NOISELESS_SPOOFER,
-    Spoofer,
-)
-from viewshed.threats.parameters import require, require_azimuth, require_budget, require_one_of, require_sector
+from viewshed.threats.attacks.points import Mode
+from viewshed.threats.attacks.spoofer import FULL_CIRCLE, MEASURED_SPOOFER, NO_RETURN, NOISELESS_SPOOFER, Spoofer
+from viewshed.threats.parameters import Angle, Ascending, Between, Budget, Checked, Sector
 
 Anchor = Literal["world", "sensor"]
 
-ANCHORS: tuple[Anchor, ...] = ("world", "sensor")
-
 
 @dataclass(frozen=True, slots=True)
-class PoseSpoof:
+class PoseSpoof(Checked):
     """A pose that is turned, shifted and tilted, by amounts given and in directions drawn at random.
 
     The turn is about the vertical through the sensor, the shift is level, the tilt is about a level axis. Returns are
@@ -44,14 +37,9 @@ class PoseSpoof:
         tilt_deg: tilt, of the attitude as well.
     """
 
-    yaw_deg: float = 2.0
-    shift_m: float = 1.0
-    tilt_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        require("yaw_deg", self.yaw_deg, 0.0, 180.0)
-        require("shift_m", self.shift_m, 0.0, 10_000.0)
-        require("tilt_deg", self.tilt_deg, 0.0, 90.0)
+    yaw_deg: Annotated[float, Between(0.0, 180.0)] = 2.0
+    shift_m: Annotated[float, Between(0.0, 10_000.0)] = 1.0
+    tilt_deg: Annotated[float, Between(0.0, 90.0)] = 0.0
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it.
@@ -81,7 +69,7 @@ def _about_level_axis(axis: float, angle: float) -> np.ndarray[tuple[int, ...], 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Replay:
+class Replay(Checked):
     """An earlier sweep of the same sensor instead of this one: looks real because it was.
 
     On beams, each beam of the sector reports the range that it had in the earlier sweep, or nothing where it had none.
@@ -97,15 +85,11 @@ class Replay:
     """
 
     earlier: Sweep
-    budget: int | None = None
-    sector_deg: float = 360.0
-    azimuth: float = 0.0
+    budget: Budget = None
+    sector_deg: Sector = 360.0
+    azimuth: Angle = 0.0
     mode: Mode = "beam_constrained"
     spoofer: Spoofer = NOISELESS_SPOOFER
-
-    def __post_init__(self) -> None:
-        require_sector(self.budget, self.azimuth, self.sector_deg)
-        require_one_of("mode", self.mode, MODES)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it.
@@ -117,8 +101,6 @@ class Replay:
             return _replace_returns(sweep, self.earlier)
         wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
-        if len(rays) == 0:
-            return untouched(sweep, wedge)
         earlier_m = _earlier_depth_m(self.earlier, lattice_of(sweep), rays)
         changed = (rays.ring >= 0) & ~((rays.row < 0) & np.isinf(earlier_m))
         return self.spoofer.spoof_nearest(sweep, rays, changed, earlier_m, wedge, self.budget, rng)
@@ -151,7 +133,7 @@ def _earlier_depth_m(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoherentPhantom:
+class CoherentPhantom(Checked):
     """A ghost car that keeps its place in the world, moves through it, or keeps its place before the sensor.
 
     A check over time finds nothing wrong: the ghost is where a real thing would be. Its place is that at ``azimuth``
@@ -172,21 +154,17 @@ class CoherentPhantom:
 
     first: Rigid | None = None
     first_ns: int | None = None
-    budget: int | None = None
-    range_m: float = 12.0
-    azimuth: float = 0.3
+    budget: Budget = None
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 12.0
+    azimuth: Angle = 0.3
     anchor: Anchor = "world"
     velocity_mps: tuple[float, float] = (0.0, 0.0)
-    reach_m: tuple[float, float] = (3.0, 50.0)
+    reach_m: Annotated[tuple[float, float], Ascending(0.0)] = (3.0, 50.0)
     size_m: tuple[float, float, float] = CAR_M
     spoofer: Spoofer = MEASURED_SPOOFER
 
     def __post_init__(self) -> None:
-        require_budget(self.budget)
-        require_azimuth(self.azimuth)
-        require("range_m", self.range_m, 0.1, 1000.0)
-        require("reach_m[0]", self.reach_m[0], 0.0, self.reach_m[1])
-        require_one_of("anchor", self.anchor, ANCHORS)
+        Checked.__post_init__(self)
         if not np.isfinite(self.velocity_mps).all():
             raise ValueError(f"velocity_mps must be two finite numbers, got {self.velocity_mps}")
         if any(self.velocity_mps) and self.first_ns is None:

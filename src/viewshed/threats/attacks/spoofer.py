@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from viewshed.sweep import Sweep
 from viewshed.threats.attacks.assembly import Forged, assemble, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, within
-from viewshed.threats.parameters import require
+from viewshed.threats.parameters import Between, Checked
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +35,8 @@ FINGERPRINT_RELIABILITY = 0.02
 
 LEAVE, NO_RETURN = np.nan, np.inf
 """Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
+
+FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
 
 _MAX_RANGE_M = 100.0
 """How far a sensor is taken to see that is not known."""
@@ -71,19 +73,12 @@ def scene_of(sweep: Sweep) -> LeveledSweep:
     return level(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
 
 
-def heights_above_ground(sweep: Sweep) -> NDArray[np.float32]:
-    """Return the height (N,) in meters of each return above local ground; NaN for ego and null returns."""
+def is_obstacle(sweep: Sweep, rays: Rays) -> Mask:
+    """Return which rays (K,) returned from more than 0.3 m above local ground; ego and null returns did not."""
     leveled = scene_of(sweep)
-    heights = np.full(len(sweep), np.nan, np.float32)
-    heights[leveled.rows] = leveled.height_m
-    return heights
-
-
-def is_obstacle(sweep: Sweep, rays: Rays) -> NDArray[np.bool_]:
-    """Return which rays (K,) returned from more than 0.3 m above local ground."""
-    heights = np.append(heights_above_ground(sweep), np.float32(np.nan))[rays.row]
-    result: NDArray[np.bool_] = heights > OBSTACLE_HEIGHTS_M[0]
-    return result
+    raised = np.zeros(len(sweep) + 1, np.bool_)  # the last is for rays without a return, whose row is -1
+    raised[leveled.rows] = leveled.height_m > OBSTACLE_HEIGHTS_M[0]
+    return np.asarray(raised[rays.row])
 
 
 def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
@@ -91,7 +86,17 @@ def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.r
     leveled = scene_of(sweep)
     low, high = OBSTACLE_HEIGHTS_M
     fits = (leveled.height_m > low) & (leveled.height_m < high) & (leveled.range_m > near_m) & (leveled.range_m < far_m)
-    rows = leveled.rows[fits]
+    return _random_azimuth(sweep, leveled.rows[fits], rng)
+
+
+def random_open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
+    """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
+    leveled = scene_of(sweep)
+    return azimuth_or_random(_random_azimuth(sweep, leveled.rows[leveled.range_m > range_m], rng), rng)
+
+
+def _random_azimuth(sweep: Sweep, rows: NDArray[Any], rng: np.random.Generator) -> float | None:
+    """Return the azimuth of one of the returns ``rows``, drawn at random; None without any."""
     if len(rows) == 0:
         return None
     x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
@@ -101,16 +106,6 @@ def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.r
 def azimuth_or_random(azimuth: float | None, rng: np.random.Generator) -> float:
     """Return ``azimuth``, or one drawn at random where it is None."""
     return float(rng.uniform(-np.pi, np.pi)) if azimuth is None else azimuth
-
-
-def random_open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
-    """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
-    leveled = scene_of(sweep)
-    rows = leveled.rows[leveled.range_m > range_m]
-    if len(rows) == 0:
-        return azimuth_or_random(None, rng)
-    x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
-    return float(np.arctan2(y, x))
 
 
 def level_rays(sweep: Sweep, rays: Rays) -> tuple[Floats, Floats]:
@@ -172,7 +167,7 @@ def chord_m(start: Floats, direction: Floats, box: Box) -> tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, slots=True)
-class Spoofer:
+class Spoofer(Checked):
     """A spoofer: one return for each beam that it wins.
 
     Attributes:
@@ -181,15 +176,9 @@ class Spoofer:
         frame_sigma_m: noise that all ranges of a sweep share.
     """
 
-    reliability: float | None = None
-    point_sigma_m: float = 0.10
-    frame_sigma_m: float = 0.35
-
-    def __post_init__(self) -> None:
-        if self.reliability is not None:
-            require("reliability", self.reliability, 0.0, 1.0)
-        require("point_sigma_m", self.point_sigma_m, 0.0, 10.0)
-        require("frame_sigma_m", self.frame_sigma_m, 0.0, 10.0)
+    reliability: Annotated[float | None, Between(0.0, 1.0)] = None
+    point_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.10
+    frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35
 
     def wins(self, sweep: Sweep, count: int, rng: np.random.Generator) -> Mask:
         """Return which of ``count`` beams are won."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,24 +11,21 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid, attitude_of, polar, rotation_from_quaternion
 from viewshed.sweep import Sweep
 from viewshed.threats.corruptions.base import at_ranges, ranges_of
-from viewshed.threats.parameters import require
+from viewshed.threats.parameters import Between, Checked
 
 PERIOD_S = 0.1
 """Duration of a revolution where the sweep has no times."""
 
 
 @dataclass(frozen=True, slots=True)
-class RangeNoise:
+class RangeNoise(Checked):
     """Normal noise along the ray, beyond the sensor's own.
 
     Attributes:
         sigma_m: its standard deviation.
     """
 
-    sigma_m: float
-
-    def __post_init__(self) -> None:
-        require("sigma_m", self.sigma_m, 0, 10)
+    sigma_m: Annotated[float, Between(0, 10)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with noisy ranges."""
@@ -35,7 +33,7 @@ class RangeNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class MotionDistortion:
+class MotionDistortion(Checked):
     """Ego motion that nobody undid: each return stays in the sensor's frame at its own time.
 
     The sensor drives forward and turns to a random side at constant rates; the middle of the revolution is the
@@ -46,12 +44,8 @@ class MotionDistortion:
         yaw_rate_degps: how fast it turns.
     """
 
-    speed_mps: float
-    yaw_rate_degps: float
-
-    def __post_init__(self) -> None:
-        require("speed_mps", self.speed_mps, 0, 100)
-        require("yaw_rate_degps", self.yaw_rate_degps, 0, 360)
+    speed_mps: Annotated[float, Between(0, 100)]
+    yaw_rate_degps: Annotated[float, Between(0, 360)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared by the motion; firing azimuths and times are as before."""
@@ -72,17 +66,14 @@ def _from_middle_s(sweep: Sweep) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, slots=True)
-class Miscalibration:
+class Miscalibration(Checked):
     """Roll and pitch are wrong by a tilt about a random horizontal axis; a sweep without an attitude gets this one.
 
     Attributes:
         tilt_deg: angle between the vertical that is claimed and the true one.
     """
 
-    tilt_deg: float
-
-    def __post_init__(self) -> None:
-        require("tilt_deg", self.tilt_deg, 0, 45)
+    tilt_deg: Annotated[float, Between(0, 45)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with a wrong attitude, and a wrong rotation of its pose; the points are as measured."""
@@ -104,7 +95,7 @@ def _tilt(heading: float, angle: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, slots=True)
-class Slope:
+class Slope(Checked):
     """The world bends upward: beyond a line to a random side, everything is raised in proportion to its distance.
 
     Attributes:
@@ -112,12 +103,8 @@ class Slope:
         start_m: where the slope begins.
     """
 
-    grade: float
-    start_m: float
-
-    def __post_init__(self) -> None:
-        require("grade", self.grade, -1, 1)
-        require("start_m", self.start_m, 0, 1000)
+    grade: Annotated[float, Between(-1, 1)]
+    start_m: Annotated[float, Between(0, 1000)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared along the sensor's z; x, y and the rings stay."""

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from viewshed.geometry import polar
 from viewshed.preprocess.ring_recovery import rings_of_sweep
 from viewshed.sweep import Sweep
-from viewshed.threats.parameters import require
+from viewshed.threats.parameters import Between, Checked, Share
 
 
 @dataclass(frozen=True, slots=True)
-class DroppedBeams:
+class DroppedBeams(Checked):
     """Beams chosen at random return nothing.
 
     Attributes:
         share: of the returns, rounded to whole ones.
     """
 
-    share: float
-
-    def __post_init__(self) -> None:
-        require("share", self.share, 0, 1)
+    share: Share
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the share."""
@@ -33,7 +31,7 @@ class DroppedBeams:
 
 
 @dataclass(frozen=True, slots=True)
-class DroppedSectors:
+class DroppedSectors(Checked):
     """Sectors of the revolution are lost: packets that did not arrive, dirt on the window.
 
     Attributes:
@@ -41,12 +39,8 @@ class DroppedSectors:
         width_deg: of each.
     """
 
-    sectors: int
-    width_deg: float
-
-    def __post_init__(self) -> None:
-        require("sectors", self.sectors, 0, 360)
-        require("width_deg", self.width_deg, 0, 360)
+    sectors: Annotated[int, Between(0, 360)]
+    width_deg: Annotated[float, Between(0, 360)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without returns in the sectors, by the azimuths of its points."""
@@ -59,17 +53,14 @@ class DroppedSectors:
 
 
 @dataclass(frozen=True, slots=True)
-class DeadRings:
+class DeadRings(Checked):
     """Some of the lasers are dead. Needs rings.
 
     Attributes:
         share: of the sensor's rings, rounded to whole ones, at least one.
     """
 
-    share: float
-
-    def __post_init__(self) -> None:
-        require("share", self.share, 0, 1)
+    share: Share
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the rings, drawn from all that the sensor has.
@@ -85,7 +76,7 @@ class DeadRings:
 
 
 @dataclass(frozen=True, slots=True)
-class FewerBeams:
+class FewerBeams(Checked):
     """A sensor with fewer rings: of each ``of`` neighbors the lowest ``kept`` remain, with their numbers. Needs rings.
 
     Attributes:
@@ -94,11 +85,11 @@ class FewerBeams:
     """
 
     kept: int
-    of: int
+    of: Annotated[int, Between(1, 4096)]
 
     def __post_init__(self) -> None:
-        require("of", self.of, 1, 4096)
-        require("kept", self.kept, 1, self.of)
+        Checked.__post_init__(self)
+        Between(1, self.of).check("kept", self.kept)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the other rings; nothing is random, and ``rng`` is left as it was.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.sim.assets.shapes import PER_M, material_index
 from viewshed.sweep import Sweep
 from viewshed.threats.corruptions.base import at_ranges, heights_of, ranges_of
-from viewshed.threats.parameters import require
+from viewshed.threats.parameters import Between, Checked
 
 ABOVE_GROUND_M = 0.3
 """Surfaces whose returns lie higher than this above local ground may be panes, if there are any."""
@@ -23,7 +24,7 @@ BEFORE_SURFACE = (0.3, 0.9)
 
 
 @dataclass(frozen=True, slots=True)
-class GlassPatches:
+class GlassPatches(Checked):
     """Glass, mirrors and absorbers: contiguous patches of surfaces return nothing.
 
     Attributes:
@@ -31,12 +32,8 @@ class GlassPatches:
         radius_m: returns within this distance of the middle of a patch are gone.
     """
 
-    patches: int
-    radius_m: float
-
-    def __post_init__(self) -> None:
-        require("patches", self.patches, 0, 1000)
-        require("radius_m", self.radius_m, 0, 100)
+    patches: Annotated[int, Between(0, 1000)]
+    radius_m: Annotated[float, Between(0, 100)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the patches; their middles are returns above the ground, where there are any."""
@@ -52,7 +49,7 @@ class GlassPatches:
 
 
 @dataclass(frozen=True, slots=True)
-class Vegetation:
+class Vegetation(Checked):
     """Bushes before surfaces: balls of leaves in which a beam stops after a random path (Beer's law), or passes.
 
     Attributes:
@@ -61,14 +58,9 @@ class Vegetation:
         per_m: stops per meter of path; the simulator's leaves by default.
     """
 
-    bushes: int
-    radius_m: float
-    per_m: float = float(PER_M[material_index("leaves")])
-
-    def __post_init__(self) -> None:
-        require("bushes", self.bushes, 0, 1000)
-        require("radius_m", self.radius_m, 0, BUSH_RANGES_M[0] - 0.5)
-        require("per_m", self.per_m, 0, 1e6)
+    bushes: Annotated[int, Between(0, 1000)]
+    radius_m: Annotated[float, Between(0, BUSH_RANGES_M[0] - 0.5)]
+    per_m: Annotated[float, Between(0, 1e6)] = float(PER_M[material_index("leaves")])
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with the returns that the leaves stopped moved nearer along their rays."""

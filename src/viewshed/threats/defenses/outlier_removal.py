@@ -253,7 +253,7 @@ def _near_leaves(
     while used > 0:
         used -= 1
         node = stack[used]
-        if _boxes_distance2(boxes[node], own) > bound:
+        if _boxes_distance2(boxes[node], own[:3], own[3:]) > bound:
             continue
         if node < first_leaf:
             stack[used], stack[used + 1] = 2 * node + 1, 2 * node + 2
@@ -328,7 +328,7 @@ def _gather(
     count, held = points.shape[0], 0
     first_leaf = (1 << depth) - 1
     for leaf in leaves:
-        if _box_distance2(boxes[first_leaf + leaf], points[n]) > bound:
+        if _boxes_distance2(boxes[first_leaf + leaf], points[n], points[n]) > bound:
             continue
         if held + _LEAF + 1 > len(room):  # halves may differ by one
             bound = min(bound, _keep_smallest(room, held, k))
@@ -342,18 +342,11 @@ def _gather(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _box_distance2(box: Any, point: Any) -> Any:  # pragma: no cover - compiled
-    x = max(box[0] - point[0], point[0] - box[3], np.float32(0.0))
-    y = max(box[1] - point[1], point[1] - box[4], np.float32(0.0))
-    z = max(box[2] - point[2], point[2] - box[5], np.float32(0.0))
-    return x * x + y * y + z * z
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _boxes_distance2(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
-    x = max(a[0] - b[3], b[0] - a[3], np.float32(0.0))
-    y = max(a[1] - b[4], b[1] - a[4], np.float32(0.0))
-    z = max(a[2] - b[5], b[2] - a[5], np.float32(0.0))
+def _boxes_distance2(box: Any, low: Any, high: Any) -> Any:  # pragma: no cover - compiled
+    """Squared distance of a box (6,) and the one from ``low`` to ``high`` (3,), which are one point for a point."""
+    x = max(box[0] - high[0], low[0] - box[3], np.float32(0.0))
+    y = max(box[1] - high[1], low[1] - box[4], np.float32(0.0))
+    z = max(box[2] - high[2], low[2] - box[5], np.float32(0.0))
     return x * x + y * y + z * z
 
 

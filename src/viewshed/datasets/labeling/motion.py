@@ -1,0 +1,112 @@
+"""How a sensor moved about a sweep, by the poses next to it in time; which sweeps of a drive stand for all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+
+MAX_GAP_S = 1.5
+"""Poses farther apart than this say nothing about the motion in between."""
+
+MAX_SPEED_MPS = 70.0
+"""Poses that could only be reached faster do not belong together."""
+
+POST_S = 2.0
+"""Sweeps that stand for all are at most so far apart in time."""
+
+_SHORT_S = 0.15
+"""Times are uncertain by so much when speeds are judged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """How a sensor moves about its reference pose, in the axes of its ``level`` frame.
+
+    Attributes:
+        velocity_mps: (3,) float64.
+        yaw_rate: radians a second, counter-clockwise from above.
+    """
+
+    velocity_mps: NDArray[np.float64]
+    yaw_rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """Where a sensor was, and when.
+
+    Attributes:
+        world_from_sensor: its pose, or None.
+        t_ns: its time, or None.
+    """
+
+    world_from_sensor: Rigid | None
+    t_ns: int | None
+
+    def seconds_to(self, other: Moment) -> float:
+        """Return the seconds from this moment to another; 0 where a time is not known."""
+        return 0.0 if self.t_ns is None or other.t_ns is None else (other.t_ns - self.t_ns) * 1e-9
+
+    def meters_to(self, other: Moment) -> float:
+        """Return the meters to another; infinite where a pose is not known."""
+        if self.world_from_sensor is None or other.world_from_sensor is None:
+            return float("inf")
+        return float(np.linalg.norm(other.world_from_sensor.translation - self.world_from_sensor.translation))
+
+
+AT_REST = Drift(np.zeros(3), 0.0)
+"""No motion, or none that is known."""
+
+
+def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
+    """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known.
+
+    >>> pose = Rigid.from_yaw(np.pi / 2)
+    >>> later = Moment(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
+    >>> drift_of(None, Moment(pose, 0), later).velocity_mps.round(6).tolist()
+    [20.0, 0.0, 0.0]
+    """
+    posed = [one for one in (before, now, after) if one is not None and one.world_from_sensor is not None]
+    pose = now.world_from_sensor
+    if pose is None or len(posed) < 2 or not _reachable(posed[0], posed[-1]):
+        return AT_REST
+    first, last = posed[0].world_from_sensor, posed[-1].world_from_sensor
+    seconds = posed[0].seconds_to(posed[-1])
+    if first is None or last is None or not 1e-3 < seconds <= 2 * MAX_GAP_S:
+        return AT_REST
+    turned = Rigid(last.rotation @ first.rotation.T, np.zeros(3)).yaw
+    velocity = (last.translation - first.translation) / seconds
+    return Drift(velocity @ Rigid.from_yaw(pose.yaw).rotation, turned / seconds)
+
+
+def _reachable(one: Moment, other: Moment) -> bool:
+    return one.meters_to(other) <= MAX_SPEED_MPS * max(abs(one.seconds_to(other)), _SHORT_S)
+
+
+def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
+    """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
+
+    Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
+
+    >>> at = [Moment(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
+    >>> well_spaced(at, 2.0)
+    [0, 2, 4]
+    """
+    posts: list[int] = []
+    last: Moment | None = None
+    for place, moment in enumerate(moments):
+        if moment is None or moment.world_from_sensor is None:
+            continue
+        if last is None or (_reachable(last, moment) and _apart(last, moment, spacing_m)):
+            posts.append(place)
+            last = moment
+    return posts
+
+
+def _apart(one: Moment, other: Moment, spacing_m: float) -> bool:
+    return one.meters_to(other) >= spacing_m or one.seconds_to(other) >= POST_S
