@@ -1,6 +1,6 @@
 """What is counted of one sample: the estimates of a suite in each case, against one truth, in the view and the wedge.
 
-Attackers who ask their victim: each estimator, bare or behind a defense, meets an attack made against itself.
+Attackers who query their victim: each estimator, bare or behind a defense, meets an attack made against itself.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.defenses import DEFENSES, Defended, Defense, TemporalConsistency
 
 AIMED_AS = Case("attack", "far_wall", "0")
-"""The attack that does not ask and whose wedge adaptive attackers take over, so that both can be compared."""
+"""The attack that does not query and whose wedge adaptive attackers take over, so that both can be compared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,11 +233,11 @@ class DefendedEstimator:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveEvaluation:
-    """One sample on which attackers who ask meet their victims. What was found against a bare victim is kept.
+    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept.
 
     Attributes:
         evaluation: the sample, the victims, the truth and the defenses.
-        queries: that an attacker asks.
+        queries: that an attacker makes.
         defended: victims that stand behind the defenses.
     """
 
@@ -287,12 +287,12 @@ class AdaptiveEvaluation:
         return self._attacked[key]
 
     def attack(self, case: Case, victim: str, defense: Defense | None) -> BlackBox:
-        """Return an attacker who asks the victim; one who meets an alarm also takes care not to raise it."""
+        """Return an attacker who queries the victim; one who meets an alarm also takes care not to raise it."""
         estimator, wedge = self.evaluation.suite.estimators[victim], self.wedge
-        asked = estimator if defense is None else DefendedEstimator(defense, estimator)
-        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=asked))
+        victim_seen = estimator if defense is None else DefendedEstimator(defense, estimator)
+        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=victim_seen))
         if not isinstance(attack, BlackBox):
-            raise ValueError(f"{case.name} must ask its victim")
+            raise ValueError(f"{case.name} must query its victim")
         sector_deg = float(np.rad2deg(wedge.width))
         attack = replace(attack, queries=self.queries, azimuth=wedge.azimuth, sector_deg=sector_deg)
         if defense is None or defense.apply(self.evaluation.sample.sweep).alarm is None:

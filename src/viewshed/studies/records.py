@@ -171,6 +171,10 @@ class _Rows:
         if record.counts is not None:
             self.counts.append(record.counts)
 
+    def cells(self) -> Floats:
+        """Return the cells (S, 4) of each sweep: both, over, under, neither."""
+        return np.array([[c.both, c.over, c.under, c.neither] for c in self.counts], np.float64).reshape(-1, 4)
+
 
 P = TypeVar("P")
 
@@ -254,8 +258,7 @@ class Results(Generic[P]):
     def array(self, series: Series) -> Floats:
         """Return the cells (S, 4) of each sweep in the order of their numbers: both, over, under, neither."""
         rows = self._rows.get(series, _Rows())
-        cells = [[c.both, c.over, c.under, c.neither] for c in rows.counts]
-        return np.array(cells, np.float64).reshape(-1, 4)[np.argsort(rows.sweeps[: len(cells)], kind="stable")]
+        return rows.cells()[np.argsort(rows.sweeps[: len(rows.counts)], kind="stable")]
 
     def each(self, series: Series, measure: Measure) -> Floats:
         """Return a measure of each sweep (S,), NaN where it has none."""
@@ -270,15 +273,10 @@ class Results(Generic[P]):
         """Return another figure of each sweep that has it (S,), in the order of their numbers."""
         return np.array(list(self.by_sweep(series, name).values()), np.float64)
 
-    def rate(self, series: Series, measure: Measure) -> float:
-        """Return a measure of all sweeps together; NaN where there are none."""
-        return float(measure(self.array(series).sum(axis=0)))
-
     def interval(self, series: Iterable[Series], measure: Measure) -> tuple[float, float]:
         """Return the 95 % interval of the mean of a pooled measure over series, by a bootstrap over scenes."""
         found = [self._rows[s] for s in series if s in self._rows]
-        cases = [(np.array([[c.both, c.over, c.under, c.neither] for c in rows.counts], np.float64), rows.scenes)
-                 for rows in found if rows.counts]  # fmt: skip
+        cases = [(rows.cells(), rows.scenes) for rows in found if rows.counts]
         return bootstrap(cases, measure) if cases else NO_INTERVAL
 
 

@@ -188,7 +188,7 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
         ({"others": {"viewnet_indoor": "attic"}}, "preset must be one of"),
         ({"others": 3}, "others must be a table, got 3"),
         ({"chosen_sweeps": 3}, r"chosen_sweeps must lie in \[0, 2\], got 3"),
-        ({"questions": [20, 20]}, r"questions must be different numbers of at least 1, got \[20, 20\]"),
+        ({"queries": [20, 20]}, r"queries must be different numbers of at least 1, got \[20, 20\]"),
         ({"claim_precision": 1.0}, r"claim_precision must lie in \(0, 1\), got 1.0"),
         ({"more": 1}, "missing or unknown: more"),
     ],

@@ -1,6 +1,6 @@
 """Sweeps under every attack and as bare clouds, with what the sensor measured before: honest, or attacked as well.
 
-Free points chosen against their victim: the attacker has the victim itself, and asks it.
+Free points chosen against their victim: the attacker has the victim itself, and queries it.
 
 Parts of a view: cells clear of the threshold, bands of range, and whose sensor it was.
 """
@@ -48,7 +48,7 @@ SENSOR = "sensor "
 ALONE, HONEST, ATTACKED = "alone", "past", "attacked past"
 """What stands behind the name of a method that is given earlier sweeps, or is not, on sweeps that have some."""
 
-CONFIRMED = "wary, "
+CONFIRMED = "confirmed, "
 """Stands before them where only what an earlier sweep has seen as well is claimed."""
 
 ATTACKS = tuple(Case("attack", name, DEFAULT) for name in TOUCHING)
@@ -246,7 +246,7 @@ class Enveloped(ClassicalEstimator):
 
 
 UNTOUCHED = Case("adaptive", "over_claim_free", "0")
-"""The case without an attack; those with one are told apart by the number of questions that were asked."""
+"""The case without an attack; those with one are told apart by the number of queries that were made."""
 
 POINTS = 150
 """Points that an attacker may add."""
@@ -257,33 +257,33 @@ SECTOR_DEG = 30.0
 _AIM_M = 25.0
 
 
-def asked(questions: int) -> Case:
-    """Return the case of an attacker who asks so many questions."""
-    return replace(UNTOUCHED, level=str(questions))
+def queried(queries: int) -> Case:
+    """Return the case of an attacker who makes so many queries."""
+    return replace(UNTOUCHED, level=str(queries))
 
 
-def attack_on(victim: Estimator, questions: int) -> BlackBox:
+def attack_on(victim: Estimator, queries: int) -> BlackBox:
     """Return the attacker who wants a victim to claim what it did not claim before, by free points in one wedge.
 
     The victim's own answers are searched, as its channels count returns and have no gradient: weights and channels are
     known to the attacker, the truth is not. The wedge is aimed at a near obstacle.
     """
     scale = Knowledge(half_extent_m=victim.grid.half_extent_m).scale
-    return BlackBox(OverClaim(victim), POINTS, questions, sector_deg=SECTOR_DEG, aim_m=_AIM_M * scale, mode="free_form")
+    return BlackBox(OverClaim(victim), POINTS, queries, sector_deg=SECTOR_DEG, aim_m=_AIM_M * scale, mode="free_form")
 
 
-def evaluate_chosen(evaluation: Evaluation, questions: Mapping[str, Sequence[int]], seed: int) -> Iterator[Record]:
+def evaluate_chosen(evaluation: Evaluation, queries: Mapping[str, Sequence[int]], seed: int) -> Iterator[Record]:
     """Yield what every victim says of a sweep untouched and with points chosen against it.
 
     Args:
         evaluation: the sweep and the victims.
-        questions: by victim, the numbers of questions with each of which it is attacked.
+        queries: by victim, the numbers of queries with each of which it is attacked.
         seed: every attacker draws from the same start, so that wedges are the same.
     """
     sample, rng_of = evaluation.sample, partial(generator, seed, "chosen", str(evaluation.number))
     for name, victim in evaluation.suite.estimators.items():
-        for number in questions[name]:
+        for number in queries[name]:
             tampered = attack_on(victim, number).apply(sample.sweep, rng_of())
-            sweeps = {UNTOUCHED: sample.sweep} if number == questions[name][0] else {}
-            for case, sweep in (sweeps | {asked(number): tampered.sweep}).items():
+            sweeps = {UNTOUCHED: sample.sweep} if number == queries[name][0] else {}
+            for case, sweep in (sweeps | {queried(number): tampered.sweep}).items():
                 yield from evaluation.score(name, case, victim.estimate(sweep), tampered.wedge)

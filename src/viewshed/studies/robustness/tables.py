@@ -263,7 +263,7 @@ def summary_table(domain: AttackedDomain) -> Table:
         "F1 corrupted": lambda name: format_rate(mean(domain.counts(name, case).f1 for case in corrupted)),
         f"withstands, {MODEST} returns": lambda name: withstood(name, MODEST),
         "withstands, full wedge": lambda name: withstood(name, None),
-        "withstands, asked": queried,
+        "withstands, adaptive": queried,
     })  # fmt: skip
     return Table(table.header, best_of_columns(table.rows, ties=False))
 
