@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.estimators import PAPER_THRESHOLD, paper_estimators_on
 from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts, Mask, Scores, average_precision
@@ -19,7 +21,7 @@ from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import apply, visible_with
 from viewshed.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Record, Series
 from viewshed.studies.samples import StudySample
-from viewshed.studies.suite import EstimatorSuite
+from viewshed.studies.suite import LABEL, EstimatorSuite
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, Knowledge
 from viewshed.threats.attacks.adaptive import ADAPTIVE, BlackBox, Evade
@@ -50,6 +52,17 @@ class Reference:
     def of(cls, sample: StudySample, visible: Mask, known: Mask, grid: BevGrid) -> Reference:
         """Return the reference of a sample on a grid."""
         return cls(grid, visible, known, level(sample.sweep, grid).world_from_level)
+
+    @classmethod
+    def exact(cls, sample: StudySample, target: Target = CAR) -> Reference:
+        """Return the exact truth of ``probe``, where it is known."""
+        return cls.of(sample, sample.truth.visible(target), sample.known, sample.truth.grid)
+
+    @classmethod
+    def label(cls, sample: StudySample, grid: BevGrid) -> Reference:
+        """Return the paper's label of the clean sweep on one of its grids."""
+        label = paper_estimators_on(grid)[LABEL](grid).estimate(sample.sweep)
+        return cls.of(sample, label.visible(PAPER_THRESHOLD), np.ones(grid.shape, np.bool_), grid)
 
     def inside(self, wedge: Wedge) -> Mask:
         """Return the cells (cells, cells) that count and whose azimuth a wedge holds."""

@@ -329,6 +329,11 @@ class Domain(Generic[P]):
         """Return the cells of several cases together by probability."""
         return self.results.scores(self.series(method, case, region) for case in cases)
 
+    def best(self, methods: Iterable[str], case: Case, region: str = VIEW) -> str:
+        """Return which of the methods has the largest F1; empty where none has any."""
+        scored = {name: self.counts(name, case, region).f1 for name in methods}
+        return max((name for name, rate in scored.items() if rate >= 0), key=scored.__getitem__, default="")
+
     def interval(self, method: str, cases: Iterable[Case], measure: Measure, region: str = VIEW) -> tuple[float, float]:
         """Return the 95 % interval of the mean of a measure over cases."""
         return self.results.interval([self.series(method, case, region) for case in cases], measure)

@@ -4,12 +4,13 @@ import numpy as np
 from tests.studies.ablation.by_hand import Claims, setting_results
 
 from viewshed.metrics import ConfusionCounts, Scores
-from viewshed.studies.ablation.evaluate import CASES, CLEAR, UNTOUCHED, queried
+from viewshed.studies.ablation.evaluate import CASES, UNTOUCHED, queried
 from viewshed.studies.ablation.plan import WHOLE
 from viewshed.studies.ablation.results import OURS, RIVAL, SEVERAL, Sure, targets_elsewhere, targets_of
 from viewshed.studies.ablation.tables import SURE, chosen_table, sure_table
 from viewshed.studies.cases import DEFAULT
 from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.samples import CLEAR
 from viewshed.training.config import read_config
 
 RELAY, JAMMING = Case("attack", "relay", DEFAULT), Case("attack", "jamming", DEFAULT)

@@ -15,16 +15,15 @@ from viewshed.studies.ablation.evaluate import (
     ALONE,
     ATTACKED,
     ATTACKS,
-    CLEAR,
     CONFIRMED,
     HONEST,
     POINTS,
-    SENSOR,
     UNTOUCHED,
 )
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
 from viewshed.studies.cases import BARE, DEFAULT
 from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case, Domain
+from viewshed.studies.samples import CLEAR, SENSOR
 from viewshed.studies.store import ResultStore
 from viewshed.training.config import TrainConfig
 

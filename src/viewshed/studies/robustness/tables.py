@@ -282,7 +282,5 @@ def bar_overview(domains: Sequence[AttackedDomain], region: str) -> Table:
 
 def leader(domain: AttackedDomain, case: Case, region: str) -> str:
     """Return the best F1 of a case with its interval, and whose it is; a dash where nobody has any."""
-    scored = {name: domain.counts(name, case, region).f1 for name in domain.methods}
-    known = [name for name, rate in scored.items() if not isnan(rate)]
-    best = max(known, key=lambda name: scored[name], default="")
+    best = domain.best(domain.methods, case, region)
     return f"{_f1_with_interval(domain, best, case, region)} {best}" if best else "–"
