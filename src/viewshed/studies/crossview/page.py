@@ -107,22 +107,13 @@ def page_of(
     for name in attacks:
         if name not in ATTACKS:
             raise ValueError(f"attacks must be among {', '.join(ATTACKS)}, got {name!r}")
-    rng, floors = np.random.default_rng(seed), dict[str, list[CrossViewRow]]()
+    found, floors = _scenes(index), dict[str, list[CrossViewRow]]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
         for name, rules in FLOOR_RULES.items():
             on_step(f"floor: {name}")
             floors[name] = evaluate_floor(few, rng=np.random.default_rng(seed), rules=rules)
-    own = {"As first defined": "As first defined", "Whole targets": "and standing on the ground"}
-    sensors = []
-    for sensor, scenes in _scenes(index).items():
-        truths = {name: crossview_truth(scenes, rules, on_step) for name, rules in RULES.items()}
-        differences = {
-            name: SmallestDifference.of(truth, (floors[own[name]][0].over.high, floors[own[name]][0].under.high), rng)
-            for name, truth in truths.items()
-            if floor
-        }
-        sensors.append(SensorScenes(sensor, scenes, truths, differences))
+    sensors = [_looked_at(sensor, scenes, floors, seed, on_step) for sensor, scenes in found.items()]
 
     def rates(of: SensorScenes, name: str, tried: Mapping[str, FovEstimator]) -> Table:
         return _table(rows_of(of.truths[name], tried, rng=np.random.default_rng(seed), on_step=on_step))
@@ -144,6 +135,20 @@ def page_of(
     return to_markdown(title, about, blocks)
 
 
+def _looked_at(
+    sensor: str, scenes: list[list[Sweep]], floors: Mapping[str, list[CrossViewRow]], seed: int, on_step: OnStep
+) -> SensorScenes:
+    """Return the scenes of a sensor with what its sweeps know; ``floors`` begin with the rates of the exact mask."""
+    rng, truths, differences = np.random.default_rng(seed), {}, {}
+    for name, rules in RULES.items():
+        truths[name] = crossview_truth(scenes, rules, on_step)
+        for floor_rules, rows in floors.items():
+            if FLOOR_RULES[floor_rules] == rules:
+                own = rows[0].over.high, rows[0].under.high
+                differences[name] = SmallestDifference.of(truths[name], own, rng)
+    return SensorScenes(sensor, scenes, truths, differences)
+
+
 def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovEstimator]:
     """Return one of the estimators and the same with each known fault: the shadow map if it is among them."""
     name = "shadow_map" if "shadow_map" in estimators else next(iter(estimators))
@@ -151,18 +156,27 @@ def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovE
 
 
 def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:
-    """Return the sweeps by sensor and scene: folders of the index with three posed sweeps or more over 0.7 s."""
+    """Return the sweeps by sensor and scene.
+
+    A scene is a folder of the index with three posed sweeps or more over 0.7 s, or with several sensors at one time.
+    """
     folders = defaultdict(list)
     for entry in read_index(index):
         if entry.world_from_sensor is not None and entry.t is not None:
             folders[entry.file.parent].append(entry)
     scenes: dict[str, list[list[Sweep]]] = defaultdict(list)
     for entries in folders.values():
-        times = [entry.t or 0.0 for entry in entries]
-        if len(entries) >= 3 and max(times) - min(times) >= 0.7:
-            scenes[entries[0].sensor].append([_with_beams(read_indexed(entry), entry.sensor) for entry in entries])
+        times, sensors = [entry.t or 0.0 for entry in entries], dict.fromkeys(entry.sensor for entry in entries)
+        span_s, rules = max(times) - min(times), CrossViewRules()
+        together = len(sensors) > 1 and span_s <= rules.together_s
+        if together or (len(entries) >= 3 and span_s >= rules.static_s):
+            sweeps = [_with_beams(read_indexed(entry), entry.sensor) for entry in entries]
+            scenes[" + ".join(sensors) if together else entries[0].sensor].append(sweeps)
     if not scenes:
-        raise ValueError(f"{index} must have a folder of at least three posed sweeps over 0.7 s, got none")
+        raise ValueError(
+            f"{index} must have a folder of at least three posed sweeps over 0.7 s, or of several sensors at one time, "
+            "got none"
+        )
     return dict(scenes)
 
 

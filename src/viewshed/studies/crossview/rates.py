@@ -37,7 +37,8 @@ class CrossViewRules:
             A's beams cannot pass below it as they do below a bus; None demands nothing.
         range_a_m: distance of the column from A.
         range_b_m: and from B.
-        static_s: another sweep, this many seconds from B or more, must see it too.
+        static_s: another sweep, this many seconds from B or more, must see it too, or it may have moved.
+        together_s: what B measured within this time of A needs no such witness.
         near_m: returns within this distance of the column's middle belong to it.
         seen_m: A sees the column with ``seen_returns`` returns between these heights.
         seen_returns: how many.
@@ -57,6 +58,7 @@ class CrossViewRules:
     range_a_m: tuple[float, float] = (4.0, 45.0)
     range_b_m: tuple[float, float] = (3.0, 50.0)
     static_s: float = 0.7
+    together_s: float = 0.02
     near_m: float = 0.5
     seen_m: tuple[float, float] = (0.2, 1.7)
     seen_returns: int = 2
@@ -144,10 +146,10 @@ def _columns_of_pair(
     """Return the columns (M, 2) that ``b`` and another sweep of ``others`` see, in A's level frame."""
     xy_b = _tall_columns(b, rules)
     witnesses = [c for c in others if _seconds_apart(b, c) >= rules.static_s]
-    if not len(xy_b) or not witnesses:
+    static = np.full(len(xy_b), _seconds_apart(a, b) <= rules.together_s)
+    if not len(xy_b) or not (witnesses or static.any()):
         return np.empty((0, 2))
     a_from_b = _between(a, b)
-    static = np.zeros(len(xy_b), bool)
     for c in witnesses:
         body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
         in_b = _between(b, c) @ c.points[body]
