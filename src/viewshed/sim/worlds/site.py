@@ -68,7 +68,9 @@ class Grounds:
         return np.asarray(z)
 
     def _material(self, x: Array, y: Array) -> NDArray[np.uint8]:
-        loose = np.where(np.sin(x / 9.0) * np.sin(y / 13.0) > 0.0, material_index("concrete"), material_index("grass"))
+        loose = np.where(
+            np.sin(x / 11.0 + 1.6 * np.sin(y / 17.0)) > 0.2, material_index("concrete"), material_index("grass")
+        )
         return np.where(np.abs(self.road.bend.coordinates(x, y)[1]) < 6.0, material_index("concrete"), loose).astype(
             np.uint8
         )
