@@ -24,8 +24,9 @@ from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Thing, World
-from viewshed.studies.against_truth import CLEAR, DEFINITION, FORMS, TruthEvaluation, form_case
+from viewshed.studies.against_truth import DEFINITION, FORMS, TruthEvaluation, form_case
 from viewshed.studies.records import VIEW, Results, Series
+from viewshed.studies.samples import CLEAR
 from viewshed.sweep import bare_points, unorganized_no_sensor
 
 GRID = BevGrid(4, 8.0)

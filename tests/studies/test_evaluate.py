@@ -21,7 +21,6 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.studies.cases import case_generator
 from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case
-from viewshed.studies.robustness.jobs import paper_reference, strict_reference
 from viewshed.studies.samples import StudySample, sample_of
 from viewshed.studies.suite import EstimatorSuite, paper_suite, strict_suite
 from viewshed.threats.attacks import Wedge
@@ -130,7 +129,8 @@ def test_an_estimate_with_a_spoofed_pose_claims_cells_elsewhere(spoof: Rigid, ce
 
 def test_the_label_is_right_about_itself_and_a_far_point_is_not() -> None:
     sample = sample_of("ugv", 0, 1, 7)
-    suite, reference = paper_suite(sample.truth.grid.half_extent_m), paper_reference(sample)
+    suite = paper_suite(sample.truth.grid.half_extent_m)
+    reference = Reference.label(sample, suite.grid)
 
     def counted(method: str, sweep: Sweep) -> ConfusionCounts:
         estimate = suite.estimates(level(sweep, suite.grid))[method]
@@ -158,7 +158,7 @@ def test_only_samples_with_truth_and_cells_that_are_known_count() -> None:
     known[3, 0] = True
     sample = _sample(np.ones(GRID.shape, bool), known)
     assert list(strict_suite(GRID, ["quantized"]).estimators) == ["quantized"]
-    reference = strict_reference(sample)
+    reference = Reference.exact(sample)
     ones = np.ones(GRID.shape, np.float32)
     assert reference.counts(ones, 0.5, reference.known) == ConfusionCounts(1, 0, 0, 0, 16.0)
     angle = float(np.arctan2(-6.0, 6.0))
@@ -169,7 +169,7 @@ def test_only_samples_with_truth_and_cells_that_are_known_count() -> None:
 def test_a_case_that_cannot_be_made_is_named_and_the_rest_goes_on() -> None:
     sample = sample_of("ugv", 0, 1, 7)
     alone = StudySample(sample.sample)
-    suite, reference = strict_suite(sample.truth.grid, ["quantized"]), strict_reference(sample)
+    suite, reference = strict_suite(sample.truth.grid, ["quantized"]), Reference.exact(sample)
     evaluation = Evaluation(alone, suite, reference, "ugv", 0, partial(case_generator, 7, "ugv", 0))
     replay, uniform = evaluation.records([Case("attack", "replay", "full"), Case("attack", "uniform", "150")])
     assert replay.refused.startswith("replay needs an earlier sweep, got none")

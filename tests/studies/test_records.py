@@ -21,7 +21,7 @@ from viewshed.studies.records import (
     pool,
     to_table,
 )
-from viewshed.studies.statistics import accuracy, bootstrap, f1, precision, recall
+from viewshed.studies.statistics import bootstrap, f1, precision
 
 WALL = Case("attack", "ghost_wall", "full")
 KEY = Series("ugv", "vote", WALL)
@@ -44,12 +44,11 @@ def test_sweeps_are_pooled_whatever_their_order() -> None:
     assert found.counts(KEY).over_m2 == 0.25
     assert found.counts(KEY.of(WEDGE)).recall == pytest.approx(1 / 3)
     assert found.each(KEY, precision).tolist() == pytest.approx([0.5, 0.75])
-    assert found.each(KEY, recall).tolist() == pytest.approx([0.25, 0.75])
     assert found.numbers(KEY, "auprc").tolist() == [0.5]
     assert (found.sweeps("ugv"), found.sweeps("ugv", PAPER), found.scenes(KEY)) == (2, 0, {"s0", "s2"})
     assert found.refused == {("ugv", Case("attack", "replay", "full"), "no earlier sweep"): 2}
     nobody = Series("ugv", "nobody", WALL)
-    assert np.isnan([found.counts(nobody).f1, found.rate(nobody, f1), *found.interval([nobody], f1)]).all()
+    assert np.isnan([found.counts(nobody).f1, *found.interval([nobody], f1)]).all()
 
 
 def test_only_sweeps_that_met_a_kind_of_case_are_compared() -> None:
@@ -78,8 +77,8 @@ def test_intervals_draw_scenes_not_sweeps() -> None:
     assert np.isnan(bootstrap([(np.empty((0, 4)), [])], precision)).all()
 
 
-def test_accuracy_of_nothing_is_not_a_number() -> None:
-    assert np.isnan(accuracy(np.zeros(4)))
+def test_a_rate_of_nothing_is_not_a_number() -> None:
+    assert np.isnan([precision(np.zeros(4)), f1(np.zeros(4))]).all()
 
 
 def _scores(prob: float, visible: bool) -> Scores:

@@ -158,9 +158,9 @@ def monitor(
     from viewshed.studies.monitor.plan import MonitorPlan
     from viewshed.studies.store import ResultStore
 
-    folder, plan = _folder(out, "monitor"), MonitorPlan.load(preset)
+    folder = _folder(out, "monitor")
     _require_results(folder, run=run)
-    store = ResultStore.open(folder, plan)
+    store = ResultStore.open(folder, MonitorPlan.load(preset))
     failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
     _write(page or folder, {"monitor.md": page_of(store).encode()})
     typer.echo(f"Look at {(page or folder) / 'monitor.md'}")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Self
-
-import numpy as np
 
 from viewshed._page import Table, facts, to_markdown
 from viewshed.datasets import Archive
@@ -15,18 +12,13 @@ from viewshed.datasets.sample import Sample
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import Target
-from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.grid import BevGrid
 from viewshed.metrics import ConfusionCounts, Mask
 from viewshed.studies.formatting import by_name, format_number, lines, pivot
 from viewshed.studies.records import SEVERAL, VIEW, Case, Domain, Record, Results, Series
+from viewshed.studies.samples import CLEAR, SENSOR, parts_of
 from viewshed.studies.templates import fill_template
 from viewshed.sweep import Sweep, bare_points, unorganized, unorganized_no_sensor
-
-CLEAR = "clear"
-"""Region of the known cells that are not next to the threshold; ``VIEW`` has every known cell."""
-
-SENSOR = "sensor "
-"""What the names of the regions begin with that hold every known cell of one sensor's sweeps."""
 
 DEFINITION = Case("definition")
 """The case in which no estimator but another definition of visible is held against ours."""
@@ -83,16 +75,9 @@ class TruthEvaluation:
             yield Record(Series("", method, case, region), sample.scene, SEVERAL, counts)
 
     def regions(self, sample: Sample) -> dict[str, Mask]:
-        """Return parts of the grid by name: all that is known, clear of the threshold, range bands, the sensor's."""
-        target, grid = self.target, sample.truth.grid
-        gap = np.abs(sample.truth.expected_returns[target.name].astype(np.int16) - min(target.min_returns, 255))
-        range_m, _ = polar_of_cells(grid)
-        regions = {VIEW: sample.known, CLEAR: sample.known & (gap > max(1, target.min_returns // 2))}
-        for low, high in pairwise(edge * grid.half_extent_m for edge in self.bands):
-            regions[f"{low:g} to {high:.3g} m"] = sample.known & (range_m >= low) & (range_m < high)
-        if sample.sweep.model is not None:
-            regions[SENSOR + sample.sweep.model.name] = sample.known
-        return regions
+        """Return the known cells by region: all of them, and the parts of the view."""
+        parts = parts_of(sample, self.target, self.bands, max(1, self.target.min_returns // 2))
+        return {VIEW: sample.known} | {name: sample.known & part for name, part in parts.items()}
 
 
 def form_case(form: str) -> Case:

@@ -37,9 +37,9 @@ from viewshed.threats.corruptions import CORRUPTIONS, Corruption
 
 KINDS = ("benign", "bare", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
 """Nothing; without rings and sensor; an attack with a budget; with a sector, share or offset; a corruption with a
-severity; the paper's attacks with a number of points; an attacker who asks the victim, and with it the defense if there
-is one; and one who asked the victim without knowing of the defense. The last two differ from victim to victim: see
-``adaptive``."""
+severity; the paper's attacks with a number of points; an attacker who queries the victim, and with it the defense if
+there is one; and one who queried the victim without knowing of the defense. The last two differ from victim to victim:
+see ``adaptive``."""
 
 FULL = "full"
 """The budget of every beam in the wedge."""

@@ -1,6 +1,6 @@
 """What is counted of one sample: the estimates of a suite in each case, against one truth, in the view and the wedge.
 
-Attackers who ask their victim: each estimator, bare or behind a defense, meets an attack made against itself.
+Attackers who query their victim: each estimator, bare or behind a defense, meets an attack made against itself.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.estimators import PAPER_THRESHOLD, paper_estimators_on
 from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts, Mask, Scores, average_precision
@@ -19,7 +21,7 @@ from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import apply, visible_with
 from viewshed.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Record, Series
 from viewshed.studies.samples import StudySample
-from viewshed.studies.suite import EstimatorSuite
+from viewshed.studies.suite import LABEL, EstimatorSuite
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, Knowledge
 from viewshed.threats.attacks.adaptive import ADAPTIVE, BlackBox, Evade
@@ -27,7 +29,7 @@ from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.defenses import DEFENSES, Defended, Defense, TemporalConsistency
 
 AIMED_AS = Case("attack", "far_wall", "0")
-"""The attack that does not ask and whose wedge adaptive attackers take over, so that both can be compared."""
+"""The attack that does not query and whose wedge adaptive attackers take over, so that both can be compared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,17 @@ class Reference:
     def of(cls, sample: StudySample, visible: Mask, known: Mask, grid: BevGrid) -> Reference:
         """Return the reference of a sample on a grid."""
         return cls(grid, visible, known, level(sample.sweep, grid).world_from_level)
+
+    @classmethod
+    def exact(cls, sample: StudySample, target: Target = CAR) -> Reference:
+        """Return the exact truth of ``probe``, where it is known."""
+        return cls.of(sample, sample.truth.visible(target), sample.known, sample.truth.grid)
+
+    @classmethod
+    def label(cls, sample: StudySample, grid: BevGrid) -> Reference:
+        """Return the paper's label of the clean sweep on one of its grids."""
+        label = paper_estimators_on(grid)[LABEL](grid).estimate(sample.sweep)
+        return cls.of(sample, label.visible(PAPER_THRESHOLD), np.ones(grid.shape, np.bool_), grid)
 
     def inside(self, wedge: Wedge) -> Mask:
         """Return the cells (cells, cells) that count and whose azimuth a wedge holds."""
@@ -233,11 +246,11 @@ class DefendedEstimator:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveEvaluation:
-    """One sample on which attackers who ask meet their victims. What was found against a bare victim is kept.
+    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept.
 
     Attributes:
         evaluation: the sample, the victims, the truth and the defenses.
-        queries: that an attacker asks.
+        queries: that an attacker makes.
         defended: victims that stand behind the defenses.
     """
 
@@ -287,12 +300,12 @@ class AdaptiveEvaluation:
         return self._attacked[key]
 
     def attack(self, case: Case, victim: str, defense: Defense | None) -> BlackBox:
-        """Return an attacker who asks the victim; one who meets an alarm also takes care not to raise it."""
+        """Return an attacker who queries the victim; one who meets an alarm also takes care not to raise it."""
         estimator, wedge = self.evaluation.suite.estimators[victim], self.wedge
-        asked = estimator if defense is None else DefendedEstimator(defense, estimator)
-        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=asked))
+        victim_seen = estimator if defense is None else DefendedEstimator(defense, estimator)
+        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=victim_seen))
         if not isinstance(attack, BlackBox):
-            raise ValueError(f"{case.name} must ask its victim")
+            raise ValueError(f"{case.name} must query its victim")
         sector_deg = float(np.rad2deg(wedge.width))
         attack = replace(attack, queries=self.queries, azimuth=wedge.azimuth, sector_deg=sector_deg)
         if defense is None or defense.apply(self.evaluation.sample.sweep).alarm is None:

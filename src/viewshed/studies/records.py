@@ -171,6 +171,10 @@ class _Rows:
         if record.counts is not None:
             self.counts.append(record.counts)
 
+    def cells(self) -> Floats:
+        """Return the cells (S, 4) of each sweep: both, over, under, neither."""
+        return np.array([[c.both, c.over, c.under, c.neither] for c in self.counts], np.float64).reshape(-1, 4)
+
 
 P = TypeVar("P")
 
@@ -254,8 +258,7 @@ class Results(Generic[P]):
     def array(self, series: Series) -> Floats:
         """Return the cells (S, 4) of each sweep in the order of their numbers: both, over, under, neither."""
         rows = self._rows.get(series, _Rows())
-        cells = [[c.both, c.over, c.under, c.neither] for c in rows.counts]
-        return np.array(cells, np.float64).reshape(-1, 4)[np.argsort(rows.sweeps[: len(cells)], kind="stable")]
+        return rows.cells()[np.argsort(rows.sweeps[: len(rows.counts)], kind="stable")]
 
     def each(self, series: Series, measure: Measure) -> Floats:
         """Return a measure of each sweep (S,), NaN where it has none."""
@@ -270,15 +273,10 @@ class Results(Generic[P]):
         """Return another figure of each sweep that has it (S,), in the order of their numbers."""
         return np.array(list(self.by_sweep(series, name).values()), np.float64)
 
-    def rate(self, series: Series, measure: Measure) -> float:
-        """Return a measure of all sweeps together; NaN where there are none."""
-        return float(measure(self.array(series).sum(axis=0)))
-
     def interval(self, series: Iterable[Series], measure: Measure) -> tuple[float, float]:
         """Return the 95 % interval of the mean of a pooled measure over series, by a bootstrap over scenes."""
         found = [self._rows[s] for s in series if s in self._rows]
-        cases = [(np.array([[c.both, c.over, c.under, c.neither] for c in rows.counts], np.float64), rows.scenes)
-                 for rows in found if rows.counts]  # fmt: skip
+        cases = [(rows.cells(), rows.scenes) for rows in found if rows.counts]
         return bootstrap(cases, measure) if cases else NO_INTERVAL
 
 
@@ -330,6 +328,11 @@ class Domain(Generic[P]):
     def scores(self, method: str, cases: Iterable[Case], region: str = VIEW) -> Scores:
         """Return the cells of several cases together by probability."""
         return self.results.scores(self.series(method, case, region) for case in cases)
+
+    def best(self, methods: Iterable[str], case: Case, region: str = VIEW) -> str:
+        """Return which of the methods has the largest F1; empty where none has any."""
+        scored = {name: self.counts(name, case, region).f1 for name in methods}
+        return max((name for name, rate in scored.items() if rate >= 0), key=scored.__getitem__, default="")
 
     def interval(self, method: str, cases: Iterable[Case], measure: Measure, region: str = VIEW) -> tuple[float, float]:
         """Return the 95 % interval of the mean of a measure over cases."""

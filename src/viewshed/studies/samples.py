@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from viewshed.datasets import Archive, Sample
 from viewshed.datasets.presets import Preset, preset_named, preset_names
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.fov.truth import Truth
+from viewshed.fov.visibility import Target
+from viewshed.grid import polar_of_cells
 from viewshed.sweep import Sweep
 
 BEFORE_S = (2.0, 0.5)
@@ -118,3 +121,30 @@ def _before(archive: Archive, index: int, sample: Sample) -> Iterator[Sweep]:
             return
         if before.measured.agent == sample.sweep.agent and was_ns < t_ns:
             yield before.sweep
+
+
+CLEAR = "clear of the threshold"
+"""Part of the cells whose true number of returns is not next to that from which on a target is visible."""
+
+SENSOR = "sensor "
+"""Begins the name of a part that is all of a sensor's sweeps."""
+
+
+def parts_of(sample: Sample, target: Target, bands: Sequence[float], margin: int) -> dict[str, NDArray[np.bool_]]:
+    """Return parts of a view by name, masks (cells, cells): clear of the threshold, bands of range, the sensor's.
+
+    Args:
+        sample: with its truth.
+        target: what would have to be seen.
+        bands: edges of the bands of range, as shares of half the grid's side.
+        margin: returns that a clear cell is more than apart from the threshold.
+    """
+    grid, returns = sample.truth.grid, sample.truth.expected_returns[target.name].astype(np.int64)
+    range_m, _ = polar_of_cells(grid)
+    parts = {CLEAR: np.abs(returns - min(target.min_returns, 255)) > margin}
+    for low_m, high_m in pairwise(edge * grid.half_extent_m for edge in bands):
+        name = f"{low_m:g} to {high_m:.3g} m" if high_m < np.inf else f"from {low_m:g} m on"
+        parts[name] = (range_m >= low_m) & (range_m < high_m)
+    if sample.sweep.model is not None:
+        parts[SENSOR + sample.sweep.model.name] = np.ones(grid.shape, np.bool_)
+    return parts

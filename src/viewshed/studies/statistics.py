@@ -22,20 +22,6 @@ def precision(counts: Floats) -> Floats:
     return _rate(counts[..., 0], counts[..., 0] + counts[..., 1])
 
 
-def recall(counts: Floats) -> Floats:
-    """Return the share of the visible cells that are claimed (…); NaN where none is visible."""
-    return _rate(counts[..., 0], counts[..., 0] + counts[..., 2])
-
-
-def accuracy(counts: Floats) -> Floats:
-    """Return the share of the cells that are called right (…); NaN where there are none.
-
-    >>> accuracy(np.array([6.0, 2.0, 2.0, 10.0])).item()
-    0.8
-    """
-    return _rate(counts[..., 0] + counts[..., 3], counts.sum(axis=-1))
-
-
 def f1(counts: Floats) -> Floats:
     """Return the harmonic mean of precision and recall (…); NaN where nothing is claimed and nothing visible.
 
@@ -43,9 +29,6 @@ def f1(counts: Floats) -> Floats:
     0.75
     """
     return _rate(2 * counts[..., 0], 2 * counts[..., 0] + counts[..., 1] + counts[..., 2])
-
-
-MEASURES: dict[str, Measure] = {"precision": precision, "recall": recall, "accuracy": accuracy, "F1": f1}
 
 
 def _rate(part: Floats, whole: Floats) -> Floats:

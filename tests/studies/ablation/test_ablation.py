@@ -19,12 +19,12 @@ from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.studies.ablation.evaluate import (
     ATTACKS,
+    BANDS,
     CASES,
-    CLEAR,
+    MARGIN,
     Enveloped,
     evaluate,
     evaluation_of,
-    parts_of,
 )
 from viewshed.studies.ablation.jobs import run_study
 from viewshed.studies.ablation.page import page_of
@@ -33,7 +33,7 @@ from viewshed.studies.ablation.results import OURS, SettingResults, sure_from
 from viewshed.studies.cases import BARE, DEFAULT
 from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case, Results, Series
 from viewshed.studies.runner import ignore_progress
-from viewshed.studies.samples import StudySample
+from viewshed.studies.samples import CLEAR, StudySample, parts_of
 from viewshed.studies.store import ResultStore
 from viewshed.training.config import TrainConfig, read_config
 
@@ -89,10 +89,11 @@ def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(sample: 
 
 def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_it_was(sample: StudySample) -> None:
     truth = sample.truth
-    parts = dict(parts_of(sample, CAR))
+    parts = parts_of(sample.sample, CAR, BANDS, MARGIN)
     assert np.array_equal(parts[CLEAR], ~np.isin(truth.expected_returns["car"], [3, 4, 5, 6, 7]))
     assert np.array_equal(
-        dict(parts_of(sample, PEDESTRIAN))[CLEAR], ~np.isin(truth.expected_returns["pedestrian"], [1, 2, 3, 4, 5])
+        parts_of(sample.sample, PEDESTRIAN, BANDS, MARGIN)[CLEAR],
+        ~np.isin(truth.expected_returns["pedestrian"], [1, 2, 3, 4, 5]),
     )
     range_m = np.hypot(GRID.centers[..., 0], GRID.centers[..., 1])
     bands = [parts[name] for name in ("0 to 20 m", "20 to 40 m", "40 to 64 m", "from 64 m on")]
@@ -102,7 +103,7 @@ def test_parts_are_cells_clear_of_the_threshold_bands_of_range_and_whose_sensor_
     assert parts["sensor HDL-32E"].all()
     near = replace(truth, grid=BevGrid(32, 16.0))
     indoor = StudySample(replace(sample.sample, truth=near))
-    assert [name for name, _ in parts_of(indoor, CAR)][1:4] == ["0 to 5 m", "5 to 10 m", "10 to 16 m"]
+    assert list(parts_of(indoor.sample, CAR, BANDS, MARGIN))[1:4] == ["0 to 5 m", "5 to 10 m", "10 to 16 m"]
 
 
 def test_parts_are_counted_untouched_and_add_up(sample: StudySample) -> None:
@@ -188,7 +189,7 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
         ({"others": {"viewnet_indoor": "attic"}}, "preset must be one of"),
         ({"others": 3}, "others must be a table, got 3"),
         ({"chosen_sweeps": 3}, r"chosen_sweeps must lie in \[0, 2\], got 3"),
-        ({"questions": [20, 20]}, r"questions must be different numbers of at least 1, got \[20, 20\]"),
+        ({"queries": [20, 20]}, r"queries must be different numbers of at least 1, got \[20, 20\]"),
         ({"claim_precision": 1.0}, r"claim_precision must lie in \(0, 1\), got 1.0"),
         ({"more": 1}, "missing or unknown: more"),
     ],

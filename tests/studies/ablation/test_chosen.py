@@ -8,7 +8,7 @@ from viewshed.estimators.ray_trace import ContinuousRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
-from viewshed.studies.ablation.evaluate import UNTOUCHED, asked, attack_on, evaluate_chosen, evaluation_of
+from viewshed.studies.ablation.evaluate import UNTOUCHED, attack_on, evaluate_chosen, evaluation_of, queried
 from viewshed.studies.records import VIEW, WEDGE, Results, Series, to_table
 from viewshed.studies.samples import StudySample
 
@@ -24,9 +24,9 @@ def test_points_are_chosen_in_one_wedge_and_make_their_victim_claim_more(sample:
     records, results = list(evaluate_chosen(evaluation, QUESTIONS, 5)), Results(None)
     results.add(records)
     cases = {name: list(dict.fromkeys(r.series.case for r in records if r.series.method == name)) for name in victims}
-    assert cases == {"shadow_map": [UNTOUCHED, asked(12), asked(6)], "continuous": [UNTOUCHED, asked(12)]}
+    assert cases == {"shadow_map": [UNTOUCHED, queried(12), queried(6)], "continuous": [UNTOUCHED, queried(12)]}
     for name, victim in victims.items():
-        untouched, chosen = (Series("roads", name, case) for case in (UNTOUCHED, asked(12)))
+        untouched, chosen = (Series("roads", name, case) for case in (UNTOUCHED, queried(12)))
         clean = victim.estimate(sample.sweep).visible()[sample.known]
         assert sum(results.scores([untouched]).counts()[:2]) == clean.sum()
         before, now = (results.counts(series.of(WEDGE)) for series in (untouched, chosen))

@@ -4,12 +4,13 @@ import numpy as np
 from tests.studies.ablation.by_hand import Claims, setting_results
 
 from viewshed.metrics import ConfusionCounts, Scores
-from viewshed.studies.ablation.evaluate import CASES, CLEAR, UNTOUCHED, asked
+from viewshed.studies.ablation.evaluate import CASES, UNTOUCHED, queried
 from viewshed.studies.ablation.plan import WHOLE
 from viewshed.studies.ablation.results import OURS, RIVAL, SEVERAL, Sure, targets_elsewhere, targets_of
 from viewshed.studies.ablation.tables import SURE, chosen_table, sure_table
 from viewshed.studies.cases import DEFAULT
 from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.samples import CLEAR
 from viewshed.training.config import read_config
 
 RELAY, JAMMING = Case("attack", "relay", DEFAULT), Case("attack", "jamming", DEFAULT)
@@ -49,13 +50,13 @@ def test_targets_are_met_or_missed_by_what_was_found() -> None:
 
 def test_each_number_of_questions_has_a_target_and_the_untouched_sweep_none() -> None:
     test = setting_results({name: _every(9, 1) for name in (OURS, RIVAL)})
-    met: dict[Case, Claims] = {UNTOUCHED: (1, 9), asked(200): (95, 5), asked(1000): (85, 15)}
-    chosen = setting_results({OURS: met, RIVAL: met}, wedges={(OURS, asked(1000)): (1, 3)})
+    met: dict[Case, Claims] = {UNTOUCHED: (1, 9), queried(200): (95, 5), queried(1000): (85, 15)}
+    chosen = setting_results({OURS: met, RIVAL: met}, wedges={(OURS, queried(1000)): (1, 3)})
     found = {target.what: target for target in targets_of(NONE, test, chosen)}
-    few, many = (found[f"precision against 150 points chosen with {count} questions"] for count in (200, 1000))
+    few, many = (found[f"precision against 150 points chosen with {count} queries"] for count in (200, 1000))
     assert (few.met, many.met, many.found) == (True, False, "0.850 (wedge 0.250)")
     assert sum("chosen" in what for what in found) == 2
-    table = chosen_table(setting_results({OURS: {asked(200): (95, 5)}}, sweeps=2))
+    table = chosen_table(setting_results({OURS: {queried(200): (95, 5)}}, sweeps=2))
     assert table.rows == [[OURS, "200", "2", ".950 / 1.000", ".950 / 1.000", f"{5 * 0.25 / 2:.0f}"]]
 
 

@@ -12,8 +12,7 @@ from viewshed.grid import BevGrid
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.studies.cases import DEFAULT, case_generator
-from viewshed.studies.evaluate import Evaluation
-from viewshed.studies.paper.data import reference_of
+from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.paper.jobs import ATTACKED, both_records, strict_cases
 from viewshed.studies.paper.plan import PaperPlan
 from viewshed.studies.paper.protocols import setting_of
@@ -41,7 +40,7 @@ def _evaluation() -> Evaluation:
     sample = sample_of("ugv", 0, 2, 7)
     suite = SETTING.suite({"fooled": _Fooled(SETTING.grid, len(sample.sweep))})
     rng_of = partial(case_generator, PLAN.test_seed, "ugv", 0)
-    return Evaluation(sample, suite, reference_of(SETTING, sample), "ugv", 0, rng_of)
+    return Evaluation(sample, suite, Reference.exact(sample), "ugv", 0, rng_of)
 
 
 def test_benign_and_attacked_sweeps_are_counted_apart_and_only_where_the_truth_is_known() -> None:

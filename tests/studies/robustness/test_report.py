@@ -134,8 +134,8 @@ def test_tables_say_what_was_counted(tmp_path: Path) -> None:
     assert tables.verdict_table(found, 200).rows == [["uniform", "yes", "over .23"], ["ghost_wall", "yes", "yes"]]
 
 
-def _asked(folder: Path) -> Store:
-    """Three samples, the first of which meets attackers who ask: they open half of the wedge of the vote."""
+def _adaptive(folder: Path) -> Store:
+    """Three samples, the first of which meets attackers who query: they open half of the wedge of the vote."""
     plan = replace(
         RobustnessPlan.load("tiny"), samples=(3,), attacks=("far_wall",), budgets=("0", "150"), defenses=("radius",),
         adaptive=("adaptive_over_claim",), adaptive_defended=("majority_vote",),
@@ -144,7 +144,7 @@ def _asked(folder: Path) -> Store:
     opened, half = ([82, 26, 18, 74], [10, 10, 0, 0]), ([80, 24, 20, 76], [8, 6, 2, 4])
     little = [80, 22, 20, 78], [8, 4, 2, 6]
     for number in range(3):
-        wall = little if number == 0 else opened  # samples that nobody who asks meets do not count beside him
+        wall = little if number == 0 else opened  # samples that nobody who queries meets do not count beside him
         store.append(("attacks", "ugv", str(number)), JobResult([
             *records("ugv", number, BENIGN, _cells(CLEAN)),
             *records("ugv", number, Case("attack", "far_wall", "0"), _cells(CLEAN, CALM)),
@@ -161,9 +161,9 @@ def _asked(folder: Path) -> Store:
     return store
 
 
-def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path) -> None:
-    """Precision in the wedge: .8 untouched, 8/12 under the far wall, 10/20 under the attacker who asked."""
-    found = AttackedDomain(_asked(tmp_path).results(), "ugv")
+def test_who_queries_is_compared_on_the_samples_that_it_met(tmp_path: Path) -> None:
+    """Precision in the wedge: .8 untouched, 8/12 under the far wall, 10/20 under the attacker who queried."""
+    found = AttackedDomain(_adaptive(tmp_path).results(), "ugv")
     assert tables.adaptive_table(found).rows == [
         ["quantized", "far_wall +0 m² (.000)", "far_wall +0 m² (.000)", "+0 m² (.000)"],
         ["majority_vote", "far_wall +0 m² (.133)", "far_wall +0 m² (.000)", "+2 m² (.300)"],
@@ -177,7 +177,7 @@ def test_who_asks_is_compared_on_the_samples_that_were_asked_for(tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
-    store = _asked(tmp_path)
+    store = _adaptive(tmp_path)
     table = tables.known_defense_table("adaptive_over_claim", AttackedDomain(store.results(), "ugv"))
     words = ("untouched", "defense not known", "defense known")
     assert table.header == ["", *(f"majority_vote, {kind}" for kind in words)]
@@ -186,7 +186,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
         ["radius", ".800 / .800", ".667 / .800", ".571 / .800"],
     ]
     page = to_markdown("Report", {}, main_page(store, store.results())[1])
-    asking = page.split("## Attackers who ask their victim first")[1].split("## The bar")[0]
+    asking = page.split("## Adaptive attackers, who query their victim first")[1].split("## The bar")[0]
     assert "- **quantized** withstands 1 of 1 in every domain: `adaptive_over_claim`." in asking
     assert "- **majority_vote** withstands 0 of 1 in every domain: none." in asking
     assert "at most 8 plans" in " ".join(asking.split())
@@ -206,7 +206,7 @@ def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) ->
     assert "- **majority_vote** withstands 1 of 2 in every domain: `ghost_wall`." in words
     everywhere = words.split("### Up to a full wedge")[1]
     assert "- **majority_vote** withstands 0 of 2 in every domain: none." in everywhere
-    assert "Attackers who ask" not in words
+    assert "Adaptive attackers" not in words
     words += to_markdown("Tables", provenance(found), long_page(found)[1])
     assert re.findall(r"\bnan\b", words) == []
 

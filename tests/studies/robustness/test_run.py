@@ -106,7 +106,7 @@ ASKING = replace(PLAN, adaptive=("adaptive_over_claim",), adaptive_queries=6, ad
 
 
 @pytest.fixture(scope="module")
-def asked() -> Results[RobustnessPlan]:
+def adaptive_results() -> Results[RobustnessPlan]:
     return _results("adaptive", ASKING)
 
 
@@ -134,28 +134,30 @@ def _by_hand(sample: StudySample, victim: FovEstimator) -> tuple[Sweep, Wedge]:
 
 
 @pytest.mark.parametrize("victim", ["quantized", "first_blocker"])
-def test_each_victim_meets_the_attack_that_asked_it(
-    victim: str, sample: StudySample, asked: Results[RobustnessPlan]
+def test_each_victim_meets_the_attack_that_queried_it(
+    victim: str, sample: StudySample, adaptive_results: Results[RobustnessPlan]
 ) -> None:
     sweep, wedge = _by_hand(sample, CLASSICAL[victim](sample.truth.grid))
     attacked, calm = (Series("ugv", victim, Case("adaptive", "adaptive_over_claim", level)) for level in ("150", "0"))
-    assert asked.counts(attacked) == _counted(sample, victim, sweep)
-    assert asked.counts(attacked.of(WEDGE)) == _counted(sample, victim, sweep, wedge)
-    assert asked.counts(calm.of(WEDGE)) == _counted(sample, victim, sample.sweep, wedge)
-    assert asked.counts(attacked.of(WEDGE)).over > asked.counts(calm.of(WEDGE)).over
-    assert set(asked.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
+    assert adaptive_results.counts(attacked) == _counted(sample, victim, sweep)
+    assert adaptive_results.counts(attacked.of(WEDGE)) == _counted(sample, victim, sweep, wedge)
+    assert adaptive_results.counts(calm.of(WEDGE)) == _counted(sample, victim, sample.sweep, wedge)
+    assert adaptive_results.counts(attacked.of(WEDGE)).over > adaptive_results.counts(calm.of(WEDGE)).over
+    assert set(adaptive_results.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
 
 
-def test_who_knows_the_defense_asks_behind_it(sample: StudySample, asked: Results[RobustnessPlan]) -> None:
+def test_who_knows_the_defense_queries_behind_it(
+    sample: StudySample, adaptive_results: Results[RobustnessPlan]
+) -> None:
     victim, radius = CLASSICAL["quantized"](sample.truth.grid), DEFENSES["radius"]()
     for kind, asks in (("unaware", victim), ("adaptive", _Filtered(victim))):
         sweep, wedge = _by_hand(sample, asks)
         case = Case(kind, "adaptive_over_claim", "150", "radius")
-        assert {s.method for s in asked.series() if s.case == case} == {"quantized"}
+        assert {s.method for s in adaptive_results.series() if s.case == case} == {"quantized"}
         expected = _counted(sample, "quantized", radius.apply(sweep).sweep, wedge)
-        assert asked.counts(Series("ugv", "quantized", case, WEDGE)) == expected
+        assert adaptive_results.counts(Series("ugv", "quantized", case, WEDGE)) == expected
     calm = Series("ugv", "quantized", Case("adaptive", "adaptive_over_claim", "0", "radius"), WEDGE)
-    assert asked.counts(calm) == _counted(sample, "quantized", radius.apply(sample.sweep).sweep, wedge)
+    assert adaptive_results.counts(calm) == _counted(sample, "quantized", radius.apply(sample.sweep).sweep, wedge)
 
 
 def test_a_truth_for_fewer_beams_counts_in_every_part(sample: StudySample) -> None:

@@ -1,6 +1,6 @@
 """Sweeps under every attack and as bare clouds, with what the sensor measured before: honest, or attacked as well.
 
-Free points chosen against their victim: the attacker has the victim itself, and asks it.
+Free points chosen against their victim: the attacker has the victim itself, and queries it.
 
 Parts of a view: cells clear of the threshold, bands of range, and whose sensor it was.
 """
@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, pairwise
+from itertools import chain
+from math import inf
 
 import numpy as np
 
@@ -20,55 +21,35 @@ from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.temporal import where_confirmed
 from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.fov.visibility import CAR, Target
-from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.metrics import Mask
+from viewshed.grid import BevGrid
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.studies.cases import BARE, DEFAULT, TOUCHING, attack_of, generator
 from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.records import BENIGN, Case, Record, pool
-from viewshed.studies.samples import StudySample
+from viewshed.studies.samples import StudySample, parts_of
 from viewshed.studies.suite import EstimatorSuite
 from viewshed.sweep import Sweep, unorganized_no_sensor
-from viewshed.threats.attacks import ROAD_EXTENT_M, BlackBox, Knowledge, OverClaim
+from viewshed.threats.attacks import BlackBox, Knowledge, OverClaim
 from viewshed.threats.attacks.base import Wedge
 from viewshed.training.samples import AttackedSweep
 
-CLEAR = "clear of the threshold"
-"""Cells whose true number of returns is more than ``MARGIN`` from that from which on a target is visible."""
-
 MARGIN = 2
+"""Returns that cells must be apart from the threshold to be clear of it."""
 
-EDGES_M = (0.0, 20.0, 40.0, 64.0)
-"""Between bands of range, on a grid of ``ROAD_EXTENT_M``; in proportion on others. Beyond the last are the corners."""
-
-SENSOR = "sensor "
-"""Begins the name of a part that is all of a sensor's sweeps."""
+BANDS = (0.0, 0.3125, 0.625, 1.0, inf)
+"""Edges of the bands of range as shares of half the grid's side: 20, 40, 64 m on the road, and the corners beyond."""
 
 ALONE, HONEST, ATTACKED = "alone", "past", "attacked past"
 """What stands behind the name of a method that is given earlier sweeps, or is not, on sweeps that have some."""
 
-CONFIRMED = "wary, "
+CONFIRMED = "confirmed, "
 """Stands before them where only what an earlier sweep has seen as well is claimed."""
 
 ATTACKS = tuple(Case("attack", name, DEFAULT) for name in TOUCHING)
 """Attacks that touch returns, each with its default budget."""
 
 CASES = (BENIGN, BARE, *ATTACKS)
-
-
-def parts_of(sample: StudySample, target: Target) -> Iterator[tuple[str, Mask]]:
-    """Yield the parts that the view of a sample has, by name: masks (cells, cells) of the truth's grid."""
-    truth, model = sample.truth, sample.sweep.model
-    returns = truth.expected_returns[target.name].astype(np.int64)
-    yield CLEAR, np.abs(returns - target.min_returns) > MARGIN
-    range_m, _ = polar_of_cells(truth.grid)
-    edges_m = [edge * truth.grid.half_extent_m / ROAD_EXTENT_M for edge in EDGES_M]
-    for low_m, high_m in pairwise(edges_m):
-        yield f"{low_m:g} to {high_m:g} m", (range_m >= low_m) & (range_m < high_m)
-    yield f"from {edges_m[-1]:g} m on", range_m >= edges_m[-1]
-    if model is not None:
-        yield SENSOR + model.name, np.ones(truth.grid.shape, np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,14 +119,12 @@ def evaluation_of(
     sample: StudySample, estimators: Mapping[str, Estimator], setting: str, number: int, seed: int, target: Target
 ) -> Evaluation:
     """Return a sample with those who are tried on it, against exact truth of a target."""
-    grid = sample.truth.grid
-    reference = Reference.of(sample, sample.truth.visible(target), sample.known, grid)
-    suite = EstimatorSuite(grid, THRESHOLD, estimators)
+    suite = EstimatorSuite(sample.truth.grid, THRESHOLD, estimators)
 
     def rng_of(case: Case) -> np.random.Generator:
         return generator(seed, "ablation", str(number), case.name)
 
-    return Evaluation(sample, suite, reference, setting, number, rng_of)
+    return Evaluation(sample, suite, Reference.exact(sample, target), setting, number, rng_of)
 
 
 def evaluate(
@@ -180,7 +159,7 @@ def evaluate_sample(
 ) -> Iterator[Record]:
     """Yield the scores of one sample in every case; attacks that its sweep does not allow are left out."""
     sample, grid = evaluation.sample, evaluation.suite.grid
-    parts = dict(parts_of(sample, target))
+    parts = parts_of(sample.sample, target, BANDS, MARGIN)
     earlier = PriorSweeps.of(sample) if helped else None
     for case in CASES:
         try:
@@ -246,7 +225,7 @@ class Enveloped(ClassicalEstimator):
 
 
 UNTOUCHED = Case("adaptive", "over_claim_free", "0")
-"""The case without an attack; those with one are told apart by the number of questions that were asked."""
+"""The case without an attack; those with one are told apart by the number of queries that were made."""
 
 POINTS = 150
 """Points that an attacker may add."""
@@ -257,33 +236,33 @@ SECTOR_DEG = 30.0
 _AIM_M = 25.0
 
 
-def asked(questions: int) -> Case:
-    """Return the case of an attacker who asks so many questions."""
-    return replace(UNTOUCHED, level=str(questions))
+def queried(queries: int) -> Case:
+    """Return the case of an attacker who makes so many queries."""
+    return replace(UNTOUCHED, level=str(queries))
 
 
-def attack_on(victim: Estimator, questions: int) -> BlackBox:
+def attack_on(victim: Estimator, queries: int) -> BlackBox:
     """Return the attacker who wants a victim to claim what it did not claim before, by free points in one wedge.
 
     The victim's own answers are searched, as its channels count returns and have no gradient: weights and channels are
     known to the attacker, the truth is not. The wedge is aimed at a near obstacle.
     """
     scale = Knowledge(half_extent_m=victim.grid.half_extent_m).scale
-    return BlackBox(OverClaim(victim), POINTS, questions, sector_deg=SECTOR_DEG, aim_m=_AIM_M * scale, mode="free_form")
+    return BlackBox(OverClaim(victim), POINTS, queries, sector_deg=SECTOR_DEG, aim_m=_AIM_M * scale, mode="free_form")
 
 
-def evaluate_chosen(evaluation: Evaluation, questions: Mapping[str, Sequence[int]], seed: int) -> Iterator[Record]:
+def evaluate_chosen(evaluation: Evaluation, queries: Mapping[str, Sequence[int]], seed: int) -> Iterator[Record]:
     """Yield what every victim says of a sweep untouched and with points chosen against it.
 
     Args:
         evaluation: the sweep and the victims.
-        questions: by victim, the numbers of questions with each of which it is attacked.
+        queries: by victim, the numbers of queries with each of which it is attacked.
         seed: every attacker draws from the same start, so that wedges are the same.
     """
     sample, rng_of = evaluation.sample, partial(generator, seed, "chosen", str(evaluation.number))
     for name, victim in evaluation.suite.estimators.items():
-        for number in questions[name]:
+        for number in queries[name]:
             tampered = attack_on(victim, number).apply(sample.sweep, rng_of())
-            sweeps = {UNTOUCHED: sample.sweep} if number == questions[name][0] else {}
-            for case, sweep in (sweeps | {asked(number): tampered.sweep}).items():
+            sweeps = {UNTOUCHED: sample.sweep} if number == queries[name][0] else {}
+            for case, sweep in (sweeps | {queried(number): tampered.sweep}).items():
                 yield from evaluation.score(name, case, victim.estimate(sweep), tampered.wedge)

@@ -103,10 +103,10 @@ def _choose(job: Job[AblationPlan]) -> JobResult:
     config = plan.config_in(setting)
     every = _shipped(config) | _classical(config)
     victims = {name: every[name] for name in VICTIMS if name in every}
-    questions = {name: plan.questions if name == OURS else plan.questions[:1] for name in victims}
+    queries = {name: plan.queries if name == OURS else plan.queries[:1] for name in victims}
     sample = sample_in(plan, "test", setting, int(number))
     evaluation = evaluation_of(sample, victims, setting, int(number), plan.test_seed, TARGETS[config.target])
-    return JobResult(list(evaluate_chosen(evaluation, questions, plan.test_seed)))
+    return JobResult(list(evaluate_chosen(evaluation, queries, plan.test_seed)))
 
 
 def sample_in(plan: AblationPlan, split: str, setting: str, number: int) -> StudySample:

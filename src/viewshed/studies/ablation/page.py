@@ -7,9 +7,10 @@ from collections.abc import Callable
 from viewshed._page import Table, facts, to_markdown
 from viewshed.preprocess.history import HISTORY_SWEEPS
 from viewshed.studies.ablation import tables
-from viewshed.studies.ablation.evaluate import CLEAR, MARGIN, POINTS, SECTOR_DEG
+from viewshed.studies.ablation.evaluate import MARGIN, POINTS, SECTOR_DEG
 from viewshed.studies.ablation.plan import AblationPlan
 from viewshed.studies.ablation.results import OURS, SHADOW_MAP, SettingResults, targets_elsewhere, targets_of
+from viewshed.studies.samples import CLEAR
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
 

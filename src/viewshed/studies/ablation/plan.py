@@ -33,7 +33,7 @@ class AblationPlan(Plan):
         test_sweeps: how many the shipped network is reported on.
         other_sweeps: the same in each of ``others``.
         chosen_sweeps: how many of those of the domain are attacked by points chosen against their victim.
-        questions: that such an attacker asks: the first number of every victim, each number of our network.
+        queries: that such an attacker makes: the first number of every victim, each number of our network.
         chunk: sweeps of one job; points are chosen for one at a time.
         claim_precision: precision of cells claimed in attacked wedges after abstention, for which it is calibrated.
         base: changes of the config that all variants share.
@@ -56,7 +56,7 @@ class AblationPlan(Plan):
     test_sweeps: int
     other_sweeps: int
     chosen_sweeps: int
-    questions: tuple[int, ...]
+    queries: tuple[int, ...]
     chunk: int
     claim_precision: float
     base: Mapping[str, Any]
@@ -68,8 +68,8 @@ class AblationPlan(Plan):
             raise ValueError("sweeps, test_sweeps, other_sweeps and chunk must be at least 1")
         if not 0 <= self.chosen_sweeps <= self.test_sweeps:
             raise ValueError(f"chosen_sweeps must lie in [0, {self.test_sweeps}], got {self.chosen_sweeps}")
-        if not self.questions or min(self.questions) < 1 or len(set(self.questions)) < len(self.questions):
-            raise ValueError(f"questions must be different numbers of at least 1, got {list(self.questions)}")
+        if not self.queries or min(self.queries) < 1 or len(set(self.queries)) < len(self.queries):
+            raise ValueError(f"queries must be different numbers of at least 1, got {list(self.queries)}")
         if not 0.0 < self.claim_precision < 1.0:
             raise ValueError(f"claim_precision must lie in (0, 1), got {self.claim_precision}")
         if self.variants.get(WHOLE) != {}:

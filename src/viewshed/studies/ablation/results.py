@@ -15,16 +15,15 @@ from viewshed.studies.ablation.evaluate import (
     ALONE,
     ATTACKED,
     ATTACKS,
-    CLEAR,
     CONFIRMED,
     HONEST,
     POINTS,
-    SENSOR,
     UNTOUCHED,
 )
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
 from viewshed.studies.cases import BARE, DEFAULT
 from viewshed.studies.records import BENIGN, VIEW, WEDGE, Case, Domain
+from viewshed.studies.samples import CLEAR, SENSOR
 from viewshed.studies.store import ResultStore
 from viewshed.training.config import TrainConfig
 
@@ -295,7 +294,7 @@ def _with_history(test: SettingResults) -> Iterator[Target]:
         name = f"{OURS}, {CONFIRMED}{kind}"
         for words, cases in zip(("trained on", "unseen"), test.opening, strict=True):
             if name in test.methods:
-                what = f"precision / recall in opened wedges, wary of earlier sweeps{attacked}, {words}"
+                what = f"precision / recall in opened wedges, confirmed by earlier sweeps{attacked}, {words}"
                 yield _opened(what, test.wedge(name, cases), 0.9)
 
 
@@ -310,7 +309,7 @@ def _chosen(chosen: SettingResults) -> Iterator[Target]:
     for case in chosen.cases_of(OURS):
         if case != UNTOUCHED:
             precision, wedge = chosen.scores(OURS, [case]).precision(), chosen.wedge(OURS, [case]).precision()
-            what = f"precision against {POINTS} points chosen with {case.level} questions"
+            what = f"precision against {POINTS} points chosen with {case.level} queries"
             yield Target(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9)
 
 

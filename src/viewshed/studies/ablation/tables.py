@@ -75,7 +75,7 @@ def chosen_table(chosen: SettingResults) -> Table:
             both = [_both(chosen.scores(name, [case], region)) for region in (VIEW, WEDGE)]
             queries = "–" if case == UNTOUCHED else case.level
             rows.append([name, queries, str(counts.samples), *both, f"{counts.over_m2:.0f}"])
-    heads = ["victim", "questions", "sweeps", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"]
+    heads = ["victim", "queries", "sweeps", "view", "wedge", "claimed and not visible in the wedge, m² a sweep"]
     return Table(heads, rows)
 
 

@@ -7,19 +7,17 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-import numpy as np
-
 from viewshed._jobs import Engine
 from viewshed.datasets import Archive, Storage
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import simulate
-from viewshed.estimators import paper_estimators_on
 from viewshed.studies.cases import case_generator
 from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.paper.plan import PaperPlan
 from viewshed.studies.paper.protocols import Setting
+from viewshed.studies.records import STRICT
 from viewshed.studies.samples import BEFORE_S, StudySample
-from viewshed.studies.suite import LABEL, EstimatorSuite
+from viewshed.studies.suite import EstimatorSuite
 
 SPLITS = ("train", "test")
 
@@ -90,13 +88,5 @@ def evaluation_of(plan: PaperPlan, folder: Path, setting: Setting, suite: Estima
     """Return one of the held-out sweeps of the setting's domain, who is tried on it, and the setting's truth."""
     sample = held_out(plan, folder, setting.domain, number)
     rng_of = partial(case_generator, plan.test_seed, setting.domain, number)
-    reference = reference_of(setting, sample)
+    reference = Reference.exact(sample) if setting.protocol == STRICT else Reference.label(sample, setting.grid)
     return Evaluation(sample, suite, reference, setting.domain, number, rng_of, setting.protocol)
-
-
-def reference_of(setting: Setting, sample: StudySample) -> Reference:
-    """Return the truth of the clean sweep and where it counts."""
-    if setting.truth != LABEL:
-        return Reference.of(sample, sample.truth.visible(), sample.known, setting.grid)
-    label = paper_estimators_on(setting.grid)[LABEL](setting.grid).estimate(sample.sweep)
-    return Reference.of(sample, label.visible(setting.threshold), np.ones(setting.grid.shape, np.bool_), setting.grid)

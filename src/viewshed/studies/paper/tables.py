@@ -219,23 +219,13 @@ def winner_table(domain: StrictDomain) -> Table:
     for case in [BENIGN, *attacked_cases(domain)]:
         for region in (VIEW, WEDGE):
             if region == VIEW or domain.has_wedge(case):
-                (one, one_f1), (other, other_f1) = (
-                    _leader(domain, names, case, region) for names in (networks, classical)
-                )
-                vote = format_rate(domain.counts("majority_vote", case, region).f1)
-                rows.append([*best_of_row([_labeled(domain, case), one_f1, other_f1]), one, other, vote])
-                rows[-1].insert(1, region)
+                first = [domain.best(names, case, region) for names in (networks, classical)]
+                rates = [format_rate(domain.counts(name, case, region).f1) for name in (*first, "majority_vote")]
+                label, *best = best_of_row([_labeled(domain, case), *rates[:2]])
+                rows.append([label, region, *best, *(name or "–" for name in first), rates[2]])
     header = ["attack (family)", "where", "best network's F1", "best classical F1", "which network", "which classical",
               "majority_vote"]  # fmt: skip
     return Table(header, rows)
-
-
-def _leader(domain: StrictDomain, names: Sequence[str], case: Case, region: str) -> tuple[str, str]:
-    """Return who of several has the best F1, and what it is."""
-    scored = {name: domain.counts(name, case, region).f1 for name in names}
-    known = [name for name, rate in scored.items() if not isnan(rate)]
-    first = max(known, key=lambda name: scored[name], default="–")
-    return first, format_rate(scored.get(first, float("nan")))
 
 
 def seen_table(domain: StrictDomain) -> Table:

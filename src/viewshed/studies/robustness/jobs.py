@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache, partial
 
-import numpy as np
-
 from viewshed._jobs import Engine
 from viewshed.studies.cases import case_generator
 from viewshed.studies.evaluate import AdaptiveEvaluation, Evaluation, Reference, defense_of
@@ -15,7 +13,7 @@ from viewshed.studies.robustness.plan import RobustnessPlan
 from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
 from viewshed.studies.samples import StudySample, sample_of
 from viewshed.studies.store import JobResult, ResultStore
-from viewshed.studies.suite import LABEL, paper_suite, strict_suite
+from viewshed.studies.suite import paper_suite, strict_suite
 
 
 def run_study(
@@ -42,22 +40,10 @@ def evaluation_of(job: Job[RobustnessPlan]) -> Evaluation:
     rng_of = partial(case_generator, plan.seed, domain, int(number))
     if part == "paper":
         suite = paper_suite(sample.truth.grid.half_extent_m)
-        return Evaluation(sample, suite, paper_reference(sample), domain, int(number), rng_of, PAPER)
+        return Evaluation(sample, suite, Reference.label(sample, suite.grid), domain, int(number), rng_of, PAPER)
     suite = strict_suite(sample.truth.grid, plan.defended if part == "defenses" else ())
     defenses = {name: defense_of(name, sample) for name in plan.defenses} if part in ("defenses", "adaptive") else {}
-    return Evaluation(sample, suite, strict_reference(sample), domain, int(number), rng_of, STRICT, defenses)
-
-
-def strict_reference(sample: StudySample) -> Reference:
-    """Return the exact truth of ``probe``, car."""
-    return Reference.of(sample, sample.truth.visible(), sample.known, sample.truth.grid)
-
-
-def paper_reference(sample: StudySample) -> Reference:
-    """Return the paper's label of the clean sweep on its grid."""
-    suite = paper_suite(sample.truth.grid.half_extent_m)
-    label = suite.estimators[LABEL].estimate(sample.sweep).visible(suite.threshold)
-    return Reference.of(sample, label, np.ones(suite.grid.shape, np.bool_), suite.grid)
+    return Evaluation(sample, suite, Reference.exact(sample), domain, int(number), rng_of, STRICT, defenses)
 
 
 @lru_cache(maxsize=2)

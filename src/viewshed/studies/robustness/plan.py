@@ -50,9 +50,9 @@ class RobustnessPlan(Plan):
         defended_budgets: what the defenses face besides the largest budget of each attack.
         defended_severity: of the corruptions that the defenses face.
         paper_points: numbers of points in the paper's own block.
-        adaptive: of ``attacks.adaptive.ADAPTIVE``: attackers who ask their victim, each of all estimators.
+        adaptive: of ``attacks.adaptive.ADAPTIVE``: attackers who query their victim, each of all estimators.
         adaptive_budget: most returns that they place.
-        adaptive_queries: most questions that they ask.
+        adaptive_queries: most queries that they make.
         adaptive_samples: how many samples of each domain they meet, spread evenly.
         adaptive_defended: estimators whose attackers also know the defense before them, for each defense.
         adaptive_against_defenses: which of ``adaptive`` these attackers are.

@@ -263,7 +263,7 @@ def summary_table(domain: AttackedDomain) -> Table:
         "F1 corrupted": lambda name: format_rate(mean(domain.counts(name, case).f1 for case in corrupted)),
         f"withstands, {MODEST} returns": lambda name: withstood(name, MODEST),
         "withstands, full wedge": lambda name: withstood(name, None),
-        "withstands, asked": queried,
+        "withstands, adaptive": queried,
     })  # fmt: skip
     return Table(table.header, best_of_columns(table.rows, ties=False))
 
@@ -282,7 +282,5 @@ def bar_overview(domains: Sequence[AttackedDomain], region: str) -> Table:
 
 def leader(domain: AttackedDomain, case: Case, region: str) -> str:
     """Return the best F1 of a case with its interval, and whose it is; a dash where nobody has any."""
-    scored = {name: domain.counts(name, case, region).f1 for name in domain.methods}
-    known = [name for name, rate in scored.items() if not isnan(rate)]
-    best = max(known, key=lambda name: scored[name], default="")
+    best = domain.best(domain.methods, case, region)
     return f"{_f1_with_interval(domain, best, case, region)} {best}" if best else "–"
