@@ -6,8 +6,8 @@ Figures of a record by name. Areas are in square meters, over cells whose truth 
 - ``auroc``, ``aurc``: of the doubt 0.5 - |p - 0.5| for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
   deviation, where there is one. Cells at which fewer than ``min_returns`` beams aim are left out; ``auroc_known`` and
   ``auroc_std_known`` have all cells.
-- ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off ``min_returns``,
-  by who calls them visible: both, only the estimate, only the truth.
+- ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
+  ``min_returns``, by who calls them visible: both, only the estimate, only the truth.
 - ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: claimed; claimed beyond the sensor's maximum range; beyond the
   range at which it detects a target of 10 % every second time.
 - ``off_m2``, ``off_sure_m2``: where the estimated ground is off by more than 1 m; of that, claimed with p ≥ 0.8.
