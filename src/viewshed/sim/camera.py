@@ -29,7 +29,7 @@ _MATERIAL_COLORS = {
     "bark": (0.42, 0.29, 0.18), "grass": (0.52, 0.66, 0.34), "wood": (0.70, 0.52, 0.31),
     "rubber": (0.10, 0.10, 0.10), "leaves": (0.30, 0.54, 0.20), "hedge": (0.22, 0.46, 0.20),
     "mesh": (0.62, 0.70, 0.70), "glass": (0.55, 0.80, 0.92), "absorber": (0.05, 0.05, 0.09),
-    "cabin": (0.20, 0.24, 0.28),
+    "cabin": (0.20, 0.24, 0.28), "window": (0.55, 0.80, 0.92), "tinted": (0.30, 0.45, 0.52),
 }  # fmt: skip
 
 _CAR_COLORS = ((0.80, 0.16, 0.16), (0.16, 0.34, 0.72), (0.92, 0.92, 0.90), (0.20, 0.50, 0.46), (0.88, 0.66, 0.16),
@@ -116,10 +116,11 @@ def viewpoint(snapshot: Snapshot, eye: NDArray[np.float64], yaw: float, ways_m: 
 def without_ceiling(world: World, snapshot: Snapshot) -> tuple[Snapshot, float]:
     """Return the solids of a building without its ceiling and what hangs, and how high one sees then, in meters.
 
-    Things that begin higher than ``CEILING_M`` above the ground are left out; outdoors none is.
+    Things that begin higher than ``CEILING_M`` above the ground are left out, and ceilings; outdoors none is.
     """
     bottoms = np.array([min(part.bottom_m for part in thing.parts) for thing in world.things])
-    above = (bottoms >= CEILING_M) & world.indoor
+    roofs = np.array([thing.kind == "ceiling" for thing in world.things], np.bool_)
+    above = ((bottoms >= CEILING_M) | roofs) & world.indoor
     kept = ~above[snapshot.thing]
     arrays = ("kind", "center_m", "rotation", "half_m", "velocity_mps", "material", "thing")
     lower = replace(snapshot, **{name: getattr(snapshot, name)[kept] for name in arrays})

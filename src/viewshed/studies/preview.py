@@ -344,10 +344,11 @@ def row_of(sample: PreviewSample) -> Row:
     world, grid = sample.world, sample.truth.grid
     snapshot = world.snapshot(sample.t_s)
     sensor = world.world_from_sensor(world.agents[sample.agent], sample.t_s)
-    foot = [*sensor.translation[:2], float(world.terrain.at(sensor.translation[None])[0])]
+    ground = world.ground_of(world.agents[sample.agent])
+    foot = [*sensor.translation[:2], float(ground.at(sensor.translation[None])[0])]
     world_from_level = Rigid.from_yaw(sensor.yaw, foot)
     returns = sensor @ sample.sweep.points
-    height_m = returns[:, 2] - world.terrain.at(returns)
+    height_m = returns[:, 2] - ground.at(returns)
     pictures = (
         plan_view(world, snapshot, world_from_level, grid),
         _camera(sample, snapshot, sensor, returns),
@@ -366,10 +367,11 @@ def _camera(sample: PreviewSample, snapshot: Snapshot, sensor: Rigid, returns: N
         ways, lens = _ABOVE_ROBOT_M, _ROBOT_LENS
     snapshot, top_m = without_ceiling(sample.world, snapshot)
     shown = returns[_few_rings(sample.sweep)]
-    shown = shown[shown[:, 2] - sample.world.terrain.at(shown) < top_m - 0.1]
+    ground = sample.world.ground_of(sample.world.agents[sample.agent])
+    shown = shown[shown[:, 2] - ground.at(shown) < top_m - 0.1]
     pose = viewpoint(snapshot, sensor.translation + np.array([0.0, 0.0, 0.3]), sensor.yaw, ways)
     photo = photograph(sample.world, snapshot, pose, lens)
-    return _with_returns(photo, lens, pose.inverse() @ shown, shown[:, 2] - sample.world.terrain.at(shown))
+    return _with_returns(photo, lens, pose.inverse() @ shown, shown[:, 2] - ground.at(shown))
 
 
 def _few_rings(sweep: Sweep) -> NDArray[np.bool_]:

@@ -83,11 +83,11 @@ def edged(rect: tuple[float, float, float, float], z_m: float) -> tuple[Ground, 
     def ground(x: Array, y: Array) -> Array:
         return np.where((x > x0) & (x < x1) & (y > y0) & (y < y1), z_m, 0.0)
 
-    lines = ([-90.0, *(at + step for at in pair for step in (-FACE_M, FACE_M)), 90.0] for pair in ((x0, x1), (y0, y1)))
-    return ground, Terrain.of(*lines, ground)
+    xs, ys = ([-90.0, *(at + step for at in pair for step in (-FACE_M, FACE_M)), 90.0] for pair in ((x0, x1), (y0, y1)))
+    return ground, Terrain.of(xs, ys, ground)
 
 
-def at(array: NDArray[np.uint8], x: float, y: float) -> int:
+def at(array: NDArray[np.uint8] | NDArray[np.bool_], x: float, y: float) -> int:
     return int(array[tuple(GRID.index(np.array([x, y]))[0])])
 
 

@@ -76,6 +76,7 @@ def glass_front(rng: np.random.Generator, length_m: float, depth_m: float) -> Th
     room = min(rng.uniform(4.0, 9.0), depth_m - 1.5)
     material, frame = pick(rng, ("plaster", "concrete", "metal")), pick(rng, ("metal", "dark_paint"))
     top, back = storeys * rise, rng.uniform(0.0, 0.6)
+    pane = pick(rng, ("glass", "window", "window", "tinted"))
     parts: list[Shape] = [
         Box(0.0, (room + depth_m) / 2, length_m, depth_m - room, top, _SUNK_M, 0.0, "plaster"),
         *(_side(side, length_m, room, top, material) for side in (-1, 1)),
@@ -90,7 +91,7 @@ def glass_front(rng: np.random.Generator, length_m: float, depth_m: float) -> Th
         head = low + rise - 0.45
         if k:
             parts.append(Box(0.0, room / 2, length_m - 0.6, room, low, low - 0.35, 0.0, "concrete"))
-        parts.append(Box(0.0, set_back, length_m - 0.6, _PANE_M, head, low + (sill if k == 0 else 0.0), 0.0, "glass"))
+        parts.append(Box(0.0, set_back, length_m - 0.6, _PANE_M, head, low + (sill if k == 0 else 0.0), 0.0, pane))
         if k == 0 and sill > 0.1:
             parts.append(Box(0.0, set_back, length_m - 0.6, 0.2, sill, 0.06, 0.0, material))
         parts += [Box(float(x), set_back, 0.06, 0.12, head, low, 0.0, frame) for x in edges]

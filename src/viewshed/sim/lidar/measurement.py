@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.sensors import LidarModel
-from viewshed.sim.assets.shapes import REFLECTIVITY
+from viewshed.sim.assets.shapes import GLINT, GLOSS, REFLECTIVITY
 from viewshed.sim.lidar.optics import Optics, optics_of, step_of
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import Conditions
@@ -60,6 +60,8 @@ _WEAK = np.float32(3.0)
 _MIXED_GAP_M = (np.float32(0.15), np.float32(2.0))
 """Gaps at an edge across which a beam returns from between the two surfaces."""
 
+_PER_GLINT2 = np.float32(2.0 / GLINT**2)
+
 _PARTICLE_SHINE = np.float32(0.03)
 """Share of light that a particle sends back, for its intensity."""
 
@@ -80,6 +82,7 @@ class Tables(NamedTuple):
 
     Attributes:
         reflectivity: by material.
+        gloss: by material, of what it sends back as a mirror does.
         facing: factors of the cosine and of the squared sine of incidence.
         threshold: signal that is just detected, by luck.
         air: share of light that returns through the air, by range.
@@ -87,6 +90,7 @@ class Tables(NamedTuple):
     """
 
     reflectivity: Floats
+    gloss: Floats
     facing: tuple[np.float32, np.float32]
     threshold: Floats
     air: Floats
@@ -150,7 +154,7 @@ def measure(
     step_m = step_of(model)
     measure_beams(
         Surfaces(scan.depth_m, scan.cos_incidence, scan.material, scan.thing),
-        Tables(REFLECTIVITY, _facing(), _thresholds(), *air(optics, conditions, model.max_range_m)),
+        Tables(REFLECTIVITY, GLOSS, _facing(), _thresholds(), *air(optics, conditions, model.max_range_m)),
         *_alive(model, conditions, int(seed)),
         _numbers(model, optics, conditions, step_m),
         seed,
@@ -318,6 +322,9 @@ def _surface(surfaces: Any, c: Any, r: Any, tables: Any, numbers: Any, luck: Any
         return np.float32(0.0), np.float32(0.0)
     facing = tables.facing[0] * cos + tables.facing[1] * (np.float32(1.0) - cos * cos)
     shine = tables.reflectivity[surfaces.material[c, r]] * facing
+    gloss = tables.gloss[surfaces.material[c, r]]
+    if gloss > np.float32(0.0):  # the mirror image: a lobe in the angle of incidence, θ² = 2 (1 - cos θ)
+        shine += gloss * np.exp(_PER_GLINT2 * (cos - np.float32(1.0)))
     if surfaces.thing[c, r] == _GROUND:
         shine *= numbers.wet
     # The LiDAR equation, in units of the threshold.

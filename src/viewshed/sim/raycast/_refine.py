@@ -59,6 +59,7 @@ def measure_stops(
     solids: Any,
     ground: Any,
     draws: Any,
+    glossy: Any,
     max_range_m: Any,
     nearest: Any,
     depth: Any,
@@ -69,7 +70,8 @@ def measure_stops(
     """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
 
     Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of
-    :mod:`viewshed.sim.raycast._inputs`, the free paths (DRAWS,), and the range from which nothing is met.
+    :mod:`viewshed.sim.raycast._inputs`, the free paths (DRAWS,), the gloss of materials, and the range from which
+    nothing is met. Volumes without gloss have no normal: their cosine is 1.
     """
     planes, local, count, deep = _planes(ground), np.empty(6), solids.boxes.shape[0], ground.material.shape[1]
     for c in range(depth.shape[0]):
@@ -88,7 +90,8 @@ def measure_stops(
                 # Into a volume the beam goes on for the free path that the caster drew for it.
                 if not np.isinf(solids.per_m[s]):
                     ticket = mixed(np.uint32(i), solids.salts[s]) & np.uint32(DRAWS - 1)
-                    t, cos = max(t, 0.0) + float(draws[ticket]) / solids.per_m[s], 1.0
+                    t = max(t, 0.0) + float(draws[ticket]) / solids.per_m[s]
+                    cos = cos if glossy[solids.materials[s]] > 0.0 else 1.0
                 met, made_of = solids.things[s], solids.materials[s]
             if t > max_range_m:
                 t, cos, met, made_of = np.inf, 0.0, -2, 0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
-from viewshed.sim.assets.shapes import PER_M
+from viewshed.sim.assets.shapes import GLOSS, PER_M
 from viewshed.sim.lidar.firing import column_poses, still_firing, turned_by
 from viewshed.sim.raycast._inputs import BLOCK, DRAWS, Beams, Ground, Nearest, Solids, View
 from viewshed.sim.raycast._refine import measure_stops, turn_beams
@@ -54,7 +54,7 @@ def cast_world(
     depth, thing = np.empty(shape, np.float32), np.empty(shape, np.int32)
     material, cosine = np.empty(shape, np.uint8), np.empty(shape, np.float32)
     measure_stops(
-        origin, direction, time_s, solids, ground, _free_paths(), model.max_range_m, nearest,
+        origin, direction, time_s, solids, ground, _free_paths(), GLOSS, model.max_range_m, nearest,
         depth, thing, material, cosine,
     )  # fmt: skip
     if model.fired is not None:

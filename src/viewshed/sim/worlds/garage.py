@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,7 @@ def garage(rng: np.random.Generator, plan: AgentPlan) -> World:
     if storey.outside_m < 0.0:
         still += _around(rng, storey)
     moving = _traffic(rng, plan, storey)
-    return assembled("garage", storey.terrain(), plan, Contents(still, moving, masts))
+    return replace(assembled("garage", storey.terrain(), plan, Contents(still, moving, masts)), indoor=True)
 
 
 def _storey(rng: np.random.Generator, sensor_m: float) -> Storey:

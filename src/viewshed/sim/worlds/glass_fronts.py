@@ -40,4 +40,4 @@ def _balustrade(length_m: float) -> Thing:
     stands = [Box(float(x), 0.0, 0.05, 0.05, 1.05, -0.3, 0.0, "metal")
               for x in np.linspace(-0.5, 0.5, max(2, round(length_m / 1.5))) * length_m]  # fmt: skip
     rail = Box(0.0, 0.0, length_m, 0.05, 1.1, 1.05, 0.0, "metal")
-    return Thing("balustrade", (Box(0.0, 0.0, length_m, 0.02, 1.05, 0.1, 0.0, "glass"), *stands, rail))
+    return Thing("balustrade", (Box(0.0, 0.0, length_m, 0.02, 1.05, 0.1, 0.0, "window"), *stands, rail))

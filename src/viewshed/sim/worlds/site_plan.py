@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 _GAP_M, _TALL_M = 0.15, 3.0
 
+_ROOM = 8192
+
 
 @dataclass(slots=True)
 class SitePlan:
@@ -29,11 +31,14 @@ class SitePlan:
 
     things: list[Thing] = field(default_factory=list)
     _taken: list[shapely.Polygon] = field(default_factory=list)
+    _bounds: Array = field(default_factory=lambda: np.empty((_ROOM, 4)))
     _open: list[shapely.Polygon] = field(default_factory=list)
 
     def reserve(self, *areas: shapely.Polygon) -> None:
         """Keep areas free, in meters of the world."""
-        self._taken += areas
+        for area in areas:
+            self._bounds[len(self._taken)] = area.bounds
+            self._taken.append(area)
 
     def keep_masts(self, masts: Sequence[Mast]) -> None:
         """Keep the feet of roadside sensors free, and the air around them of crowns and roofs."""
@@ -48,16 +53,20 @@ class SitePlan:
 
     def clear(self, area: shapely.Polygon, gap_m: float = _GAP_M) -> bool:
         """Return whether nothing reserved or standing lies within ``gap_m`` meters of an area."""
-        if not self._taken:
-            return True
-        return not bool((shapely.distance(area, np.array(self._taken)) < gap_m).any())
+        x0, y0, x1, y1 = area.bounds
+        # Only areas whose upright rectangles come that near are measured.
+        bounds = self._bounds[: len(self._taken)]
+        near = (bounds[:, 0] < x1 + gap_m) & (bounds[:, 2] > x0 - gap_m)
+        near &= (bounds[:, 1] < y1 + gap_m) & (bounds[:, 3] > y0 - gap_m)
+        return not any(self._taken[k].distance(area) < gap_m for k in np.flatnonzero(near))
 
     def put(self, thing: Thing, gap_m: float = _GAP_M, below_m: float = 2.1) -> bool:
         """Let a thing stand where it is if what of it begins below ``below_m`` is clear of others, and say so."""
         area = shapely.Polygon(footprint(thing, below_m=below_m))
         if not self.clear(area, gap_m) or self._blinds(thing):
             return False
-        self.stand(thing, below_m=below_m)
+        self.things.append(thing)
+        self.reserve(area)
         return True
 
     def _blinds(self, thing: Thing) -> bool:
@@ -81,7 +90,7 @@ class SitePlan:
         """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
         for thing in things:
             self.things.append(thing)
-            self._taken.append(shapely.Polygon(footprint(thing, below_m=below_m)))
+            self.reserve(shapely.Polygon(footprint(thing, below_m=below_m)))
 
     def scatter(
         self, rng: np.random.Generator, things: list[Thing], spread_m: tuple[float, float, float, float]

@@ -113,6 +113,5 @@ def _houses(rng: np.random.Generator, site: SitePlan, road: Roadway, side: int, 
                 site.put(house, 0.05)
             elif draw < 0.85:
                 site.put(road.bend.put(hedge(rng, 0.7 * long, 1.2), middle, front))
-            for _ in range(2):
-                x, y, _ = road.bend.at(middle + rng.uniform(-8, 8), front + side * rng.uniform(0.0, 8.0))
-                site.put(place_at(bush(rng, 1.4) if rng.random() < 0.6 else tree(rng, 2.2, 4.0), x, y))
+            x, y, _ = road.bend.at(middle + rng.uniform(-8, 8), front + side * rng.uniform(0.0, 8.0))
+            site.put(place_at(bush(rng, 1.4) if rng.random() < 0.6 else tree(rng, 2.2, 4.0), x, y))
