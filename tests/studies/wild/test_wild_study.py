@@ -10,7 +10,7 @@ from viewshed._jobs import LocalEngine
 from viewshed.datasets.wild import WildObservation, wild_scenes
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, expected_returns
-from viewshed.metrics import BINS, ConfusionCounts, Scores
+from viewshed.metrics import ConfusionCounts, Scores
 from viewshed.preprocess.leveling import level
 from viewshed.studies.store import ResultStore
 from viewshed.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, record_of, records_of
@@ -18,7 +18,7 @@ from viewshed.studies.wild.jobs import do_job, run_study, scene_of
 from viewshed.studies.wild.openings import Opening
 from viewshed.studies.wild.page import page_of
 from viewshed.studies.wild.plan import WildPlan
-from viewshed.studies.wild.records import Pool, WildRecord, from_table, to_table
+from viewshed.studies.wild.records import FINE_BINS, Pool, WildRecord, from_table, to_table
 
 TINY = WildPlan.load("tiny")
 FAST = replace(TINY, scenes=1, methods=("first_blocker", "shadow_map"), told=("rings",), worst=0)
@@ -102,6 +102,7 @@ def test_records_come_back_from_their_table(seen: WildObservation) -> None:
     table = to_table(records)
     back = list(from_table(table))
     assert to_table(back) == table
+    assert back[1].bins == pytest.approx(records[1].bins, abs=1e-3)
     assert (back[1].counts, back[1].style) == (records[1].counts, seen.scene.style)
     with pytest.raises(ValueError, match="columns must be"):
         next(from_table(table | {"columns": ["x"]}))
@@ -113,8 +114,8 @@ def test_pooled_calibration_is_that_of_all_cells_together() -> None:
     prob, true = rng.random(500).astype(np.float32), rng.random(500) < 0.5
     records = []
     for part in (slice(0, 100), slice(100, 500)):
-        bins = np.minimum((prob[part] * BINS).astype(int), BINS - 1)
-        sums = [np.bincount(bins, weights, BINS) for weights in (np.ones(len(bins)), true[part], prob[part])]
+        bins = np.minimum((prob[part] * FINE_BINS).astype(int), FINE_BINS - 1)
+        sums = [np.bincount(bins, weights, FINE_BINS) for weights in (np.ones(len(bins)), true[part], prob[part])]
         records.append(replace(_blank(), bins=np.stack(sums, axis=1)))
     scores = Scores()
     scores.add(prob, true)
@@ -123,7 +124,18 @@ def test_pooled_calibration_is_that_of_all_cells_together() -> None:
 
 def _blank() -> WildRecord:
     counts = ConfusionCounts(1, 1, 1, 1, 1.0)
-    return WildRecord("own", "road", "s", 0, "a", "b", "c", "rings", "car", "m", counts, np.zeros((BINS, 3)), {})
+    return WildRecord("own", "road", "s", 0, "a", "b", "c", "rings", "car", "m", counts, np.zeros((FINE_BINS, 3)), {})
+
+
+def test_recall_at_a_precision_and_clear_cells_by_hand() -> None:
+    """Of 10 sure cells 9 are visible, of 10 doubtful ones 5: precision .9 allows the sure ones alone, .7 all."""
+    bins = np.zeros((FINE_BINS, 3))
+    bins[140], bins[90] = (10, 9, 9.4), (10, 5, 6.0)
+    numbers = {"clear_both": 3.0, "clear_over": 1.0, "clear_under": 1.0}
+    pool = Pool([replace(_blank(), bins=bins, numbers=numbers)])
+    assert (pool.recall_at(0.9), pool.recall_at(0.7), pool.recall_at(0.95)) == (9 / 14, 1.0, 0.0)
+    assert pool.clear_f1() == 0.75
+    assert np.isnan(Pool([]).recall_at(0.5))
 
 
 def test_means_are_over_scenes_and_shares_over_cells() -> None:

@@ -4,7 +4,10 @@ Figures of a record by name. Areas are in square meters, over cells whose truth 
 
 - ``flat``: 1 where 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor.
 - ``auroc``, ``aurc``: of the doubt 0.5 - |p - 0.5| for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
-  deviation, where there is one. Cells at which fewer than ``min_returns`` beams aim are left out.
+  deviation, where there is one. Cells at which fewer than ``min_returns`` beams aim are left out; ``auroc_known`` and
+  ``auroc_std_known`` have all cells.
+- ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
+  ``min_returns``, by who calls them visible: both, only the estimate, only the truth.
 - ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: claimed; claimed beyond the sensor's maximum range; beyond the
   range at which it detects a target of 10 % every second time.
 - ``off_m2``, ``off_sure_m2``: where the estimated ground is off by more than 1 m; of that, claimed with p ≥ 0.8.
@@ -29,13 +32,13 @@ from viewshed.fov.visibility import TARGETS, Beams, Target, expected_returns, pr
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.integrity.roc import auroc
-from viewshed.metrics import BINS, ConfusionCounts, Scores
+from viewshed.metrics import ConfusionCounts, Scores
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sim.lidar.optics import optics_of
 from viewshed.studies.wild.plan import WildPlan
-from viewshed.studies.wild.records import WildRecord
+from viewshed.studies.wild.records import FINE_BINS, WildRecord
 
-OFF_M, SURE, FLAT_M = 1.0, 0.8, 1.0
+OFF_M, SURE, FLAT_M, CLEAR = 1.0, 0.8, 1.0, 2
 
 AS_TOLD = "shadow_map"
 
@@ -80,9 +83,13 @@ def record_of(
     std = None if estimate.std is None or np.isnan(estimate.std).any() else estimate.std
     scores.add(prob[judged], true[judged], None if std is None else std[judged])
     numbers = {"flat": float(_is_flat(sample)), "aurc": scores.aurc(), "aurc_std": scores.aurc_std()}
-    wrong = (claimed != true)[judged]
-    numbers["auroc"] = _auroc((0.5 - np.abs(prob - 0.5))[judged], wrong)
-    numbers["auroc_std"] = float("nan") if std is None else _auroc(std[judged], wrong)
+    wrong, doubt = claimed != true, 0.5 - np.abs(prob - 0.5)
+    for suffix, mask in (("", judged), ("_known", known)):
+        numbers[f"auroc{suffix}"] = _auroc(doubt[mask], wrong[mask])
+        numbers[f"auroc_std{suffix}"] = float("nan") if std is None else _auroc(std[mask], wrong[mask])
+    gap = np.abs(seen.truth.expected_returns[target.name].astype(np.int16) - target.min_returns)
+    clear = ConfusionCounts.of(claimed, true, known & (gap > CLEAR), grid.cell_area_m2)
+    numbers |= {f"clear_{name}": float(getattr(clear, name)) for name in ("both", "over", "under")}
     # Areas: beyond what the sensor can reach, and over ground that was taken to be elsewhere.
     range_m, model = polar_of_cells(grid)[0], seen.sensor.model
     reach_m = min(optics_of(model).reach_m, model.max_range_m)
@@ -174,6 +181,7 @@ def _auroc(doubt: NDArray[np.float32], wrong: NDArray[np.bool_]) -> float:
 
 
 def _bins(prob: NDArray[np.float32], true: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return (15, 3) cells, visible cells and sum of probabilities by bin of probability."""
-    bins = np.minimum((prob * BINS).astype(np.intp), BINS - 1)
-    return np.stack([np.bincount(bins, weights, BINS) for weights in (np.ones(len(prob)), true, prob)], axis=1)
+    """Return (150, 3) cells, visible cells and sum of probabilities by bin of probability."""
+    bins = np.minimum((prob * FINE_BINS).astype(np.intp), FINE_BINS - 1)
+    sums = [np.bincount(bins, weights, FINE_BINS) for weights in (np.ones(len(prob)), true, prob)]
+    return np.stack(sums, axis=1)

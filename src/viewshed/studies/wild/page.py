@@ -75,15 +75,17 @@ def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
 
 
 def _agreement(pool: Pool) -> Table:
-    """Return precision, recall and F1 of every method, own and other side by side."""
-    rows = []
+    """Return precision, recall and F1 of every method, own and other side by side, and recall at equal precision."""
+    rows, other = [], _own_and_other(pool)[1]
+    bar = other.of(method=AS_TOLD).counts.precision
     for method in pool.names("method"):
         row = [method]
         for part in _own_and_other(pool.of(method=method)):
             counts = part.counts
             row += [format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1))]
-        rows.append(row)
-    header = ["method", "own: precision / recall", "own: F1", "other: precision / recall", "other: F1"]
+        rows.append([*row, format_rate(other.of(method=method).recall_at(bar))])
+    header = ["method", "own: precision / recall", "own: F1", "other: precision / recall", "other: F1",
+              f"other: recall at precision {format_rate(bar)}"]  # fmt: skip
     return Table(header, rows)
 
 
@@ -96,6 +98,7 @@ def _beyond_f1(pool: Pool) -> Table:
             method,
             format_rates(*(part.mean_f1() for part in parts)),
             format_rates(*(part.where(lambda one: one.numbers["flat"] > 0).counts.f1 for part in parts)),
+            format_rates(*(part.clear_f1() for part in parts)),
             format_rates(*(part.ece() for part in parts)),
             *(format_rates(*(part.mean(name) for part in parts)) for name in ("auroc", "auroc_std")),
             " / ".join(format_number(part.mean("aurc"), 4) for part in parts),
@@ -103,8 +106,8 @@ def _beyond_f1(pool: Pool) -> Table:
             format_rate(parts[1].share("off_sure_m2", "off_m2")),
             format_rates(*(part.share("unaimed_hidden", "unaimed") for part in parts)),
         ])  # fmt: skip
-    header = ["own / other", "F1 by scene", "F1, flat", "ECE", "AUROC", "AUROC std", "AURC", "beyond (other)",
-              "off (other)", "HIDDEN"]  # fmt: skip
+    header = ["own / other", "F1 by scene", "F1, flat", "F1, clear", "ECE", "AUROC", "AUROC std", "AURC",
+              "beyond (other)", "off (other)", "HIDDEN"]  # fmt: skip
     return Table(header, rows)
 
 

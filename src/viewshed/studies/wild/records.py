@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from viewshed.metrics import BINS, ConfusionCounts
 from viewshed.studies.statistics import NO_INTERVAL, Measure, bootstrap
 
+FINE_BINS = 10 * BINS
+"""Bins of probability that are kept: ten in each bin of the calibration error."""
+
 Floats = NDArray[np.float64]
 
 
@@ -31,7 +34,7 @@ class WildRecord:
         target: name.
         method: an estimator, or a step of the ladder.
         counts: agreement of the claims with the truth over the cells whose truth is known.
-        bins: (15, 3) float64 by bin of probability: cells, visible cells, sum of probabilities.
+        bins: (150, 3) float64 by bin of probability: cells, visible cells, sum of probabilities.
         numbers: other figures by name, see :mod:`viewshed.studies.wild.evaluate`.
     """
 
@@ -61,7 +64,8 @@ def to_table(records: Iterable[WildRecord]) -> dict[str, Any]:
 def _row(record: WildRecord) -> list[Any]:
     plain = [getattr(record, name) for name in _COLUMNS[:-3]]
     numbers = {name: None if np.isnan(value) else value for name, value in record.numbers.items()}
-    return [*plain, list(astuple(record.counts)), record.bins.tolist(), numbers]
+    bins = [[int(k), *(round(float(one), 3) for one in record.bins[k])] for k in np.flatnonzero(record.bins[:, 0])]
+    return [*plain, list(astuple(record.counts)), bins, numbers]
 
 
 def from_table(table: Mapping[str, Any]) -> Iterator[WildRecord]:
@@ -75,7 +79,10 @@ def from_table(table: Mapping[str, Any]) -> Iterator[WildRecord]:
     for row in table["rows"]:
         given = dict(zip(_COLUMNS, row, strict=True))
         numbers = {key: float("nan") if one is None else float(one) for key, one in given["numbers"].items()}
-        parts = {"counts": ConfusionCounts(*given["counts"]), "bins": np.array(given["bins"]), "numbers": numbers}
+        bins = np.zeros((FINE_BINS, 3))
+        for k, *sums in given["bins"]:
+            bins[k] = sums
+        parts = {"counts": ConfusionCounts(*given["counts"]), "bins": bins, "numbers": numbers}
         yield WildRecord(**given | parts)
 
 
@@ -110,11 +117,28 @@ class Pool:
         counts = np.array([[c.both, c.over, c.under, c.neither] for c in (one.counts for one in self.records)], float)
         return bootstrap([(counts, [record.scene for record in self.records])], measure)
 
+    def bins(self) -> Floats:
+        """Return (150, 3) the bins of all together."""
+        return np.asarray(sum((record.bins for record in self.records), np.zeros((FINE_BINS, 3))), np.float64)
+
     def ece(self) -> float:
-        """Return the expected calibration error over all cells; NaN without cells."""
-        bins = sum((record.bins for record in self.records), np.zeros((BINS, 3)))
+        """Return the expected calibration error over all cells, in 15 bins; NaN without cells."""
+        bins = self.bins().reshape(BINS, -1, 3).sum(axis=1)
         cells = bins[:, 0].sum()
         return float(np.abs(bins[:, 2] - bins[:, 1]).sum() / cells) if cells else float("nan")
+
+    def recall_at(self, precision: float) -> float:
+        """Return the largest recall of a threshold (steps of 1/150) that reaches the precision; 0 where none does."""
+        cells, visible, _ = self.bins()[::-1].cumsum(axis=0).T
+        reached = visible >= precision * np.maximum(cells, 1)
+        return float((visible[reached] / visible[-1]).max(initial=0.0)) if visible[-1] else float("nan")
+
+    def clear_f1(self) -> float:
+        """Return the F1 of the cells whose true number of returns is clear of ``min_returns``; NaN without any."""
+        both, over, under = (
+            sum(record.numbers[f"clear_{name}"] for record in self.records) for name in ("both", "over", "under")
+        )
+        return 2 * both / (2 * both + over + under) if both + over + under else float("nan")
 
     def mean(self, name: str) -> float:
         """Return the mean of a figure over the scenes that have it; NaN where none has."""
