@@ -33,6 +33,9 @@ def compare(
     file_frame: options.FrameName = None,
     height: options.Height = None,
     attitude: options.Attitude = None,
+    origin: options.Origin = None,
+    ring: options.RingSource = "file",
+    vehicle_yaw: options.VehicleYaw = None,
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
@@ -56,7 +59,7 @@ def compare(
     estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
     [(path, entry)] = options.chosen([file], index)
     refuse_inputs([out], [file])
-    sweep = Reading(sensor, format, file_frame, height, attitude).sweep(path, entry)
+    sweep = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw).sweep(path, entry)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
     first = results[names[0]][0]
