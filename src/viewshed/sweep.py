@@ -60,6 +60,8 @@ class Sweep:
         infer_sensor: whether the sensor may be inferred from the points where ``model`` is None; False: there is none.
         agent: who measured it.
         dropped_points: how many rows were not finite and were left out.
+        vehicle_yaw: heading of the vehicle that carries the sensor, radians counter-clockwise from the sensor's x, or
+            None where the returns near the sensor must tell it.
 
     Raises:
         ValueError: a shape, a value or a type is not as above; the message says what to mend.
@@ -82,6 +84,7 @@ class Sweep:
     infer_sensor: bool = True
     agent: str = "ego"
     dropped_points: int = field(default=0)
+    vehicle_yaw: float | None = None
 
     def __post_init__(self) -> None:
         points = _points(self.points)
@@ -102,6 +105,8 @@ class Sweep:
         self._check_attitude()
         if self.t_ns is not None and not -_INT64 <= self.t_ns < _INT64:
             raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
+        if self.vehicle_yaw is not None and not np.isfinite(self.vehicle_yaw):
+            raise ValueError(f"vehicle_yaw must be finite radians, got {self.vehicle_yaw}")
         if self.dropped_points < 0:
             raise ValueError(f"dropped_points must not be negative, got {self.dropped_points}")
         height = self.sensor_height_m

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +27,14 @@ SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam ta
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
 FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
+Origin = Annotated[
+    str | None, typer.Option("--origin", help="Where the sensor stands in the file's frame, X,Y,Z in meters.")
+]
+RingSource = Annotated[str, typer.Option("--ring", help="file: the ring column, where there is one; none: without it.")]
+VehicleYaw = Annotated[
+    float | None,
+    typer.Option("--vehicle-yaw", help="Heading of the own vehicle in the sensor's frame, in degrees, if known."),
+]
 Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
 Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
 TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
@@ -42,6 +51,8 @@ NO_SENSOR = "none"
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
 """What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 
+RING_SOURCES = ("file", "none")
+
 PROFILES = ("sound", "paper")
 
 
@@ -54,6 +65,13 @@ class Reading:
     file_frame: str | None = None
     height_m: float | None = None
     attitude: str | None = None
+    origin: str | None = None
+    ring: str = "file"
+    vehicle_yaw_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.ring not in RING_SOURCES:
+            raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
 
     def sweep(self, file: Path, index: Path | None = None) -> Sweep:
         """Return the first sweep of a file, with what an index says of it."""
@@ -65,11 +83,16 @@ class Reading:
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
+        origin_m = parse_numbers("origin", self.origin, 3)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
-            if self.sensor == AUTO:
-                yield sweep
-            else:
-                yield sweep.replace(model=model, infer_sensor=False)
+            if origin_m is not None:
+                sweep = sweep.seen_from(origin_m)  # noqa: PLW2901
+            changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}
+            if self.sensor != AUTO:
+                changes |= {"model": model, "infer_sensor": False}
+            if self.vehicle_yaw_deg is not None:
+                changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
+            yield sweep.replace(**changes) if changes else sweep
 
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps

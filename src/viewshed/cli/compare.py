@@ -33,6 +33,9 @@ def compare(
     file_frame: options.FrameName = None,
     height: options.Height = None,
     attitude: options.Attitude = None,
+    origin: options.Origin = None,
+    ring: options.RingSource = "file",
+    vehicle_yaw: options.VehicleYaw = None,
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
@@ -55,7 +58,8 @@ def compare(
     names = _all_names(profile, cells) if methods == "all" else _current_names(methods)
     estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
     refuse_inputs([out], [file])
-    sweep = Reading(sensor, format, file_frame, height, attitude).sweep(file, index)
+    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
+    sweep = reading.sweep(file, index)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
     first = results[names[0]][0]

@@ -73,6 +73,9 @@ def estimate(
     file_frame: options.FrameName = None,
     height: options.Height = None,
     attitude: options.Attitude = None,
+    origin: options.Origin = None,
+    ring: options.RingSource = "file",
+    vehicle_yaw: options.VehicleYaw = None,
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
@@ -101,7 +104,7 @@ def estimate(
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
     kinds = parse_results(results)
-    reading = Reading(sensor, format, file_frame, height, attitude)
+    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     if history:

@@ -25,6 +25,9 @@ def export(
     file_frame: options.FrameName = None,
     height: options.Height = None,
     attitude: options.Attitude = None,
+    origin: options.Origin = None,
+    ring: options.RingSource = "file",
+    vehicle_yaw: options.VehicleYaw = None,
     index: options.Index = None,
     target: options.TargetName = "car",
     weights: Weights = None,
@@ -52,7 +55,8 @@ def export(
         estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
             method, options.parse_grid(grid), target
         )
-        estimate = estimator.estimate(Reading(sensor, format, file_frame, height, attitude).sweep(file, index))
+        reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
+        estimate = estimator.estimate(reading.sweep(file, index))
     content = json.dumps(to_cpm(estimate, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(estimate)
     name = stem_of(file.name) + EXPORTERS[to].suffix
     path_out = Path(name) if out is None else out / name if out.is_dir() else out

@@ -24,6 +24,9 @@ def info(
     file_frame: options.FrameName = None,
     height: options.Height = None,
     attitude: options.Attitude = None,
+    origin: options.Origin = None,
+    ring: options.RingSource = "file",
+    vehicle_yaw: options.VehicleYaw = None,
     index: options.Index = None,
 ) -> None:
     """Tell what a file holds: points, rings, sensor, ground, coverage.
@@ -32,7 +35,8 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    sweep = Reading("none", format, file_frame, height, attitude).sweep(file, index)
+    reading = Reading("none", format, file_frame, height, attitude, origin, ring, vehicle_yaw)
+    sweep = reading.sweep(file, index)
     leveled = level(sweep, options.parse_grid(grid))
     for name, value in (*_points(sweep, leveled), *_beams(sweep, sensor), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")

@@ -17,8 +17,8 @@ _ORDERED = 0.9
 
 _AGREES = np.deg2rad(6.0)
 
-_EACH_DEGREES, _LEAST_NEIGHBORS = 9, 200
-"""Every ninth degree of azimuth is looked at, if these hold so many returns."""
+_SECTOR, _LEAST_NEIGHBORS = 0.035, 200
+"""Tangent of half of the four sectors ahead, behind and aside that are looked at, if they hold so many returns."""
 
 _FLAT = np.deg2rad(2.0)
 
@@ -103,16 +103,17 @@ def problem_of_rings(ring: NDArray[Any], points: NDArray[np.float32]) -> str | N
     low, high = int(ring.min()), int(ring.max())
     if low < 0 or high >= MAX_RINGS:
         return f"rings must lie in [0, {MAX_RINGS}), got {low}…{high}"
-    # Some degrees of azimuth, with all of their returns: those above each other are neighbors there.
+    # Four narrow sectors, with all of their returns: those above each other in a degree of azimuth are neighbors.
     with np.errstate(invalid="ignore", over="ignore"):
-        degree = np.floor(np.rad2deg(np.arctan2(points[:, 1], points[:, 0])))
-        rows = np.flatnonzero((degree % _EACH_DEGREES == 0) & np.isfinite(points).all(axis=1))
+        x, y = np.abs(points[:, 0]), np.abs(points[:, 1])
+        rows = np.flatnonzero((np.minimum(x, y) < _SECTOR * np.maximum(x, y)) & np.isfinite(points[:, 2]))
         elevation = np.arctan2(points[rows, 2], np.hypot(points[rows, 0], points[rows, 1]))
+        degree = np.floor(np.rad2deg(np.arctan2(points[rows, 1], points[rows, 0])))
     if len(rows) < _LEAST_NEIGHBORS:
         return None
     if low == high:
         return f"every return has ring {low}" if float(elevation.std()) > _FLAT else None
-    column = ring[rows[np.lexsort((elevation, degree[rows]))]].astype(np.float64)
+    column = ring[rows[np.lexsort((elevation, degree))]].astype(np.float64)
     beside, any_two = np.abs(np.diff(column)).mean(), np.abs(column - np.roll(column, len(column) // 2)).mean()
     return "returns beside each other are of rings far apart" if beside > _MOST_APART * any_two else None
 

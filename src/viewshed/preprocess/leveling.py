@@ -14,17 +14,12 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
+from viewshed.preprocess.ego_vehicle import EGO_BOX_M, EGO_HEIGHTS_M, vehicle_heading
 from viewshed.preprocess.ground import estimate_ground, lattice_nodes
 from viewshed.preprocess.ground_plane import free_plane
 from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
 from viewshed.sweep import Sweep
-
-EGO_BOX_M = (2.7, 1.1)
-"""Half length and half width of the vehicle below the sensor."""
-
-EGO_HEIGHTS_M = (1.2, 3.0)
-"""Sensor heights at which such a vehicle is assumed; lower ones are robots, higher ones stand at the roadside."""
 
 OBSTACLE_HEIGHTS_M = (0.3, 3.0)
 """Returns between these heights above local ground are obstacles."""
@@ -45,6 +40,8 @@ LEAST_HEIGHT_M = 0.05
 """Least height of a sensor above the ground that was estimated."""
 
 Mask = NDArray[np.bool_]
+
+Floats = NDArray[np.float32]
 
 _NO_MASK = np.zeros(0, np.bool_)
 """A mask of no returns, for compiled loops."""
@@ -193,8 +190,9 @@ def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated
     half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
     near_m, far_m = np.array(range_limits(sweep), np.float32)
     lows_m, rise_m = lowest_returns(
-        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), lattice_nodes(half_m)
-    )
+        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), lattice_nodes(half_m),
+        _vehicle_axis(sweep, rotation),
+    )  # fmt: skip
     return estimate_ground(lows_m, rise_m, half_m, sweep.sensor_height_m)
 
 
@@ -219,6 +217,12 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([forward, np.cross(normal, forward), normal])
 
 
+def _vehicle_axis(sweep: Sweep, rotation: NDArray[np.float64]) -> Floats:
+    """Return the axis (2,) of the own vehicle in the level frame: cosine and sine of its heading."""
+    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
+    return np.array([np.cos(heading), np.sin(heading)], np.float32)
+
+
 def _level_points(
     sweep: Sweep, clutter: Mask, level_from_sensor: Rigid, ground: HeightMap
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
@@ -235,6 +239,7 @@ def _level_points(
         far_m,
         ego_x_m,
         ego_y_m,
+        _vehicle_axis(sweep, level_from_sensor.rotation),
         ground.heights_m,
         np.float32(ground.half_extent_m),
     )
@@ -245,7 +250,7 @@ def _level_points(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lowest_returns(
-    points: Any, isolated: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, side: int
+    points: Any, isolated: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, side: int, axis: Any
 ) -> Any:  # pragma: no cover - compiled
     """Return each node's second-lowest point (side, side, 3), and the height from it up to the highest (side, side).
 
@@ -258,7 +263,7 @@ def lowest_returns(
     nodes, heights = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32)
     for start in range(0, points.shape[0], BLOCK):
         count = split(points, start, x, y, z)
-        _nodes(x[:count], y[:count], z[:count], rotation, near_m, far_m, half_m, np.float32(side), nodes, heights)
+        _nodes(x[:count], y[:count], z[:count], rotation, near_m, far_m, half_m, np.float32(side), axis, nodes, heights)
         for n in range(count):
             k = start + n
             if nodes[n] < 0 or isolated[k]:
@@ -306,7 +311,17 @@ def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nodes(
-    xs: Any, ys: Any, zs: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, last: Any, nodes: Any, heights: Any
+    xs: Any,
+    ys: Any,
+    zs: Any,
+    rotation: Any,
+    near_m: Any,
+    far_m: Any,
+    half_m: Any,
+    last: Any,
+    axis: Any,
+    nodes: Any,
+    heights: Any,
 ) -> None:  # pragma: no cover - compiled
     """Find the node (-1 where it is no candidate for ground) and the z of each point of a block.
 
@@ -318,6 +333,7 @@ def _nodes(
     xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    cos, sin = axis[0], axis[1]
     hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
     for k in range(xs.shape[0]):
         px, py, pz = xs[k], ys[k], zs[k]
@@ -325,7 +341,7 @@ def _nodes(
         x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
         z = zx * px + zy * py + zz * pz
         u, v = (x + half_m) * nodes_per_m, (y + half_m) * nodes_per_m
-        hood = (abs(x) < hood_x) & (abs(y) < hood_y) & (z > hood_z)
+        hood = (abs(cos * x + sin * y) < hood_x) & (abs(cos * y - sin * x) < hood_y) & (z > hood_z)
         inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
         i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
         nodes[k] = i * side + j if inside else np.int32(-1)
@@ -341,6 +357,7 @@ def _level_columns(
     far_m: Any,
     ego_x_m: Any,
     ego_y_m: Any,
+    axis: Any,
     ground: Any,
     half_m: Any,
 ) -> Any:  # pragma: no cover - compiled
@@ -356,7 +373,7 @@ def _level_columns(
     m = 0
     for start in range(0, count, BLOCK):
         size = split(points, start, x, y, z)
-        _transform(x[:size], y[:size], z[:size], transform, near_m, far_m, ego_x_m, ego_y_m, kept)
+        _transform(x[:size], y[:size], z[:size], transform, near_m, far_m, ego_x_m, ego_y_m, axis, kept)
         if clutter.shape[0] > 0:
             for k in range(size):
                 kept[k] &= not clutter[start + k]
@@ -377,18 +394,19 @@ def _level_columns(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _transform(
-    xs: Any, ys: Any, zs: Any, transform: Any, near_m: Any, far_m: Any, ego_x_m: Any, ego_y_m: Any, kept: Any
+    xs: Any, ys: Any, zs: Any, transform: Any, near_m: Any, far_m: Any, ego_x_m: Any, ego_y_m: Any, axis: Any, kept: Any
 ) -> None:  # pragma: no cover - compiled
     """Turn and raise the points of a block in place, and mark those in range and outside the vehicle below."""
     near2, far2 = near_m * near_m, far_m * far_m
     xx, xy, xz = transform[0, 0], transform[0, 1], transform[0, 2]
     yx, yy, yz = transform[1, 0], transform[1, 1], transform[1, 2]
+    cos, sin = axis[0], axis[1]
     zx, zy, zz, up = transform[2, 0], transform[2, 1], transform[2, 2], transform[2, 3]
     for k in range(xs.shape[0]):
         px, py, pz = xs[k], ys[k], zs[k]
         d2 = px * px + py * py + pz * pz
         x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
-        ego = (abs(x) < ego_x_m) & (abs(y) < ego_y_m)
+        ego = (abs(cos * x + sin * y) < ego_x_m) & (abs(cos * y - sin * x) < ego_y_m)
         kept[k] = (d2 >= near2) & (d2 <= far2) & (not ego)
         xs[k], ys[k], zs[k] = x, y, zx * px + zy * py + zz * pz + up
 

@@ -23,7 +23,8 @@ from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
-from viewshed.preprocess.leveling import EGO_BOX_M, EGO_HEIGHTS_M, LeveledSweep, level
+from viewshed.preprocess.ego_vehicle import EGO_BOX_M, EGO_HEIGHTS_M
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sim.truth.beam_lines import BeamLines
 from viewshed.sim.truth.count import count_targets, reached_and_states
 from viewshed.sim.truth.definitions import BLOCKS, RETURNS, stop_limits
