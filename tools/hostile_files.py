@@ -100,14 +100,22 @@ def _mcap(body: bytes) -> bytes:
     return b"\x89MCAP0\r\n" + body
 
 
-def _mcap_chunk(size: int, content: bytes | None = None) -> bytes:
+def _mcap_chunk(size: int, content: bytes | None = None, times: int = 1) -> bytes:
+    """Return an MCAP file of one chunk, some times over."""
     import pyarrow as pa
 
     raw = bytes(size) if content is None else content
     packed = pa.compress(raw, codec="zstd", asbytes=True)
     record = struct.pack("<QQQI", 0, 0, len(raw), 0) + struct.pack("<I", 4) + b"zstd"
     record += struct.pack("<Q", len(packed)) + packed
-    return _mcap(struct.pack("<BQ", 6, len(record)) + record)
+    return _mcap((struct.pack("<BQ", 6, len(record)) + record) * times)
+
+
+def _mcap_message(size: int) -> bytes:
+    """Return a channel of MCAP and a message of so many zeros in it."""
+    channel = struct.pack("<HHI", 1, 0, 0) + struct.pack("<I", 3) + b"cdr" + struct.pack("<I", 0)
+    message = struct.pack("<HIQQ", 1, 0, 0, 0) + bytes(size)
+    return struct.pack("<BQ", 4, len(channel)) + channel + struct.pack("<BQ", 5, len(message)) + message
 
 
 def _fields(**fields: bytes) -> bytes:
@@ -250,6 +258,8 @@ HOSTILE: dict[str, Hostile] = {
         "index.json", lambda: b"[" + b"{}," * 7_000_000)),
     "ouster pixels": Hostile("Ouster metadata of 512 × 8192 pixels", _ouster),
     "mcap chunk": Hostile("MCAP, a chunk of 1 GB of zeros", _recording("mcap", mcap=lambda: _mcap_chunk(10**9))),
+    "mcap many chunks": Hostile("MCAP, 30,000 chunks of 900 kB", _recording("mcap", mcap=lambda: _mcap_chunk(
+        0, _mcap_message(900_000), 30_000))),
     "mcap records": Hostile("MCAP, five million empty records", _recording(
         "mcap", mcap=lambda: _mcap(struct.pack("<BQ", 0x85, 0) * 5_000_000))),
     "mcap records in a chunk": Hostile("MCAP, a chunk of empty records", _recording(

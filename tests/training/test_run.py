@@ -25,8 +25,8 @@ from viewshed.training import TrainConfig, Trained, train
 from viewshed.training.cross_validation import toml_of
 from viewshed.training.data import prepare
 from viewshed.training.fit import read_checkpoint
-from viewshed.training.log import TIMES, Epoch, is_finished, scores_of
-from viewshed.training.module import Learner, Step
+from viewshed.training.log import TIMES, Epoch, Step, is_finished, scores_of
+from viewshed.training.module import Learner
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from viewshed.cli._outputs import progress_bar
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from viewshed.training.module import Step
+    from viewshed.training.log import Step
     from viewshed.training.run import Trained
 
 

@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -23,7 +23,7 @@ from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardRe
 from viewshed.datasets.archive.schema import Layout
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.source import SweepRef, SweepSource
+from viewshed.datasets.recordings.source import SweepSource
 from viewshed.datasets.sample import Sample
 from viewshed.fov.estimate import FovEstimator
 from viewshed.fov.truth import Truth
@@ -36,86 +36,24 @@ from viewshed.threats.corruptions import CORRUPTIONS
 
 ReadFile = Callable[[Path], Iterator[Sweep]]
 
-
-class SceneFrames(Protocol):
-    """The frames of one scene by number; it travels to other processes."""
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        ...
-
-    def frame(self, index: int) -> Sample:
-        """Return one frame; a ValueError where it is damaged, an OSError where it cannot be read."""
-        ...
+SceneFrames = Callable[[int], Sample]
+"""Returns a frame of one scene by its number, or raises a ValueError or an OSError; it travels to other processes."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ArchiveScene:
-    """A scene of an archive that has its frames alone; see :meth:`of`."""
-
-    archive: Archive
-
-    @classmethod
-    def of(cls, archive: Archive, scene: str) -> ArchiveScene:
-        """Return one scene of an archive, with no more of the manifest than it needs."""
-        shards = tuple(shard for shard in archive.shards if shard.scene == scene)
-        return cls(Archive(archive.store, replace(archive.manifest, shards=shards)))
-
-    def __len__(self) -> int:
-        return len(self.archive)
-
-    def frame(self, index: int) -> Sample:
-        """Return one frame, as it is stored."""
-        return self.archive[index]
+def _archived(archive: Archive, index: int) -> Sample:
+    """Return a frame of an archive, as it is stored."""
+    return archive[index]
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingScene:
-    """A scene of a recording: sweeps without truth.
-
-    Attributes:
-        place: of the recording, see :func:`viewshed.datasets.recordings.open_source`.
-        kind: of the recording.
-        scene: its name.
-        grid: of the truth that is not there.
-    """
-
-    place: str
-    kind: str
-    scene: str
-    grid: BevGrid
-
-    def __len__(self) -> int:
-        return len(_refs(self.place, self.kind, self.scene))
-
-    def frame(self, index: int) -> Sample:
-        """Return one sweep as a frame whose truth is nowhere known."""
-        ref = _refs(self.place, self.kind, self.scene)[index]
-        return without_truth(opened(self.place, self.kind).read(ref), self.grid, self.scene)
+def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> Sample:
+    """Return a sweep of a recording as a frame whose truth is nowhere known."""
+    source = opened(place, kind)
+    return without_truth(source.read(source.refs(scene)[index]), grid, scene)
 
 
-@dataclass(frozen=True, slots=True)
-class FileScene:
-    """A file with one sweep or several, without truth.
-
-    Attributes:
-        path: of the file.
-        count: how many of its sweeps can be read.
-        read: yields them.
-        grid: of the truth that is not there.
-    """
-
-    path: Path
-    count: int
-    read: ReadFile
-    grid: BevGrid
-
-    def __len__(self) -> int:
-        return self.count
-
-    def frame(self, index: int) -> Sample:
-        """Return one sweep as a frame whose truth is nowhere known."""
-        return without_truth(_cursor(self.path, self.read).at(index), self.grid, self.path.name)
+def _of_file(path: Path, read: ReadFile, grid: BevGrid, index: int) -> Sample:
+    """Return a sweep of a file as a frame whose truth is nowhere known."""
+    return without_truth(_cursor(path, read).at(index), grid, path.name)
 
 
 def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
@@ -127,11 +65,6 @@ def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
 def opened(place: str, kind: str) -> SweepSource:
     """Return the recording at a place, opened once in each process; errors as ``open_source``."""
     return open_source(place, kind)
-
-
-@lru_cache(maxsize=8)
-def _refs(place: str, kind: str, scene: str) -> tuple[SweepRef, ...]:
-    return tuple(opened(place, kind).refs(scene))
 
 
 class _Cursor:
@@ -358,14 +291,17 @@ def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     wanted = {shard.name for shard in (archive if split is None else archive.split(split)).shards}
     parts = []
     for number, scene in enumerate(archive.scenes):
-        frames, first = ArchiveScene.of(archive, scene), 0
-        for shard in frames.archive.shards:
+        # Jobs travel to other processes, with no more of the manifest than they need.
+        shards = tuple(shard for shard in archive.shards if shard.scene == scene)
+        frames = partial(_archived, Archive(archive.store, replace(archive.manifest, shards=shards)))
+        first = 0
+        for shard in shards:
             if shard.name in wanted:
                 last = first + shard.frames
                 parts.append(Part(shard.name, frames, scene, shard.split, number, first, last))
             first += shard.frames
-    shards = [shard.to_json() for shard in archive.shards]
-    lineage = {"recipe": dict(archive.manifest.recipe), "sha256": _digest(shards), "split": split}
+    digest = _digest([shard.to_json() for shard in archive.shards])
+    lineage = {"recipe": dict(archive.manifest.recipe), "sha256": digest, "split": split}
     return Sweeps(archive.manifest.layout, tuple(parts), lineage)
 
 
@@ -381,7 +317,7 @@ def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps
             problems.append(str(error))
             continue
         listing.append([[ref.scene, ref.index, Path(ref.file).name, ref.t_ns, ref.key] for ref in refs])
-        parts += _split_into_parts(RecordingScene(place, kind, scene, grid), len(refs), scene, number)
+        parts += _split_into_parts(partial(_recorded, place, kind, scene, grid), len(refs), scene, number)
     return _without_truth(parts, listing, problems, grid)
 
 
@@ -403,7 +339,7 @@ def sweeps_of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Swe
         except (ValueError, OSError) as error:
             problems.append(str(error))
         listing.append([file.name, count, file.stat().st_size if file.is_file() else 0])
-        parts += _split_into_parts(FileScene(file.absolute(), count, read, grid), count, file.name, number)
+        parts += _split_into_parts(partial(_of_file, file.absolute(), read, grid), count, file.name, number)
     return _without_truth(parts, listing, problems, grid)
 
 
@@ -484,7 +420,7 @@ def tamper_shard(job: TamperJob) -> ShardResult:
 
 def _tampered_sample(job: TamperJob, index: int, earlier: _EarlierSweeps) -> Sample:
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([job.seed, job.part.number, index])))
-    frame = job.part.frames.frame(index)
+    frame = job.part.frames(index)
     sweep = frame.sweep
     done = job.plan.apply(frame, lambda: earlier.of(sweep, index), rng)
     earlier.note(sweep)
@@ -518,7 +454,7 @@ class _EarlierSweeps:
         """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
         for index in indices:
             try:
-                frame = self._part.frames.frame(index)
+                frame = self._part.frames(index)
                 if frame.measured.agent == agent:
                     return frame.sweep
             except (ValueError, FileNotFoundError):

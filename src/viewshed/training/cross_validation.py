@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +22,8 @@ from viewshed._files import append_jsonl, is_begun
 from viewshed._page import facts, page, table
 from viewshed.training.config import TrainConfig, differing_keys
 from viewshed.training.data import Fold, check_data, check_folds
-from viewshed.training.log import Machines, save
+from viewshed.training.log import Machines, Step, save
 from viewshed.training.run import require_torch, train
-
-if TYPE_CHECKING:
-    from viewshed.training.module import Step
 
 FILE = "folds.jsonl"
 

@@ -141,7 +141,7 @@ def _frames_of_archives(
     sample_cache = sample_cache_of(config, archives, cache / "frames", first_epoch, versions)
     counter = _ProgressCounter(on_progress, "frames", len(frames) * versions)
     sample_cache.build(frames, processes_for(len(frames)), counter.add)
-    return replace(frames, cache=sample_cache)
+    return replace(frames, cached=sample_cache.frame)
 
 
 def _split_scenes(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[Archive, Archive]:

@@ -37,12 +37,14 @@ from viewshed.training.log import (
     WEIGHTS,
     Epoch,
     Machines,
+    OnProgress,
+    Step,
     best_of,
     csv_of,
     is_finished,
     save,
 )
-from viewshed.training.module import FORMAT, KEY, Learner, OnProgress, Step, train_doubt_head
+from viewshed.training.module import FORMAT, KEY, Learner, train_doubt_head
 from viewshed.training.samples import Share, TrainingFrames, TrainingOrder, ValidationOrder
 
 _REPAIR = "delete it, and training begins again"

@@ -1,4 +1,4 @@
-"""The files of a training and its history: one record an epoch, and whether training is finished. Needs no torch."""
+"""The files, progress and history of a training: one record an epoch, whether it is finished. Needs no torch."""
 
 from __future__ import annotations
 
@@ -84,6 +84,30 @@ def mapped_array(path: Path) -> NDArray[np.uint8]:
     """Return an array of :func:`write_array`, mapped into memory: all processes share one copy in the page cache."""
     rows: NDArray[np.uint8] = np.load(path, mmap_mode="r")
     return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """How far a training is.
+
+    Attributes:
+        stage: ``train``, ``validate``, or what is prepared before.
+        epoch: number, from 1; 0 before the first.
+        epochs: at most.
+        done: batches or frames of the stage that are done.
+        total: how many there are.
+        loss: of the last batch.
+    """
+
+    stage: str
+    epoch: int
+    epochs: int
+    done: int
+    total: int
+    loss: float
+
+
+OnProgress = Callable[[Step], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ import viewshed
 from viewshed.networks.card import MOST_DEVIATION
 from viewshed.networks.unet_torch import UNet
 from viewshed.training.config import TrainConfig
-from viewshed.training.log import Epoch, best_of, history_to_json, scores_of
+from viewshed.training.log import Epoch, OnProgress, Step, best_of, history_to_json, scores_of
 from viewshed.training.samples import TrainingFrames, TrainingOrder
 
 PASSES = 20
@@ -101,30 +101,6 @@ KEY = "viewshed"
 _LAST_RATE = 0.01
 _MOMENTUM = 0.1
 Batch = dict[str, Tensor]
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """How far a training is.
-
-    Attributes:
-        stage: ``train``, ``validate``, or what is prepared before.
-        epoch: number, from 1; 0 before the first.
-        epochs: at most.
-        done: batches or frames of the stage that are done.
-        total: how many there are.
-        loss: of the last batch.
-    """
-
-    stage: str
-    epoch: int
-    epochs: int
-    done: int
-    total: int
-    loss: float
-
-
-OnProgress = Callable[[Step], None]
 
 
 @dataclass(slots=True)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import Fold, check_data, prepare
-from viewshed.training.log import CHECKPOINT, WEIGHTS, Epoch, Machines, best_of
-
-if TYPE_CHECKING:
-    from viewshed.training.module import Step
+from viewshed.training.log import CHECKPOINT, WEIGHTS, Epoch, Machines, OnProgress, Step, best_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +50,7 @@ def train(
     device: str = "cpu",
     devices: int = 1,
     nodes: int = 1,
-    on_progress: Callable[[Step], None] | None = None,
+    on_progress: OnProgress | None = None,
     cache: str | Path | None = None,
     fold: Fold | None = None,
 ) -> Trained:
@@ -80,7 +76,6 @@ def train(
     machines, folder = Machines(device, devices, nodes), Path(out)
     require_torch()
     from viewshed.training.fit import check_device, fit, read_history
-    from viewshed.training.module import Step
 
     check_device(machines)
     check_data(config)

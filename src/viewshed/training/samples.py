@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import lru_cache
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,14 +146,6 @@ class _Purpose(IntEnum):
     PAST = 5
 
 
-class CachedSamples(Protocol):
-    """Samples that were drawn before."""
-
-    def frame(self, epoch: int, index: int) -> TrainingSample:
-        """Return one of them."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSample:
     """A sample as the network is taught it: feature maps in bytes and two masks, small enough to be cached.
@@ -192,13 +184,13 @@ class TrainingFrames:
     Attributes:
         source: the clean frames.
         config: attacks, variant and seed.
-        cache: samples that were drawn before; None draws each when it is asked for.
+        cached: returns the sample of an epoch and a number that was drawn before; None draws each when it is asked for.
         mirrored: whether frames are turned and mirrored at random.
     """
 
     source: CleanSamples
     config: TrainConfig
-    cache: CachedSamples | None = None
+    cached: Callable[[int, int], TrainingSample] | None = None
     mirrored: bool = False
 
     def __len__(self) -> int:
@@ -219,7 +211,7 @@ class TrainingFrames:
         epoch, index = key
         if index == BLANK:
             return self._blank()
-        sample = self.draw(epoch, index) if self.cache is None else self.cache.frame(epoch, index)
+        sample = self.draw(epoch, index) if self.cached is None else self.cached(epoch, index)
         if self.mirrored:
             sample = sample.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
         return {
