@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from tools.adaptive_report import Scene, scenes_of
+from adaptive_report import Scene, scenes_of
 
 from viewshed import load_estimator
 from viewshed._page import facts, page, table

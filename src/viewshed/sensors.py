@@ -55,9 +55,9 @@ class LidarModel:
     min_range_m: float = 0.5
     max_range_m: float = 100.0
     source: str = ""
-    shots: NDArray[np.float64] | None = None
     reach_m: float | None = None
     reach_source: str = ""
+    shots: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         elevation = np.array(self.elevation, dtype=np.float64)
