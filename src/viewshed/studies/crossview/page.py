@@ -29,6 +29,7 @@ from viewshed.studies.crossview.rates import (
 )
 from viewshed.studies.crossview.simulated import evaluate_floor
 from viewshed.studies.formatting import format_number, lines
+from viewshed.studies.plan import check_names
 from viewshed.studies.templates import fill_template
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, Knowledge
@@ -104,9 +105,7 @@ def page_of(
         ValueError: an attack is not known, or the index has no scene.
         OSError: a file cannot be read.
     """
-    for name in attacks:
-        if name not in ATTACKS:
-            raise ValueError(f"attacks must be among {', '.join(ATTACKS)}, got {name!r}")
+    check_names("attacks", attacks, ATTACKS)
     found, floors = _scenes(index), dict[str, list[CrossViewRow]]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
