@@ -1,6 +1,6 @@
 """Report what wedges that are aimed gain over wedges at random, as a table in the docs.
 
-Usage: python -m tools.aimed_attacks [OUT.md] [SCENES]
+Usage: python tools/aimed_attacks.py [OUT.md] [SCENES]
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from tools.adaptive_report import Scene, scenes_of
+from adaptive_report import Scene, scenes_of
 
 from viewshed import load_estimator
 from viewshed._page import facts, page, table
