@@ -1,6 +1,6 @@
 """Report what wedges that are aimed gain over wedges at random, as a table in the docs.
 
-Usage: python -m tools.aimed_attacks [OUT.md] [SCENES]
+Usage: python tools/aimed_attacks.py [OUT.md] [SCENES]
 """
 
 from __future__ import annotations

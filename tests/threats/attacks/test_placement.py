@@ -11,7 +11,7 @@ from tests.threats.attacks.oracle import Scene
 
 from viewshed import ESTIMATORS
 from viewshed.grid import BevGrid
-from viewshed.threats.attacks import ATTACKS, Knowledge, OverClaim, Spoofer, Wedge
+from viewshed.threats.attacks import ATTACKS, BlackBox, Knowledge, OverClaim, Spoofer, Trip, Wedge, WhiteBox
 from viewshed.threats.attacks.ghosts import FarWall
 from viewshed.threats.attacks.placement import BINS, HiddenGround, azimuth_of_bin, hidden_ground_of, placed_azimuth
 
@@ -99,6 +99,15 @@ def test_of_two_obstacles_the_nearest_and_the_one_that_hides_most() -> None:
     assert few[41] == 12.0
     assert few[220] == 12.0
     assert hidden.opened_m2(360.0).tolist() == [pytest.approx(812.0)] * BINS
+
+
+@pytest.mark.parametrize("placement", AIMED)
+def test_attackers_who_adapt_are_aimed_as_a_far_wall(placement: Any, flat_scene: FlatScene) -> None:
+    van = flat_scene(8.0, wall_y_m=(1.0, 3.0))
+    expected = FarWall(150, placement=placement).aim(van, _rng(0))
+    assert BlackBox(Trip(len), queries=3, placement=placement).apply(van, _rng(1)).wedge == expected
+    white = WhiteBox(lambda points: (0.0, np.zeros_like(points)), steps=2, placement=placement)
+    assert white.apply(van, _rng(2)).wedge == expected
 
 
 @pytest.mark.slow
