@@ -1,6 +1,6 @@
 """The caster against brute force: every kind of surface, tilted and moving sensors, all kinds of beam tables."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,11 +9,12 @@ from tests.sim.oracle import opaque_depth, rays_of, solid_interval
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.assets.shapes import PER_M, Box, Cylinder, Ellipsoid, Shape
+from viewshed.sim.assets.shapes import PER_M, Box, Cylinder, Ellipsoid, Shape, material_index
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed.sim.terrain import Terrain
-from viewshed.sim.world import Snapshot, Thing, Track, World
+from viewshed.sim.world import AgentPlan, Snapshot, Thing, Track, World
+from viewshed.sim.worlds import WORLDS
 
 pytestmark = pytest.mark.slow
 
@@ -176,3 +177,23 @@ def test_incidence_by_hand() -> None:
     assert scan.cos_incidence[front, 0] == pytest.approx(np.sqrt(0.5), abs=1e-6)
     assert scan.cos_incidence[front, 1] == pytest.approx(np.cos(np.deg2rad(30.0)), abs=1e-6)
     assert scan.thing[front].tolist() == [-1, 0]
+
+
+@pytest.mark.parametrize("kind", ["pit", "bridge", "slope_town", "garage", "tunnel"])
+def test_beams_stop_where_brute_force_says_at_upright_ground_and_under_ceilings(kind: str) -> None:
+    """Worlds with faces of some centimeters, decks and slabs: their solids that beams do not pass, and their ground."""
+    model = LidarModel("few", np.deg2rad(np.linspace(-40.0, 40.0, 24)), 30, max_range_m=100.0)
+    whole = WORLDS[kind](np.random.default_rng(6), AgentPlan(sensor_height_m=1.2))
+    solid = {row for row, per_m in enumerate(PER_M) if np.isinf(per_m)}
+    things = [
+        replace(one, parts=tuple(part for part in one.parts if material_index(part.material) in solid))
+        for one in whole.things
+    ]
+    world = replace(whole, things=tuple(things))
+    snapshot = world.snapshot(3.0)
+    for motion in (STILL, DRIVING):
+        scan = cast_world(snapshot, model, world.world_from_sensor(world.agents[0], 3.0), motion)
+        depth, _ = opaque_depth(snapshot, rays_of(scan), model.max_range_m)
+        same = np.isclose(scan.depth_m.ravel(), depth, rtol=0.0, atol=TOLERANCE_M)
+        assert same.mean() > 0.999
+        assert _all_graze(snapshot, scan, ~same)

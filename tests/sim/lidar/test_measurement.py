@@ -108,6 +108,17 @@ def test_what_reflects_nothing_returns_nothing(material: str) -> None:
     assert measured(scan_of(PERFECT, 3.0, material)).steps.max() == 0
 
 
+def test_a_window_returns_where_it_faces_the_sensor_and_its_dust_near_by() -> None:
+    """At 60 m a window has s = 8.12 · (80 / 60)² facing, and 0.12 · (80 / 60)² from 0.2 rad on, without the glint."""
+    model, far = lidar_model("hdl32e"), 60.0
+    turned = float(np.cos(0.2))
+    assert share(scan_of(model, far, "window")) > 0.97
+    assert share(scan_of(model, far, "window", turned)) < 0.01
+    assert share(scan_of(model, 5.0, "window", turned)) > 0.97
+    half = measured(scan_of(model, 8.0, "window", float(np.cos(0.05)))).intensity  # e⁻¹ of 80 %, and dust
+    assert float(np.median(half[half > 0])) == pytest.approx(100 * (0.8 / np.e + 0.012), abs=2)
+
+
 def test_nothing_nearer_than_the_minimum_or_beyond_the_maximum_range() -> None:
     model = replace(lidar_model("hdl32e"), min_range_m=1.0, max_range_m=60.0)
     for depth, limits in ((1.0, (1.0, 1.2)), (59.999, (59.8, 60.0))):

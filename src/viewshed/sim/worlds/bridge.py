@@ -120,8 +120,7 @@ def bridge(rng: np.random.Generator, plan: AgentPlan) -> World:
     cross = _crossing(rng)
     terrain, upper = cross.terrains()
     masts = _masts(rng, plan.roadside, cross)
-    site = SitePlan()
-    site.keep_masts(masts)
+    site = SitePlan.around(masts)
     site.things += _structure(rng, cross)
     _land(rng, site, cross)
     moving = [

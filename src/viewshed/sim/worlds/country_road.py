@@ -31,9 +31,8 @@ def country_road(rng: np.random.Generator, plan: AgentPlan) -> World:
         (_bank(rng, slope), _bank(rng, -slope)), Swell(1.0, rng.uniform(0.0, 0.6), rng.uniform(90, 200), 0.0),
         fields(rng, 1.4), "grass", "asphalt" if rng.random() < 0.8 else "concrete",
     )  # fmt: skip
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m - 0.4)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
+    site = SitePlan.along(road.bend, road.edge_m - 0.4, masts)
     for side in (-1, 1):
         beyond = road.edge_m + road.bank(side).beyond_m[-2]  # where the ditch ends
         if rng.random() < 0.6:

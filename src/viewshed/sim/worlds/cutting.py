@@ -38,9 +38,8 @@ def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
         Swell(1.0, rng.uniform(0.0, 0.35), rng.uniform(120, 300), rng.uniform(0, 6.28)), fields(rng, 1.0),
         "grass" if rng.random() < 0.7 else "concrete",
     )  # fmt: skip
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.2)
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m - 0.9)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.2)
+    site = SitePlan.along(road.bend, road.edge_m - 0.9, masts)
     for side, wall, rise in ((1, walled[0], rises[0]), (-1, walled[1], rises[1])):
         if wall:
             site.stand(*retaining_wall(rng, road, side, (1.25, rise)))

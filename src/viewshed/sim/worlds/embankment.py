@@ -32,9 +32,8 @@ def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
         rng.uniform(3.0, 3.6), rng.uniform(1.3, 2.6), sides if rng.random() < 0.5 else sides[::-1],
         Swell(1.0, rng.uniform(0.0, 0.25), rng.uniform(120, 260), rng.uniform(0, 6.28)), fields(rng, 0.8),
     )  # fmt: skip
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.3)
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m - 1.1)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.3)
+    site = SitePlan.along(road.bend, road.edge_m - 1.1, masts)
     for side in (-1, 1):
         if rng.random() < 0.5:
             site.put_all(rail(rng, road, side))

@@ -39,9 +39,8 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
         random_bend(rng, 0.55, (70.0, 200.0)), climb(rng, 0.06), 1, lanes, rng.uniform(0.2, 0.6), (level, level),
         rough=fields(rng, 0.3, 0.01), soil="concrete", paved="concrete",
     )  # fmt: skip
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.5)
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m + 0.3)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.5)
+    site = SitePlan.along(road.bend, road.edge_m + 0.3, masts)
     for _ in range(int(rng.integers(0, 4))):
         _square(rng, site, road)
     walks = _walkers(rng, site, road, plan.duration_s)

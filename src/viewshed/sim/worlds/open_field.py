@@ -25,9 +25,8 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
     road = Roadway(
         bend, grade, 1, 2.6, 0.3, (level, level), rough=land, soil=ground, paved="asphalt" if lot else "grass"
     )
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
+    site = SitePlan.along(road.bend, road.edge_m, masts)
     if lot:
         spots = rng.uniform(-0.9, 0.9, (int(rng.integers(0, 5)), 3)) * (HALF_M, HALF_M, np.pi)
         site.put_all([place_at(lamp_post(rng), *spot) for spot in spots.tolist()])

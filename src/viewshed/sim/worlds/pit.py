@@ -35,9 +35,8 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
     )  # fmt: skip
     side = pick(rng, (-1, 1))
     drops = _pits(rng, road, side)
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m - 0.2)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
+    site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
     for drop in drops:
         _around(rng, site, road, drop)
     _opposite(rng, site, road, -side)

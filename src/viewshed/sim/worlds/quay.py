@@ -29,9 +29,8 @@ def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
     )  # fmt: skip
     side, water = pick(rng, (-1, 1)), rng.random() < 0.45
     drops = _edges(rng, road, side, water)
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m - 0.2)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
+    site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
     near = min(abs(edge) for edge in drops[0].rect[1::2])
     for thing in guarded(rng, (-HALF_M, HALF_M), side * (near - 0.4)):
         site.put(thing, 0.02)

@@ -68,7 +68,9 @@ class Grounds:
         return np.asarray(z)
 
     def _material(self, x: Array, y: Array) -> NDArray[np.uint8]:
-        loose = np.where(np.sin(x / 9.0) * np.sin(y / 13.0) > 0.0, material_index("concrete"), material_index("grass"))
+        loose = np.where(
+            np.sin(x / 11.0 + 1.6 * np.sin(y / 17.0)) > 0.2, material_index("concrete"), material_index("grass")
+        )
         return np.where(np.abs(self.road.bend.coordinates(x, y)[1]) < 6.0, material_index("concrete"), loose).astype(
             np.uint8
         )
@@ -84,9 +86,8 @@ def site(rng: np.random.Generator, plan: AgentPlan) -> World:
     count = 0 if yard else int(rng.integers(6, 26))
     spread, highs = rng.uniform(-95, 95, (count, 2)), rng.uniform(-2.0, 3.5, count)
     grounds = Grounds(road, np.column_stack([spread, highs, rng.uniform(4.0, 12.0, count)]))
-    place, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.8)
-    place.keep_masts(masts)
-    place.keep_road(road.bend, road.edge_m + 0.2)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.8)
+    place = SitePlan.along(road.bend, road.edge_m + 0.2, masts)
     for _ in range(int(rng.integers(0, 4)) if not yard else 1):
         _raw(rng, place)
     if yard:

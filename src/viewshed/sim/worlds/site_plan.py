@@ -40,11 +40,21 @@ class SitePlan:
             self._bounds[len(self._taken)] = area.bounds
             self._taken.append(area)
 
-    def keep_masts(self, masts: Sequence[Mast]) -> None:
-        """Keep the feet of roadside sensors free, and the air around them of crowns and roofs."""
+    @classmethod
+    def along(cls, bend: Bend, half_m: float, masts: Sequence[Mast]) -> SitePlan:
+        """Return an empty plan that keeps free a road, within ``half_m`` meters of its axis, and roadside sensors."""
+        plan = cls.around(masts)
+        plan.keep_road(bend, half_m)
+        return plan
+
+    @classmethod
+    def around(cls, masts: Sequence[Mast]) -> SitePlan:
+        """Return an empty plan that keeps the feet of roadside sensors free, and the air around them of crowns."""
+        plan = cls()
         for post in masts:
-            self.reserve(shapely.Point(post.x_m, post.y_m).buffer(1.4))
-            self._open.append(shapely.Point(post.x_m, post.y_m).buffer(2.2))
+            plan.reserve(shapely.Point(post.x_m, post.y_m).buffer(1.4))
+            plan._open.append(shapely.Point(post.x_m, post.y_m).buffer(2.2))
+        return plan
 
     def keep_road(self, bend: Bend, half_m: float) -> None:
         """Keep the road within ``half_m`` meters of an axis free."""

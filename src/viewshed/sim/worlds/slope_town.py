@@ -32,9 +32,8 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         (_terraces(walk, left), _terraces(walk, right)),
         Swell(1.0, rng.uniform(0.0, 0.3), rng.uniform(120, 300), rng.uniform(0, 6.28)), soil="concrete",
     )  # fmt: skip
-    site, masts = SitePlan(), masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.4)
-    site.keep_masts(masts)
-    site.keep_road(road.bend, road.edge_m - 2.0)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.4)
+    site = SitePlan.along(road.bend, road.edge_m - 2.0, masts)
     walks: list[Rider] = []
     for side, step in ((1, left), (-1, right)):
         gate = rng.uniform(-60, 60)
