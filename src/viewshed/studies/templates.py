@@ -37,14 +37,18 @@ class _Part:
 
 
 def fill_template(path: str, values: Mapping[str, Any], slots: Slots) -> tuple[str, list[PageBlock]]:
+    """Return the title and the blocks of a page whose template is a file in the folder of the studies."""
+    return fill_text(resources.files("viewshed.studies").joinpath(path).read_text(encoding="utf-8"), values, slots)
+
+
+def fill_text(text: str, values: Mapping[str, Any], slots: Slots) -> tuple[str, list[PageBlock]]:
     """Return the title and the blocks of a page.
 
     Args:
-        path: of the template in the folder of the studies.
+        text: of the template; its first line is the title.
         values: by name; those of loops are sequences.
         slots: by name.
     """
-    text = resources.files("viewshed.studies").joinpath(path).read_text(encoding="utf-8")
     title, *paragraphs = [paragraph.strip() for paragraph in re.split(r"\n{2,}", text.strip())]
     parts = _without_empty_sections(list(_parts(paragraphs, dict(values), slots, ())))
     return title.removeprefix("# "), list(_without_empty_slots(parts))

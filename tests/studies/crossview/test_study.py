@@ -43,6 +43,16 @@ def test_the_van_behind_the_wall_is_unseen_and_the_open_one_is_seen() -> None:
     assert not columns.through.any()
 
 
+def test_what_another_sensor_sees_at_the_same_time_needs_no_third_sweep() -> None:
+    first, second = SWEEPS[:2]
+    known = []
+    for seconds in (0, 1):
+        a, b = (level(sweep, GRID) for sweep in (first, second.replace(t_ns=seconds * 10**9)))
+        known.append(len(columns_of(a, [b], CrossViewRules()).xy))
+    assert known[0] > 10
+    assert known[1] == 0, "a second later it may have moved"
+
+
 class _Constant:
     def __init__(self, value: float) -> None:
         self.value = value

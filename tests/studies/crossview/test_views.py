@@ -3,7 +3,7 @@ import pytest
 
 from viewshed import BevGrid, LidarModel
 from viewshed.sim import Box, Scene
-from viewshed.studies.crossview.rates import ExactMask, drive, view
+from viewshed.studies.crossview.simulated import ExactMask, drive, view
 
 MODEL = LidarModel("test", np.deg2rad(np.linspace(-20, 2, 24)), azimuth_columns=720)
 SCENE = Scene((Box(10.0, 4.0, 0.5, 6.0, 3.0), Box(-6.0, -9.0, 4.0, 2.0, 1.5, yaw=0.3)))

@@ -18,6 +18,7 @@ from viewshed.studies.ablation.evaluate import Enveloped, evaluate, evaluate_cho
 from viewshed.studies.ablation.plan import STEPS, WHOLE, AblationPlan
 from viewshed.studies.ablation.results import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
 from viewshed.studies.paper.models import train
+from viewshed.studies.plan import check_names
 from viewshed.studies.runner import Job, Progress, run_jobs
 from viewshed.studies.samples import StudySample, sample_of_preset
 from viewshed.studies.store import JobResult, ResultStore
@@ -50,9 +51,7 @@ def run_study(
         ImportError: trainings are wanted and the extra for them is not installed.
         OSError: something cannot be written.
     """
-    for step in steps:
-        if step not in STEPS:
-            raise ValueError(f"only must be among {', '.join(STEPS)}, got {step!r}")
+    check_names("only", steps, STEPS)
     models = set(store.plan.job_keys_of("models"))
     for step in STEPS[:-1]:
         if step in steps:

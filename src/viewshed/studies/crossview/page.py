@@ -4,54 +4,82 @@ from __future__ import annotations
 
 import contextlib
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from math import isnan
 from pathlib import Path
 
 import numpy as np
 
-from viewshed._page import facts, page, table
+from viewshed._page import Table, facts, to_markdown
 from viewshed.fov.estimate import FovEstimator
 from viewshed.io import read_index, read_indexed
 from viewshed.sensors import lidar_model
+from viewshed.studies.crossview.faults import BLOB_M, SmallestDifference, with_known_faults
 from viewshed.studies.crossview.rates import (
     FIRST_RULES,
     CrossViewRow,
     CrossViewRules,
+    CrossViewTruth,
     OnStep,
+    Rate,
     crossview_truth,
-    evaluate_crossview,
-    evaluate_floor,
     rows_of,
 )
+from viewshed.studies.crossview.simulated import evaluate_floor
+from viewshed.studies.formatting import format_number, lines
+from viewshed.studies.plan import check_names
+from viewshed.studies.templates import fill_template
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import ATTACKS, Knowledge
 
-_INTRODUCTION = """\
-Two posed sweeps A and B of a static scene: what B sees tells what A must have seen or missed. *over* is the share of
-columns that A does not see and the estimate claims visible; *under* the share that A sees and the estimate does not
-claim. In brackets the 95 % interval (the wider of a bootstrap over sweeps and the exact binomial one), and how many
-columns the rate rests on. Differences under about .05 mean nothing."""
-
-_WHOLE = """\
-A column counts as not seen only if it hides a whole target: as wide (0.9 m to both sides across A's line of sight)
-and standing on the ground. The last table shows why. These two rules were added after the first figures on real data
-were known; the evidence for them is the simulation, and few columns are left, so the intervals are wide."""
-
-_FIRST = """\
-The metric as first defined takes any column for a target. It is kept for comparison: a car-wide target that looks
-out beside a post, or beams that pass below a bus, count as over-claim although they are none."""
-
 POINTS = 150
+"""Of an attacker."""
 
-_ATTACKED = f"""\
-What estimators are shown of A is attacked, with {POINTS} points each time; what B sees is not. *over* / *under*, and
-how much the worse of the two grows at most under any of the attacks. A sweep that does not allow an attack stays as
-it is."""
+RULES = {"Whole targets": CrossViewRules(), "As first defined": FIRST_RULES}
+"""How columns are chosen, by the chapters of the page."""
 
-_FLOOR = """\
-In a simulated junction (ten views, HDL-64E, range noise 1.5 cm) the mask is known exactly. What the metric charges
-the exact mask with is the metric's own error."""
+FLOOR_RULES = {
+    "As first defined": FIRST_RULES,
+    "and as wide as the target": CrossViewRules(foot_m=None),
+    "and standing on the ground": CrossViewRules(),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorScenes:
+    """The scenes of one sensor, and what its sweeps know about each other.
+
+    Attributes:
+        name: of the sensor.
+        scenes: sweeps of each.
+        truths: by the names of ``RULES``.
+        differences: by the same names the smallest differences that their columns show; empty if the metric's own
+            error was not measured.
+    """
+
+    name: str
+    scenes: list[list[Sweep]]
+    truths: Mapping[str, CrossViewTruth]
+    differences: Mapping[str, SmallestDifference]
+
+    @property
+    def title(self) -> str:
+        """The sensor, how many scenes and sweeps."""
+        return f"{self.name}, {len(self.scenes)} scene(s), {sum(map(len, self.scenes))} sweeps"
+
+    def seen(self, rules: str) -> str:
+        """Return in words what the columns of some rules would show."""
+        if rules not in self.differences:
+            return ""
+        found = self.differences[rules]
+        over, under = (
+            f"no {kind} at all" if isnan(share) else f"{kind} of {share:g} or more of the {ground} ground"
+            for kind, share, ground in (("over-claim", found.over, "hidden"), ("under-claim", found.under, "visible"))
+        )
+        columns = f"({found.hidden_columns} columns of {found.hidden_sweeps} sweeps)"
+        return f"Smallest differences that these columns would show: {over} {columns}; {under}."
 
 
 def page_of(
@@ -77,40 +105,77 @@ def page_of(
         ValueError: an attack is not known, or the index has no scene.
         OSError: a file cannot be read.
     """
-    for name in attacks:
-        if name not in ATTACKS:
-            raise ValueError(f"attacks must be among {', '.join(ATTACKS)}, got {name!r}")
-    scenes = _scenes(index)
-    parts = [_INTRODUCTION]
-    kinds = ("Whole targets", _WHOLE, CrossViewRules()), ("As first defined", _FIRST, FIRST_RULES)
-    for heading, text, rules in kinds:
-        parts += [f"## {heading}", text]
-        for sensor, sweeps in scenes.items():
-            rng = np.random.default_rng(seed)
-            rows = evaluate_crossview(sweeps, estimators, rng=rng, rules=rules, on_step=on_step)
-            count = sum(len(scene) for scene in sweeps)
-            parts.append(f"### {sensor}, {len(sweeps)} scene(s), {count} sweeps\n\n{_table(rows)}")
-    if attacks:
-        parts += ["## Attacked", _ATTACKED]
-        parts += [_under_attack(name, sweeps, estimators, attacks, seed, on_step) for name, sweeps in scenes.items()]
+    check_names("attacks", attacks, ATTACKS)
+    found, floors = _scenes(index), dict[str, list[CrossViewRow]]()
     if floor:
-        parts += ["## The floor of the metric", _FLOOR, *_floor(estimators, seed, on_step)]
-    return page("Cross-view truth", facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car"), *parts)
+        few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
+        for name, rules in FLOOR_RULES.items():
+            on_step(f"floor: {name}")
+            floors[name] = evaluate_floor(few, rng=np.random.default_rng(seed), rules=rules)
+    sensors = [_looked_at(sensor, scenes, floors, seed, on_step) for sensor, scenes in found.items()]
+
+    def rates(of: SensorScenes, name: str, tried: Mapping[str, FovEstimator]) -> Table:
+        return _table(rows_of(of.truths[name], tried, rng=np.random.default_rng(seed), on_step=on_step))
+
+    whole, first = RULES
+    title, blocks = fill_template("crossview/page.md", {
+        "sensors": sensors, "attacked": sensors if attacks else (), "floors": list(floors), "points": POINTS,
+        "blob_m": BLOB_M,
+    }, {
+        "rates": lambda of: rates(of, whole, estimators),
+        "seen": lambda of: of.seen(whole),
+        "first_rates": lambda of: rates(of, first, estimators),
+        "first_seen": lambda of: of.seen(first),
+        "known_faults": lambda of: rates(of, whole, _with_known_faults(estimators)) if floor else None,
+        "attacked_rates": lambda of: _under_attack(of.truths[whole], estimators, attacks, seed, on_step),
+        "floor": lambda name: _table(floors[name]),
+    })  # fmt: skip
+    about = facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car")
+    return to_markdown(title, about, blocks)
+
+
+def _looked_at(
+    sensor: str, scenes: list[list[Sweep]], floors: Mapping[str, list[CrossViewRow]], seed: int, on_step: OnStep
+) -> SensorScenes:
+    """Return the scenes of a sensor with what its sweeps know; ``floors`` begin with the rates of the exact mask."""
+    rng, truths, differences = np.random.default_rng(seed), {}, {}
+    for name, rules in RULES.items():
+        truths[name] = crossview_truth(scenes, rules, on_step)
+        for floor_rules, rows in floors.items():
+            if FLOOR_RULES[floor_rules] == rules:
+                own = rows[0].over.high, rows[0].under.high
+                differences[name] = SmallestDifference.of(truths[name], own, rng)
+    return SensorScenes(sensor, scenes, truths, differences)
+
+
+def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovEstimator]:
+    """Return one of the estimators and the same with each known fault: the shadow map if it is among them."""
+    name = "shadow_map" if "shadow_map" in estimators else next(iter(estimators))
+    return with_known_faults(name, estimators[name])
 
 
 def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:
-    """Return the sweeps by sensor and scene: folders of the index with three posed sweeps or more over 0.7 s."""
+    """Return the sweeps by sensor and scene.
+
+    A scene is a folder of the index with three posed sweeps or more over 0.7 s, or with several sensors at one time.
+    """
     folders = defaultdict(list)
     for entry in read_index(index):
         if entry.world_from_sensor is not None and entry.t is not None:
             folders[entry.file.parent].append(entry)
     scenes: dict[str, list[list[Sweep]]] = defaultdict(list)
     for entries in folders.values():
-        times = [entry.t or 0.0 for entry in entries]
-        if len(entries) >= 3 and max(times) - min(times) >= 0.7:
-            scenes[entries[0].sensor].append([_with_beams(read_indexed(entry), entry.sensor) for entry in entries])
+        times, sensors = [entry.t or 0.0 for entry in entries], dict.fromkeys(entry.sensor for entry in entries)
+        span_s, rules = max(times) - min(times), CrossViewRules()
+        together = len(sensors) > 1 and span_s <= rules.together_s
+        if together or (len(entries) >= 3 and span_s >= rules.static_s):
+            sweeps = [_with_beams(read_indexed(entry), entry.sensor) for entry in entries]
+            scenes[" + ".join(sensors) if together else entries[0].sensor].append(sweeps)
     if not scenes:
-        raise ValueError(f"{index} must have a folder of at least three posed sweeps over 0.7 s, got none")
+        raise ValueError(
+            f"{index} must have a folder of at least three posed sweeps over 0.7 s, or of several sensors at one time, "
+            "got none"
+        )
     return dict(scenes)
 
 
@@ -122,15 +187,9 @@ def _with_beams(sweep: Sweep, name: str) -> Sweep:
 
 
 def _under_attack(
-    sensor: str,
-    scenes: Sequence[Sequence[Sweep]],
-    estimators: Mapping[str, FovEstimator],
-    attacks: Sequence[str],
-    seed: int,
-    on_step: OnStep,
-) -> str:
-    """Return the table of over- and under-claim without and with each attack, estimator by estimator."""
-    truth = crossview_truth(scenes, on_step=on_step)
+    truth: CrossViewTruth, estimators: Mapping[str, FovEstimator], attacks: Sequence[str], seed: int, on_step: OnStep
+) -> Table:
+    """Return over- and under-claim without and with each attack, estimator by estimator."""
     found: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for name in ("", *attacks):
         rng = np.random.default_rng(seed)
@@ -139,9 +198,9 @@ def _under_attack(
     rows = []
     for method, rates in found.items():
         growth = np.nanmax(np.array(rates) - np.array(rates[0]))
-        cells = [" / ".join("–" if np.isnan(rate) else f"{rate:.3f}" for rate in pair) for pair in rates]
+        cells = [" / ".join(format_number(rate, 3) for rate in pair) for pair in rates]
         rows.append([method, *cells, f"{growth:+.3f}"])
-    return f"### Attacked, {sensor}\n\n{table(['estimator', 'untouched', *attacks, 'grows by'], rows)}"
+    return Table(["estimator", "untouched", *attacks, "grows by"], rows)
 
 
 def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
@@ -152,23 +211,13 @@ def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
     return sweep
 
 
-def _floor(estimators: Mapping[str, FovEstimator], seed: int, on_step: OnStep) -> Iterator[str]:
-    few = {name: estimators[name] for name in estimators if name in ("shadow_map", "majority_vote", "first_blocker")}
-    steps = {"As first defined": FIRST_RULES, "and as wide as the target": CrossViewRules(foot_m=None),
-             "and standing on the ground": CrossViewRules()}  # fmt: skip
-    for name, rules in steps.items():
-        on_step(f"floor: {name}")
-        yield f"**{name}**\n\n{_table(evaluate_floor(few, rng=np.random.default_rng(seed), rules=rules))}"
+def _table(rows: Sequence[CrossViewRow]) -> Table:
+    def rate(of: Rate) -> str:
+        return f"{of.value:.3f} [{of.low:.3f}, {of.high:.3f}] of {of.columns}" if of.columns else "no columns"
 
-
-def _table(rows: Sequence[CrossViewRow]) -> str:
-    header = ["estimator", "over", "under", "over, nothing dropped", "dropped"]
-    return table(header, [_cells(row) for row in rows])
-
-
-def _cells(row: CrossViewRow) -> list[str]:
-    rates = [
-        f"{rate.value:.3f} [{rate.low:.3f}, {rate.high:.3f}] of {rate.columns}" if rate.columns else "no columns"
-        for rate in (row.over, row.under, row.over_unfiltered)
-    ]
-    return [row.method, *rates, f"{row.dropped_share:.2f}"]
+    return lines("estimator", {row.method: row for row in rows}, {
+        "over": lambda row: rate(row.over),
+        "under": lambda row: rate(row.under),
+        "over, nothing dropped": lambda row: rate(row.over_unfiltered),
+        "dropped": lambda row: f"{row.dropped_share:.2f}",
+    })  # fmt: skip

@@ -3,16 +3,12 @@
 No estimator makes this truth: a column that sweep B sees, and that sweep A must either show or miss, is a known
 answer about A's field of view. Rates: ``over`` = P(claimed visible | A does not see the column), ``under`` =
 P(not claimed visible | A sees it).
-
-Several views of one scene with their exact beams: worlds in which cross-view truth can be checked.
-
-The floor of cross-view truth: how wrong the metric calls a mask that is exact.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,15 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import binomtest
 
-from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import CAR, Beams, expected_returns, probability_of_visible
-from viewshed.geometry import Rigid
+from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim.assets.shapes import Box, Cylinder
-from viewshed.sim.scene import Scene, cast, depth_image, junction
 from viewshed.sweep import Sweep
 
 OnStep = Callable[[str], None]
@@ -43,11 +33,12 @@ class CrossViewRules:
         body_m: a column needs ``body_returns`` returns of B between these heights.
         body_returns: how many.
         top_m: and one return between these, so that it is about as tall as a car.
-        foot_m: a column counts as not seen only if B has a return of it between these heights, so that A's beams
-            cannot pass below it as they do below a bus; None asks for nothing.
+        foot_m: a column counts as not seen only if another sweep has a return near it between these heights, so that
+            A's beams cannot pass below it as they do below a bus; None demands nothing.
         range_a_m: distance of the column from A.
         range_b_m: and from B.
-        static_s: another sweep, this many seconds from B or more, must see it too.
+        static_s: another sweep, this many seconds from B or more, must see it too, or it may have moved.
+        together_s: what B measured within this time of A needs no such witness.
         near_m: returns within this distance of the column's middle belong to it.
         seen_m: A sees the column with ``seen_returns`` returns between these heights.
         seen_returns: how many.
@@ -57,7 +48,7 @@ class CrossViewRules:
             can be seen through, and is dropped.
         through_m: see there.
         across_m: a column counts as not seen only if the scene is as tall this far to its left and right as A looks
-            at it, so that it hides a target and not a post in front of a gap; 0 asks for nothing.
+            at it, so that it hides a target and not a post in front of a gap; 0 demands nothing.
     """
 
     body_m: tuple[float, float] = (0.5, 1.5)
@@ -67,6 +58,7 @@ class CrossViewRules:
     range_a_m: tuple[float, float] = (4.0, 45.0)
     range_b_m: tuple[float, float] = (3.0, 50.0)
     static_s: float = 0.7
+    together_s: float = 0.02
     near_m: float = 0.5
     seen_m: tuple[float, float] = (0.2, 1.7)
     seen_returns: int = 2
@@ -94,6 +86,15 @@ class Columns:
     xy: NDArray[np.float64]
     seen: NDArray[np.bool_]
     through: NDArray[np.bool_]
+
+    @property
+    def hidden(self) -> NDArray[np.bool_]:
+        """(M,) bool: A does not see the column; those that its beams pass are left out."""
+        return ~self.seen & ~self.through
+
+
+CrossViewTruth = Sequence[tuple[Sweep, Columns]]
+"""Sweeps, each with what the others of its scene know about its view."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +127,12 @@ def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossView
     found = [columns for b in others for columns in [_columns_of_pair(a, b, others, rules)] if len(columns)]
     if not found:
         return Columns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
-    xy, standing = _merged(np.concatenate(found))
+    # Places on a lattice of 0.25 m, each once.
+    xy = np.unique(np.round(np.concatenate(found) / 0.25), axis=0) * 0.25
     band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
     tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
     near = _counts(tree, xy, rules.near_m)
-    clear = (_counts(tree, xy, rules.clear_m) == 0) & standing & _as_wide_as_target(xy, rules)
+    clear = (_counts(tree, xy, rules.clear_m) == 0) & _standing(a, others, xy, rules) & _as_wide_as_target(xy, rules)
     seen = near >= rules.seen_returns
     aimed, through = _aimed_and_through(a, xy, rules)
     known = (seen | clear) & (aimed >= rules.coverage)
@@ -138,32 +140,38 @@ def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossView
     return Columns(xy[known], seen[known], passes[known])
 
 
-def _merged(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return places (M, 2) on a lattice of 0.25 m, each once, and whether any of its columns stands on the ground."""
-    places, inverse = np.unique(np.round(columns[:, :2] / 0.25), axis=0, return_inverse=True)
-    standing = np.zeros(len(places), bool)
-    np.logical_or.at(standing, inverse.ravel(), columns[:, 2] > 0)
-    return places * 0.25, standing
-
-
 def _columns_of_pair(
     a: LeveledSweep, b: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules
 ) -> NDArray[np.float64]:
-    """Return (M, 3): x and y in A's level frame, and 1 where the column stands on the ground, else 0."""
-    xy_b, standing = _tall_columns(b, rules)
+    """Return the columns (M, 2) that ``b`` and another sweep of ``others`` see, in A's level frame."""
+    xy_b = _tall_columns(b, rules)
     witnesses = [c for c in others if _seconds_apart(b, c) >= rules.static_s]
-    if not len(xy_b) or not witnesses:
-        return np.empty((0, 3))
+    static = np.full(len(xy_b), _seconds_apart(a, b) <= rules.together_s)
+    if not len(xy_b) or not (witnesses or static.any()):
+        return np.empty((0, 2))
     a_from_b = _between(a, b)
-    static = np.zeros(len(xy_b), bool)
     for c in witnesses:
         body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
         in_b = _between(b, c) @ c.points[body]
         static |= _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy_b, rules.near_m) > 0
     xyz = np.column_stack([xy_b, b.ground.at(xy_b)])
-    columns: NDArray[np.float64] = np.column_stack([(a_from_b @ xyz[static])[:, :2], standing[static]])
+    columns: NDArray[np.float64] = (a_from_b @ xyz[static])[:, :2]
     range_a = np.hypot(columns[:, 0], columns[:, 1])
     return columns[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+
+
+def _standing(
+    a: LeveledSweep, others: Sequence[LeveledSweep], xy: NDArray[np.float64], rules: CrossViewRules
+) -> NDArray[np.bool_]:
+    """Return which columns (M,) at ``xy`` stand on the ground: a foot of them that any other sweep saw is enough."""
+    if rules.foot_m is None:
+        return np.ones(len(xy), bool)
+    standing = np.zeros(len(xy), bool)
+    for b in others:
+        foot = (b.height_m > rules.foot_m[0]) & (b.height_m < rules.foot_m[1])
+        in_a = _between(a, b) @ b.points[foot]
+        standing |= _counts(cKDTree(in_a[:, :2].reshape(-1, 2)), xy, rules.near_m) > 0
+    return standing
 
 
 def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArray[np.bool_]:
@@ -174,16 +182,14 @@ def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArra
     return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
 
 
-def _tall_columns(b: LeveledSweep, rules: CrossViewRules) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the columns (M, 2) of ``b`` that are as tall as the target, and whether each stands on the ground."""
+def _tall_columns(b: LeveledSweep, rules: CrossViewRules) -> NDArray[np.float64]:
+    """Return the columns (M, 2) of ``b`` that are as tall as the target."""
     grid = BevGrid(round(4 * rules.range_b_m[1]), rules.range_b_m[1])
     range_b = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
     enough = (range_b > rules.range_b_m[0]) & (range_b < rules.range_b_m[1])
     enough &= _between_heights(b, grid, rules.body_m) >= rules.body_returns
     enough &= _between_heights(b, grid, rules.top_m) >= 1
-    if rules.foot_m is None:
-        return grid.centers[enough], np.ones(int(enough.sum()), bool)
-    return grid.centers[enough], (_between_heights(b, grid, rules.foot_m) >= 1)[enough]
+    return grid.centers[enough]
 
 
 def _between_heights(b: LeveledSweep, grid: BevGrid, height_m: tuple[float, float]) -> NDArray[np.int32]:
@@ -263,7 +269,7 @@ def crossview_truth(
 
 
 def rows_of(
-    truth: Sequence[tuple[Sweep, Columns]],
+    truth: CrossViewTruth,
     estimators: Mapping[str, FovEstimator],
     *,
     rng: np.random.Generator,
@@ -282,17 +288,18 @@ def rows_of(
     return rows
 
 
-def _row(
-    method: str, estimator: FovEstimator, truth: Sequence[tuple[Sweep, Columns]], rng: np.random.Generator
-) -> CrossViewRow:
+def _row(method: str, estimator: FovEstimator, truth: CrossViewTruth, rng: np.random.Generator) -> CrossViewRow:
     counts = np.zeros((len(truth), 3, 2))
     dropped = unseen = 0
     for n, (sweep, columns) in enumerate(truth):
         estimate = estimator.estimate(sweep)
         claimed = np.nan_to_num(estimate.at(columns.xy)) >= 0.5
-        sure = ~columns.seen & ~columns.through
         for k, (wrong, base) in enumerate(
-            ((claimed & sure, sure), (~claimed & columns.seen, columns.seen), (claimed & ~columns.seen, ~columns.seen))
+            (
+                (claimed & columns.hidden, columns.hidden),
+                (~claimed & columns.seen, columns.seen),
+                (claimed & ~columns.seen, ~columns.seen),
+            )
         ):
             counts[n, k] = wrong.sum(), base.sum()
         dropped += int(columns.through.sum())
@@ -311,85 +318,3 @@ def _rate(counts: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
     wrong, columns = (int(count) for count in total)
     exact = binomtest(wrong, columns).proportion_ci(0.95)
     return Rate(wrong / columns, min(float(low), exact.low), max(float(high), exact.high), columns)
-
-
-def view(
-    scene: Scene, model: LidarModel, pose: tuple[float, float, float], height_m: float, rng: np.random.Generator
-) -> tuple[Sweep, Beams]:
-    """Return a noisy sweep of a flat ``scene`` and its exact beams (no return: depth +inf), both from ``pose``.
-
-    Args:
-        scene: what stands there; its ground must be level.
-        model: the sensor.
-        pose: x and y in meters and yaw in radians, in the scene.
-        height_m: sensor height above the ground.
-        rng: noise of the measured ranges.
-
-    Raises:
-        ValueError: the scene's ground slopes.
-    """
-    if any(scene.slope):
-        raise ValueError(f"scene must have level ground to be seen from several places, got slope {scene.slope}")
-    x, y, yaw = pose
-    seen = _moved(scene, x, y, yaw)
-    depth = depth_image(model, seen, height_m)
-    flat = np.cos(model.elevation)[:, None]
-    azimuth = -np.pi + np.arange(model.azimuth_columns) * model.azimuth_step + np.zeros((model.rings, 1))
-    slope = np.tan(model.elevation)[:, None] + np.zeros_like(azimuth)
-    beams = Beams(*(a.ravel().astype(np.float32) for a in (azimuth, slope, depth * flat)))
-    sweep = cast(model, seen, height_m, rng=rng)
-    return sweep.replace(world_from_sensor=Rigid.from_yaw(yaw, (x, y, height_m))), beams
-
-
-def drive(
-    scene: Scene, model: LidarModel, poses: Sequence[tuple[float, float, float]], rng: np.random.Generator
-) -> list[tuple[Sweep, Beams]]:
-    """Return the views from ``poses``, one a second, by a sensor 1.8 m above the ground."""
-    views = [view(scene, model, pose, 1.8, rng) for pose in poses]
-    return [(sweep.replace(t_ns=second * 10**9), beams) for second, (sweep, beams) in enumerate(views)]
-
-
-def _moved(scene: Scene, x_m: float, y_m: float, yaw: float) -> Scene:
-    c, s = np.cos(yaw), np.sin(yaw)
-
-    def there(solid: Box | Cylinder) -> dict[str, Any]:
-        dx, dy = solid.x_m - x_m, solid.y_m - y_m
-        return {"x_m": float(c * dx + s * dy), "y_m": float(c * dy - s * dx)}
-
-    return Scene(
-        boxes=tuple(replace(box, **there(box), yaw=box.yaw - yaw) for box in scene.boxes),
-        cylinders=tuple(replace(cylinder, **there(cylinder)) for cylinder in scene.cylinders),
-    )
-
-
-POSES = (
-    (-30.0, 3.4, 3.14), (-20.0, 3.4, 3.14), (-6.0, 0.3, 0.0), (2.0, 0.2, 0.0), (14.0, 0.3, 0.1),
-    (24.0, -8.0, -1.5), (24.5, 6.0, 1.57), (30.0, 20.0, -1.57), (34.0, 0.2, 0.0), (50.0, 0.2, 0.0),
-)  # fmt: skip
-"""Where the sensor stands in the simulated junction: x, y in meters and yaw."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ExactMask:
-    """The definition of visible on each simulated sweep's noise-free beams and its level ground."""
-
-    grid: BevGrid
-    beams: Mapping[int, Beams]
-    height_m: float = 1.8
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the exact mask; the sweep's time says which view it is."""
-        beams = self.beams[sweep.t_ns or 0]
-        returns, _ = expected_returns(beams, self.height_m, HeightMap.flat(64.0), self.grid, CAR)
-        prob = probability_of_visible(returns, CAR.min_returns)
-        return FovEstimate(self.grid, prob, (prob >= 0.5).astype(np.uint8), method="exact mask")
-
-
-def evaluate_floor(
-    estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator, rules: CrossViewRules | None = None
-) -> list[CrossViewRow]:
-    """Return the rates of the exact mask, then of ``estimators``, in a simulated junction seen from ten places."""
-    views = drive(junction(), lidar_model("hdl64e"), POSES, rng)
-    exact = ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: beams for sweep, beams in views})
-    sweeps = [sweep for sweep, _ in views]
-    return evaluate_crossview([sweeps], {"exact mask": exact, **estimators}, rng=rng, rules=rules)

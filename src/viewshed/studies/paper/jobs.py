@@ -33,7 +33,7 @@ from viewshed.studies.paper.models import (
 )
 from viewshed.studies.paper.plan import CLASSICAL, MIXTURES, PROTOCOLS, STEPS, VARIANTS, Model, PaperPlan
 from viewshed.studies.paper.protocols import Setting, setting_of
-from viewshed.studies.plan import JobKey
+from viewshed.studies.plan import JobKey, check_names
 from viewshed.studies.records import BENIGN, STRICT, Case, Record, pool
 from viewshed.studies.runner import Job, Progress, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
@@ -213,9 +213,7 @@ class Scope:
     def __post_init__(self) -> None:
         for name, given, known in (("only", self.steps, STEPS), ("protocol", self.protocols, PROTOCOLS),
                                    ("device", (self.device,), ("cpu", "cuda"))):  # fmt: skip
-            for word in given:
-                if word not in known:
-                    raise ValueError(f"{name} must be among {', '.join(known)}, got {word!r}")
+            check_names(name, given, known)
         LocalEngine(self.workers)
 
     def engine(self, step: str, plan: PaperPlan) -> Engine:
