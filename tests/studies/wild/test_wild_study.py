@@ -9,7 +9,9 @@ import pytest
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.wild import WildObservation, wild_scenes
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, expected_returns
+from viewshed.geometry import Rigid
 from viewshed.metrics import ConfusionCounts, Scores
 from viewshed.preprocess.leveling import level
 from viewshed.studies.store import ResultStore
@@ -94,6 +96,21 @@ def test_exact_ground_and_beams_give_the_truth_but_for_the_kernel(seen: WildObse
     assert counts.f1 > 0.95
     middle = (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < 55) & seen.known
     assert np.percentile(np.abs(ground_error_m(leveled, sample))[middle], 95) < 0.3
+
+
+def test_ground_that_follows_the_returns_is_right_whatever_the_attitude(seen: WildObservation) -> None:
+    """By hand: a plane tilted by 4° with the frame is the level plane; raised by 2 m it is 2 m too high."""
+    grid, half = seen.truth.grid, np.deg2rad(2.0)
+    flat = replace(seen.sample("nothing"), ground_m=np.zeros(grid.shape, np.float32), origin_height_m=2.0,
+                   attitude=np.array([np.cos(half), 0.0, np.sin(half), 0.0]))  # fmt: skip
+    leveled = level(seen.told("nothing"), grid)
+    steps = (np.arange(64) + 0.5) * 2 - 64.0
+    tilted = np.broadcast_to(steps[:, None] * np.tan(np.deg2rad(4.0)), (64, 64)) - 2.0 / np.cos(np.deg2rad(4.0))
+    as_given = Rigid(np.eye(3), np.array([0.0, 0.0, 2.0]))
+    for raised in (0.0, 2.0):
+        ground = HeightMap((tilted + 2.0 + raised).astype(np.float32), 64.0, np.ones((64, 64), bool))
+        error = ground_error_m(replace(leveled, ground=ground, level_from_sensor=as_given), flat)
+        assert error[4:-4, 4:-4] == pytest.approx(raised * np.cos(np.deg2rad(4.0)), abs=0.01)
 
 
 def test_records_come_back_from_their_table(seen: WildObservation) -> None:

@@ -8,8 +8,8 @@ Figures of a record by name. Areas are in square meters, over cells whose truth 
   ``auroc_std_known`` have all cells.
 - ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
   ``min_returns``, by who calls them visible: both, only the estimate, only the truth.
-- ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: claimed; claimed beyond the sensor's maximum range; beyond the
-  range at which it detects a target of 10 % every second time.
+- ``known_m2``, ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: all; claimed; claimed beyond the sensor's maximum
+  range; beyond the range at which it detects a target of 10 % every second time.
 - ``off_m2``, ``off_sure_m2``: where the estimated ground is off by more than 1 m; of that, claimed with p ≥ 0.8.
 - ``unaimed``, ``unaimed_hidden``: cells at which fewer than ``min_returns`` beams aim; of those, called HIDDEN.
 - ``height_error_m``: of the sensor above the ground, estimated less exact.
@@ -29,7 +29,7 @@ from viewshed.estimators import Estimator, load_estimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import TARGETS, Beams, Target, expected_returns, probability_of_visible
-from viewshed.geometry import Rigid
+from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.integrity.roc import auroc
 from viewshed.metrics import ConfusionCounts, Scores
@@ -95,7 +95,8 @@ def record_of(
     reach_m = min(optics_of(model).reach_m, model.max_range_m)
     off = known & (np.abs(ground_error_m(leveled, sample)) > OFF_M)
     areas = {
-        "claimed_m2": known & claimed, "beyond_m2": known & claimed & (range_m > model.max_range_m + grid.cell_m),
+        "known_m2": known, "claimed_m2": known & claimed,
+        "beyond_m2": known & claimed & (range_m > model.max_range_m + grid.cell_m),
         "beyond_reach_m2": known & claimed & (range_m > reach_m + grid.cell_m), "off_m2": off,
         "off_sure_m2": off & claimed & (prob >= SURE),
     }  # fmt: skip
@@ -111,9 +112,20 @@ def record_of(
 
 
 def ground_error_m(leveled: LeveledSweep, sample: WildSample) -> NDArray[np.float64]:
-    """Return (cells, cells) estimated less exact ground, both as heights from the origin of the points."""
-    estimated = leveled.ground.at(sample.truth.grid.centers) - leveled.sensor_height_m
-    error: NDArray[np.float64] = np.asarray(estimated - (sample.ground_m - sample.origin_height_m), np.float64)
+    """Return (cells, cells) meters by which the estimated ground lies above the exact one, at the estimate's cells.
+
+    Both as seen by the points: where the estimated attitude is off, ground that follows the returns is not.
+    """
+    grid = sample.truth.grid
+    # The estimated surface below each cell, from the origin of the points, turned into the exact level frame.
+    z = leveled.ground.at(grid.centers) - leveled.sensor_height_m
+    surface = np.concatenate([grid.centers, z[..., None]], axis=-1)
+    turn = rotation_from_quaternion(sample.attitude) @ leveled.level_from_sensor.rotation.T
+    there = surface @ turn.T
+    # The exact ground where that lies; at the rim of the grid that of the nearest cell.
+    cells = np.floor((there[..., :2] - grid.origin_m) / grid.cell_m).astype(np.intp).clip(0, grid.cells - 1)
+    exact = sample.ground_m[cells[..., 0], cells[..., 1]] - sample.origin_height_m
+    error: NDArray[np.float64] = there[..., 2] - exact
     return error
 
 

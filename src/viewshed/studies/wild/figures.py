@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import TARGETS
 from viewshed.preprocess.leveling import level
-from viewshed.studies.wild.evaluate import estimator_named
+from viewshed.studies.wild.evaluate import estimator_named, ground_error_m
 from viewshed.studies.wild.jobs import scene_of
 from viewshed.studies.wild.records import WildRecord
 
@@ -25,7 +25,7 @@ def picture_of(record: WildRecord, methods: Sequence[str]) -> bytes:
     seen = scene_of((record.set_name, record.domain, record.scene.split("-")[2], "0")).observe(record.sweep)
     sample, grid, target = seen.sample(record.told), seen.truth.grid, TARGETS[record.target]
     leveled = level(sample.sweep, grid)
-    error = leveled.ground.at(grid.centers) - leveled.sensor_height_m - (sample.ground_m - sample.origin_height_m)
+    error = ground_error_m(leveled, sample)
     half = grid.half_extent_m
     extent = (half, -half, -half, half)
 

@@ -103,7 +103,7 @@ def _beyond_f1(pool: Pool) -> Table:
             *(format_rates(*(part.mean(name) for part in parts)) for name in ("auroc", "auroc_std")),
             " / ".join(format_number(part.mean("aurc"), 4) for part in parts),
             format_rates(*(parts[1].share(name, "claimed_m2") for name in ("beyond_m2", "beyond_reach_m2"))),
-            format_rate(parts[1].share("off_sure_m2", "off_m2")),
+            format_rates(parts[1].share("off_m2", "known_m2"), parts[1].share("off_sure_m2", "off_m2")),
             format_rates(*(part.share("unaimed_hidden", "unaimed") for part in parts)),
         ])  # fmt: skip
     header = ["own / other", "F1 by scene", "F1, flat", "F1, clear", "ECE", "AUROC", "AUROC std", "AURC",
@@ -138,10 +138,14 @@ def _ladder(pool: Pool) -> Table | None:
     for name in (AS_TOLD, *LADDER):
         part = same.of(method=name)
         counts = part.counts
-        shares = (part.share("off_sure_m2", "off_m2"), part.share("unaimed_hidden", "unaimed"))
+        shares = (
+            part.share("off_m2", "known_m2"),
+            part.share("off_sure_m2", "off_m2"),
+            part.share("unaimed_hidden", "unaimed"),
+        )
         rows.append([name, format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1)),
                      *map(format_rate, shares)])  # fmt: skip
-    return Table(["the shadow map given", "precision / recall", "F1", "off", "HIDDEN"], rows)
+    return Table(["the shadow map given", "precision / recall", "F1", "ground off", "of that claimed", "HIDDEN"], rows)
 
 
 def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
