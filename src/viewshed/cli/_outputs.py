@@ -265,6 +265,7 @@ class Run:
         """Write the results of an estimate and return its summary line, with the time if there is one."""
         from viewshed._files import write_atomic
 
+        report_doubts(leveled, name)
         estimate = replace(estimate, threshold=self.threshold)
         summary = summary_line(estimate, elapsed_ms)
         for kind in self.results:
@@ -272,6 +273,14 @@ class Run:
         return (
             f"{name}: {summary}{_ground_remark(leveled)}{_range_remark(leveled)} → {self.out / name}.{self.results[0]}"
         )
+
+
+def report_doubts(leveled: LeveledSweep, name: str) -> None:
+    """Say on standard error what cannot well be as it was read, a line each."""
+    from viewshed.preprocess.plausibility import doubts
+
+    for doubt in doubts(leveled):
+        typer.echo(f"viewshed: {name}: warning: {doubt}", err=True)
 
 
 def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:

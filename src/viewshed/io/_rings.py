@@ -114,7 +114,8 @@ def problem_of_rings(ring: NDArray[Any], points: NDArray[np.float32]) -> str | N
     if low == high:
         return f"every return has ring {low}" if float(elevation.std()) > _FLAT else None
     column = ring[rows[np.lexsort((elevation, degree))]].astype(np.float64)
-    beside, any_two = np.abs(np.diff(column)).mean(), np.abs(column - np.roll(column, len(column) // 2)).mean()
+    beside = np.abs(np.diff(column)).mean()
+    any_two = np.abs(column - np.random.default_rng(0).permutation(column)).mean()
     return "returns beside each other are of rings far apart" if beside > _MOST_APART * any_two else None
 
 

@@ -1,0 +1,86 @@
+"""What about a sweep cannot well be as it was read: units, height, sensor, origin. One sentence each, for a person."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from viewshed.preprocess.beam_matching import match_beams, polar
+from viewshed.preprocess.elevation_clusters import find_clusters
+from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.sweep import Sweep
+
+PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
+"""Heights at which robots, cars and masts carry sensors."""
+
+_MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
+"""Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
+
+_FEWEST = 100
+
+_NO_MATCH = 0.15
+"""A named sensor whose beams explain less of the returns than this is another one, ..."""
+
+_MATCH = 0.6
+"""... and one that explains less than this share of what the elevations at which the returns gather explain."""
+
+_LOW_M = 0.6
+"""Sensors that seem to stand lower than this, and whose returns gather at no beams, may not be at the origin."""
+
+
+def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
+    """Return what a reader should doubt about a sweep, a sentence each; none for most.
+
+        >>> from viewshed import BevGrid, Sweep
+        >>> from viewshed.preprocess.elevation_clusters import find_clusters
+    from viewshed.preprocess.leveling import level
+        >>> doubts(level(Sweep(np.full((5, 3), 4.0)), BevGrid(64, 32.0)))
+        ()
+    """
+    sweep = leveled.sweep
+    if len(sweep) < _FEWEST:
+        return ()
+    found = (_doubt_of_units(sweep) or _doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
+    return tuple(doubt for doubt in found if doubt)
+
+
+def _doubt_of_units(sweep: Sweep) -> str:
+    half_m, most_m = np.quantile(np.linalg.norm(sweep.points[:: max(len(sweep) // 4096, 1)], axis=1), (0.5, 0.99))
+    if half_m > _MILLIMETERS_M:
+        return f"half of the points are farther than {half_m:.0f} m: is the file in millimeters? Convert it to meters"
+    if most_m < _KILOMETERS_M:
+        return f"nearly all points are nearer than {most_m:.3f} m: is the file in kilometers? Convert it to meters"
+    return ""
+
+
+def _doubt_of_height(leveled: LeveledSweep) -> str:
+    height_m, given = leveled.sensor_height_m, leveled.sweep.sensor_height_m is not None
+    low_m, high_m = PLAUSIBLE_HEIGHTS_M
+    if low_m <= height_m <= high_m or (not given and leveled.ground.support == 0):
+        return ""
+    found = "is said to be" if given else "comes out as"
+    return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
+
+
+def _doubt_of_sensor(sweep: Sweep) -> str:
+    if sweep.model is None:
+        return ""
+    azimuth, slope, range_m = polar(sweep.points)
+    share = match_beams(slope, range_m, sweep.model).excess
+    # Where elevations gather, a sensor's own beams explain about as much as they do; else it may have moved.
+    clusters = find_clusters(azimuth, slope, range_m)
+    if share >= (_NO_MATCH if clusters is None else _MATCH * clusters.sharpness):
+        return ""
+    return f"the returns do not lie at the beams of {sweep.model.name}: name another --sensor, or none"
+
+
+def _doubt_of_origin(leveled: LeveledSweep) -> str:
+    sweep = leveled.sweep
+    if sweep.sensor_height_m is not None or leveled.sensor_height_m > _LOW_M or leveled.sensor_id.model is not None:
+        return ""
+    # A low robot's returns gather at its beams; points counted from the axle or the road gather nowhere.
+    if find_clusters(*polar(sweep.points)) is not None:
+        return ""
+    return (
+        f"the origin seems to lie {leveled.sensor_height_m:.2f} m above the ground, and the returns gather at no beams"
+        " around it: are the points counted from the axle or the road? Say with --origin X,Y,Z where the sensor is"
+    )
