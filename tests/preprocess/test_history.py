@@ -94,18 +94,24 @@ def test_depths_are_those_from_where_the_sensor_is_now() -> None:
     assert np.array_equal(past.within(beams).depth_m[left], beams.depth_m[left])
 
 
-def test_confirmations_count_the_earlier_sweeps_that_see_a_cell_from_where_they_were() -> None:
+def test_confirmations_count_the_earlier_sweeps_that_see_a_cell_past_what_they_saw_on_the_way() -> None:
     now = seen([FAR], at(0, 0))
     poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
     earlier = [seen([WALL, FAR], pose) for pose in poses]
     past = history_of(level_of(now), earlier, GRID)
     assert past is not None
     confirmations = past.confirmations(GRID, CAR)
-    assert (confirmations[behind_wall()] == 2).mean() > 0.9  # the two that stood beyond the wall
+    # Two stood beyond the wall and saw the cells there; but they also saw the wall between those cells and here.
+    # Seen obliquely, its returns leave a few gaps.
+    assert (confirmations[behind_wall()] == 0).mean() > 0.8
     assert np.array_equal(confirmations, past.confirmations(GRID, CAR))
+    # Where no wall stood, what they see is confirmed, from wherever they were.
+    open_past = history_of(level_of(now), [seen([FAR], pose) for pose in poses], GRID)
+    assert open_past is not None
+    assert (open_past.confirmations(GRID, CAR)[behind_wall()] >= 2).mean() > 0.9
     alone = History.of(level_of(now), [level_of(earlier[0])])
     assert alone is not None
-    assert (alone.confirmations(GRID, CAR) == claimed(earlier[0])).mean() > 0.99
+    assert (alone.confirmations(GRID, CAR) == claimed(earlier[0])).mean() > 0.98
     assert (alone.confirmations(GRID, PEDESTRIAN) != alone.confirmations(GRID, CAR)).any()
 
 
@@ -284,4 +290,4 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
-    assert History(1.8, (), ()).confirmations(GRID, CAR).sum() == 0
+    assert History(1.8, HeightMap.flat(32.0), (), ()).confirmations(GRID, CAR).sum() == 0

@@ -69,8 +69,9 @@ class UnetEstimator:
 
     A cell is claimed if its probability reaches the card's threshold, and only where the beams support the claim: the
     network ranks and lowers claims within the evidence (:mod:`viewshed.preprocess.evidence`), which decides the states.
-    Where it does not support a claim the probability is cut to just below the threshold, beyond the reach to 0. With ``abstain_below`` above one half, a cell is claimed from that probability on (or the card's threshold, if that
-    is higher), denied up to ``1 - abstain_below``, and UNKNOWN between.
+    Where it does not support a claim the probability is cut to just below the threshold, beyond the reach to 0. With
+    ``abstain_below`` above one half, a cell is claimed from that probability on (or the card's threshold, if that is
+    higher), denied up to ``1 - abstain_below``, and UNKNOWN between.
 
     Args:
         runner: the network.

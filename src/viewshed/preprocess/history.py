@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import atan2
-from viewshed.fov.visibility import Beams, Target
+from viewshed.fov.height_map import HeightMap
+from viewshed.fov.visibility import Beams, Target, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.evidence import beam_evidence
@@ -33,6 +35,9 @@ SLOPES = (-0.75, 0.35)
 
 ROWS = 160
 """... in so many rows of 0.4°."""
+
+SIGHT_STEP = 2
+"""Lines of sight are looked along in every so many rows and columns."""
 
 GAP_ROWS, GAP_COLUMNS = 20, 4
 """Obstacle pixels of similar depth at most so many rows or columns (8° or 2°) apart belong to one obstacle."""
@@ -62,11 +67,13 @@ class History:
 
     Attributes:
         sensor_height_m: height of the sensor now.
+        ground: the ground now.
         earlier: the sweeps, any number of them.
         now_from_earlier: pose of the ``level`` frame of each in that of the sweep now.
     """
 
     sensor_height_m: float
+    ground: HeightMap
     earlier: tuple[LeveledSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
     _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
@@ -81,7 +88,8 @@ class History:
         if not earlier:
             return None
         now_from_world = _pose(leveled).inverse()
-        return cls(leveled.sensor_height_m, tuple(earlier), tuple(now_from_world @ _pose(sweep) for sweep in earlier))
+        poses = tuple(now_from_world @ _pose(sweep) for sweep in earlier)
+        return cls(leveled.sensor_height_m, leveled.ground, tuple(earlier), poses)
 
     def obstacles(self) -> Floats:
         """Return the horizontal range of the nearest obstacle by slope and azimuth (ROWS, COLUMNS); +inf for none.
@@ -99,9 +107,16 @@ class History:
         for number, xyz in enumerate(points, start=1):
             own = np.int32(number if len(points) > 1 else _NOBODY)
             _draw_obstacles(xyz, np.float32(self.sensor_height_m), seen_by, own, image)
-        # Close the gaps between the rings and between the columns of one obstacle.
-        _fill_gaps(image, GAP_ROWS, np.float32(_SIMILAR))
-        _fill_gaps(image.T, GAP_COLUMNS, np.float32(_SIMILAR))
+        _close_gaps(image)
+        return image
+
+    def _obstacles_of(self, before: LeveledSweep, now_from_before: Rigid) -> Floats:
+        """Return the image (ROWS, COLUMNS) of all obstacles that one earlier sweep saw."""
+        xyz = _obstacle_points(before, now_from_before)
+        seen_by, image = np.zeros((MAP_CELLS, MAP_CELLS), np.int32), np.full((ROWS, COLUMNS), np.inf, np.float32)
+        _mark_cells(xyz, np.int32(1), seen_by)
+        _draw_obstacles(xyz, np.float32(self.sensor_height_m), seen_by, np.int32(_NOBODY), image)
+        _close_gaps(image)
         return image
 
     def within(self, beams: Beams) -> Beams:
@@ -110,24 +125,27 @@ class History:
         return Beams(beams.azimuth, beams.slope, depth_m)
 
     def confirmations(self, grid: BevGrid, target: Target) -> NDArray[np.int32]:
-        """Return how many of the earlier sweeps would have seen a target in each cell (cells, cells), by their beams.
+        """Return how many of the earlier sweeps confirm that a target in each cell (cells, cells) would be seen.
 
-        Computed once for a grid and a target; read-only.
+        A sweep confirms a cell that it would have seen itself, if the line of sight from here was open as well: if the
+        obstacles that it saw leave more than half of the target in view. Computed once for a grid and a target;
+        read-only.
         """
         if (grid, target) in self._confirmations:
             return self._confirmations[grid, target]
-        total = np.zeros(grid.shape, np.int32)
+        total, there = np.zeros(grid.shape, np.int32), np.empty(grid.shape, np.bool_)
         x0_m, y0_m = np.array(grid.origin_m, np.float32)
+        lines, where = _sight_lines(), (self.sensor_height_m, self.ground, grid, target)
+        [whole] = returns_by_kind([lines], *where)
         for before, now_from_before in zip(self.earlier, self.now_from_earlier, strict=True):
+            # Did it see the cell from where it was?
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32)
-            _add_mask(
-                beam_evidence(before, grid, target).supports_claim(),
-                x0_m,
-                y0_m,
-                np.float32(grid.cell_m),
-                before_from_now,
-                total,
-            )
+            seen = beam_evidence(before, grid, target).supports_claim()
+            _look_up_mask(seen, x0_m, y0_m, np.float32(grid.cell_m), before_from_now, there)
+            # Is the way from here to the cell open past the obstacles that it saw?
+            depth_m = _obstacle_ranges(self._obstacles_of(before, now_from_before), lines.azimuth, lines.slope)
+            [open_] = returns_by_kind([Beams(lines.azimuth, lines.slope, depth_m)], *where)
+            total += there & (open_ > np.float32(0.5) * whole)
         total.setflags(write=False)
         self._confirmations[grid, target] = total
         return total
@@ -158,11 +176,26 @@ def _obstacle_points(before: LeveledSweep, now_from_before: Rigid) -> Floats:
     return points
 
 
+def _close_gaps(image: Floats) -> None:
+    """Close the gaps between the rings and between the columns of one obstacle in an image (ROWS, COLUMNS)."""
+    _fill_gaps(image, GAP_ROWS, np.float32(_SIMILAR))
+    _fill_gaps(image.T, GAP_COLUMNS, np.float32(_SIMILAR))
+
+
+@lru_cache(maxsize=1)
+def _sight_lines() -> Beams:
+    """Return lines of sight in every other row and column of the image of obstacles."""
+    row, column = np.mgrid[:ROWS:SIGHT_STEP, :COLUMNS:SIGHT_STEP]
+    azimuth = (column.ravel() + 0.5) * (2 * np.pi / COLUMNS) - np.pi
+    slope = SLOPES[0] + (row.ravel() + 0.5) * ((SLOPES[1] - SLOPES[0]) / ROWS)
+    return Beams(azimuth.astype(np.float32), slope.astype(np.float32), np.full(row.size, np.inf, np.float32))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_mask(
-    mask: Any, x0_m: Any, y0_m: Any, cell_m: Any, transform: Any, total: Any
+def _look_up_mask(
+    mask: Any, x0_m: Any, y0_m: Any, cell_m: Any, transform: Any, out: Any
 ) -> None:  # pragma: no cover - compiled
-    """Add a mask (cells, cells) of an earlier frame to the total now: of each cell where its center lies there."""
+    """Write what a mask (cells, cells) of an earlier frame says where the center of each cell lies there."""
     cells, per_m = mask.shape[0], np.float32(1.0) / cell_m
     for i in range(cells):
         x = x0_m + (np.float32(i) + np.float32(0.5)) * cell_m
@@ -170,8 +203,8 @@ def _add_mask(
             y = y0_m + (np.float32(j) + np.float32(0.5)) * cell_m
             u = (transform[0, 0] * x + transform[0, 1] * y + transform[0, 2] - x0_m) * per_m
             v = (transform[1, 0] * x + transform[1, 1] * y + transform[1, 2] - y0_m) * per_m
-            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
-                total[i, j] += mask[int(u), int(v)]
+            inside = u >= 0.0 and v >= 0.0 and u < cells and v < cells
+            out[i, j] = inside and mask[int(u), int(v)]
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
