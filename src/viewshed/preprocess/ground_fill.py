@@ -176,16 +176,16 @@ def _doubt_gaps(
     n = known.shape[0]
     bins = int(0.75 * n) + 1
     per_rad, turn = np.float32(_SECTORS / (2 * np.pi)), np.float32(np.pi)
-    # Known heights by sector and range in nodes; near nodes cover several sectors.
+    # Known heights by sector and range in nodes; a node covers every sector that it lies in.
     seen, seen_base = np.full((_SECTORS, bins), np.nan, np.float32), np.zeros((_SECTORS, bins), np.float32)
     for i in range(n):
         for j in range(n):
             if known[i, j]:
                 u, v = np.float32(i + 0.5 - n / 2), np.float32(j + 0.5 - n / 2)
                 r = np.sqrt(u * u + v * v)
-                sector, b = int((np.arctan2(v, u) + turn) * per_rad), min(int(r), bins - 1)
-                wide = max(1, int(np.float32(0.6) / max(r, np.float32(1.0)) * per_rad + np.float32(0.5)))
-                for s in range(sector - wide + 1, sector + wide):
+                at, b = (np.arctan2(v, u) + turn) * per_rad, min(int(r), bins - 1)
+                wide = np.float32(0.6) / max(r, np.float32(1.0)) * per_rad
+                for s in range(int(np.floor(at - wide)), int(np.floor(at + wide)) + 1):
                     seen[s % _SECTORS, b], seen_base[s % _SECTORS, b] = above[i, j], base[i, j]
     # The bin of the last height before each bin (the first bin where there is none), and of the next (-1 for none).
     before, behind = np.zeros((_SECTORS, bins), np.int32), np.full((_SECTORS, bins), -1, np.int32)
