@@ -55,7 +55,7 @@ def attack(
     _attack_plan(*chosen, options.parse_grid(grid))  # refuses what cannot be before SRC is read
     sweeps = _opened(sources, split, grid, sensor)
     plan = _attack_plan(*chosen, sweeps.layout.grid)
-    _run(sweeps, plan, _Output(sources, out, seed), engine, workers)
+    _run(sources, sweeps, plan, out, seed, engine, workers)
 
 
 def _attack_plan(
@@ -93,26 +93,16 @@ def corrupt(
     from viewshed.datasets.tampered import CorruptionPlan
 
     plan = CorruptionPlan(corruption, severity)
-    _run(_opened(sources, split, grid, sensor), plan, _Output(sources, out, seed), engine, workers)
+    _run(sources, _opened(sources, split, grid, sensor), plan, out, seed, engine, workers)
 
 
-class _Output:
-    """From where, to where, with which seed."""
-
-    def __init__(self, sources: Sequence[str], out: str, seed: int) -> None:
-        if seed < 0:
-            raise ValueError(f"seed must not be negative, got {seed}")
-        self.inputs = [Path(source) for source in sources if "://" not in source]
-        self.out, self.seed = out, seed
-        single = len(self.inputs) == 1 and self.inputs[0].is_file()
-        self.file = Path(out) if single and "://" not in out and _is_sweep_file(out) else None
-
-
-def _is_sweep_file(out: str) -> bool:
+def _file_of(sources: Sequence[str], out: str) -> Path | None:
+    """Return the file to be written, where the source is one file and ``out`` is named like a sweep; else None."""
     from viewshed.io import FORMATS
 
     written = tuple(suffix for form in FORMATS.values() if form.write is not None for suffix in form.suffixes)
-    return out.lower().removesuffix(".gz").endswith(written)
+    is_sweep = "://" not in out and out.lower().removesuffix(".gz").endswith(written)
+    return Path(out) if is_sweep and len(sources) == 1 and Path(sources[0]).is_file() else None
 
 
 def _budget(text: str | None, attack: str) -> int | None:
@@ -150,19 +140,22 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
     return sweeps_of_files([Path(source) for source in sources], Reading(sensor).sweeps, wanted)
 
 
-def _run(sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers: int | None) -> None:
+def _run(
+    sources: Sequence[str], sweeps: Sweeps, plan: TamperPlan, out: str, seed: int, engine: str, workers: int | None
+) -> None:
     from viewshed._jobs import engine_named
     from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.tampered import tamper
 
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed}")
     for problem in sweeps.problems:
         complain(problem)
-    failed = len(sweeps.problems)
-    if output.file is not None:
-        _to_file(sweeps, plan, output)
+    failed, file = len(sweeps.problems), _file_of(sources, out)
+    if file is not None:
+        _to_file(Path(sources[0]), sweeps, plan, file, seed)
     else:
-        store, runner = Storage.of(output.out), engine_named(engine, workers)
-        make = partial(tamper, sweeps, plan, store, runner, output.seed)
+        make = partial(tamper, sweeps, plan, Storage.of(out), engine_named(engine, workers), seed)
         archive, problems = build_with_bar(plan.name, sweeps.count, make)
         failed += problems
         typer.echo(data_set_line(archive, f"{len(archive)} of {sweeps.count} sweeps"))
@@ -170,17 +163,17 @@ def _run(sweeps: Sweeps, plan: TamperPlan, output: _Output, engine: str, workers
         raise typer.Exit(2)
 
 
-def _to_file(sweeps: Sweeps, plan: TamperPlan, output: _Output) -> None:
+def _to_file(source: Path, sweeps: Sweeps, plan: TamperPlan, file: Path, seed: int) -> None:
     from viewshed._files import write_atomic
     from viewshed.datasets.tampered import tampered_sweep
     from viewshed.io import write_sweep
 
-    if output.file is None or sweeps.count != 1:
-        raise ValueError(f"{output.out} holds one sweep, the source has {sweeps.count}; name a folder as --out")
-    record = output.file.with_name(f"{output.file.name}.touched.json")
-    refuse_inputs((output.file, record), output.inputs)
-    sweep, about = tampered_sweep(sweeps, plan, output.seed)
-    output.file.parent.mkdir(parents=True, exist_ok=True)
-    write_sweep(sweep, output.file)
+    if sweeps.count != 1:
+        raise ValueError(f"{file} holds one sweep, the source has {sweeps.count}; name a folder as --out")
+    record = file.with_name(f"{file.name}.touched.json")
+    refuse_inputs((file, record), [source])
+    sweep, about = tampered_sweep(sweeps, plan, seed)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_sweep(sweep, file)
     write_atomic(record, about.encode())
-    typer.echo(f"{output.file}: {len(sweep)} returns; what was touched is in {record.name}")
+    typer.echo(f"{file}: {len(sweep)} returns; what was touched is in {record.name}")

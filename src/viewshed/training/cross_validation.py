@@ -198,11 +198,21 @@ def crossval(
     # What the results depend on: not how many settings or which are tried.
     about = {"version": viewshed.__version__, "config": config.to_json(), "folds": wanted.folds}
     store = FoldStore.open(folder, about)
-    runner = _Runner(config, folder, store, wanted.folds, device, on_progress)
-    tried = (
-        _search_with_optuna(wanted, config, runner)
-        if wanted.sampler == "optuna"
-        else _search_grid(wanted, config, runner)
+
+    def score_fold(setting: Setting, number: int) -> FoldScore:
+        if (setting.name, number) not in store.scores:
+            name = f"{setting.name}/fold-{number}"
+            on_step = None if on_progress is None else partial(on_progress, name)
+            best = train(
+                setting.of(config), folder / name, device=device, on_progress=on_step, cache=folder / "cache",
+                fold=Fold(number, wanted.folds),
+            ).best  # fmt: skip
+            store.add(FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number))
+        return store.scores[setting.name, number]
+
+    try_settings = _search_with_optuna if wanted.sampler == "optuna" else _search_grid
+    tried = try_settings(
+        wanted, config, lambda setting: tuple(score_fold(setting, number) for number in range(wanted.folds))
     )
     scores = dict(tried)
     result = CrossValidation(min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting)), scores)
@@ -210,47 +220,20 @@ def crossval(
     return result
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Runner:
-    """Runs the folds of a setting that the store does not have."""
-
-    config: TrainConfig
-    out: Path
-    store: FoldStore
-    folds: int
-    device: str
-    on_progress: Callable[[str, Step], None] | None
-
-    def scores(self, setting: Setting) -> tuple[FoldScore, ...]:
-        """Return one score of each fold."""
-        return tuple(self._score(setting, number) for number in range(self.folds))
-
-    def _score(self, setting: Setting, number: int) -> FoldScore:
-        if (setting.name, number) in self.store.scores:
-            return self.store.scores[setting.name, number]
-        name = f"{setting.name}/fold-{number}"
-        on_step = None if self.on_progress is None else partial(self.on_progress, name)
-        trained = train(
-            setting.of(self.config), self.out / name, device=self.device, on_progress=on_step,
-            cache=self.out / "cache", fold=Fold(number, self.folds),
-        )  # fmt: skip
-        best = trained.best
-        score = FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number)
-        self.store.add(score)
-        return score
-
+ScoreFolds = Callable[[Setting], tuple[FoldScore, ...]]
+"""Returns one score of each fold of a setting: those that are stored, and those of trainings that run now."""
 
 TriedSettings = Iterator[tuple[Setting, tuple[FoldScore, ...]]]
 
 
-def _search_grid(search: Search, config: TrainConfig, runner: _Runner) -> TriedSettings:
+def _search_grid(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
     order = np.random.default_rng([config.seed, len(search.grid)]).permutation(len(search.grid))
     for index in order[: search.trials]:
         setting = search.grid[index]
-        yield setting, runner.scores(setting)
+        yield setting, score(setting)
 
 
-def _search_with_optuna(search: Search, config: TrainConfig, runner: _Runner) -> TriedSettings:
+def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
     """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
     optuna = _optuna()
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
@@ -259,7 +242,7 @@ def _search_with_optuna(search: Search, config: TrainConfig, runner: _Runner) ->
     for _ in range(search.trials or len(search.grid)):
         trial = study.ask(spaces)
         setting = Setting(**trial.params)
-        scores = runner.scores(setting)
+        scores = score(setting)
         study.tell(trial, mean_f1(scores))
         yield setting, scores
 
