@@ -280,7 +280,7 @@ def report_doubts(leveled: LeveledSweep, name: str) -> None:
     from viewshed.preprocess.plausibility import doubts
 
     for doubt in doubts(leveled):
-        typer.echo(f"viewshed: {name}: warning: {doubt}", err=True)
+        complain(f"{name}: warning: {doubt}")
 
 
 def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:

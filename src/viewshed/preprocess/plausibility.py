@@ -30,11 +30,10 @@ _LOW_M = 0.6
 def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     """Return what a reader should doubt about a sweep, a sentence each; none for most.
 
-        >>> from viewshed import BevGrid, Sweep
-        >>> from viewshed.preprocess.elevation_clusters import find_clusters
-    from viewshed.preprocess.leveling import level
-        >>> doubts(level(Sweep(np.full((5, 3), 4.0)), BevGrid(64, 32.0)))
-        ()
+    >>> from viewshed import BevGrid, Sweep
+    >>> from viewshed.preprocess.leveling import level
+    >>> doubts(level(Sweep(np.full((5, 3), 4.0)), BevGrid(64, 32.0)))
+    ()
     """
     sweep = leveled.sweep
     if len(sweep) < _FEWEST:
