@@ -113,7 +113,8 @@ def _storey(rng: np.random.Generator, sensor_m: float) -> Storey:
             low -= _RAMP_M
     level = rng.random()
     outside = rise + 0.5 if level < 0.35 else -rise * int(rng.integers(0, 4)) - 0.25
-    return Storey(half_x, aisles, low - 0.3, half_y + 0.3, rise, slab, tuple(ramps), outside, max(1.95, sensor_m + 0.15))
+    free = max(1.95, sensor_m + 0.15)
+    return Storey(half_x, aisles, low - 0.3, half_y + 0.3, rise, slab, tuple(ramps), outside, free)
 
 
 def _ceiling(rng: np.random.Generator, one: Storey) -> list[Thing]:
