@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -52,25 +53,22 @@ def exact_truth(
 
     Args:
         scan: what every beam met.
-        world: where it was made, or its ground.
+        world: where it was made, or its ground. In a world with several levels the ground is that of ``agent``.
         grid: where the cells are, in the ``level`` frame of the scan.
         targets: what would have to be seen.
         agent: who scanned. Cells that its own vehicle covers are not known, and its own body blocks no bin.
     """
     if not targets:
         raise ValueError("targets must be at least one, got none")
-    # To those on an upper level the decks that carry them are the ground.
-    if isinstance(world, World):
-        terrain = world.ground_of(agent)
-        thing = _with_decks_as_ground(scan.thing, world) if terrain is world.upper else scan.thing
-    else:
-        terrain, thing = world, scan.thing
+    terrain = world.ground_of(agent) if isinstance(world, World) else world
+    if isinstance(world, World) and terrain is world.upper:
+        scan = _with_decks_as_ground(scan, world)
     centers = grid.centers
     ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
     ground, pose, vehicle = ground.reshape(-1), scan.world_from_sensor, None if agent is None else agent.carrier
     # The beams as lines in the axes of the grid, and what stopped them; no thing has the number -3.
     lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, scan.model.max_range_m, pose.yaw)
-    flags = stop_flags(scan.depth_m, thing, scan.material, -3 if vehicle is None else vehicle, REFLECTIVITY)
+    flags = stop_flags(scan.depth_m, scan.thing, scan.material, -3 if vehicle is None else vehicle, REFLECTIVITY)
     known &= (ranges_of(grid) > lines.offset_m).reshape(grid.shape)
     if agent is not None and vehicle is not None and isinstance(world, World):
         known &= ~_covered(world.things[vehicle].parts, pose @ agent.mount.inverse(), grid, pose)
@@ -78,10 +76,10 @@ def exact_truth(
     return Truth(grid, reached, state, _definitions(lines, flags, ground, grid, scan.model)), known
 
 
-def _with_decks_as_ground(thing: NDArray[np.int32], world: World) -> NDArray[np.int32]:
-    """Return what beams met (C, R) with the decks as ground: to those on the upper level they are that."""
+def _with_decks_as_ground(scan: ExactScan, world: World) -> ExactScan:
+    """Return the scan with the decks as ground: to those on the upper level they are that."""
     decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
-    return np.where(np.isin(thing, decks), GROUND, thing).astype(np.int32)
+    return replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
 
 
 def _definitions(
