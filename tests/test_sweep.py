@@ -100,7 +100,7 @@ def test_a_ring_beyond_the_sensors_is_refused() -> None:
 
 def test_an_origin_moves_points_and_pose_and_no_axes() -> None:
     pose = Rigid.from_quaternion((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), (10.0, 0.0, 0.0))  # x points to the map's y
-    sweep = Sweep(np.array([[5.0, 1.0, 0.0]]), world_from_sensor=pose).seen_from((1.0, 0.0, 1.5))
+    sweep = Sweep(np.array([[5.0, 1.0, 0.0]], np.float32), world_from_sensor=pose).seen_from((1.0, 0.0, 1.5))
     assert sweep.points.tolist() == [[4.0, 1.0, -1.5]]
     assert sweep.world_from_sensor is not None
     assert sweep.world_from_sensor.translation == pytest.approx([10.0, 1.0, 1.5])
@@ -113,4 +113,4 @@ def test_an_origin_moves_points_and_pose_and_no_axes() -> None:
 
 def test_a_heading_must_be_finite() -> None:
     with pytest.raises(ValueError, match="vehicle_yaw must be finite radians, got nan"):
-        Sweep(np.zeros((1, 3)), vehicle_yaw=float("nan"))
+        Sweep(np.zeros((1, 3), np.float32), vehicle_yaw=float("nan"))
