@@ -96,3 +96,21 @@ def test_columns_at_their_limits_are_taken() -> None:
 def test_a_ring_beyond_the_sensors_is_refused() -> None:
     with pytest.raises(ValueError, match="of VLP-16, got 0…16; name the right sensor"):
         Sweep(np.zeros((2, 3), np.float32), ring=np.array([0, 16], np.int16), model=lidar_model("vlp16"))
+
+
+def test_an_origin_moves_points_and_pose_and_no_axes() -> None:
+    pose = Rigid.from_quaternion((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), (10.0, 0.0, 0.0))  # x points to the map's y
+    sweep = Sweep(np.array([[5.0, 1.0, 0.0]], np.float32), world_from_sensor=pose).seen_from((1.0, 0.0, 1.5))
+    assert sweep.points.tolist() == [[4.0, 1.0, -1.5]]
+    assert sweep.world_from_sensor is not None
+    assert sweep.world_from_sensor.translation == pytest.approx([10.0, 1.0, 1.5])
+    assert sweep.world_from_sensor @ sweep.points[0].astype(np.float64) == pytest.approx(
+        pose @ np.array([5.0, 1.0, 0.0])
+    )
+    with pytest.raises(ValueError, match="origin_m must be three finite numbers in meters"):
+        sweep.seen_from((1.0, np.nan, 0.0))
+
+
+def test_a_heading_must_be_finite() -> None:
+    with pytest.raises(ValueError, match="vehicle_yaw must be finite radians, got nan"):
+        Sweep(np.zeros((1, 3), np.float32), vehicle_yaw=float("nan"))

@@ -1,6 +1,8 @@
 """Report how well rings and sensors are recovered from real sweeps, as a table on the screen and in the docs.
 
-Usage: python tools/beam_report.py DATA_DIR [OUT.md]
+Usage: python tools/beam_report.py DATA_DIR [OUT.md [FILE ...]]
+
+Sweeps in further FILEs come with no sensor that an index names.
 """
 
 from __future__ import annotations
@@ -15,8 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from viewshed.io import IndexEntry, read_index, read_indexed
+from viewshed.io import read_index, read_indexed, read_sweep
+from viewshed.preprocess.beam_matching import polar
+from viewshed.preprocess.elevation_clusters import rings_by_clusters
 from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel
@@ -24,7 +29,7 @@ from viewshed.sweep import Sweep
 
 _HEAD = (
     "sweep", "sensor, as the index says", "inferred", "score", "shuffled, no rings", "rings from", "rings", "placed",
-    "alone", "columns", "table off (median / max)", "ms",
+    "alone", "columns", "table off (median / max)", "ms", "clusters", "agree",
 )  # fmt: skip
 
 
@@ -32,36 +37,41 @@ _HEAD = (
 class Row:
     """What one sweep showed."""
 
-    entry: IndexEntry
+    file: Path
+    sensor: str
     inferred: str
     score: float
     blind: str
     beams: RingAssignment
     off: str
     time_ms: float
+    clusters: int
+    agreement: float
 
     def cells(self) -> list[str]:
         """Return the row's cells as text."""
         beams = self.beams
         return [
-            "/".join(self.entry.file.parts[-2:])[-44:], self.entry.sensor, self.inferred, f"{self.score:.2f}",
+            "/".join(self.file.parts[-2:])[-44:], self.sensor, self.inferred, f"{self.score:.2f}",
             self.blind, beams.source, str(beams.rings), f"{beams.placed_share:.1%}", f"{beams.alone_share:.0%}",
             str(beams.columns), self.off, f"{self.time_ms:.1f}",
+            str(self.clusters) if self.clusters else "–", f"{self.agreement:.1%}" if self.clusters else "–",
         ]  # fmt: skip
 
 
-def rows(folder: Path) -> Iterator[Row]:
-    """Yield a row for each sweep of the index in ``folder``."""
+def rows(folder: Path, files: list[Path]) -> Iterator[Row]:
+    """Yield a row for each sweep of the index in ``folder``, and of further files."""
     for entry in read_index(folder / "index.json"):
         try:
             if entry.points is not None or entry.file.suffix == ".bin":
-                yield _row(entry)
+                yield _row(entry.file, entry.sensor, read_indexed(entry))
         except (OSError, ValueError) as error:
             print(f"not read: {error}", file=sys.stderr)
+    for file in files:
+        yield _row(file, "not told", read_sweep(file))
 
 
-def _row(entry: IndexEntry) -> Row:
-    sweep = read_indexed(entry)
+def _row(file: Path, sensor: str, sweep: Sweep) -> Row:
     model, score = infer_sensor(sweep.points, sweep.ring)
     order = np.random.default_rng(0).permutation(len(sweep))
     blind, _ = infer_sensor(sweep.points[order])
@@ -70,7 +80,22 @@ def _row(entry: IndexEntry) -> Row:
     started = time.perf_counter()
     recover_rings(bare, model)
     elapsed_ms = 1e3 * (time.perf_counter() - started)
-    return Row(entry, _name(model), score, _name(blind), beams, _table_off(bare, beams, model), elapsed_ms)
+    clusters, agreement = _agreement(sweep.points[order], beams.ring[order])
+    off = _table_off(bare, beams, model)
+    return Row(file, sensor, _name(model), score, _name(blind), beams, off, elapsed_ms, clusters, agreement)
+
+
+def _agreement(points: NDArray[np.float32], ring: NDArray[np.int16]) -> tuple[int, float]:
+    """Return how many rings the elevations alone show, and the share of returns that they place as ``ring`` does."""
+    found = rings_by_clusters(*polar(np.ascontiguousarray(points)))
+    if found is None:
+        return 0, 0.0
+    inferred, truth = found[0], np.maximum(ring, 0)
+    together = np.zeros((int(inferred.max()) + 2, int(truth.max()) + 1), np.int64)
+    np.add.at(together, (inferred + 1, truth), 1)
+    stands_for, stood_by = together[1:].argmax(axis=1), together[1:].argmax(axis=0)
+    right = (inferred >= 0) & (stands_for[np.maximum(inferred, 0)] == truth) & (stood_by[truth] == inferred)
+    return len(found[1].elevation), float(right.mean())
 
 
 def _name(model: LidarModel | None) -> str:
@@ -100,16 +125,21 @@ def page(found: list[Row], command: str) -> str:
     """Return the Markdown page of the rows."""
     sources = Counter(row.beams.source for row in found)
     named = sum(row.inferred != "–" for row in found)
-    confusion = Counter((row.entry.sensor, row.inferred, row.blind) for row in found)
+    shown = sum(row.clusters > 0 for row in found)
+    confusion = Counter((row.sensor, row.inferred, row.blind) for row in found)
     head = [
         "# Rings, beams and sensors recovered from real sweeps", "",
         f"{len(found)} sweeps; {datetime.datetime.now(datetime.UTC):%Y-%m-%d}; {_machine()}; `{command}`", "",
         f"A sensor was named for {named} of {len(found)}. Rings came from: "
-        + ", ".join(f"{source} {count}" for source, count in sources.most_common()) + ".", "",
+        + ", ".join(f"{source} {count}" for source, count in sources.most_common()) + ". Without table, rings and"
+        f" order, the elevations of {shown} show rings; the others drove far in the revolution, are not in the sensor's"
+        " frame, or are of two sensors.", "",
         "*Placed*: share of the returns that got a ring. *Alone*: share of those that are alone in their pixel; low "
         "where returns of the car itself or several revolutions overlap. *Table off*: median elevation of each ring "
         "against the inferred table, returns beyond 2 m. *Shuffled*: the sensor inferred from the bare points, in "
-        "random order. *ms*: one call of `recover_beams`, compiled before.", "",
+        "random order. *ms*: one call of `recover_rings`, compiled before. *Clusters*: rings that the elevations of "
+        "the bare points show by themselves, in random order and without a table (beams without returns have none); "
+        "*agree*: returns in the same ring as in *rings*.", "",
         "## Named as", "",
     ]  # fmt: skip
     tally = [[*names, str(count)] for names, count in confusion.items()]
@@ -125,15 +155,15 @@ def _table(head: tuple[str, ...], body: list[list[str]]) -> list[str]:
 
 def main(arguments: list[str]) -> int:
     """Write the page and return the exit code."""
-    if len(arguments) not in (1, 2):
+    if not arguments:
         print(__doc__, file=sys.stderr)
         return 2
     found = []
-    for row in rows(Path(arguments[0])):
+    for row in rows(Path(arguments[0]), [Path(file) for file in arguments[2:]]):
         found.append(row)
         print(" | ".join(row.cells()), flush=True)
-    out = Path(arguments[1] if len(arguments) == 2 else "docs/results/beams.md")
-    out.write_text(page(found, "python tools/beam_report.py DATA_DIR"), encoding="utf-8")
+    out = Path(arguments[1] if len(arguments) > 1 else "docs/results/beams.md")
+    out.write_text(page(found, "python tools/beam_report.py DATA_DIR OUT.md FILE ..."), encoding="utf-8")
     return 0
 
 

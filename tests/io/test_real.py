@@ -9,6 +9,7 @@ import pytest
 
 from viewshed import Sweep
 from viewshed.io import read_index, read_indexed, read_sweep, read_sweeps
+from viewshed.preprocess.beam_matching import match_beams, polar
 
 
 def elevation_deg(sweep: Sweep) -> np.ndarray:
@@ -67,6 +68,17 @@ def test_rings_ascend_with_elevation(pattern: str, real_data: Path) -> None:
         assert rings.size >= 14
         median = [np.median(elevation_deg(sweep)[far & (sweep.ring == ring)]) for ring in rings]
         assert (np.diff(median) > 0).all(), file.name
+
+
+def test_points_of_a_capture_lie_at_the_beams_that_its_metadata_tell(real_data: Path) -> None:
+    for capture in sorted((real_data / "ouster").glob("*.pcap")):
+        sweep = read_sweep(capture)
+        assert sweep.model is not None
+        assert (sweep.model.reach_m or 0) < sweep.model.max_range_m < 200
+        _, slope, range_m = polar(sweep.points)
+        match = match_beams(slope, range_m, sweep.model)
+        assert match.excess > 0.999
+        assert (match.ring == sweep.ring)[range_m > 1].mean() > 0.999
 
 
 def test_ouster_decoding_equals_the_decoded_copy(real_data: Path) -> None:

@@ -137,12 +137,14 @@ def _model(info: Any) -> LidarModel | None:
     order = np.argsort(altitude)
     if (np.diff(altitude[order]) <= 0).any():
         return None
+    # Beams start on a circle around the axis, so that they meet the axis below the height at which they start.
     shift_m = float(info.lidar_to_sensor_transform[2, 3]) * 1e-3
+    radius_m = float(info.lidar_origin_to_beam_origin_mm) * 1e-3
     most_m, reach_m, source = _RANGES_M.get(str(info.prod_line)[:4], (300.0, None, ""))
     return LidarModel(
         name=str(info.prod_line), elevation=altitude[order], azimuth_columns=int(info.format.columns_per_frame),
         azimuth_offset=-np.deg2rad(np.asarray(info.beam_azimuth_angles, dtype=np.float64))[order],
-        origin_m=np.full(altitude.size, shift_m), min_range_m=0.3, max_range_m=most_m,
+        origin_m=shift_m - radius_m * np.tan(altitude[order]), min_range_m=0.3, max_range_m=most_m,
         source="metadata beside the capture", reach_m=reach_m, reach_source=source,
     )  # fmt: skip
 

@@ -16,6 +16,8 @@ from viewshed.preprocess.ring_recovery import ring_medians, rings_by_order
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
 
+Floats = NDArray[np.float64]
+
 SAMPLE = 16_384
 """Returns by which a sensor is identified."""
 
@@ -186,10 +188,47 @@ def _counted_as_beams(rings: _Rings, slope: Angles, range_m: Angles, model: Lida
 
 def _agreeing_table(rings: _Rings, slope: Angles, range_m: Angles) -> tuple[LidarModel | None, float]:
     """Return the table that the rings of a sample agree with and its score, None where they agree with none."""
-    few = rings.of(slice(_FEW)), slope[:_FEW], range_m[:_FEW]
-    likely = _likeliest({name: _ring_score(*few, lidar_model(name)) for name in sensor_names()})
+    # 1. Roughly: medians seen from the sensor's origin, moved to each table's by the mean nearness of a ring's returns.
+    medians = np.tan(_ring_elevations(rings, slope, range_m, np.zeros(rings.count)))
+    placed = (rings.ring >= 0) & (range_m > NEAR_M)
+    sizes = np.bincount(rings.ring[placed], minlength=rings.count)
+    nearness = np.bincount(rings.ring[placed], 1.0 / range_m[placed], rings.count) / np.maximum(sizes, 1)
+    near = {name: -_roughly_off(rings, medians, nearness, lidar_model(name)) for name in sensor_names()}
+    # 2. The likeliest tables, each ring seen from its own beam's origin.
+    likely = [name for name in _likeliest(near) if np.isfinite(near[name])]
+    if not likely:
+        return None, 0.0
     best, score = _highest_score({name: _ring_score(rings, slope, range_m, lidar_model(name)) for name in likely})
     return (best if score >= AGREEING else None), score
+
+
+def _roughly_off(rings: _Rings, medians: Floats, nearness: Floats, model: LidarModel) -> float:
+    """Return how far the median ring lies from a beam, in gaps between beams; inf where the numbers do not fit."""
+    if not _is_as_many(rings, model):
+        return float(np.inf)
+    known = np.isfinite(medians)
+    if np.count_nonzero(known) < 2:
+        return float(np.inf)
+    medians, nearness = medians[known], nearness[known]
+    gap = np.diff(model.elevation, prepend=-np.pi, append=np.pi)
+    gap = np.minimum(gap[:-1], gap[1:])
+    if rings.count == model.rings and rings.source != "elevation clusters":
+        own = np.abs(model.elevation[known] - np.arctan(medians - model.origin_m[known] * nearness))
+        return float(np.median(own / gap[known]))
+    off, origin_m = np.zeros(0), np.full(len(medians), model.origin_m.mean())
+    for _ in range(2):  # the second time each ring is seen from its own beam's origin
+        off = np.abs(model.elevation - np.arctan(medians - origin_m * nearness)[:, None])
+        beam = off.argmin(axis=1)
+        origin_m = model.origin_m[beam]
+    # Beams that are left out count against a table.
+    typical = np.median(off.min(axis=1) / gap[beam])
+    return float(typical + (np.diff(beam) > 1).mean())
+
+
+def _is_as_many(rings: _Rings, model: LidarModel) -> bool:
+    """Return whether the rings are neither too few nor too many for a table."""
+    most = _MOST_OF_TABLE if rings.source == "elevation clusters" else 1.0
+    return _LEAST_OF_TABLE * model.rings <= rings.count <= most * model.rings
 
 
 def _explaining_table(slope: Angles, range_m: Angles, count: int) -> tuple[LidarModel | None, float]:
@@ -257,7 +296,7 @@ def _beams_of_rings(rings: _Rings, slope: Angles, range_m: Angles, model: LidarM
     very next beam. Clusters may be one beam's by twos.
     """
     clusters = rings.source == "elevation clusters"
-    if not _LEAST_OF_TABLE * model.rings <= rings.count <= (_MOST_OF_TABLE if clusters else 1.0) * model.rings:
+    if not _is_as_many(rings, model):
         return None
     if rings.count == model.rings and not clusters:
         return np.arange(model.rings)
