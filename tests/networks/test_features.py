@@ -60,7 +60,7 @@ def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
     assert not claimed[clear & (found["expected"] < threshold)].any()
     sure = clear & (replace(leveled.ground, heights_m=leveled.ground.std_m).at(GRID.centers) < 0.1)
     sure &= beam_evidence(leveled, GRID, CAR).within_reach
-    assert sure.mean() > 0.1
+    assert sure.mean() > 0.05
     assert np.array_equal(claimed[sure], found["expected"][sure] > threshold)
     assert (found["measured"] <= found["expected"]).all()
     assert (found["measured"] < found["expected"]).any()
