@@ -10,6 +10,7 @@ from tests.estimators.test_contracts import (  # noqa: F401 - they run here with
     test_a_million_points_are_no_trouble,
     test_an_empty_sweep_sees_nothing_and_says_so,
     test_degenerate_points_claim_little,
+    test_free_or_surface_is_what_is_visible_and_what_the_beams_support,
     test_null_and_ego_returns_are_no_returns,
     test_null_returns_of_a_low_robot_are_no_returns,
     test_order_of_points_is_irrelevant,
@@ -21,7 +22,6 @@ from tests.estimators.test_contracts import (  # noqa: F401 - they run here with
     test_the_side_without_returns_is_not_claimed,
     test_the_sweep_is_left_as_it_was,
     test_time_agent_and_pose_are_passed_on,
-    test_free_or_surface_is_what_is_visible_and_what_the_beams_support,
 )
 from tests.networks.made import card, drawn, nearby
 

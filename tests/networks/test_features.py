@@ -1,5 +1,7 @@
 """The channels on sampled sweeps: each says what its name says, and turns with the sensor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -8,7 +10,7 @@ from viewshed.datasets.presets import preset_named
 from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import ESTIMATORS
-from viewshed.fov.visibility import CAR, returns_by_kind
+from viewshed.fov.visibility import CAR, expected_returns, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.networks.architecture import UNetShape
@@ -23,6 +25,7 @@ from viewshed.networks.features import (
     returns_code,
 )
 from viewshed.preprocess.azimuth_bins import bins_of_cells
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.preprocess.no_return import beams_by_evidence
 from viewshed.sweep import Sweep
@@ -45,12 +48,20 @@ def maps(sweep: Sweep) -> Maps:
 
 
 def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
-    found = maps(frame.sweep)
-    prob = ESTIMATORS["shadow_map"](GRID).estimate(frame.sweep).visible_prob
+    found, leveled = maps(frame.sweep), level(frame.sweep, GRID)
+    beams = beams_by_evidence(leveled, CAR.height_m)
+    returns, _ = expected_returns(beams.measured + beams.inferred, leveled.sensor_height_m, leveled.ground, GRID, CAR)
+    assert np.array_equal(found["expected"], returns_code(returns))
+    # The shadow map claims no cell of fewer; of more it claims those that the doubt of the ground leaves likely.
+    claimed = ESTIMATORS["shadow_map"](GRID).estimate(leveled).visible()
     threshold = returns_code(np.array([CAR.min_returns], np.float32))[0]
     clear = np.abs(found["expected"].astype(int) - threshold) > 2
-    assert ((prob >= 0.5) == (found["expected"] > threshold))[clear].all()
     assert clear.mean() > 0.9
+    assert not claimed[clear & (found["expected"] < threshold)].any()
+    sure = clear & (replace(leveled.ground, heights_m=leveled.ground.std_m).at(GRID.centers) < 0.1)
+    sure &= beam_evidence(leveled, GRID, CAR).within_reach
+    assert sure.mean() > 0.05
+    assert np.array_equal(claimed[sure], found["expected"][sure] > threshold)
     assert (found["measured"] <= found["expected"]).all()
     assert (found["measured"] < found["expected"]).any()
 

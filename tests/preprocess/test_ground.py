@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.preprocess.test_ground_fill import Relief, rings
 
 from viewshed import GRIDS, Rigid, Sweep
+from viewshed.datasets.presets import preset_named
+from viewshed.datasets.simulated import ScenePlan, simulate_frame
+from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.geometry import quaternion_from_rotation
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
@@ -130,3 +134,102 @@ def test_a_desk_level_with_the_sensor_is_not_the_ground() -> None:
     leveled = level(Sweep(np.concatenate([desk, wall]).astype(np.float32)), GRIDS["indoor"])
     assert leveled.sensor_height_m >= 0.25
     assert not leveled.ground.seen.any()
+
+
+def relief_errors(leveled: LeveledSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return level_heights(leveled, xy) - relief(xy[:, 0], xy[:, 1])
+
+
+NARROW = pytest.mark.xfail(strict=True, reason="fields 2 m below a road of 9 m outweigh it (BELOW_SHARE)")
+
+
+@pytest.mark.parametrize(
+    ("width_m", "fall_m"), [(9.0, 4.0), (9.0, 3.0), (12.0, 2.0), pytest.param(9.0, 2.0, marks=NARROW)]
+)
+def test_on_an_embankment_the_road_carries_the_sensor_and_not_the_fields_below(width_m: float, fall_m: float) -> None:
+    """A road, banks at 45°, and fields on both sides that return as well."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -np.clip(np.abs(y - 0.5) - width_m / 2, 0.0, fall_m) + 0.0 * x
+
+    points = rings(relief)
+    assert (np.abs(points[:, 1] - 0.5) > width_m / 2 + fall_m).mean() > 0.1
+    leveled = _level(points)
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.1)
+    road = np.array([[x, y] for x in (-20.0, -9.0, 4.0, 15.0) for y in (-2.0, 0.0, 2.5)])
+    assert np.abs(relief_errors(leveled, relief, road)).max() < 0.12
+
+
+def test_the_faces_of_a_cutting_are_climbed() -> None:
+    """A road 12 m wide between faces at 40° that rise 4 m."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.clip(0.84 * (np.abs(y) - 6.0), 0.0, 4.0) + 0.0 * x
+
+    model = LidarModel("dense", np.deg2rad(np.linspace(-25, 15, 64)), azimuth_columns=900, max_range_m=120.0)
+    leveled = _level(_met(relief, model))
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
+    face = np.array([[x, side * y] for x in (-6.0, 0.0, 5.0) for y in (7.5, 8.5, 9.5) for side in (-1.0, 1.0)])
+    assert np.abs(relief_errors(leveled, relief, face)).max() < 0.3
+    assert np.abs(relief_errors(leveled, relief, face * [1.0, 0.3])).max() < 0.1
+
+
+def _met(relief: Relief, model: LidarModel) -> NDArray[np.float32]:
+    """Where the beams of a model, 1.8 m up, first meet ``relief``; none beyond 60 m."""
+    azimuth = -np.pi + np.arange(model.azimuth_columns) * model.azimuth_step
+    steps, found = np.arange(2.0, 60.0, 0.05), []
+    x, y = np.cos(azimuth)[:, None] * steps, np.sin(azimuth)[:, None] * steps
+    ground_m = relief(x, y)
+    for slope in np.tan(model.elevation):
+        below = slope * steps + 1.8 <= ground_m
+        rows = np.nonzero(below.any(axis=1))[0]
+        k = below[rows].argmax(axis=1)
+        found.append(np.stack([x[rows, k], y[rows, k], slope * steps[k]], axis=1))
+    return np.concatenate(found).astype(np.float32)
+
+
+def test_the_floor_of_a_pit_is_ground_where_beams_meet_it() -> None:
+    """A quarry 6 m deep from 6 m to the left on: beams over its edge meet the floor from 26 m on."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where((y > 6.0) & (np.abs(x) < 30.0), -6.0, 0.0)
+
+    leveled = _level(_met(relief, DENSE))
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
+    floor = np.array([[x, y] for x in (-4.0, 0.0, 6.0) for y in (29.0, 32.0, 36.0)])
+    assert np.abs(relief_errors(leveled, relief, floor)).max() < 0.3
+    before = np.array([[x, y] for x in (-4.0, 0.0, 6.0) for y in (-20.0, -6.0, 3.0)])
+    assert np.abs(relief_errors(leveled, relief, before)).max() < 0.1
+    # Between the edge and there it may lie anywhere below the beams.
+    gap = leveled.ground.std_m[60:68, 64 + 8 : 64 + 18]
+    assert gap.min() > 0.8
+
+
+ROAD_AHEAD = pytest.mark.xfail(strict=True, reason="the road ahead is the farthest ground: what lies beside it follows")
+
+
+@pytest.mark.parametrize(
+    ("scene", "azimuth"),
+    [(0, 0.8), (0, -2.0), (3, -2.0), (3, 2.4), (3, -0.9), *(pytest.param(k, 0.0, marks=ROAD_AHEAD) for k in (0, 3))],
+)
+def test_a_wedge_of_lowered_returns_leaves_the_ground_and_the_view_of_the_rest(scene: int, azimuth: float) -> None:
+    sweep = simulate_frame(ScenePlan(preset_named("nuscenes"), 0, scene), 3).sweep
+    away = np.abs(np.angle(np.exp(1j * (np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) - azimuth))))
+    wedge = np.argsort(away)[:652]
+    points = sweep.points.copy()
+    points[wedge, 2] -= 1.5
+    clear, poisoned = level(sweep, ROAD), level(sweep.replace(points=points), ROAD)
+    x, y = ROAD.centers[..., 0], ROAD.centers[..., 1]
+    apart = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x) - azimuth))))
+    # As far as a car beside the wedge reaches into it.
+    rest = apart - np.arctan2(0.9, np.hypot(x, y)) > away[wedge].max() + np.deg2rad(3.0)
+    assert rest.mean() > 0.8
+    before, after = (ShadowMap(ROAD).estimate(leveled).visible() for leveled in (clear, poisoned))
+    assert (after & before & rest).sum() / (before & rest).sum() > 0.995
+    assert (after & ~before & rest).sum() / (before & rest).sum() < 0.005
+    nodes_m = np.arange(128) - 63.5
+    node_x, node_y = np.meshgrid(nodes_m, nodes_m, indexing="ij")
+    node_apart = np.abs(np.angle(np.exp(1j * (np.arctan2(node_y, node_x) - azimuth))))
+    beside = (node_apart - np.arctan2(2.0, np.hypot(node_x, node_y)) > away[wedge].max()) & clear.ground.seen
+    moved_m = np.abs(poisoned.ground.heights_m - clear.ground.heights_m)[beside]
+    assert np.quantile(moved_m, 0.995) < 0.1

@@ -2,14 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed import GRIDS, Sweep
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
+from viewshed.preprocess.ground_fill import BEYOND_GROWTH, SEEN_STD_M, TILT_M, fill_ground
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 ROAD = GRIDS["road"]
@@ -93,7 +97,12 @@ def test_a_valley_between_rings_is_interpolated() -> None:
         return 0.0006 * x**2 - 0.015 * y
 
     xy = np.array([[x, y] for x in (-39.0, -30.0, 12.0, 33.0, 36.0) for y in (-20.0, 0.0, 9.0)])
-    assert np.abs(errors(level_points(rings(relief)), relief, xy)).max() < 0.15
+    leveled = level_points(rings(relief))
+    std_m = replace(leveled.ground, heights_m=leveled.ground.std_m).at(xy)
+    # Beyond the last ring (38 m) what curves is not continued: the deviation must say so, and little elsewhere.
+    assert (np.abs(errors(leveled, relief, xy)) < 2 * std_m).all()
+    assert std_m.max() < 0.25
+    assert np.abs(errors(leveled, relief, xy))[np.hypot(*xy.T) < 38].max() < 0.06
 
 
 def test_beyond_a_crest_the_ground_goes_on_without_a_jump() -> None:
@@ -135,43 +144,133 @@ def test_the_order_of_points_does_not_matter() -> None:
     assert np.array_equal(level_points(points).ground.heights_m, level_points(mixed).ground.heights_m)
 
 
-def test_the_solver_finds_the_minimum() -> None:
-    cells = 6
-    bands = _coarse_stiffness(cells)
-    full = np.zeros((cells**2, cells**2))
-    for k in range(2 * cells + 1):
-        index = np.arange(cells**2 - k)
-        full[index, index + k] = full[index + k, index] = bands[: cells**2 - k, k]
-    rng = np.random.default_rng(3)
-    weight = (rng.random((cells, cells)) * (rng.random((cells, cells)) < 0.4)).astype(np.float32)
-    target = rng.normal(size=(cells, cells)).astype(np.float32)
-    found = np.zeros((cells, cells), np.float32)
-    _solve(bands, weight, target, found)
-    expected = np.linalg.solve(full + np.diag(weight.ravel()), (weight * target).ravel())
-    assert np.allclose(found.ravel(), expected, atol=1e-4)
+NODES, HALF_M = 64, 32.0
+MIDDLES_M = np.arange(NODES) + 0.5 - HALF_M
+X_M, Y_M = np.meshgrid(MIDDLES_M, MIDDLES_M, indexing="ij")
+RANGE_M = np.hypot(X_M, Y_M)
+LEVEL = np.array([0.0, 0.0, -HEIGHT_M], np.float32)
 
 
-def test_a_plane_costs_only_its_slope_and_is_kept_without_low_points() -> None:
-    cells = 8
-    bands = _coarse_stiffness(cells)
-    i, j = np.mgrid[:cells, :cells].astype(np.float64)
-    ramp = (2.0 * i - 3.0 * j).ravel()
-    energy = bands[:, 0] @ ramp**2
-    for k in range(1, 2 * cells + 1):
-        energy += 2 * bands[: cells**2 - k, k] @ (ramp[k:] * ramp[:-k])
-    assert energy == pytest.approx(0.01 * (2.0**2 + 3.0**2) * cells * (cells - 1) + 1e-5 * (ramp @ ramp), rel=1e-3)
-    nothing = np.full((16, 16, 3), np.inf, np.float32)
+def filled(heights_m: NDArray[np.float64], accepted: NDArray[np.bool_], plane: NDArray[np.float32] = LEVEL) -> Any:
+    """Heights and their deviation (n, n) on nodes of 1 m; those that are not accepted hold nonsense."""
+    walked_m = np.where(accepted, heights_m, 99.0).astype(np.float32)
+    return fill_ground(walked_m, np.ascontiguousarray(accepted), plane, HALF_M)
+
+
+def smooth_land(seed: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:
+    """Land that rolls by some decimeters about a plane, seen on rings and in patches."""
+    rng = np.random.default_rng(seed)
+    plane = np.array([*rng.uniform(-0.08, 0.08, 2), -HEIGHT_M], np.float32)
+    waves = sum(
+        0.1 * np.sin(rng.uniform(-0.2, 0.2) * X_M + rng.uniform(-0.2, 0.2) * Y_M + rng.uniform(0, 6)) for _ in range(3)
+    )
+    accepted = (rng.random((NODES, NODES)) < 0.3) & (RANGE_M > 3) & (np.sin(RANGE_M) > 0) & (RANGE_M < 28)
+    return plane[0] * X_M + plane[1] * Y_M + plane[2] + waves, accepted, plane
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=20)
+@given(seed=seeds)
+def test_heights_of_accepted_nodes_are_kept(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    heights_m, accepted = rng.uniform(-6, 2, (NODES, NODES)), rng.random((NODES, NODES)) < rng.uniform(0.02, 0.9)
+    plane = np.array([*rng.uniform(-0.2, 0.2, 2), -HEIGHT_M], np.float32)
+    found, std = filled(heights_m, accepted, plane)
+    assert np.allclose(found[accepted], heights_m[accepted], atol=1e-4)
+    assert np.allclose(std[accepted], SEEN_STD_M)
+    assert np.isfinite(found).all()
+    assert (std[~accepted] >= SEEN_STD_M).all()
+    # Nothing lies above or below all that is seen and the plane.
+    base = plane[0] * X_M + plane[1] * Y_M + plane[2]
+    assert found.max() <= max(heights_m[accepted].max(), base.max()) + 9
+    assert found.min() >= min(heights_m[accepted].min(), base.min()) - 9
+
+
+def test_nothing_accepted_is_the_plane_that_levels_off() -> None:
     plane = np.array([0.05, -0.02, -1.6], np.float32)
-    middles = (np.arange(16) + 0.5) * 4.0 - 32.0
-    x, y = np.meshgrid(middles, middles, indexing="ij")
-    exact = (0.05 * x - 0.02 * y - 1.6).astype(np.float32)
-    heights, seen = smooth_ground(nothing, np.zeros((16, 16), np.float32), exact, seen_none(), plane, 32.0)
-    assert np.allclose(heights, exact, atol=1e-4)
-    assert not seen.any()
+    found, std = filled(X_M, np.zeros((NODES, NODES), np.bool_), plane)
+    # Nothing is seen: from the sensor on the slope fades over TILT_M.
+    along = (0.05 * X_M - 0.02 * Y_M) / RANGE_M
+    assert np.allclose(found, along * TILT_M * (1.0 - np.exp(-RANGE_M / TILT_M)) - 1.6, atol=0.02)
+    assert std[RANGE_M > 8].min() > 0.08
 
 
-def seen_none() -> NDArray[np.bool_]:
-    return np.zeros((16, 16), np.bool_)
+def test_the_deviation_grows_away_from_accepted_nodes() -> None:
+    accepted = (RANGE_M < 6) & (RANGE_M > 2)
+    _, std = filled(0.0 * X_M - HEIGHT_M, accepted)
+    rings_m = [(7, 9), (10, 13), (15, 19), (21, 25), (27, 31)]
+    means = [std[(low < RANGE_M) & (high > RANGE_M)].mean() for low, high in rings_m]
+    assert means[0] > SEEN_STD_M
+    assert (np.diff(means) > 0).all()
+    for (low, high), _ in zip(rings_m, means, strict=True):
+        around = (low < RANGE_M) & (high > RANGE_M)
+        assert (std[around] >= BEYOND_GROWTH * (RANGE_M[around] - 6.5)).all()
+
+
+def test_ground_behind_an_edge_lies_between_the_beam_and_the_lower_ground() -> None:
+    # Level 1.8 m below the sensor as far as 8 m, and fields 6 m below it from 20 m on.
+    accepted = (RANGE_M < 8) | (RANGE_M >= 20)
+    found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, -6.0), accepted)
+    for x_m, y_m in ((0.5, 10.5), (0.5, 14.5), (18.5, -0.5), (-0.5, -12.5)):
+        i, j = int(x_m + HALF_M), int(y_m + HALF_M)
+        assert not accepted[i, j]
+        # The beam that meets the fields first does so in the middle of the node from 20 to 21 m.
+        beam_m = min(-6.0 * np.hypot(x_m, y_m) / 20.5, -HEIGHT_M)
+        assert found[i, j] == pytest.approx((beam_m - 6.0) / 2, abs=1e-3)
+        assert std[i, j] >= (beam_m + 6.0) / 2 - 1e-3
+    # In every direction alike: no node of the gap is left out.
+    gap = (RANGE_M > 9.5) & (RANGE_M < 19)
+    beams_m = np.minimum(-6.0 * RANGE_M / 20.5, -HEIGHT_M)
+    assert np.abs(found - (beams_m - 6.0) / 2)[gap].max() < 0.25
+    assert (std >= (beams_m + 6.0) / 2 - 0.25)[gap].all()
+
+
+def test_ground_before_a_bank_lies_anywhere_between_the_two() -> None:
+    accepted = (RANGE_M < 8) | (RANGE_M >= 20)
+    found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, 1.2), accepted)
+    gap = (RANGE_M > 9.5) & (RANGE_M < 19)
+    assert np.allclose(found[gap], (1.2 - HEIGHT_M) / 2, atol=1e-3)
+    assert (std[gap] >= (1.2 + HEIGHT_M) / 2 - 1e-3).all()
+
+
+@settings(max_examples=15)
+@given(seed=seeds)
+def test_the_ground_turns_with_the_scene(seed: int) -> None:
+    heights_m, accepted, plane = smooth_land(seed)
+    found, std = filled(heights_m, accepted, plane)
+    turned, turned_std = filled(
+        np.rot90(heights_m), np.rot90(accepted), np.array([-plane[1], plane[0], plane[2]], np.float32)
+    )
+    # To the order in which nodes take the mean of their neighbors.
+    assert np.abs(np.rot90(found) - turned).max() < 0.06
+    assert np.abs(np.rot90(std) - turned_std).max() < 0.1
+    assert np.quantile(np.abs(np.rot90(std) - turned_std), 0.99) < 0.015
+
+
+@settings(max_examples=15)
+@given(seed=seeds, higher_m=st.floats(-1.0, 1.0))
+def test_the_ground_rises_with_the_scene(seed: int, higher_m: float) -> None:
+    heights_m, accepted, plane = smooth_land(seed)
+    found, _ = filled(heights_m, accepted, plane)
+    raised, _ = filled(heights_m + higher_m, accepted, plane + np.array([0, 0, higher_m], np.float32))
+    assert np.abs(raised - found - higher_m).max() < 0.08
+
+
+def test_the_slope_of_the_carriers_plane_is_continued_as_far_as_ground_is_seen_and_fades_beyond() -> None:
+    plane = np.array([0.1, -0.03, -HEIGHT_M], np.float32)
+    exact = 0.1 * X_M - 0.03 * Y_M - HEIGHT_M
+    # Ground on one side as far as 20 m, on the other as far as 6 m.
+    accepted = (np.where(Y_M > 0, 20.0, 6.0) > RANGE_M) & (RANGE_M > 2)
+    found, _ = filled(exact, accepted, plane)
+    seen_m = np.quantile(RANGE_M[accepted], 0.95)
+    assert np.abs(found - exact)[seen_m > RANGE_M].max() < 0.01
+    beyond_m = np.maximum(RANGE_M - seen_m, 0.0)
+    fading = exact + HEIGHT_M
+    fading *= (RANGE_M - beyond_m + TILT_M * (1.0 - np.exp(-beyond_m / TILT_M))) / RANGE_M
+    assert np.abs(found - fading + HEIGHT_M)[seen_m < RANGE_M].max() < 0.05
+    assert np.abs(exact - found).max() > 0.8
 
 
 @pytest.mark.parametrize(("sensor", "far_m"), [("hdl32e", 0.9), ("hdl64e", 0.3)])

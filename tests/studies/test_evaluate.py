@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, Sweep
 from viewshed.datasets import Sample
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
@@ -69,9 +69,8 @@ class _Fixed(ClassicalEstimator):
     def __init__(self, prob: NDArray[np.float32]) -> None:
         self.prob = prob
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        pose = leveled.sweep.world_from_sensor
-        return FovEstimate(GRID, self.prob, np.zeros(GRID.shape, np.uint8), world_from_level=pose)
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        return self.prob
 
 
 def _sample(visible: NDArray[np.bool_], known: NDArray[np.bool_], sweep: Sweep | None = None) -> StudySample:

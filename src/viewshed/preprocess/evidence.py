@@ -145,6 +145,9 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     both = kinds[0] + kinds[1]
     within = polar_of_cells(grid)[0] <= np.float32(reach_of_sweep(leveled))
     prob = _probability(both, measured + inferred, ground, height_m, grid, target)
+    # No claim rests on other heights of the ground alone, and none lies beyond the reach.
+    most = np.nextafter(np.float32(THRESHOLD), np.float32(0.0))
+    prob = np.where(_enough(measured + inferred, target), prob, np.minimum(prob, most))
     prob[~within] = 0.0
     aimed = beams_that_aim(both, height_m, ground, grid, target)
     evidence = BeamEvidence(grid, target, measured, inferred, unresolved, aimed, prob, within)

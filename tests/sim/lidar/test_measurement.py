@@ -120,7 +120,7 @@ def test_a_window_returns_where_it_faces_the_sensor_and_its_dust_near_by() -> No
 
 
 def test_nothing_nearer_than_the_minimum_or_beyond_the_maximum_range() -> None:
-    model = replace(lidar_model("hdl32e"), min_range_m=1.0, max_range_m=60.0)
+    model = replace(lidar_model("hdl32e"), min_range_m=1.0, max_range_m=60.0, reach_m=60.0)
     for depth, limits in ((1.0, (1.0, 1.2)), (59.999, (59.8, 60.0))):
         found = range_m(measured(scan_of(model, depth, "sign")))
         assert limits[0] - 0.0011 <= found.min() <= found.max() <= limits[1] + 0.0011

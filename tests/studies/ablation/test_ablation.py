@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.grid import BevGrid
 from viewshed.metrics import Scores
@@ -48,8 +47,8 @@ class Fixed(ClassicalEstimator):
     def __init__(self, prob: NDArray[np.float32]) -> None:
         self.prob = prob
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        return FovEstimate(GRID, self.prob, np.full(GRID.shape, CellState.FREE, np.uint8))
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        return self.prob
 
 
 WALL = Case("attack", "far_wall", DEFAULT)

@@ -4,9 +4,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.preprocess.history import History
@@ -31,9 +31,8 @@ class _Fooled(ClassicalEstimator):
     def __init__(self, grid: BevGrid, returns: int) -> None:
         self.grid, self.returns = grid, returns
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        claimed = np.full(self.grid.shape, 0.8 if len(leveled.sweep) == self.returns else 0.3, np.float32)
-        return FovEstimate(self.grid, claimed, np.zeros(self.grid.shape, np.uint8))
+    def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
+        return np.full(self.grid.shape, 0.8 if len(leveled.sweep) == self.returns else 0.3, np.float32)
 
 
 def _evaluation() -> Evaluation:

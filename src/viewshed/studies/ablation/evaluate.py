@@ -17,13 +17,13 @@ import numpy as np
 
 from viewshed.datasets.simulated import simulate_frame
 from viewshed.estimators import Estimator
-from viewshed.estimators.base import ClassicalEstimator
+from viewshed.estimators.base import ClassicalEstimator, EarlierSweeps, checked_history
 from viewshed.estimators.temporal import where_confirmed
 from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.studies.cases import BARE, DEFAULT, TOUCHING, attack_of, generator
 from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.records import BENIGN, Case, Record, pool
@@ -211,8 +211,10 @@ class Enveloped(ClassicalEstimator):
         """What would have to be seen."""
         return self.inner.target
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
+    def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the inner estimate within the bound."""
+        leveled = leveled_on(sweep, self.grid)
+        checked_history(self, leveled, history)
         inner, bound = self.inner.estimate(leveled), self.bound.estimate(leveled)
         prob = np.where(bound.visible(), inner.visible_prob, np.float32(0.0))
         return replace(

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from viewshed.estimators.base import ClassicalEstimator
+from viewshed.estimators.base import ClassicalEstimator, EarlierSweeps, checked_history
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard, Runner
 from viewshed.networks.mc_dropout import mean_and_std
-from viewshed.preprocess.history import History
-from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.studies.cases import generator
 from viewshed.studies.paper.data import archive_path
 from viewshed.studies.paper.plan import Model, PaperPlan
 from viewshed.studies.paper.protocols import Setting, setting_of
+from viewshed.sweep import Sweep
 from viewshed.training.config import PAPER, TrainConfig
 from viewshed.training.log import history_to_json
 
@@ -82,8 +82,10 @@ class NetworkAlone(ClassicalEstimator):
         """The target that the network was trained for."""
         return TARGETS[self.card.target]
 
-    def _estimate(self, leveled: LeveledSweep, history: History | None) -> FovEstimate:
-        """Return one pass, or mean and deviation of several; no state is given."""
+    def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
+        """Return one pass, or mean and deviation of several, not bounded by the beams; no state is given."""
+        leveled = leveled_on(sweep, self.grid)
+        checked_history(self, leveled, history)
         inputs, state = self.card.input_of(leveled.sweep), np.zeros(self.grid.shape, np.uint8)
         if self.passes == 1:
             return FovEstimate(self.grid, self.runner.run(inputs[None], self.card.shape.no_masks(1))[0], state)
