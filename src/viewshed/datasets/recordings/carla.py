@@ -12,6 +12,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in
+from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
 from viewshed.io._input import inside, one_line, open_input
@@ -357,7 +358,7 @@ def _is_recording(folder: Path) -> bool:
 
 
 def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
-    about = _about(root, folder / "recording.json", damage)
+    about = read_optional(folder / "recording.json", partial(_read_about, root), damage) or {}
     sensors = about.get("agents")
     sensors = sensors if isinstance(sensors, dict) else {}
     agents = {
@@ -370,15 +371,9 @@ def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
     return _Scene(root, _axes(about, folder, damage), agents, read_actors(root, folder / "actors.jsonl", damage))
 
 
-def _about(root: Path, path: Path, damage: list[str]) -> Mapping[str, Any]:
-    if not path.is_file():
-        return {}
-    try:
-        with open_input(inside(root, path)) as source:
-            return _json_object(source.content(_LINE_BYTES_MAX))
-    except (ValueError, OSError) as error:
-        note_damage(damage, f"{error}; left out")
-        return {}
+def _read_about(root: Path, path: Path) -> Mapping[str, Any]:
+    with open_input(inside(root, path)) as source:
+        return _json_object(source.content(_LINE_BYTES_MAX))
 
 
 def _axes(about: Mapping[str, Any], folder: Path, damage: list[str]) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 from viewshed.datasets.recordings._yaml import load_pyyaml, read_yaml
 from viewshed.datasets.recordings.carla import box_of_carla, lidar_described, mirrored, rigid_of_carla
-from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in
+from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
 from viewshed.io._input import inside
@@ -133,7 +133,7 @@ def _open_scenario(root: Path, folder: Path, damage: list[str]) -> _Scenario:
         _note_frames(damage, path, frames - files.keys(), "without points (.pcd), left out")
         if files:
             agents[path.name] = files
-    protocol = _protocol(root, folder / _PROTOCOL, damage)
+    protocol = read_optional(folder / _PROTOCOL, lambda path: read_yaml(inside(root, path)), damage)
     vehicle, roadside = (_lidar(protocol, part, folder, damage) for part in ("vehicle_base", "rsu_base"))
     step_s = _at(protocol, ("world", "fixed_delta_seconds"))
     usable = isinstance(step_s, float) and 0 < step_s < 10
@@ -144,16 +144,6 @@ def _note_frames(damage: list[str], folder: Path, frames: Iterable[int], problem
     numbers = sorted(frames)
     if numbers:
         note_damage(damage, f"{folder}: {len(numbers)} frame(s) {problem}, the first is {numbers[0]:06d}")
-
-
-def _protocol(root: Path, path: Path, damage: list[str]) -> Any:
-    if not path.is_file():
-        return {}
-    try:
-        return read_yaml(inside(root, path))
-    except (ValueError, OSError) as error:
-        note_damage(damage, f"{error}; left out")
-        return {}
 
 
 def _at(tree: Any, keys: Iterable[str]) -> Any:

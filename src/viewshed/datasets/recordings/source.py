@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -307,6 +307,17 @@ def note_damage(damage: list[str], problem: str) -> None:
         damage.append(one_line(problem))
     elif len(damage) == _DAMAGE_LINES_MAX:
         damage.append(f"there is more damage; only the first {_DAMAGE_LINES_MAX} lines are named")
+
+
+def read_optional(path: Path, read: Callable[[Path], Any], damage: list[str]) -> Any:
+    """Return what ``read`` says of a file; None where it is not there, or where it is damaged, with a line."""
+    if not path.is_file():
+        return None
+    try:
+        return read(path)
+    except (ValueError, OSError) as error:
+        note_damage(damage, f"{error}; left out")
+        return None
 
 
 def numbers_in(values: object, count: int, what: str) -> tuple[float, ...]:
