@@ -43,8 +43,8 @@ _HEADER = (
 _TEXT = """\
 HDL-32E, {height} m up outdoors and {indoor} m in buildings, all beams at once, no weather; {seeds} seeds of each world;
 medians unless a span is given. *Seen* is for a car on the road grid, outdoors, and for a pedestrian on the indoor grid.
-The heights are the lowest and highest ground within 30 m of the sensor (16 m in buildings), from the ground below it.
-All seeds count there."""
+Heights are those of the lowest and the highest ground of all seeds within 30 m of the sensor (16 m in buildings), from
+the ground below it."""
 
 
 @dataclass(frozen=True, slots=True)

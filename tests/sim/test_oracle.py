@@ -196,4 +196,4 @@ def test_beams_stop_where_brute_force_says_at_upright_ground_and_under_ceilings(
         depth, _ = opaque_depth(snapshot, rays_of(scan), model.max_range_m)
         same = np.isclose(scan.depth_m.ravel(), depth, rtol=0.0, atol=TOLERANCE_M)
         assert same.mean() > 0.999
-        assert _all_graze(snapshot, scan, ~same)
+        assert same.all() or _all_graze(snapshot, scan, ~same)

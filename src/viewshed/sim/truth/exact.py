@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -74,20 +74,18 @@ def exact_truth(
 
     Args:
         scan: what every beam met.
-        world: where it was made, or its ground.
+        world: where it was made, or its ground. In a world with several levels the ground is that of ``agent``.
         grid: where the cells are, in the ``level`` frame of the scan.
         targets: what would have to be seen.
         agent: who scanned. Cells that its own vehicle covers are not known, and its own body blocks no bin.
     """
     if not targets:
         raise ValueError("targets must be at least one, got none")
-    if isinstance(world, World):
-        terrain = world.ground_of(agent)
-        thing = _with_decks_as_ground(scan.thing, world) if terrain is world.upper else scan.thing
-    else:
-        terrain, thing = world, scan.thing
+    terrain = world.ground_of(agent) if isinstance(world, World) else world
+    if isinstance(world, World) and terrain is world.upper:
+        scan = _with_decks_as_ground(scan, world)
     ground, known = _ground(scan, terrain, grid)
-    view = _view(scan, thing, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
+    view = _view(scan, grid, ground, -3 if agent is None or agent.carrier is None else agent.carrier)
     known &= (ranges_of(grid) > view.lines.offset_m).reshape(grid.shape)
     if agent is not None and agent.carrier is not None and isinstance(world, World):
         known &= ~_covered(world.things[agent.carrier].parts, scan.world_from_sensor @ agent.mount.inverse(), view)
@@ -102,23 +100,23 @@ def exact_truth(
     return truth, known
 
 
+def _with_decks_as_ground(scan: ExactScan, world: World) -> ExactScan:
+    """Return the scan with the decks as ground: to those on the upper level they are that."""
+    decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
+    return replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
+
+
 def _ground(scan: ExactScan, terrain: Terrain, grid: BevGrid) -> tuple[NDArray[np.float32], Mask]:
     """Return the ground (cells, cells) at the centers, from the sensor's height, and where there is terrain."""
     centers = grid.centers
     return terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
 
 
-def _with_decks_as_ground(thing: NDArray[np.int32], world: World) -> NDArray[np.int32]:
-    """Return what beams met (C, R) with the decks as ground: to those on the upper level they are that."""
-    decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
-    return np.where(np.isin(thing, decks), GROUND, thing).astype(np.int32)
-
-
-def _view(scan: ExactScan, thing: NDArray[np.int32], grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
+def _view(scan: ExactScan, grid: BevGrid, ground: NDArray[np.float32], vehicle: int) -> _View:
     """Return the scan over the grid; ``vehicle`` is the thing that carries the sensor, or a number of none."""
     max_range_m, yaw = scan.model.max_range_m, scan.world_from_sensor.yaw
     lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, max_range_m, yaw)
-    flags = stop_flags(scan.depth_m, thing, scan.material, vehicle, REFLECTIVITY)
+    flags = stop_flags(scan.depth_m, scan.thing, scan.material, vehicle, REFLECTIVITY)
     return _View(scan, grid, lines, flags, ground.reshape(-1))
 
 

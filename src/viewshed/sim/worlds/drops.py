@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from viewshed.sim.assets.shapes import material_index
@@ -46,6 +47,11 @@ class Drop:
         rects = [self.rect] if self.ramp is None else [self.rect, self.ramp]
         return ([edge + step for one in rects for edge in one[::2] for step in (-FACE_M / 2, FACE_M / 2)],
                 [edge + step for one in rects for edge in one[1::2] for step in (-FACE_M / 2, FACE_M / 2)])  # fmt: skip
+
+    def edges(self) -> list[shapely.Polygon]:
+        """Return where nothing may stand: within 0.3 m of its faces, and on its ramp."""
+        ramp = [] if self.ramp is None else [shapely.box(*self.ramp)]
+        return [shapely.box(*self.rect).exterior.buffer(0.3), *ramp]
 
     def lowered(self, z: Array, x: Array, y: Array, level_m: float) -> Array:
         """Return heights ``z`` at places of the same shape with this drop in them; ``level_m`` is the road's."""

@@ -39,6 +39,7 @@ class Storey:
         slab_m: thickness of the ceiling.
         ramps: where the floor rises (up) or falls (down) along x, from which end; height at the far end.
         outside_m: height of the ground around; above the ceiling for a basement.
+        free_m: height up to which nothing hangs from the ceiling, over the sensors of those who drive.
     """
 
     half_x_m: float
@@ -49,6 +50,7 @@ class Storey:
     slab_m: float
     ramps: tuple[tuple[Rect, float], ...]
     outside_m: float
+    free_m: float
 
     @property
     def top_m(self) -> float:
@@ -111,7 +113,8 @@ def _storey(rng: np.random.Generator, sensor_m: float) -> Storey:
             low -= _RAMP_M
     level = rng.random()
     outside = rise + 0.5 if level < 0.35 else -rise * int(rng.integers(0, 4)) - 0.25
-    return Storey(half_x, aisles, low - 0.3, half_y + 0.3, rise, slab, tuple(ramps), outside)
+    free = max(1.95, sensor_m + 0.15)
+    return Storey(half_x, aisles, low - 0.3, half_y + 0.3, rise, slab, tuple(ramps), outside, free)
 
 
 def _ceiling(rng: np.random.Generator, one: Storey) -> list[Thing]:
@@ -127,7 +130,7 @@ def _ceiling(rng: np.random.Generator, one: Storey) -> list[Thing]:
     if opened:
         parts.append(_slab((-x, low, x, high), one.rise_m + top, 2 * one.rise_m))
     deep = rng.uniform(0.15, 0.4)
-    if top - deep > 2.0 and rng.random() < 0.7:
+    if top - deep > one.free_m and rng.random() < 0.7:
         step = rng.uniform(5.0, 8.5)
         parts += [Box(at, (one.aisles_m[0] - 8.0 + high) / 2, 0.35, high - one.aisles_m[0] + 8.0, top, top - deep, 0.0,
                       "concrete") for at in np.arange(-x + 2.0, x - 1.0, step).tolist()]  # fmt: skip
@@ -216,7 +219,7 @@ def _overhead(rng: np.random.Generator, one: Storey) -> list[Thing]:
             parts.append(Box(0.0, y + side * 2.4, 2 * one.row_m, 0.12, low + 0.1, low, 0.0, "metal"))
         lamps = np.arange(-one.row_m + 2.0, one.row_m, rng.uniform(4.0, 8.0)).tolist()
         parts += [Box(x, y, 1.3, 0.12, top - 0.02, top - 0.12, 0.0, "metal") for x in lamps]
-        if top > 2.35:
+        if top - 0.32 > one.free_m:
             spots = rng.uniform(-0.8, 0.8, int(rng.integers(0, 3))) * one.row_m
             parts += [Box(x, y, 0.08, 1.2, top - 0.05, top - 0.32, 0.0, "sign") for x in spots.tolist()]
     return [Thing("duct", tuple(parts), z_m=0.0)]
@@ -230,7 +233,7 @@ def _masts(rng: np.random.Generator, count: int, one: Storey) -> list[Mast]:
         x = (k + 0.5 - count / 2) * 1.6 * one.row_m / count
         tilt, roll = np.deg2rad(rng.uniform(1.0, 8.0)), np.deg2rad(np.clip(rng.normal(0.0, 1.2), -4, 4))
         yaw = -side * np.pi / 2 + rng.normal(0.0, 0.4)
-        posts.append(Mast(x, y + side * (_AISLE_M / 2 - 0.75), one.top_m - 0.3, float(yaw), float(tilt), float(roll)))
+        posts.append(Mast(x, y + side * (_AISLE_M / 2 - 0.75), one.top_m - 0.5, float(yaw), float(tilt), float(roll)))
     return posts
 
 

@@ -38,7 +38,10 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
     masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
     site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
     for drop in drops:
-        _around(rng, site, road, drop)
+        _guard(rng, site, drop)
+    site.reserve(*(edge for drop in drops for edge in drop.edges()))
+    for drop in drops:
+        _fill(rng, site, drop)
     _opposite(rng, site, road, -side)
     moving = driven(rng, plan, road.lane_lines(), _PACE, street_vehicle)
     return assembled("pit", terrain_with(road, drops), plan, Contents(site.things, moving, masts))
@@ -65,22 +68,22 @@ def _pits(rng: np.random.Generator, road: Roadway, side: int) -> list[Drop]:
     return drops
 
 
-def _around(rng: np.random.Generator, site: SitePlan, road: Roadway, drop: Drop) -> None:
-    """Put a guard along the edge at the road, machines on the floor, and huts, containers and heaps behind the pit."""
+def _guard(rng: np.random.Generator, site: SitePlan, drop: Drop) -> None:
+    """Put a guard along the edge at the road, and a tipper on the ramp."""
     x0, y0, x1, y1 = drop.rect
-    side = 1 if y0 > 0 else -1
-    near, far = (y0, y1) if side > 0 else (y1, y0)
-    for thing in guarded(rng, (x0 - 1.0, x1 + 1.0), near - side * 0.4):
+    for thing in guarded(rng, (x0 - 1.0, x1 + 1.0), y0 - 0.4 if y0 > 0 else y1 + 0.4):
         site.put(thing, 0.02)
-    inner = (x0 + 3.0, y0 + 2.5, x1 - 3.0, y1 - 2.5)
-    if drop.ramp is not None:
+    if drop.ramp is not None and rng.random() < 0.5:
         a, b, c, d = drop.ramp
-        inner = (x0 + 3.0, y0 + 2.5, x1 - 3.0, b - 2.5) if side > 0 else (x0 + 3.0, d + 2.5, x1 - 3.0, y1 - 2.5)
-        if rng.random() < 0.5:
-            site.put(place_at(dumper(rng), (a + c) / 2, (b + d) / 2, pick(rng, (0.0, np.pi))))
-    if inner[2] > inner[0] and inner[3] > inner[1]:
-        count = int(rng.integers(2, 9))
-        site.scatter(rng, [_MACHINES[int(rng.integers(len(_MACHINES)))](rng) for _ in range(count)], inner)
+        site.put(place_at(dumper(rng), (a + c) / 2, (b + d) / 2, pick(rng, (0.0, np.pi))))
+
+
+def _fill(rng: np.random.Generator, site: SitePlan, drop: Drop) -> None:
+    """Put machines on the floor of a pit, and huts, containers and heaps behind it."""
+    x0, y0, x1, y1 = drop.rect
+    side, far = (1, y1) if y0 > 0 else (-1, y0)
+    count = int(rng.integers(2, 9))
+    site.scatter(rng, [_MACHINES[int(rng.integers(len(_MACHINES)))](rng) for _ in range(count)], drop.rect)
     beyond = mirrored((x0 - 4.0, abs(far) + 3.5, x1 + 4.0, abs(far) + 14.0), side)
     yard = [pick(rng, (site_office, container, barrels, pipes))(rng) for _ in range(int(rng.integers(1, 6)))]
     site.scatter(rng, [*yard, *(heap(rng, rng.uniform(3.0, 8.0)) for _ in range(int(rng.integers(0, 3))))], beyond)

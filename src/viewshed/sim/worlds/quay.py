@@ -34,6 +34,7 @@ def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
     near = min(abs(edge) for edge in drops[0].rect[1::2])
     for thing in guarded(rng, (-HALF_M, HALF_M), side * (near - 0.4)):
         site.put(thing, 0.02)
+    site.reserve(*(edge for drop in drops for edge in drop.edges()))
     _below(rng, site, drops[0], side, water)
     _behind(rng, site, road, -side)
     moving = driven(rng, plan, road.lane_lines(), _PACE, street_vehicle)
@@ -60,11 +61,6 @@ def _edges(rng: np.random.Generator, road: Roadway, side: int, water: bool) -> l
 def _below(rng: np.random.Generator, site: SitePlan, drop: Drop, side: int, water: bool) -> None:
     """Put ships on the water, or vehicles, goods and people into the lower yard."""
     near = drop.rect[1] if side > 0 else -drop.rect[3]
-    ramp = drop.ramp
-    if ramp is not None:
-        site.stand(place_at(Thing("ramp", (Box(0.0, 0.0, ramp[2] - ramp[0] + 6.0, ramp[3] - ramp[1] + 1.0, 0.1),)),
-                            (ramp[0] + ramp[2]) / 2, (ramp[1] + ramp[3]) / 2))  # fmt: skip
-        site.things.pop()
     if water:
         for x in spots(rng, (-90.0, 90.0), 18.0, (2.0, rng.uniform(20.0, 120.0))):
             site.put(place_at(_ship(rng, drop.deep_m), x, side * (near + 3.2)))
