@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import isnan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,20 @@ PAPERS_FARTHEST = ("paper_quantized", "paper_continuous", "paper_concave_hull")
 FARTHEST = ("quantized", "continuous", "concave_hull")
 """Ours of the same kind."""
 
-BUDGETS = {f"up to {MODEST} returns": MODEST, "up to a full wedge": None}
-"""What an attacker has at most, by the words for it."""
+
+class Budget(NamedTuple):
+    """What an attacker has at most: in words, and the number of returns; None for any number."""
+
+    words: str
+    most: int | None
+
+    @property
+    def heading(self) -> str:
+        """The words as a heading."""
+        return self.words.capitalize()
+
+
+BUDGETS = (Budget(f"up to {MODEST} returns", MODEST), Budget("up to a full wedge", None))
 
 
 def violin_picture(domains: Sequence[AttackedDomain], protocol: str) -> Picture:
@@ -155,7 +167,7 @@ def main_page(
     paper = [domain for domain in domains if len(domain.paper.cases) > 1]
     values = {
         "plan": plan, "extent": _extent(results, failed), "domains": domains, "adaptive_domains": adaptive,
-        "unaware_domains": unaware, "paper_domains": paper, "budgets": [words.capitalize() for words in BUDGETS],
+        "unaware_domains": unaware, "paper_domains": paper, "budgets": BUDGETS,
         "attacks_on_defenses": plan.adaptive_against_defenses if unaware else (),
         "max_f1_loss": MAX_F1_LOSS, "max_wedge_loss": MAX_WEDGE_LOSS,
         "adaptive_sweeps": ", ".join(f"{one.name} {one.met('adaptive').results.sweeps(one.name)}" for one in adaptive),
@@ -184,9 +196,9 @@ def main_page(
 
 def long_page(results: Results[RobustnessPlan]) -> tuple[str, list[PageBlock]]:
     """Return the title and the blocks of the long tables, domain by domain."""
-    values = {"domains": domains_of(results), "budgets": list(BUDGETS), "defended": results.plan.defended}
+    values = {"domains": domains_of(results), "budgets": BUDGETS, "defended": results.plan.defended}
     return fill_template("robustness/tables.md", values, {
-        "verdict_table": lambda domain, words: tables.verdict_table(domain, BUDGETS[words]),
+        "verdict_table": lambda domain, budget: tables.verdict_table(domain, budget.most),
         "budget_table": tables.budget_table,
         "wedge_table": tables.wedge_table,
         "area_table": tables.area_table,
@@ -219,20 +231,22 @@ def _extent(results: Results[RobustnessPlan], failed: Sequence[str]) -> str:
     return words + (f" {len(failed)} jobs failed: {'; '.join(failed[:3])}." if failed else "")
 
 
-def withstood_at(domains: Sequence[AttackedDomain], words: str) -> str:
-    """Return a list of what each estimator withstands in every domain, up to a number of returns."""
-    most = {name.capitalize(): most for name, most in BUDGETS.items()}[words]
-    return _withstood(
-        domains[0].attacks,
-        lambda name, attack: all(domain.verdict(name, attack, most).withstands for domain in domains),
-    )
+def withstood_at(domains: Sequence[AttackedDomain], budget: Budget) -> str:
+    """Return a list of what each estimator withstands in every domain, up to a budget."""
+
+    def withstands(name: str, attack: str) -> bool:
+        return all(domain.verdict(name, attack, budget.most).withstands for domain in domains)
+
+    return _withstood(domains[0].attacks, withstands)
 
 
 def withstood_adaptive(plan: RobustnessPlan, domains: Sequence[AttackedDomain]) -> str:
-    """Return a list of which attackers who query it each estimator withstands in every domain."""
-    return _withstood(
-        plan.adaptive, lambda name, attack: all(domain.withstands_adaptive(name, attack) for domain in domains)
-    ) if domains else ""  # fmt: skip
+    """Return a list of which attackers who query it each estimator withstands in every domain; empty without any."""
+
+    def withstands(name: str, attack: str) -> bool:
+        return all(domain.withstands_adaptive(name, attack) for domain in domains)
+
+    return _withstood(plan.adaptive, withstands) if domains else ""
 
 
 def _withstood(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -> str:
