@@ -134,10 +134,12 @@ def test_every_second_beam_of_a_table_is_another_sensor(with_rings: bool) -> Non
 
 @pytest.mark.parametrize("with_rings", [True, False])
 @pytest.mark.parametrize("name", ["vlp16", "vlp32c", "hdl32e", "hdl64e"])
-def test_a_calibration_of_its_own_is_not_the_stock_table(name: str, with_rings: bool) -> None:
+@pytest.mark.parametrize("share", [0.18, 0.3])
+def test_a_calibration_of_its_own_is_not_the_stock_table(share: float, name: str, with_rings: bool) -> None:
     stock = lidar_model(name)
     gap = np.diff(stock.elevation, prepend=-np.pi, append=np.pi)
-    away = 0.3 * np.minimum(gap[:-1], gap[1:]) * np.random.default_rng(5).choice([-1.0, 1.0], stock.rings)
+    away = np.minimum(share * np.minimum(gap[:-1], gap[1:]), np.deg2rad(0.24))
+    away *= np.random.default_rng(5).choice([-1.0, 1.0], stock.rings)
     own = LidarModel("own", stock.elevation + away, stock.azimuth_columns, origin_m=stock.origin_m)
     sweep = cast(own, SCENE, 1.8).replace(model=None)
     sensor_id = identify_sensor(sweep if with_rings else bare(sweep))

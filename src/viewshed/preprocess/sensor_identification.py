@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -45,6 +46,9 @@ _SHARP = 0.97
 """Clusters that explain so many of the returns are the sensor's beams, whatever a table says."""
 
 _CERTAIN = 0.5
+
+_OF_RINGS = 8192
+"""So many returns tell the elevations of rings."""
 
 _FEW, _LIKELY = 2048, 2
 """So many returns choose so many likely tables, which are then compared on the whole sample."""
@@ -188,17 +192,17 @@ def _counted_as_beams(rings: _Rings, slope: Angles, range_m: Angles, model: Lida
 
 def _agreeing_table(rings: _Rings, slope: Angles, range_m: Angles) -> tuple[LidarModel | None, float]:
     """Return the table that the rings of a sample agree with and its score, None where they agree with none."""
-    # 1. Roughly: medians seen from the sensor's origin, moved to each table's by the mean nearness of a ring's returns.
-    medians = np.tan(_ring_elevations(rings, slope, range_m, np.zeros(rings.count)))
-    placed = (rings.ring >= 0) & (range_m > NEAR_M)
-    sizes = np.bincount(rings.ring[placed], minlength=rings.count)
-    nearness = np.bincount(rings.ring[placed], 1.0 / range_m[placed], rings.count) / np.maximum(sizes, 1)
-    near = {name: -_roughly_off(rings, medians, nearness, lidar_model(name)) for name in sensor_names()}
+    rings, slope, range_m = rings.of(slice(_OF_RINGS)), slope[:_OF_RINGS], range_m[:_OF_RINGS]
+    # 1. Roughly: a slope is the beam's and its origin's height times the nearness 1 / range, and so are their medians.
+    far = range_m > NEAR_M
+    medians = ring_medians(rings.ring, np.where(far, slope, np.float32(np.nan)), rings.count)
+    nearness = ring_medians(rings.ring, np.where(far, 1.0 / np.maximum(range_m, NEAR_M), np.nan), rings.count)
+    near = {name: -_roughly_off(rings, medians, nearness, model) for name, model in _tables().items()}
     # 2. The likeliest tables, each ring seen from its own beam's origin.
     likely = [name for name in _likeliest(near) if np.isfinite(near[name])]
     if not likely:
         return None, 0.0
-    best, score = _highest_score({name: _ring_score(rings, slope, range_m, lidar_model(name)) for name in likely})
+    best, score = _highest_score({name: _ring_score(rings, slope, range_m, _tables()[name]) for name in likely})
     return (best if score >= AGREEING else None), score
 
 
@@ -234,11 +238,17 @@ def _is_as_many(rings: _Rings, model: LidarModel) -> bool:
 def _explaining_table(slope: Angles, range_m: Angles, count: int) -> tuple[LidarModel | None, float]:
     """Return the table whose beams lie nearest to a sample of ``count`` returns, None where it explains too little."""
     few = slope[:_FEW], range_m[:_FEW]
-    likely = _likeliest({name: _cluster_score(*few, lidar_model(name)) for name in sensor_names()})
-    best, score = _highest_score({name: _cluster_score(slope, range_m, lidar_model(name)) for name in likely})
+    likely = _likeliest({name: _cluster_score(*few, model) for name, model in _tables().items()})
+    best, score = _highest_score({name: _cluster_score(slope, range_m, _tables()[name]) for name in likely})
     if best is None or score < EXPLAINED or (score < _CERTAIN and _crowded(slope, range_m, best, count)):
         return None, score
     return best, score
+
+
+@lru_cache(maxsize=1)
+def _tables() -> dict[str, LidarModel]:
+    """Return the beam tables that travel with the package by name."""
+    return {name: lidar_model(name) for name in sensor_names()}
 
 
 def _likeliest(scores: Mapping[str, float]) -> list[str]:
@@ -249,7 +259,7 @@ def _likeliest(scores: Mapping[str, float]) -> list[str]:
 def _highest_score(scores: Mapping[str, float]) -> tuple[LidarModel | None, float]:
     """Return the sensor with the highest score, None where none has any."""
     name = max(scores, key=lambda name: scores[name])
-    return (lidar_model(name) if scores[name] > 0.0 else None), scores[name]
+    return (_tables()[name] if scores[name] > 0.0 else None), scores[name]
 
 
 def _crowded(slope: Angles, range_m: Angles, model: LidarModel, count: int) -> bool:
