@@ -55,7 +55,7 @@ def test_materials_are_found_by_name_and_checked() -> None:
     assert MATERIALS[material_index("leaves")].per_m < np.inf
     with pytest.raises(ValueError, match="material must be one of asphalt"):
         material_index("velvet")
-    with pytest.raises(ValueError, match="odd: reflectivity must lie in"):
+    with pytest.raises(ValueError, match="odd: reflectivity and gloss must lie in"):
         Material("odd", -0.1)
     with pytest.raises(ValueError, match="material must be one of"):
         Ellipsoid(0.0, 0.0, 1.0, 1.0, 1.0, 0.0, material="velvet")
