@@ -12,6 +12,9 @@ from viewshed.sweep import Sweep
 PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
 """Heights at which robots, cars and masts carry sensors."""
 
+LEAST_SUPPORT = 0.4
+"""A height taken from a plane with a smaller share of the near ground on it is doubtful."""
+
 _MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
 """Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
 
@@ -54,7 +57,13 @@ def _doubt_of_units(sweep: Sweep) -> str:
 def _doubt_of_height(leveled: LeveledSweep) -> str:
     height_m, given = leveled.sensor_height_m, leveled.sweep.sensor_height_m is not None
     low_m, high_m = PLAUSIBLE_HEIGHTS_M
-    if low_m <= height_m <= high_m or (not given and leveled.ground.support == 0):
+    support = leveled.ground.support
+    if not given and 0 < support < LEAST_SUPPORT:
+        return (
+            f"the sensor's height of {height_m:.2f} m rests on a plane that only {support:.0%} of the near ground lies"
+            " on: give --height if it is known"
+        )
+    if low_m <= height_m <= high_m or (not given and support == 0):
         return ""
     found = "is said to be" if given else "comes out as"
     return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
