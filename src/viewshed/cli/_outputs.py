@@ -273,7 +273,7 @@ class Run:
         summary = summary_line(estimate, elapsed_ms)
         ground = _ground_remark(leveled)
         for kind in self.results:
-            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}{ground}"))
+            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}{ground}\n{summary}"))
         remarks = f"{ground}{_claim_remark(leveled, estimate)}{_range_remark(leveled)}"
         return f"{name}: {summary}{remarks} → {self.out / name}.{self.results[0]}"
 
