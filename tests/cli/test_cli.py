@@ -417,7 +417,7 @@ def test_a_recording_is_taken_like_a_file_and_what_is_damaged_costs_a_line(
     done = run("estimate", tmp_path / "kitti", "--out", tmp_path / "out")
     assert done.returncode == 2
     assert len(list((tmp_path / "out").glob("*.png"))) == 3 - damaged
-    lines = done.stderr.splitlines()
+    lines = [line for line in done.stderr.splitlines() if ": warning: " not in line]  # no beams of KITTI's sensor
     assert len(lines) == damaged + 1
     assert "000002.bin" in lines[-2]
     assert f"{3 - damaged} sweeps read, {damaged} problems" in lines[-1]

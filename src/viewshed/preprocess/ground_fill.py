@@ -185,8 +185,10 @@ def _doubt_gaps(
                 r = np.sqrt(u * u + v * v)
                 at, b = (np.arctan2(v, u) + turn) * per_rad, min(int(r), bins - 1)
                 wide = np.float32(0.6) / max(r, np.float32(1.0)) * per_rad
-                for s in range(int(np.floor(at - wide)), int(np.floor(at + wide)) + 1):
-                    seen[s % _SECTORS, b], seen_base[s % _SECTORS, b] = above[i, j], base[i, j]
+                for k in range(int(np.floor(at - wide)), int(np.floor(at + wide)) + 1):
+                    s = k % _SECTORS
+                    if not seen[s, b] <= above[i, j]:  # the lowest of those that share a bin, NaN for none so far
+                        seen[s, b], seen_base[s, b] = above[i, j], base[i, j]
     # The bin of the last height before each bin (the first bin where there is none), and of the next (-1 for none).
     before, behind = np.zeros((_SECTORS, bins), np.int32), np.full((_SECTORS, bins), -1, np.int32)
     for s in range(_SECTORS):

@@ -102,7 +102,7 @@ def test_what_is_sure_is_decided_by_group_in_view_and_in_wedges() -> None:
     results = setting_results({OURS: _every(99, 1) | {JAMMING: (1, 3), RELAY: (1, 1)}})
     view, wedge = (sure_table(results, wedge=wedge) for wedge in (False, True))
     assert view.header == ["sure", "benign", "trained", "unseen", "jamming"]
-    assert list(view.rows[4]) == ["0.9", "1.000 / .990 / –", "1.000 / .990 / –", "1.000 / .988 / –", "1.000 / .250 / –"]
+    assert list(view.rows[4]) == ["0.9", "1.000 / .990 / –", "1.000 / .990 / –", "1.000 / .989 / –", "1.000 / .250 / –"]
     assert list(view.rows[5][1:]) == [".000 / – / –"] * 4
     assert wedge.header[1:] == ["trained", "unseen", "jamming", "trained, opening a view", "unseen, opening a view"]
     assert [row[3] for row in wedge.rows][:5] == ["1.000 / .250 / –"] * 5
