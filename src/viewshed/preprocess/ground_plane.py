@@ -16,8 +16,10 @@ MIN_HEIGHT_M = 0.25
 NEAR_M = 28.0
 """Nodes up to this far from the sensor decide which plane carries it."""
 
-CARRIER_M = 6.0
-"""A node at this distance counts half of one below the sensor."""
+CARRIER_NODES = 2.0
+"""A node with this many nearer ones in its sector counts a quarter."""
+
+_CARRIER_SECTORS = 64
 
 BELOW_SHARE = 0.35
 """Weight of a node below a plane against one on it: land may fall away from the road, while a roof hides it."""
@@ -96,16 +98,22 @@ def _area_on(points: Any, area: Any, tolerance: Any, normal: Any, offset: Any) -
 def _near_points(lows: Any) -> Any:  # pragma: no cover - compiled
     """Return the low points (k, 3) within ``NEAR_M`` of the sensor, and their weights (k,) by their distance."""
     n = lows.shape[0]
-    points, weight = np.empty((n * n, 3), np.float32), np.empty(n * n, np.float32)
+    points, square = np.empty((n * n, 3), np.float32), np.empty(n * n, np.float32)
     count = 0
     for i in range(n):
         for j in range(n):
-            square = lows[i, j, 0] * lows[i, j, 0] + lows[i, j, 1] * lows[i, j, 1]
-            if square < NEAR_M * NEAR_M:
-                points[count] = lows[i, j]
-                weight[count] = 1.0 / (1.0 + square / (CARRIER_M * CARRIER_M))
+            away = lows[i, j, 0] * lows[i, j, 0] + lows[i, j, 1] * lows[i, j, 1]
+            if away < NEAR_M * NEAR_M:
+                points[count], square[count] = lows[i, j], away
                 count += 1
-    return points[:count], weight[:count]
+    points, square = points[:count], square[:count]
+    weight, nearer = np.empty(count, np.float32), np.zeros(_CARRIER_SECTORS, np.int32)
+    per_rad = np.float32(_CARRIER_SECTORS / (2 * np.pi))
+    for k in np.argsort(square, kind="mergesort"):
+        sector = int((np.arctan2(points[k, 1], points[k, 0]) + np.float32(np.pi)) * per_rad) % _CARRIER_SECTORS
+        weight[k] = (1.0 / (1.0 + nearer[sector] / CARRIER_NODES)) ** 2
+        nearer[sector] += 1
+    return points, weight
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
