@@ -245,9 +245,9 @@ def _walk(
             elif abs(step) < small:
                 kind = _FOLLOWED
             elif step < 0.0:
-                if (even[i, j] or (flat[i, j] and _agrees(lows, i, j))) and not _is_buried(
-                    lows[i, j], height, accepted, node_m
-                ):
+                # Nothing but ground lies below ground; but a wall seen across a pit is not its floor.
+                is_floor = even[i, j] or (flat[i, j] and _agrees(lows, i, j))
+                if is_floor and not _is_buried(lows[i, j], height, accepted, node_m):
                     kind = _BELOW
             elif (gentle and patches_m2[i, j] >= LEVEL_M2) or (
                 even[i, j] and patches_m2[i, j] >= FACE_M2 and _meets(lows[i, j], a, b, height, accepted, i, j, node_m)

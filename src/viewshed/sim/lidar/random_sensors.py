@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from viewshed import _config as flat
 from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sim.lidar.optics import optics_of
 from viewshed.sweep import Sweep
 
 PATTERNS = ("rings", "rosette", "weave")
@@ -182,6 +183,7 @@ def draw_sensor(family: SensorFamily, rng: np.random.Generator, sweep: int = 0) 
     elevation = _uneven(rng, rings, low, high, rng.uniform(*family.unevenness))
     offset = rng.normal(0.0, np.deg2rad(family.azimuth_offset_deg), rings)
     table = LidarModel(name, elevation, columns, offset, np.zeros(0), family.min_range_m, max_range_m)
+    table = replace(table, reach_m=optics_of(table).reach_m, reach_source="the simulator's optics")
     # The sensor as built: every ring is off a little, never past its neighbor.
     error = np.deg2rad(family.calibration_deg)
     gap = np.diff(elevation, prepend=-np.pi, append=np.pi)

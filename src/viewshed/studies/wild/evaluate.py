@@ -76,7 +76,15 @@ def record_of(
         leveled: the sweep as it was leveled, whose ground is judged.
         method: of the record.
     """
-    grid, known, target = seen.truth.grid, seen.known, estimate.target
+    grid, target, range_m, model = (
+        seen.truth.grid,
+        estimate.target,
+        polar_of_cells(seen.truth.grid)[0],
+        seen.sensor.model,
+    )
+    # The truth is geometry: beyond the range at which the sensor sees a dark target nobody is asked.
+    reach_m = min(optics_of(model).reach_m, model.max_range_m)
+    known = seen.known & (range_m <= reach_m)
     true, claimed, prob = seen.truth.visible(target), estimate.visible(), estimate.visible_prob
     unaimed = known & (seen.truth.state[target.name] == CellState.UNKNOWN)
     scores, judged = Scores(), known & ~unaimed
@@ -91,13 +99,11 @@ def record_of(
     clear = ConfusionCounts.of(claimed, true, known & (gap > CLEAR), grid.cell_area_m2)
     numbers |= {f"clear_{name}": float(getattr(clear, name)) for name in ("both", "over", "under")}
     # Areas: beyond what the sensor can reach, and over ground that was taken to be elsewhere.
-    range_m, model = polar_of_cells(grid)[0], seen.sensor.model
-    reach_m = min(optics_of(model).reach_m, model.max_range_m)
     off = known & (np.abs(ground_error_m(leveled, sample)) > OFF_M)
     areas = {
-        "known_m2": known, "claimed_m2": known & claimed,
-        "beyond_m2": known & claimed & (range_m > model.max_range_m + grid.cell_m),
-        "beyond_reach_m2": known & claimed & (range_m > reach_m + grid.cell_m), "off_m2": off,
+        "known_m2": known, "claimed_m2": seen.known & claimed,
+        "beyond_m2": seen.known & claimed & (range_m > model.max_range_m + grid.cell_m),
+        "beyond_reach_m2": seen.known & claimed & (range_m > reach_m + grid.cell_m), "off_m2": off,
         "off_sure_m2": off & claimed & (prob >= SURE),
     }  # fmt: skip
     numbers |= {name: float(mask.sum()) * grid.cell_area_m2 for name, mask in areas.items()}
