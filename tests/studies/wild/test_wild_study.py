@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from viewshed._jobs import LocalEngine
 from viewshed.datasets.wild import WildObservation, wild_scenes
@@ -14,6 +15,7 @@ from viewshed.fov.visibility import CAR, expected_returns
 from viewshed.geometry import Rigid
 from viewshed.metrics import ConfusionCounts, Scores
 from viewshed.preprocess.leveling import level
+from viewshed.sim.lidar.optics import optics_of
 from viewshed.studies.store import ResultStore
 from viewshed.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, record_of, records_of
 from viewshed.studies.wild.jobs import do_job, run_study, scene_of
@@ -44,10 +46,17 @@ def record(seen: WildObservation, estimate: FovEstimate) -> WildRecord:
     return record_of(seen, sample, estimate, level(sample.sweep, seen.truth.grid), "hand")
 
 
+def within_reach(seen: WildObservation) -> NDArray[np.bool_]:
+    """Cells of known truth as far as the sensor sees a dark target."""
+    range_m = np.hypot(*np.moveaxis(seen.truth.grid.centers, -1, 0))
+    reach: NDArray[np.bool_] = seen.known & (range_m <= optics_of(seen.sensor.model).reach_m)
+    return reach
+
+
 def test_the_truth_itself_makes_no_mistake(seen: WildObservation) -> None:
     found = record(seen, perfect(seen))
     assert (found.counts.over, found.counts.under) == (0, 0)
-    assert found.counts.cells == seen.known.sum()
+    assert found.counts.cells == within_reach(seen).sum()
     assert (found.numbers["beyond_m2"], found.numbers["unaimed_hidden"]) == (0.0, 0.0)
     assert Pool([found]).ece() == 0.0
     assert np.isnan(found.numbers["auroc"])
@@ -63,13 +72,14 @@ def test_everything_claimed_counts_as_beyond_off_and_wrong(seen: WildObservation
     assert found.numbers["beyond_m2"] == pytest.approx(beyond.sum() * grid.cell_area_m2)
     assert found.numbers["claimed_m2"] == pytest.approx(seen.known.sum() * grid.cell_area_m2)
     assert found.numbers["off_m2"] == found.numbers["off_sure_m2"]
-    assert found.counts.over == (seen.known & ~truth.visible(CAR)).sum()
-    share = truth.visible(CAR)[seen.known].mean()
+    within = within_reach(seen)
+    assert found.counts.over == (within & ~truth.visible(CAR)).sum()
+    share = truth.visible(CAR)[within].mean()
     assert Pool([found]).ece() == pytest.approx(1 - share)
 
 
 def test_hidden_where_no_beam_aims_is_counted(seen: WildObservation) -> None:
-    grid, unaimed = seen.truth.grid, seen.known & (seen.truth.state["car"] == CellState.UNKNOWN)
+    grid, unaimed = seen.truth.grid, within_reach(seen) & (seen.truth.state["car"] == CellState.UNKNOWN)
     all_hidden = FovEstimate(grid, np.zeros(grid.shape, np.float32), np.full(grid.shape, CellState.HIDDEN, np.uint8))
     found = record(seen, all_hidden)
     assert found.numbers["unaimed_hidden"] == found.numbers["unaimed"] == unaimed.sum() > 0
