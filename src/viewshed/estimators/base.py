@@ -13,6 +13,7 @@ from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
+from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
@@ -127,9 +128,8 @@ class ClassicalEstimator:
         earlier = checked_history(self, leveled, history)
         prob = self.visible_prob(leveled, earlier)
         claimed = prob >= np.float32(self.threshold)
-        state = beam_evidence(leveled, self.grid, self.target, earlier).states(
-            claimed, ~claimed, leveled.obstacle_cells(self.grid)
-        )
+        evidence = beam_evidence(leveled, self.grid, self.target, earlier)
+        state = evidence.states(claimed, ~claimed, leveled.obstacle_cells(self.grid))
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
@@ -139,6 +139,7 @@ class ClassicalEstimator:
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
             agent=leveled.sweep.agent,
+            basis=basis_of(leveled, evidence, state),
         )
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:

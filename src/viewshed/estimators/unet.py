@@ -23,6 +23,7 @@ from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, load_runner
 from viewshed.networks.weights import default_name, float32_name
 from viewshed.preprocess.azimuth_bins import Crop
+from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
@@ -199,6 +200,7 @@ class UnetEstimator:
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
             agent=leveled.sweep.agent,
+            basis=basis_of(leveled, evidence, state),
         )
 
 
