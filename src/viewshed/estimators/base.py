@@ -126,6 +126,7 @@ class ClassicalEstimator:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate`."""
         leveled = leveled_on(sweep, self.grid)
         earlier = checked_history(self, leveled, history)
+        leveled = leveled if earlier is None else earlier.now
         prob = self.visible_prob(leveled, earlier)
         claimed = prob >= np.float32(self.threshold)
         evidence = beam_evidence(leveled, self.grid, self.target, earlier)
@@ -168,7 +169,7 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
     """Return earlier sweeps as the sensor sees them now, or None for none.
 
     Raises:
-        ValueError: the estimator uses none, or a sweep has no pose.
+        ValueError: the estimator uses none, a sweep has no pose, or it is the history of another sweep.
     """
     if history is None or (not isinstance(history, History) and not len(history)):
         return None
@@ -177,5 +178,7 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
             f"history must be left out for {estimator.name}, which looks at one sweep; use viewnet or shadow_map"
         )
     if isinstance(history, History):
+        if history.now.sweep is not leveled.sweep:
+            raise ValueError("history must be that of the sweep to estimate, got another one's; use History.of")
         return history
     return history_of(leveled, history, estimator.grid)

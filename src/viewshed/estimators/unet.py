@@ -135,7 +135,8 @@ class UnetEstimator:
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate` and the class."""
         leveled = leveled_on(sweep, self.grid)
-        prepared = self.prepare(leveled, checked_history(self, leveled, history))
+        earlier = checked_history(self, leveled, history)
+        prepared = self.prepare(leveled if earlier is None else earlier.now, earlier)
         [output] = self.infer([prepared])
         return self.finish(prepared, output)
 

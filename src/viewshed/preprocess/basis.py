@@ -42,6 +42,8 @@ def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.ui
 def _height_source(leveled: LeveledSweep) -> HeightSource:
     if leveled.sweep.sensor_height_m is not None:
         return "given"
+    if leveled.held is not None and leveled.held.is_height_held:
+        return "held"
     return "estimated" if leveled.ground.support > 0 else "assumed"
 
 
