@@ -23,6 +23,7 @@ from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, load_runner
 from viewshed.networks.weights import default_name, float32_name
 from viewshed.preprocess.azimuth_bins import Crop
+from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
@@ -134,7 +135,8 @@ class UnetEstimator:
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate` and the class."""
         leveled = leveled_on(sweep, self.grid)
-        prepared = self.prepare(leveled, checked_history(self, leveled, history))
+        earlier = checked_history(self, leveled, history)
+        prepared = self.prepare(leveled if earlier is None else earlier.now, earlier)
         [output] = self.infer([prepared])
         return self.finish(prepared, output)
 
@@ -199,6 +201,7 @@ class UnetEstimator:
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
             agent=leveled.sweep.agent,
+            basis=basis_of(leveled, evidence, state),
         )
 
 
