@@ -180,13 +180,15 @@ class RingAssignment:
         return 2.0 * np.pi / self.columns
 
 
-def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignment:
+def recover_rings(
+    sweep: Sweep, model: LidarModel | None = None, known: NDArray[np.int16] | None = None
+) -> RingAssignment:
     """Return the beam and column of every return of ``sweep``.
 
-    Rings come from the sweep's own ring column; else from the order of the points (ring after ring, as in KITTI
-    files); else from the nearest beam of ``model`` (or of the sweep's model), if the elevations gather at its beams;
-    else, without a model, from the elevations at which the returns themselves gather; else from bins of elevation. All
-    but the second do not depend on the order of the points.
+    Rings are ``known`` (N,), -1 where no beam explains a return; else they come from the sweep's own ring column; else
+    from the order of the points (ring after ring, as in KITTI files); else from the nearest beam of ``model`` (or the
+    sweep's model), if the elevations gather at its beams; else, without a model, from the elevations at which the
+    returns themselves gather; else from bins of elevation. All but the order do not depend on the order of the points.
 
     >>> points = np.array([[10.0, 1.0, -1.0], [0.0, 10.0, 1.0]])
     >>> recover_rings(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
@@ -194,7 +196,7 @@ def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignme
     """
     model = sweep.model if model is None else model
     azimuth, slope, range_m = polar(sweep.points)
-    ring, rings, source = _rings(sweep, model, azimuth, slope, range_m)
+    ring, rings, source = _rings(sweep.ring if known is None else known, model, azimuth, slope, range_m)
     columns = _columns(azimuth, ring, range_m, model, source)
     column, placed, alone = count_alone(azimuth, ring, columns, rings)
     return RingAssignment(
@@ -229,12 +231,12 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _rings(
-    sweep: Sweep, model: LidarModel | None, azimuth: Angles, slope: Angles, range_m: Angles
+    known: NDArray[np.int16] | None, model: LidarModel | None, azimuth: Angles, slope: Angles, range_m: Angles
 ) -> tuple[NDArray[np.int16], int, Source]:
     """Return the ring of each point, the number of rings and where they come from."""
-    if sweep.ring is not None:
-        known = int(sweep.ring.max(initial=0)) + 1
-        return sweep.ring, known if model is None else max(known, model.rings), "file"
+    if known is not None:
+        rings = int(known.max(initial=0)) + 1
+        return known, rings if model is None else max(rings, model.rings), "file"
     ordered = rings_by_order(azimuth, slope)
     if ordered is not None and (model is None or ordered.max() < model.rings):
         return ordered, int(ordered.max()) + 1, "file order"

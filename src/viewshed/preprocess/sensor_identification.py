@@ -14,6 +14,7 @@ from viewshed.geometry import FloatArray
 from viewshed.preprocess.beam_matching import EXPLAINED, NEAR_M, Angles, match_beams, polar
 from viewshed.preprocess.elevation_clusters import rings_by_clusters
 from viewshed.preprocess.ring_recovery import ring_medians, rings_by_order
+from viewshed.preprocess.sensor_motion import find_motion
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
 
@@ -44,6 +45,9 @@ _HIT = 0.9
 
 _SHARP = 0.97
 """Clusters that explain so many of the returns are the sensor's beams, whatever a table says."""
+
+_SHARP_AT_REST = 0.95
+"""The same of a sensor whose motion was undone: near the seam a return may be of either end of the revolution."""
 
 _CERTAIN = 0.5
 
@@ -91,8 +95,9 @@ def identify_sensor(sweep: Sweep) -> SensorId:
 
     Rings come from the order of the points, else from the elevations at which they gather. The sensor is the table that
     these rings agree with, if the sweep lets it be inferred; where there are no rings, one that explains points beside
-    its beams as well, as those of a moving sensor are. Neither is guessed: a cloud that gathers at no elevations has no
-    rings, and rings that agree with no table have no sensor.
+    its beams as well, as those of a moving sensor are. Where no table does, rings come from the elevations at which the
+    returns gather once the motion of the sensor is undone. None of this is guessed: a cloud that gathers at no
+    elevations has no rings, and rings that agree with no table have no sensor.
     """
     if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
         return SensorId(sweep.ring, sweep.model)
@@ -106,6 +111,12 @@ def identify_sensor(sweep: Sweep) -> SensorId:
         first = next(_shown_rings(None, azimuth, slope, range_m), None)
         return UNIDENTIFIED if first is None else SensorId(first.ring, None)
     model, _, rings = _identify(sweep.ring, azimuth, slope, range_m)
+    at_rest = _rings_at_rest(sweep.points) if _is_blurred(rings) else None
+    if at_rest is not None and (rings is None or at_rest[0].sharpness >= rings.sharpness):
+        # The motion blurred them: look again without it.
+        rings, slope, range_m = at_rest
+        rows = _sample_rows(len(slope))
+        model = _agreeing_table(rings.of(rows), slope[rows], range_m[rows])[0] or model
     if rings is None:
         return UNIDENTIFIED if model is None else SensorId(_nearest_beams(slope, range_m, model), model)
     if model is None:
@@ -168,6 +179,26 @@ def _shown_rings(own: NDArray[np.int16] | None, azimuth: Angles, slope: Angles, 
     clustered = rings_by_clusters(azimuth, slope, range_m)
     if clustered is not None:
         yield _Rings(clustered[0], len(clustered[1].elevation), "elevation clusters", clustered[1].sharpness)
+
+
+def _is_blurred(rings: _Rings | None) -> bool:
+    """Return whether nothing shows rings, or only clusters that are not sharp."""
+    return rings is None or (rings.source == "elevation clusters" and rings.sharpness < _SHARP)
+
+
+def _rings_at_rest(points: FloatArray) -> tuple[_Rings, Angles, Angles] | None:
+    """Return the rings of points (N, 3) after the motion of their sensor is undone, and slope and range (N,) then.
+
+    None where no motion makes the elevations gather sharply.
+    """
+    motion = find_motion(points)
+    if motion is None:
+        return None
+    azimuth, slope, range_m = polar(motion.undo(points))
+    found = rings_by_clusters(azimuth, slope, range_m)
+    if found is None or found[1].sharpness < _SHARP_AT_REST:
+        return None
+    return _Rings(found[0], len(found[1].elevation), "elevation clusters", found[1].sharpness), slope, range_m
 
 
 def _sample_rows(count: int) -> NDArray[np.int64]:
