@@ -1,5 +1,7 @@
 """Rings of sensors that moved while they measured: points in one frame, each measured from another place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -87,6 +89,17 @@ def test_a_table_is_named_by_the_rings_of_a_moving_sensor(name: str) -> None:
     assert sensor_id.model is model
     assert sensor_id.ring is not None
     assert (sensor_id.ring == ring).mean() > 0.97
+
+
+@pytest.mark.parametrize("off_deg", [0.0, 0.3])
+def test_a_moving_sensor_that_is_known_is_given_its_beams(off_deg: float) -> None:
+    table, rng = uneven(), np.random.default_rng(5)
+    built = replace(table, elevation=table.elevation + np.deg2rad(rng.uniform(-off_deg, off_deg, table.rings)))
+    motion = SensorMotion(np.array([1.6, 0.3, 0.01]), -np.pi, 0.5)
+    points, ring = measured(built, motion, rng)
+    beams = identify_sensor(Sweep(points, model=table)).ring
+    assert beams is not None
+    assert (beams == ring).mean() > 0.97
 
 
 @pytest.mark.parametrize("seed", range(4))

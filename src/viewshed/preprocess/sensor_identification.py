@@ -106,7 +106,7 @@ def identify_sensor(sweep: Sweep) -> SensorId:
         ordered = rings_by_order(azimuth, slope)
         if ordered is not None and int(ordered.max()) < sweep.model.rings:
             return SensorId(ordered, sweep.model)
-        return SensorId(_nearest_beams(slope, range_m, sweep.model), sweep.model)
+        return SensorId(_beams_of_known_sensor(sweep.model, sweep.points, slope, range_m), sweep.model)
     if not sweep.infer_sensor:
         first = next(_shown_rings(None, azimuth, slope, range_m), None)
         return UNIDENTIFIED if first is None else SensorId(first.ring, None)
@@ -181,6 +181,27 @@ def _shown_rings(own: NDArray[np.int16] | None, azimuth: Angles, slope: Angles, 
         yield _Rings(clustered[0], len(clustered[1].elevation), "elevation clusters", clustered[1].sharpness)
 
 
+def _beams_of_known_sensor(
+    model: LidarModel, points: FloatArray, slope: Angles, range_m: Angles
+) -> NDArray[np.int16] | None:
+    """Return the beam of each point (N, 3) of a sensor that is known; None where the points do not gather at its beams.
+
+    Where its table does not explain them sharply, the sensor moved or has a calibration of its own: then the clusters
+    without its motion are counted as the table's beams, if the two go together.
+    """
+    match = match_beams(slope, range_m, model)
+    motion = find_motion(points) if match.excess < _SHARP else None
+    if motion is not None:
+        azimuth, slope, range_m = polar(motion.undo(points))
+        rings = _sharp_clusters(azimuth, slope, range_m)
+        if rings is not None and (
+            rings.count == model.rings or _beams_of_rings(rings, slope, range_m, model) is not None
+        ):
+            return _counted_as_beams(rings, slope, range_m, model)
+        match = max(match, match_beams(slope, range_m, model), key=lambda one: one.excess)
+    return match.ring if match.excess >= EXPLAINED else None
+
+
 def _is_blurred(rings: _Rings | None) -> bool:
     """Return whether nothing shows rings, or only clusters that are not sharp."""
     return rings is None or (rings.source == "elevation clusters" and rings.sharpness < _SHARP)
@@ -195,10 +216,16 @@ def _rings_at_rest(points: FloatArray) -> tuple[_Rings, Angles, Angles] | None:
     if motion is None:
         return None
     azimuth, slope, range_m = polar(motion.undo(points))
+    rings = _sharp_clusters(azimuth, slope, range_m)
+    return None if rings is None else (rings, slope, range_m)
+
+
+def _sharp_clusters(azimuth: Angles, slope: Angles, range_m: Angles) -> _Rings | None:
+    """Return the rings of returns (N,) at whose elevations nearly all of them gather, or None."""
     found = rings_by_clusters(azimuth, slope, range_m)
     if found is None or found[1].sharpness < _SHARP_AT_REST:
         return None
-    return _Rings(found[0], len(found[1].elevation), "elevation clusters", found[1].sharpness), slope, range_m
+    return _Rings(found[0], len(found[1].elevation), "elevation clusters", found[1].sharpness)
 
 
 def _sample_rows(count: int) -> NDArray[np.int64]:
@@ -215,7 +242,7 @@ def _nearest_beams(slope: Angles, range_m: Angles, model: LidarModel) -> NDArray
 
 def _counted_as_beams(rings: _Rings, slope: Angles, range_m: Angles, model: LidarModel) -> NDArray[np.int16]:
     """Return rings (N,) counted as the table's beams, where rings are fewer than these."""
-    beam = _beams_of_rings(rings, slope, range_m, model)
+    beam = None if rings.count == model.rings else _beams_of_rings(rings, slope, range_m, model)
     if beam is None or (beam == np.arange(len(beam))).all():
         return rings.ring
     return np.where(rings.ring >= 0, beam[rings.ring], -1).astype(np.int16)
