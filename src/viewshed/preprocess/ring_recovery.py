@@ -22,13 +22,17 @@ _COARSE = 1024
 
 _FINE = 512
 
+_BACK, _SOON = 0.35, 8
+"""Azimuths jitter across the seam by at most so many radians, for fewer than so many points."""
+
 
 @njit(cache=True, nogil=True)
 def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # pragma: no cover - compiled
     """Return rings (N,) counted from the wraps of the azimuth past ``start`` in the sense ``turn``.
 
-    Also their number, the steps against that sense, and the share of wraps at which the slope rises. First and last
-    rings of less than a hundredth of the others' size are joined to their neighbor. Stops early on a shuffled cloud.
+    Also their number, the steps against that sense, and the share of wraps at which the slope rises. A step back over
+    ``start`` soon after a wrap takes the wrap back. First and last rings of less than a hundredth of the others' size
+    are joined to their neighbor. Stops early on a shuffled cloud.
     """
     count = azimuth.shape[0]
     ring = np.zeros(count, np.int16)
@@ -42,6 +46,9 @@ def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # 
             upward += slope[n] > slope[n - 1]
             first_end = n if wraps == 1 else first_end
             last_start = n
+        elif wraps > 0 and step > 2 * np.pi - _BACK and n - last_start < _SOON:
+            wraps -= 1
+            upward -= slope[n] < slope[n - 1]
         elif n > 0 and step < -0.003:
             backward += 1
         if backward > 100 + 0.1 * n or wraps > 4096:
@@ -252,22 +259,29 @@ def _rings(
 
 
 def rings_by_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
-    """Return the rings told by the order of the points, or None where they are not stored ring after ring."""
+    """Return the rings told by the order of the points, or None where they are not stored ring after ring.
+
+    Rings begin behind or before the sensor. Counted from the wrong side each would hold halves of two, and the slope
+    would go on where one ends: where it steps more is where they begin.
+    """
+    best, best_step = None, -1.0
     for start in (0.0, np.pi):
         for turn in (1.0, -1.0):
             ring, rings, backward, upward = order_rings(azimuth, slope, start, turn)
             if rings < 4 or backward > 0.03 * len(azimuth) or max(upward, 1 - upward) < 0.7:
                 continue
+            ends = np.flatnonzero(np.diff(ring))
+            step = float(np.median(np.abs(slope[ends + 1] - slope[ends])))
             medians = ring_medians(ring, slope, rings)
             medians = medians[np.isfinite(medians)]
             steps = np.diff(medians)
             rising = float((steps > 0).mean())
             # Two sensors one after the other rise twice.
             once = np.abs(steps).sum() <= _MOST_WAY * abs(medians[-1] - medians[0])
-            if once and max(rising, 1 - rising) >= 0.9:
+            if step > best_step and once and max(rising, 1 - rising) >= 0.9:
                 ascending: NDArray[np.int16] = ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
-                return ascending
-    return None
+                best, best_step = ascending, step
+    return best
 
 
 def _elevation_bins(slope: Angles, range_m: Angles, model: LidarModel | None) -> tuple[NDArray[np.int16], int]:
