@@ -352,7 +352,7 @@ def test_every_real_sweep_is_named_right_or_not_at_all(real_data: object) -> Non
 
 
 @pytest.mark.parametrize("start", [0.0, np.pi])
-def test_rings_stored_one_after_the_other_begin_where_the_slope_steps(start: float) -> None:
+def test_rings_stored_one_after_the_other_hold_no_halves_of_two(start: float) -> None:
     rings, columns = 24, 900
     ring, column = np.mgrid[:rings, :columns]
     # The last but one point of a third of the rings lies beyond the seam.

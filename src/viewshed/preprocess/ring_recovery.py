@@ -150,6 +150,9 @@ PSEUDO_RINGS = 64
 _MOST_WAY = 1.5
 """Median slopes of rings go from the first to the last in at most this much of the way between these."""
 
+_LITTLE = 0.3
+"""Rings told by the order of the points are taken at once where they change by less than this share of a step."""
+
 _SAMPLED_RINGS = 6
 
 
@@ -261,27 +264,35 @@ def _rings(
 def rings_by_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
     """Return the rings told by the order of the points, or None where they are not stored ring after ring.
 
-    Rings begin behind or before the sensor. Counted from the wrong side each would hold halves of two, and the slope
-    would go on where one ends: where it steps more is where they begin.
+    Rings begin behind or before the sensor. Counted from the wrong side each holds halves of two, and its slope changes
+    by a whole step on the way: the rings whose slope changes less are right.
     """
-    best, best_step = None, -1.0
+    best, least = None, np.inf
     for start in (0.0, np.pi):
         for turn in (1.0, -1.0):
             ring, rings, backward, upward = order_rings(azimuth, slope, start, turn)
             if rings < 4 or backward > 0.03 * len(azimuth) or max(upward, 1 - upward) < 0.7:
                 continue
-            ends = np.flatnonzero(np.diff(ring))
-            step = float(np.median(np.abs(slope[ends + 1] - slope[ends])))
             medians = ring_medians(ring, slope, rings)
             medians = medians[np.isfinite(medians)]
             steps = np.diff(medians)
             rising = float((steps > 0).mean())
             # Two sensors one after the other rise twice.
             once = np.abs(steps).sum() <= _MOST_WAY * abs(medians[-1] - medians[0])
-            if step > best_step and once and max(rising, 1 - rising) >= 0.9:
+            change = _change_within(ring, slope) / np.median(np.abs(steps))
+            if change < least and once and max(rising, 1 - rising) >= 0.9:
                 ascending: NDArray[np.int16] = ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
-                best, best_step = ascending, step
+                best, least = ascending, change
+                if change < _LITTLE:
+                    return best
     return best
+
+
+def _change_within(ring: NDArray[np.int16], slope: Angles) -> float:
+    """Return how much the slope changes, in the median ring, from a quarter of its returns to three quarters."""
+    starts = np.append(0, np.flatnonzero(np.diff(ring)) + 1)
+    sizes = np.diff(starts, append=len(ring))
+    return float(np.median(np.abs(slope[starts + sizes // 4] - slope[starts + 3 * sizes // 4])))
 
 
 def _elevation_bins(slope: Angles, range_m: Angles, model: LidarModel | None) -> tuple[NDArray[np.int16], int]:
