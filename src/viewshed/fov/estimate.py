@@ -103,6 +103,17 @@ class FovEstimate:
         mask: NDArray[np.bool_] = self.visible_prob >= np.float32(threshold)
         return mask
 
+    def doubt(self) -> NDArray[np.float32]:
+        """Return the doubt (cells, cells) float32 in [0, 0.5]: the probability that the likelier answer is wrong.
+
+        As good as the probabilities are: best with ``viewnet``; a mask of zeros and ones has no doubt anywhere.
+
+        >>> prob = np.array([[0.0, 0.25], [0.5, 1.0]])
+        >>> FovEstimate(BevGrid(2, 1.0), prob, np.zeros((2, 2))).doubt().tolist()
+        [[0.0, 0.25], [0.5, 0.0]]
+        """
+        return np.float32(0.5) - np.abs(self.visible_prob - np.float32(0.5))
+
     def area_m2(self, threshold: float | None = None) -> float:
         """Return the visible area in square meters."""
         return float(self.visible(threshold).sum()) * self.grid.cell_area_m2

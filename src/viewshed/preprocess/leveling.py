@@ -31,7 +31,12 @@ MAX_RANGE_M = 250.0
 """Returns farther than this are not used where the sensor is not known."""
 
 TILT_SUPPORT = 0.35
-"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt."""
+"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt, ..."""
+
+TILT_RETURNS = 0.5
+"""... or this share of the returns: far walls outweigh the ground below a sensor that looks down beside them."""
+
+_ON_PLANE_M = 0.2
 
 LEVEL_TILT = np.deg2rad(6.0)
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
@@ -201,13 +206,20 @@ def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | Non
     normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
     if ground.support < TILT_SUPPORT:
         # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
-        stride = max(len(sweep) // 2500, 1)
-        steep, support = free_plane(np.ascontiguousarray(sweep.points[::stride]))
-        if support < TILT_SUPPORT:
+        returns = np.ascontiguousarray(sweep.points[:: max(len(sweep) // 2500, 1)])
+        steep, support = free_plane(returns)
+        if support < TILT_SUPPORT and _share_at_one_height(returns @ steep) < TILT_RETURNS:
             return None
         normal = steep.astype(np.float64)
     normal /= np.linalg.norm(normal)
     return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
+
+
+def _share_at_one_height(height_m: NDArray[np.float32]) -> float:
+    """Return the share of heights (n,) below the sensor that lie within ``_ON_PLANE_M`` of each other."""
+    low = np.sort(height_m[height_m < -LEAST_HEIGHT_M])
+    together = np.searchsorted(low, low + np.float32(_ON_PLANE_M)) - np.arange(len(low))
+    return float(together.max(initial=0)) / max(len(height_m), 1)
 
 
 def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
