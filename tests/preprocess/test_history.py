@@ -16,6 +16,8 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.geometry import Rigid
+from viewshed.preprocess.basis import basis_of
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import GAP_ROWS, History, _fill_gaps, _pixel, history_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
@@ -247,6 +249,8 @@ def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first(
     )
     first = estimator.estimate(stream[0])
     assert not first.visible().any()
+    assert first.basis is not None
+    assert (first.basis.unsure_ground_share, first.basis.inferred_share) == (0.0, 0.0)
     assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
     for sweep in stream:
         found, other = estimator.estimate(sweep), trusting.estimate(sweep)
@@ -258,6 +262,8 @@ def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first(
     assert (found.state[refused] == CellState.UNKNOWN).all()
     assert refused[behind_wall()].any()
     assert np.array_equal(where_confirmed(other, past).visible(), found.visible())
+    evidence = beam_evidence(past.now, GRID, CAR, past)
+    assert found.basis == basis_of(past.now, evidence, found.state)
 
 
 def test_a_sweep_is_not_its_own_past() -> None:
@@ -315,4 +321,4 @@ def test_a_narrow_gap_is_closed_where_something_farther_was_seen_in_it() -> None
 
 
 def test_without_sweeps_nothing_is_confirmed() -> None:
-    assert History(1.8, HeightMap.flat(32.0), (), ()).confirmations(GRID, CAR).sum() == 0
+    assert History(returns_at(), (), ()).confirmations(GRID, CAR).sum() == 0

@@ -16,11 +16,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import atan2
-from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams, Target, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.held_ground import hold_over, pose_of
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
 
@@ -72,14 +72,12 @@ class History:
     """What earlier sweeps saw, seen from the sensor now.
 
     Attributes:
-        sensor_height_m: height of the sensor now.
-        ground: the ground now.
-        earlier: the sweeps, any number of them.
+        now: the sweep now, with the ground, height and reach that earlier ones hold; what is to be estimated.
+        earlier: the sweeps, any number of them, each with what those before it hold.
         now_from_earlier: pose of the ``level`` frame of each in that of the sweep now.
     """
 
-    sensor_height_m: float
-    ground: HeightMap
+    now: LeveledSweep
     earlier: tuple[LeveledSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
     _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
@@ -93,9 +91,15 @@ class History:
         """
         if not earlier:
             return None
-        now_from_world = _pose(leveled).inverse()
-        poses = tuple(now_from_world @ _pose(sweep) for sweep in earlier)
-        return cls(leveled.sensor_height_m, leveled.ground, tuple(earlier), poses)
+        *before, now = hold_over([*earlier, leveled])
+        now_from_world = pose_of(now).inverse()
+        poses = tuple(now_from_world @ pose_of(sweep) for sweep in before)
+        return cls(now, tuple(before), poses)
+
+    @property
+    def sensor_height_m(self) -> float:
+        """Height of the sensor now."""
+        return self.now.sensor_height_m
 
     def obstacles(self) -> Floats:
         """Return the horizontal range of the nearest obstacle by slope and azimuth (ROWS, COLUMNS); +inf for none.
@@ -141,7 +145,7 @@ class History:
             return self._confirmations[grid, target]
         total, there = np.zeros(grid.shape, np.int32), np.empty(grid.shape, np.bool_)
         x0_m, y0_m = np.array(grid.origin_m, np.float32)
-        lines, where = _sight_lines(), (self.sensor_height_m, self.ground, grid, target)
+        lines, where = _sight_lines(), (self.sensor_height_m, self.now.ground, grid, target)
         [whole] = returns_by_kind([lines], *where)
         # A sweep alone leaves gaps where it looked from afar or along a face, and the way seems open there.
         images = [self._obstacles_of(*pair) for pair in zip(self.earlier, self.now_from_earlier, strict=True)]
@@ -168,13 +172,6 @@ def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep | LeveledSweep], g
     """
     before = [leveled_on(sweep, grid) for sweep in earlier]
     return History.of(leveled, [sweep for sweep in before if len(sweep.sweep)])
-
-
-def _pose(leveled: LeveledSweep) -> Rigid:
-    pose = leveled.world_from_level
-    if pose is None:
-        raise ValueError("sweeps must have poses to be seen together, got one without; give world_from_sensor")
-    return pose
 
 
 def _obstacle_points(before: LeveledSweep, now_from_before: Rigid) -> Floats:
