@@ -75,6 +75,16 @@ def test_a_wall_that_stood_there_hides_what_the_beams_now_claim_to_see() -> None
     assert (claimed(lie, earlier) == claimed(lie))[elsewhere].mean() > 0.98
 
 
+@pytest.mark.parametrize("poses", [(at(20, -10, 2.5), at(18, -12, 2.3)), (at(22, 10, -2.5), at(20, 8, -2.5))])
+def test_a_wall_seen_from_beyond_hides_though_they_saw_what_stands_behind_it(poses: Sequence[Rigid]) -> None:
+    """From here what they saw behind the wall lies in the gaps between the wall's returns."""
+    lie = seen([FAR], at(0, 0))
+    hidden = behind_wall()
+    assert claimed(lie)[hidden].all()
+    assert claimed(lie, [seen([WALL, FAR], pose) for pose in poses])[hidden].mean() < 0.1
+    assert claimed(lie, [seen([FAR], pose) for pose in poses])[hidden].mean() > 0.95
+
+
 def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
     moving = [seen([Box(12, 2 + 9 * step, 1, 6, 3), FAR], pose) for step, pose in enumerate(POSES, start=-1)]
     now = seen([FAR], at(0, 0))
@@ -291,9 +301,24 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     image = np.full((160, 720), np.inf, np.float32)
     image[[40, 45, 100], 7] = 10.0, 11.0, 11.0
     image[[40, 45], 9] = 10.0, 30.0
-    _fill_gaps(image, GAP_ROWS, np.float32(1.25))
+    _fill_gaps(image, GAP_ROWS, np.float32(1.25), np.float32(0.0))
     assert (image[41:45, 7] == 11.0).all()
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
+
+
+def test_a_narrow_gap_is_closed_where_something_farther_was_seen_in_it() -> None:
+    image = np.full((160, 720), np.inf, np.float32)
+    image[[40, 42, 45], 7] = 10.0, 30.0, 11.0  # the farther pixel was seen from elsewhere
+    image[[40, 42, 45], 9] = 20.0, 60.0, 20.0  # twice as far, so the gap is twice as wide
+    image[[40, 42, 45], 11] = 10.0, 5.0, 11.0  # something nearer has an end of its own
+    _fill_gaps(image, GAP_ROWS, np.float32(1.25), np.float32(60.0))
+    assert image[40:46, 7].tolist() == [10.0, 11.0, 11.0, 11.0, 11.0, 11.0]
+    assert image[[40, 42, 45], 9].tolist() == [20.0, 60.0, 20.0]
+    assert image[[40, 42, 45], 11].tolist() == [10.0, 5.0, 11.0]
+    assert np.isfinite(image).sum() == 6 + 3 + 3
+
+
+def test_without_sweeps_nothing_is_confirmed() -> None:
     assert History(returns_at(), (), ()).confirmations(GRID, CAR).sum() == 0

@@ -41,7 +41,7 @@ _MAX_PASSES = 1000
 
 
 class NetworkOutput(NamedTuple):
-    """What a network says of one sweep: probability and standard deviation (cells, cells); None where it has none."""
+    """What a network says of one sweep: probability and standard deviation (cells, cells); None for one pass."""
 
     prob: NDArray[np.float32]
     std: NDArray[np.float32] | None
@@ -64,9 +64,9 @@ class NetworkInput:
 class UnetEstimator:
     """Probability of visible by a U-Net: that of arXiv 2503.07375, or our own, on the grid that it was trained for.
 
-    With one pass dropout is off (maximum likelihood) and there is a deviation only if the network has a head for it.
-    With more, ``visible_prob`` is the mean over passes under random dropout masks and ``std`` their standard
-    deviation. The masks depend on ``seed`` alone: the same sweep gives the same estimate.
+    With one pass dropout is off (maximum likelihood) and ``std`` is NaN. With more, ``visible_prob`` is the mean over
+    passes under random dropout masks and ``std`` their standard deviation. The masks depend on ``seed`` alone: the same
+    sweep gives the same estimate.
 
     A cell is claimed if its probability reaches the card's threshold, and only where the beams support the claim: the
     network ranks and lowers claims within the evidence (:mod:`viewshed.preprocess.evidence`), which decides the states.
@@ -174,9 +174,6 @@ class UnetEstimator:
         if self.passes > 1:
             return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in features]
         together = np.stack(features) if len(features) > 1 else features[0][None]
-        if self.card.shape.doubt:
-            probs, stds = self.runner.run_with_doubt(together)
-            return [NetworkOutput(prob, std) for prob, std in zip(probs, stds, strict=True)]
         probs = self.runner.run(together, np.repeat(self._masks, len(features), axis=0))
         return [NetworkOutput(prob, None) for prob in probs]
 

@@ -117,8 +117,8 @@ class FovEstimate:
         grid: where the cells are.
         visible_prob: (cells, cells) float32 in [0, 1]: probability that a target in the cell would have given at
             least ``target.min_returns`` returns (the one definition of visible).
-        std: (cells, cells) float32 standard deviation of that probability over the model's posterior;
-            NaN where the estimator has none.
+        std: (cells, cells) float32 standard deviation of that probability over the model's posterior: of
+            ``mc_dropout`` over its passes; NaN where the estimator has none.
         state: (cells, cells) uint8 of :class:`CellState`.
         method: name of the estimator.
         target: what would have to be seen.
