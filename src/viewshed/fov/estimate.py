@@ -183,7 +183,8 @@ class FovEstimate:
         >>> FovEstimate(BevGrid(2, 1.0), prob, np.zeros((2, 2))).doubt().tolist()
         [[0.0, 0.25], [0.5, 0.0]]
         """
-        return np.float32(0.5) - np.abs(self.visible_prob - np.float32(0.5))
+        doubt: NDArray[np.float32] = np.float32(0.5) - np.abs(self.visible_prob - np.float32(0.5))
+        return doubt
 
     def area_m2(self, threshold: float | None = None) -> float:
         """Return the visible area in square meters."""
