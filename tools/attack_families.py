@@ -37,7 +37,7 @@ SEVERITY = 3
 DEFAULT_METHOD = "default"
 """Stands for the method that a version takes by default on the grid."""
 
-METHODS = (DEFAULT_METHOD, "shadow_map")
+METHODS = (DEFAULT_METHOD, "shadow_map", "viewnet")
 
 LEAST = -0.005
 """A difference of F1 below this is worse."""
@@ -120,7 +120,7 @@ def samples(scenes: int) -> Iterator[StudySample]:
 def counted(folder: Path) -> Counted:
     """Return what this version makes of the files in a folder."""
     grid = GRIDS["road"]
-    methods = {DEFAULT_METHOD: load_estimator(grid=grid), "shadow_map": load_estimator("shadow_map", grid=grid)}
+    methods = {name: load_estimator(None if name == DEFAULT_METHOD else name, grid=grid) for name in METHODS}
     rows: dict[tuple[str, str], list[list[int]]] = {}
     for file in sorted(folder.glob("*.truth.npz")):
         number, case, *_ = file.name.split(".")
@@ -168,11 +168,8 @@ def report(before: Counted, after: Counted) -> str:
         one = f"{before.default}, then {after.default}" if method == DEFAULT_METHOD else method
         rows = _rows(names, before.of(method), after.of(method))
         blocks += [f"## {method.capitalize()}: {one}", table(["case", "before", "after", *head], rows)]
-    own = _rows(names, after.of("shadow_map"), after.of(DEFAULT_METHOD))
-    blocks += [
-        "## After: the default against the shadow map",
-        table(["case", "shadow_map", after.default, *head], own),
-    ]
+    own = _rows(names, after.of("shadow_map"), after.of("viewnet"))
+    blocks += ["## After: the network against the shadow map", table(["case", "shadow_map", "viewnet", *head], own)]
     scenes = max(len(counts) for counts in after.counts.values())
     about = _INTRODUCTION.format(scenes=scenes, domain=DOMAIN, severity=SEVERITY, least=LEAST)
     provenance = facts(seed=str(SEED), before=before.version, after=after.version)

@@ -18,11 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from viewshed._page import facts, page, table
-from viewshed.estimators import Estimator, default_estimator, load_estimator
+from viewshed.estimators import DEFAULT_ESTIMATOR, Estimator, load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
-from viewshed.grid import GRIDS
 from viewshed.io import IndexEntry, read_index, read_indexed, read_sweep, read_sweeps
 from viewshed.metrics import Mask
 from viewshed.preprocess.leveling import level
@@ -32,6 +30,8 @@ SEED = 0
 
 STATIC = ("vlp16_packets/einride_recording.bin",)
 """Files of several revolutions by a sensor that stands still."""
+
+METHODS = tuple(dict.fromkeys([DEFAULT_ESTIMATOR, "shadow_map", "viewnet"]))
 
 WORST = 3
 
@@ -234,8 +234,7 @@ def real_sweeps(index: Path) -> Iterator[tuple[IndexEntry, RealSweep]]:
 
 def _views(place: tuple[str, str]) -> dict[str, Estimator]:
     grid, target = place
-    default = default_estimator(GRIDS[grid], TARGETS[target])
-    return {name: load_estimator(name, grid=grid, target=target) for name in dict.fromkeys([default, "shadow_map"])}
+    return {name: load_estimator(name, grid=grid, target=target) for name in METHODS}
 
 
 def summary(what: str, method: str, ious: Sequence[tuple[str, float]]) -> list[str]:
@@ -277,7 +276,7 @@ def report(index: Path, rig: Path | None) -> str:
         header = ["place", "side", "method", "height, m", "both speak, m²", "contradicted", "of the side's claims"]
         places = len({place for place, _, _ in agreed})
         parts += ["## Views that overlap", _OVERLAP.format(places=places), table(header, lines)]
-    return page("Stability on real sweeps", facts(seed=str(SEED), default=next(iter(views[ROAD]))), *parts)
+    return page("Stability on real sweeps", facts(seed=str(SEED), default=DEFAULT_ESTIMATOR), *parts)
 
 
 def main() -> None:

@@ -116,7 +116,11 @@ def test_compare_prints_a_row_for_each_method(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith("| ")]
     assert [row.split("|")[1].strip() for row in rows] == ["method", "shadow_map", "first_blocker"]
-    assert rows[1].split("|")[5].strip() == "1.000"
+    columns = [cell.strip() for cell in rows[0].split("|")]
+    assert rows[1].split("|")[columns.index("IoU with the first")].strip() == "1.000"
+    for name in ("ground unsure by 0.5 m", "by inferred beams"):
+        assert 0 <= float(rows[1].split("|")[columns.index(name)].strip().removesuffix("%")) <= 100
+    assert done.stdout.splitlines()[-2].startswith("sensor 1.85 m above the ground (estimated, 9")
     assert (tmp_path / "c.png").stat().st_size > 10_000
 
 

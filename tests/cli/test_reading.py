@@ -40,6 +40,16 @@ def test_units_are_doubted(factor: float, words: str, tmp_path: Path) -> None:
     assert words in line
 
 
+@pytest.mark.parametrize("command", ["info", "compare", "export"])
+def test_every_command_that_reads_a_sweep_says_its_doubts(command: str, tmp_path: Path) -> None:
+    path = written(STREET.points, tmp_path)
+    out = () if command == "info" else ("--out", tmp_path / "result")
+    done = run(command, path, "--height", "50", *out)
+    assert done.returncode == 0
+    [line] = done.stderr.splitlines()
+    assert line.startswith("viewshed: a.npz: warning: the sensor's height is said to be 50.00 m, outside of 0.1 to 10")
+
+
 @pytest.mark.parametrize("height", ["50", "0.04"])
 def test_a_height_that_nobody_mounts_at_is_doubted(height: str, tmp_path: Path) -> None:
     code, [line] = lines(written(STREET.points, tmp_path), "--height", height)

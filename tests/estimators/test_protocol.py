@@ -150,7 +150,7 @@ def test_the_default_is_the_same_on_every_grid_and_target() -> None:
     for grid in (ROAD, ROOM, BevGrid(64, 16.0)):
         for target in (viewshed.CAR, PEDESTRIAN):
             assert load_estimator(grid=grid, target=target).name == DEFAULT_ESTIMATOR
-    assert viewshed.estimate(Sweep(np.zeros((0, 3)))).method == DEFAULT_ESTIMATOR
+    assert viewshed.estimate(Sweep(np.zeros((0, 3), np.float32))).method == DEFAULT_ESTIMATOR
 
 
 def test_weights_alone_say_which_network_they_are() -> None:

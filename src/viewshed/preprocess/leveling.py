@@ -54,6 +54,21 @@ _NO_MASK = np.zeros(0, np.bool_)
 _NO_MASK.setflags(write=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a sweep takes from earlier ones of its stream beside their ground; numbers alone, no sweep.
+
+    Attributes:
+        heights_m: the sensor's heights above the ground that the last sweeps estimated, this one's last.
+        reach_m: the greatest reach that a sweep of the stream showed.
+        is_height_held: whether this sweep's own height was set aside for the median of ``heights_m``.
+    """
+
+    heights_m: tuple[float, ...]
+    reach_m: float
+    is_height_held: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class LeveledSweep:
     """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows, in the sweep's order.
@@ -69,6 +84,8 @@ class LeveledSweep:
         ground: the local ground.
         sensor_id: the rings and the sensor, the sweep's own or identified by its points.
         range_image: the sweep's N returns on its range image, or None where the rings are not known.
+        held: what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a
+            sweep by itself.
     """
 
     sweep: Sweep
@@ -81,6 +98,7 @@ class LeveledSweep:
     ground: HeightMap
     sensor_id: SensorId = UNIDENTIFIED
     range_image: RangeImage | None = None
+    held: Held | None = None
 
     @property
     def sensor_height_m(self) -> float:
