@@ -262,6 +262,21 @@ def test_a_level_that_two_directions_show_is_carried_to_what_lies_between() -> N
     assert np.abs(found + HEIGHT_M + 1.5)[between].max() < 0.3
 
 
+@pytest.mark.parametrize("deep_m", [3.0, 0.5])
+def test_where_land_lies_lower_on_one_side_it_may_do_so_beyond_the_last_return_of_the_other(deep_m: float) -> None:
+    """A road 10 m to either side; fields beyond it on the left, a guard rail hides what lies to the right."""
+    fields = Y_M > 14
+    accepted = (np.abs(Y_M) < 10) & (RANGE_M > 3) | fields
+    found, std = filled(np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M), accepted)
+    hidden = (Y_M < -20) & (np.abs(X_M) < 3)
+    away_m = RANGE_M - 10.0
+    fallen_m = 0.03 * away_m * (deep_m > 1.0)
+    assert np.abs(found + HEIGHT_M + fallen_m)[hidden].max() < 0.12
+    assert (std >= fallen_m - 0.05)[hidden].all()
+    # The road itself and the fields stay.
+    assert np.allclose(found[accepted], np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M)[accepted], atol=1e-4)
+
+
 def test_ground_before_a_bank_lies_anywhere_between_the_two() -> None:
     accepted = (RANGE_M < 8) | (RANGE_M >= 20)
     found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, 1.2), accepted)

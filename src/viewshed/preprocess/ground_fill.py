@@ -33,6 +33,12 @@ STEP_M = 0.3
 PLANE_M, TILT_M = 30.0, 20.0
 """From this range on the slope of the carrier's plane fades, over this distance: land is mostly level."""
 
+LOWER_LEVEL_M, LOWEST_SHARE = 1.0, 0.05
+"""Where so large a share of what is seen lies this far below the carrier's plane, the land has a lower level."""
+
+FALL = 0.03
+"""Beyond the last return of a direction the ground may fall to that level: it is taken to go half way, by this slope."""
+
 GAP_SLOPE = 0.02
 """Between two returns of a direction ground lies between their heights, to this slope from the nearer one."""
 
@@ -97,7 +103,8 @@ def fill_ground(walked_m: Floats, accepted: Mask, plane: Floats, half_extent_m: 
     _fill(level, node_m)
     heights, std = level.mean + base, np.sqrt(level.variance)
     heights[alone], std[alone] = walked_m[alone], SEEN_STD_M
-    _doubt_gaps(seen, seen_base, base, known, np.float32(node_m), heights, std)
+    lower_m = _lower_level(above[accepted & ~alone])
+    _doubt_gaps(seen, seen_base, base, known, np.float32(node_m), lower_m, heights, std)
     return heights, std
 
 
@@ -106,6 +113,15 @@ def unconfirmed_levels(walked_m: Floats, accepted: Mask, plane: Floats, half_ext
     base, above = _over_base(walked_m, accepted, plane, half_extent_m)
     seen, _ = _profiles(above, base, accepted)
     return np.asarray(_unconfirmed(above, accepted, seen, np.float32(2.0 * half_extent_m / len(accepted))))
+
+
+def _lower_level(above_m: Floats) -> np.float32:
+    """Return how far below the base heights (k,) over it show a lower level, 0 for none."""
+    if not above_m.size:
+        return np.float32(0.0)
+    k = int(LOWEST_SHARE * above_m.size)
+    lower_m = -np.partition(above_m, k)[k]
+    return lower_m if lower_m > LOWER_LEVEL_M else np.float32(0.0)
 
 
 def _over_base(walked_m: Floats, accepted: Mask, plane: Floats, half_extent_m: float) -> tuple[Floats, Floats]:
@@ -260,11 +276,12 @@ def _confirms(seen: Any, at: int, r: Any, level: Any, node_m: Any) -> Any:  # pr
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _doubt_gaps(
-    seen: Any, seen_base: Any, base: Any, known: Any, node_m: Any, heights: Any, std: Any
+    seen: Any, seen_base: Any, base: Any, known: Any, node_m: Any, lower: Any, heights: Any, std: Any
 ) -> None:  # pragma: no cover - compiled
     """Raise ``std`` (n, n) in gaps along the lines of sight, and mend ``heights`` (n, n) there.
 
     Behind an edge the ground lies below the beam that passes it, and not far below where that beam meets the ground.
+    Beyond the last return it may lie as it does nearby, or at a level that is ``lower`` than the base by so much.
 
     Args: ``seen`` and ``seen_base`` of :func:`_profiles`; ``base`` (n, n); all z are from the sensor.
     """
@@ -286,7 +303,12 @@ def _doubt_gaps(
             s, b = int(at) % _SECTORS, min(int(r), bins - 1)
             near, far = before[s, b], behind[s, b]
             if far < 0:
-                std[i, j] = max(std[i, j], growth * (r - np.float32(near)))
+                away = r - np.float32(near)
+                std[i, j] = max(std[i, j], growth * away)
+                if lower > 0.0:
+                    fall = min(half * (heights[i, j] - base[i, j] + lower), np.float32(FALL) * node_m * away)
+                    heights[i, j] -= max(fall, np.float32(0.0))
+                    std[i, j] = max(std[i, j], fall)
                 continue
             high, low = max(seen[s, near], seen[s, far]) + base[i, j], min(seen[s, near], seen[s, far]) + base[i, j]
             if seen[s, far] < seen[s, near]:
