@@ -111,8 +111,8 @@ def identify_sensor(sweep: Sweep) -> SensorId:
         first = next(_shown_rings(None, azimuth, slope, range_m), None)
         return UNIDENTIFIED if first is None else SensorId(first.ring, None)
     model, _, rings = _identify(sweep.ring, azimuth, slope, range_m)
-    at_rest = _rings_at_rest(sweep.points) if _is_blurred(rings) else None
-    if at_rest is not None and (rings is None or at_rest[0].sharpness >= rings.sharpness):
+    at_rest = _rings_at_rest(sweep.points) if _is_doubtful(rings, model) else None
+    if at_rest is not None and _is_better(at_rest[0], rings):
         # The motion blurred them: look again without it.
         rings, slope, range_m = at_rest
         rows = _sample_rows(len(slope))
@@ -202,9 +202,22 @@ def _beams_of_known_sensor(
     return match.ring if match.excess >= EXPLAINED else None
 
 
-def _is_blurred(rings: _Rings | None) -> bool:
-    """Return whether nothing shows rings, or only clusters that are not sharp."""
-    return rings is None or (rings.source == "elevation clusters" and rings.sharpness < _SHARP)
+def _is_doubtful(rings: _Rings | None, model: LidarModel | None) -> bool:
+    """Return whether nothing shows rings, only clusters that are not sharp, or an order that no table confirms."""
+    if rings is None:
+        return True
+    if rings.source == "elevation clusters":
+        return rings.sharpness < _SHARP
+    return rings.source == "file order" and model is None
+
+
+def _is_better(clusters: _Rings, rings: _Rings | None) -> bool:
+    """Return whether sharp clusters tell more than the rings: sharper ones, or more than an order that skips rings."""
+    if rings is None:
+        return True
+    if rings.source == "file order":
+        return clusters.count > rings.count
+    return clusters.sharpness >= rings.sharpness
 
 
 def _rings_at_rest(points: FloatArray) -> tuple[_Rings, Angles, Angles] | None:

@@ -25,13 +25,16 @@ _SEAMS = (-np.pi, np.pi / 2, 0.0, -np.pi / 2)
 _REFERENCES = (0.5, 0.0, 1.0)
 """... and parts of the turn from there, counter-clockwise, at which the sensor may have been at the origin."""
 
-_STEP_M, _HEADINGS = 0.25, 8
+_STEP_M, _HEADINGS = 0.4, 8
 """Ways that are tried first: in steps of this, forth and back in so many headings."""
+
+_CLIMB = 0.1
+"""A sensor that is pitched moves up or down in its own frame: so much of the way is tried as well."""
 
 _FINEST_M, _RISE = 0.004, 0.25
 """They are improved in ever smaller steps down to this one; upward in steps of a quarter."""
 
-_FEW, _SAMPLE = 512, 2048
+_FEW, _SAMPLE = 384, 2048
 """Returns by which a way is found, and by which it is improved."""
 
 _NEAREST_M = 2.0
@@ -159,12 +162,14 @@ def _search(
     steps = int(FARTHEST_M / _STEP_M)
     for heading in range(_HEADINGS):
         for k in range(-steps, steps + 1):
-            tried[0] = k * _STEP_M * np.cos(heading * np.pi / _HEADINGS)
-            tried[1] = k * _STEP_M * np.sin(heading * np.pi / _HEADINGS)
-            gathered = _gathered(x[few], y[few], z[few], turn[few], tried, counts)
-            if gathered > best:
-                best = gathered
-                way_m[:] = tried
+            for climb in range(-1, 2):
+                tried[0] = k * _STEP_M * np.cos(heading * np.pi / _HEADINGS)
+                tried[1] = k * _STEP_M * np.sin(heading * np.pi / _HEADINGS)
+                tried[2] = k * _STEP_M * climb * _CLIMB
+                gathered = _gathered(x[few], y[few], z[few], turn[few], tried, counts)
+                if gathered > best:
+                    best = gathered
+                    way_m[:] = tried
     # 2. Along each axis, by all of them: steps and bins become smaller.
     step = _STEP_M / 2
     while step > _FINEST_M:
