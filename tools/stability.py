@@ -23,6 +23,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.io import IndexEntry, read_index, read_indexed, read_sweep, read_sweeps
 from viewshed.metrics import Mask
+from viewshed.preprocess.history import HISTORY_SWEEPS
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
@@ -57,7 +58,8 @@ a car, indoors on the grid `indoor` for a pedestrian. Sweeps in which neither es
   right estimate changes.
 - **without rings**: the ring column is left out of files that have one.
 - **shuffled**: the rows in random order. A cloud without a ring column loses with the order what told its rings.
-- **a static sensor**: each revolution against the next, estimated each by itself or as a stream."""
+- **a static sensor**: each revolution against the next, estimated each by itself, or as a stream with earlier sweeps
+  and the pose of a sensor that stands upright."""
 
 ALONE, STREAM = "a static sensor", "a static sensor, as a stream"
 
@@ -163,8 +165,9 @@ def changed_ious(real: RealSweep, views: Views, rng: np.random.Generator) -> dic
 def static_ious(sweeps: Sequence[Sweep], views: Views) -> dict[tuple[str, str], list[float]]:
     """Return the IoU of each revolution's claims with the next one's, each by itself and as a stream, by estimator."""
     masks = {(ALONE, name): [view.estimate(sweep).visible() for sweep in sweeps] for name, view in views.items()}
+    posed = [sweep.replace(world_from_sensor=Rigid.identity()) for sweep in sweeps]
     for name, view in views.items():
-        masks[STREAM, name] = [estimate.visible() for estimate in view.stream(sweeps)]
+        masks[STREAM, name] = [estimate.visible() for estimate in view.stream(posed, HISTORY_SWEEPS)]
     return {key: [iou(one, other) for one, other in pairwise(each)] for key, each in masks.items()}
 
 
