@@ -46,7 +46,7 @@ _TRIED: dict[str, tuple[str, int | None, dict[str, float]]] = {
 ONE, PAST, CONFIRMED = "one sweep", "five earlier sweeps", "five, confirmed"
 """What an estimate rests on."""
 
-_MOVED_M, _THING_M = 0.2, 4.0
+_MOVED_M, _THING_M = 0.2, 6.0
 """What moved so far since the sweep before moves; returns so near to its middle are its own."""
 
 HELPED = ("shadow_map", "viewnet")
@@ -75,9 +75,10 @@ sweep, as the attacker sees it ([attacks](../attacks.md)).
   `--require-confirmation`."""
 
 _ABOUT_TARGETS = """\
-Wedges at `{aimed}`. In brackets the 95 % interval of the precision by a bootstrap over scenes. *Obstacles that stand*:
-scenes in which most of what the attack takes away belongs to no thing that moves. A vehicle that came into the line of
-sight since the last earlier sweep is in none of them: what it hides now was honestly seen a moment ago."""
+Wedges at `{aimed}`. In brackets the 95 % interval of the precision by a bootstrap over scenes.
+*Obstacles that stand*: scenes in which most of what the attack takes away belongs to no thing that moves. A vehicle
+that came into the line of sight since the last earlier sweep is remembered nowhere: what it hides now was honestly seen
+a moment ago, and no map of what stands can close it."""
 
 _CONCLUSION = """\
 What one sweep cannot know: a beam that a spoofer makes return from behind an obstacle looks exactly like a beam through

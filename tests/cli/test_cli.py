@@ -405,7 +405,9 @@ def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
     upside_down = np.column_stack([sweep.points * [1, -1, -1], np.zeros(len(sweep))]).astype(np.float32)
     upside_down.tofile(tmp_path / "x.bin")
     done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
-    assert "or --file-frame if the file's z points down" in done.stdout
+    assert "; ground not seen, sensor taken to be" in done.stdout
+    assert "warning: no ground is seen, and the sensor is taken to be" in done.stderr
+    assert "or --file-frame if the file's z points down" in done.stderr
 
 
 @pytest.mark.parametrize("damaged", [1, 2])

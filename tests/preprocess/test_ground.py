@@ -215,19 +215,40 @@ def test_the_floor_of_a_pit_is_ground_where_beams_meet_it() -> None:
     assert gap.min() > 0.8
 
 
-ROAD_AHEAD = pytest.mark.xfail(strict=True, reason="the road ahead is the farthest ground: what lies beside it follows")
+def test_a_wall_seen_over_an_edge_shows_that_the_ground_before_it_lies_lower() -> None:
+    """A deck that ends 8 m to the left above land 6 m lower, and there a wall 20 m away: beams meet the wall alone."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(y < 8.0, 0.0, np.where(y < 20.0, -6.0, 3.0)) + 0.0 * x
+
+    points = _met(relief, DENSE)
+    on_wall = (points[:, 1] > 19.9) & (np.abs(points[:, 0]) < 5.0)
+    foot_m = points[on_wall, 2].min() + 1.8
+    assert -3.0 < foot_m < -2.0
+    leveled = _level(points)
+    before = np.array([[x, 19.5] for x in (-3.0, 0.0, 3.0)])
+    assert level_heights(leveled, before).max() < foot_m + 0.6
+    assert np.abs(level_heights(leveled, np.array([[0.0, 4.0], [-6.0, -8.0]]))).max() < 0.1
 
 
 @pytest.mark.parametrize(
-    ("scene", "azimuth"),
-    [(0, 0.8), (0, -2.0), (3, -2.0), (3, 2.4), (3, -0.9), *(pytest.param(k, 0.0, marks=ROAD_AHEAD) for k in (0, 3))],
-)
-def test_a_wedge_of_lowered_returns_leaves_the_ground_and_the_view_of_the_rest(scene: int, azimuth: float) -> None:
-    sweep = simulate_frame(ScenePlan(preset_named("nuscenes"), 0, scene), 3).sweep
+    ("preset", "scene", "azimuth", "raised_m"),
+    [
+        ("nuscenes", 0, 0.8, -1.5), ("nuscenes", 0, -2.0, -1.5), ("nuscenes", 3, -2.0, -1.5),
+        ("nuscenes", 3, 2.4, -1.5), ("nuscenes", 3, -0.9, -1.5),
+        # The road ahead is the farthest ground that is seen: what lies beside it must not follow.
+        ("nuscenes", 0, 0.0, -1.5), ("nuscenes", 3, 0.0, -1.5), ("nuscenes", 1, 0.0, -0.8), ("carla", 1, 0.0, -1.5),
+        ("carla", 5, np.pi, -0.8), ("nuscenes", 0, 0.0, 1.5), ("nuscenes", 1, 0.0, 1.5),
+    ],
+)  # fmt: skip
+def test_a_wedge_of_moved_returns_leaves_the_ground_and_the_view_of_the_rest(
+    preset: str, scene: int, azimuth: float, raised_m: float
+) -> None:
+    sweep = simulate_frame(ScenePlan(preset_named(preset), 0, scene), 3).sweep
     away = np.abs(np.angle(np.exp(1j * (np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) - azimuth))))
     wedge = np.argsort(away)[:652]
     points = sweep.points.copy()
-    points[wedge, 2] -= 1.5
+    points[wedge, 2] += raised_m
     clear, poisoned = level(sweep, ROAD), level(sweep.replace(points=points), ROAD)
     x, y = ROAD.centers[..., 0], ROAD.centers[..., 1]
     apart = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x) - azimuth))))
@@ -241,5 +262,8 @@ def test_a_wedge_of_lowered_returns_leaves_the_ground_and_the_view_of_the_rest(s
     node_x, node_y = np.meshgrid(nodes_m, nodes_m, indexing="ij")
     node_apart = np.abs(np.angle(np.exp(1j * (np.arctan2(node_y, node_x) - azimuth))))
     beside = (node_apart - np.arctan2(2.0, np.hypot(node_x, node_y)) > away[wedge].max()) & clear.ground.seen
+    # Few returns beside it are no longer taken for ground, and the others show what they showed.
+    assert (beside & poisoned.ground.seen).sum() > 0.95 * beside.sum()
+    beside &= poisoned.ground.seen
     moved_m = np.abs(poisoned.ground.heights_m - clear.ground.heights_m)[beside]
-    assert np.quantile(moved_m, 0.995) < 0.25  # the walk carries a little of it to neighbors; no claim hangs on that
+    assert np.quantile(moved_m, 0.995) < 0.05

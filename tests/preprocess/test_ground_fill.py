@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from viewshed import GRIDS, Sweep
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
-from viewshed.preprocess.ground_fill import BEYOND_GROWTH, SEEN_STD_M, TILT_M, fill_ground
+from viewshed.preprocess.ground_fill import BEYOND_GROWTH, PLANE_M, SEEN_STD_M, TILT_M, fill_ground
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 ROAD = GRIDS["road"]
@@ -188,12 +188,16 @@ def test_heights_of_accepted_nodes_are_kept(seed: int) -> None:
     assert found.min() >= min(heights_m[accepted].min(), base.min()) - 9
 
 
+def _slope_share(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of the rise of the carrier's plane that is left; its slope fades from ``PLANE_M`` on over ``TILT_M``."""
+    beyond_m = np.maximum(range_m - PLANE_M, 0.0)
+    return (range_m - beyond_m + TILT_M * (1.0 - np.exp(-beyond_m / TILT_M))) / range_m
+
+
 def test_nothing_accepted_is_the_plane_that_levels_off() -> None:
     plane = np.array([0.05, -0.02, -1.6], np.float32)
     found, std = filled(X_M, np.zeros((NODES, NODES), np.bool_), plane)
-    # Nothing is seen: from the sensor on the slope fades over TILT_M.
-    along = (0.05 * X_M - 0.02 * Y_M) / RANGE_M
-    assert np.allclose(found, along * TILT_M * (1.0 - np.exp(-RANGE_M / TILT_M)) - 1.6, atol=0.02)
+    assert np.allclose(found, (0.05 * X_M - 0.02 * Y_M) * _slope_share(RANGE_M) - 1.6, atol=0.02)
     assert std[RANGE_M > 8].min() > 0.08
 
 
@@ -227,6 +231,52 @@ def test_ground_behind_an_edge_lies_between_the_beam_and_the_lower_ground() -> N
     assert (std >= (beams_m + 6.0) / 2 - 0.25)[gap].all()
 
 
+AZIMUTH = np.arctan2(Y_M, X_M)
+
+
+def _lower_in_sectors(width: float, *directions: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Level ground as far as 10 m, and 1.5 m lower in sectors of such a width on two rings that are farther."""
+    inside = np.zeros((NODES, NODES), np.bool_)
+    for direction in directions:
+        inside |= np.abs(np.angle(np.exp(1j * (AZIMUTH - direction)))) < width / 2
+    far = inside & (((RANGE_M > 12) & (RANGE_M < 15)) | ((RANGE_M > 20) & (RANGE_M < 26)))
+    near = (RANGE_M > 3) & (RANGE_M < 10)
+    return np.where(far, -HEIGHT_M - 1.5, -HEIGHT_M), near | far
+
+
+def test_a_level_that_one_narrow_sector_shows_is_not_carried_to_its_sides() -> None:
+    heights_m, accepted = _lower_in_sectors(np.deg2rad(10.0), 0.3)
+    found, std = filled(heights_m, accepted)
+    assert np.allclose(found[accepted], heights_m[accepted], atol=1e-4)
+    assert np.allclose(std[accepted], SEEN_STD_M)
+    beside = (np.abs(np.abs(AZIMUTH - 0.3) - np.deg2rad(20.0)) < np.deg2rad(8.0)) & (RANGE_M > 12) & (RANGE_M < 26)
+    assert np.abs(found + HEIGHT_M)[beside].max() < 0.1
+    # Between the two rings it holds in its own direction.
+    within = (np.abs(AZIMUTH - 0.3) < np.deg2rad(2.0)) & (RANGE_M > 15.5) & (RANGE_M < 19.5)
+    assert np.abs(found + HEIGHT_M + 1.5)[within].max() < 0.15
+
+
+def test_a_level_that_two_directions_show_is_carried_to_what_lies_between() -> None:
+    found, _ = filled(*_lower_in_sectors(np.deg2rad(10.0), 0.1, 0.5))
+    between = (np.abs(AZIMUTH - 0.3) < np.deg2rad(2.0)) & (RANGE_M > 21) & (RANGE_M < 25)
+    assert np.abs(found + HEIGHT_M + 1.5)[between].max() < 0.3
+
+
+@pytest.mark.parametrize("deep_m", [3.0, 0.5])
+def test_where_land_lies_lower_on_one_side_it_may_do_so_beyond_the_last_return_of_the_other(deep_m: float) -> None:
+    """A road 10 m to either side; fields beyond it on the left, a guard rail hides what lies to the right."""
+    fields = Y_M > 14
+    accepted = (np.abs(Y_M) < 10) & (RANGE_M > 3) | fields
+    found, std = filled(np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M), accepted)
+    hidden = (Y_M < -20) & (np.abs(X_M) < 3)
+    away_m = RANGE_M - 10.0
+    fallen_m = 0.03 * away_m * (deep_m > 1.0)
+    assert np.abs(found + HEIGHT_M + fallen_m)[hidden].max() < 0.12
+    assert (std >= fallen_m - 0.05)[hidden].all()
+    # The road itself and the fields stay.
+    assert np.allclose(found[accepted], np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M)[accepted], atol=1e-4)
+
+
 def test_ground_before_a_bank_lies_anywhere_between_the_two() -> None:
     accepted = (RANGE_M < 8) | (RANGE_M >= 20)
     found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, 1.2), accepted)
@@ -258,19 +308,16 @@ def test_the_ground_rises_with_the_scene(seed: int, higher_m: float) -> None:
     assert np.abs(raised - found - higher_m).max() < 0.08
 
 
-def test_the_slope_of_the_carriers_plane_is_continued_as_far_as_ground_is_seen_and_fades_beyond() -> None:
+def test_the_slope_of_the_carriers_plane_is_continued_around_the_sensor_and_fades_beyond() -> None:
     plane = np.array([0.1, -0.03, -HEIGHT_M], np.float32)
     exact = 0.1 * X_M - 0.03 * Y_M - HEIGHT_M
     # Ground on one side as far as 20 m, on the other as far as 6 m.
     accepted = (np.where(Y_M > 0, 20.0, 6.0) > RANGE_M) & (RANGE_M > 2)
     found, _ = filled(exact, accepted, plane)
-    seen_m = np.quantile(RANGE_M[accepted], 0.95)
-    assert np.abs(found - exact)[seen_m > RANGE_M].max() < 0.01
-    beyond_m = np.maximum(RANGE_M - seen_m, 0.0)
-    fading = exact + HEIGHT_M
-    fading *= (RANGE_M - beyond_m + TILT_M * (1.0 - np.exp(-beyond_m / TILT_M))) / RANGE_M
-    assert np.abs(found - fading + HEIGHT_M)[seen_m < RANGE_M].max() < 0.05
-    assert np.abs(exact - found).max() > 0.8
+    assert np.abs(found - exact)[RANGE_M < PLANE_M].max() < 0.01
+    fading = (exact + HEIGHT_M) * _slope_share(RANGE_M) - HEIGHT_M
+    assert np.abs(found - fading).max() < 0.05
+    assert np.abs(exact - found).max() > 0.3
 
 
 @pytest.mark.parametrize(("sensor", "far_m"), [("hdl32e", 0.9), ("hdl64e", 0.3)])

@@ -163,8 +163,6 @@ def test_a_ramp_that_moved_is_believed_at_once() -> None:
     error_m = np.abs(ground_error_m(held, ramp(-1.0), 0.0))[ahead]
     assert np.abs(ground_error_m(still, ramp(1.0), -1.0))[ahead].mean() < 0.2
     assert error_m.mean() <= np.abs(ground_error_m(after, ramp(-1.0), 0.0))[ahead].mean() + 0.01
-    # Elsewhere the ground is held all the same.
-    assert held.ground.seen.sum() > 1.2 * after.ground.seen.sum()
 
 
 def test_nothing_is_held_where_a_pose_is_off() -> None:

@@ -302,15 +302,14 @@ def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
 
 
 def _basis_remark(leveled: LeveledSweep, estimate: FovEstimate) -> str:
-    """Return what the estimate rests on, and the option that helps where no ground was seen."""
+    """Return what the estimate rests on."""
     if len(leveled.points) == 0:
         return f"; no usable return among {len(leveled.sweep)} points: nothing is known"
     basis = estimate.basis
     if basis is None:
         return ""
-    hint = " (give --height, or --file-frame if the file's z points down)" if basis.height_source == "assumed" else ""
     view = f"; {basis.view_line}" if estimate.visible().any() else ""
-    return f"; {basis.height_line}{hint}{view}"
+    return f"; {basis.height_line}{view}"
 
 
 def _range_remark(leveled: LeveledSweep) -> str:

@@ -5,8 +5,9 @@ On a lattice about the sensor (nodes of 1 m on roads, of .5 m indoors), from the
 1. The plane that carries the sensor, through the nodes around it (:mod:`viewshed.preprocess.ground_plane`).
 2. Patches: nodes that lie on one plane with their neighbors, and how many of them hang together.
 3. A walk outwards from the sensor that carries height and slope and takes a node for ground where ground can make the
-   step to it: up as far as a curb, or any way along a patch; down to whatever returns agree on, for nothing but ground
-   lies below ground. What goes on beside accepted ground is attached to it, and the walk is repeated.
+   step to it: up as far as a curb, or any way along a patch; down to whatever returns agree on or is clearly lower, for
+   nothing but ground lies below ground. What goes on beside accepted ground is attached to it, and the walk repeated:
+   now a level that only one narrow sector shows is hardly carried on any more.
 4. Heights in between (:mod:`viewshed.preprocess.ground_fill`), with a standard deviation.
 """
 
@@ -20,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.fov.height_map import HeightMap
-from viewshed.preprocess.ground_fill import fill_ground
+from viewshed.preprocess.ground_fill import fill_ground, unconfirmed_levels
 from viewshed.preprocess.ground_plane import MIN_HEIGHT_M, carrier_plane
 
 ASSUMED_HEIGHT_M = 1.8
@@ -57,7 +58,16 @@ FOOT_M = 0.25
 """... and meets that ground to within this."""
 
 AGREE_M = 0.3
-"""Returns below the ground are believed if two neighbors agree with them to within this."""
+"""Returns below the ground are believed if two neighbors agree with them to within this, ..."""
+
+LOWER_M = 0.3
+"""... or if they are this much lower: the ground lies no higher than the foot of a wall that is seen over an edge."""
+
+CARRIED_SLOPE = 0.15
+"""Where no ground is met the slope that is carried on differs by at most this from that of the carrier's plane."""
+
+ALONE_WEIGHT = 0.01
+"""Weight in the walk of a level that no other direction confirms."""
 
 BURIED_M = 0.3
 """A beam that passes this far below accepted ground had ended there: what it says of ground farther away is wrong."""
@@ -100,11 +110,12 @@ def estimate_ground(
     even, grade, size = _patches(lows_m)
     patches_m2 = size * node_m * node_m
     flat, order = rise_m < FLAT_M, _order(nodes)
-    # Walk, attach what goes on beside the ground, and walk again from there.
+    # Walk, attach what goes on beside the ground, and walk again from there, past levels that one sector alone shows.
     nothing = np.zeros((nodes, nodes), np.bool_)
-    _, accepted = _walk(lows_m, flat, node_m, plane, order, even, grade, patches_m2, nothing)
+    walked_m, accepted = _walk(lows_m, flat, node_m, plane, order, even, grade, patches_m2, nothing, nothing)
+    alone = unconfirmed_levels(walked_m, accepted, plane, half_extent_m)
     _attach(lows_m, accepted)
-    walked_m, accepted = _walk(lows_m, flat, node_m, plane, order, even, grade, patches_m2, accepted)
+    walked_m, accepted = _walk(lows_m, flat, node_m, plane, order, even, grade, patches_m2, accepted, alone)
     heights, std_m = fill_ground(walked_m, accepted, plane, half_extent_m)
     # No plane, or one at the sensor's own height: the ground is not seen.
     middle = nodes // 2
@@ -212,12 +223,22 @@ def _sizes(lows: Any, even: Any, grade: Any) -> Any:  # pragma: no cover - compi
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _walk(
-    lows: Any, flat: Any, node_m: Any, plane: Any, order: Any, even: Any, grade: Any, patches_m2: Any, attached: Any
+    lows: Any,
+    flat: Any,
+    node_m: Any,
+    plane: Any,
+    order: Any,
+    even: Any,
+    grade: Any,
+    patches_m2: Any,
+    attached: Any,
+    alone: Any,
 ) -> Any:  # pragma: no cover - compiled
     """Carry height and slope outwards; return heights (n, n) and which nodes' low points are accepted (n, n).
 
     Args: ``flat`` (n, n) whether all returns of a node lie within ``FLAT_M``; ``even``, ``grade`` and ``patches_m2`` as
-    :func:`_patches` finds them, sizes in square meters; ``attached`` (n, n) nodes that are accepted whatever the step.
+    :func:`_patches` finds them, sizes in square meters; ``attached`` (n, n) nodes that are accepted whatever the step;
+    ``alone`` (n, n) nodes that carry hardly anything on.
     """
     n = lows.shape[0]
     height, slope = np.zeros((n, n), np.float32), np.zeros((n, n, 2), np.float32)
@@ -245,8 +266,8 @@ def _walk(
             elif abs(step) < small:
                 kind = _FOLLOWED
             elif step < 0.0:
-                # Nothing but ground lies below ground; but a wall seen across a pit is not its floor.
-                is_floor = even[i, j] or (flat[i, j] and _agrees(lows, i, j))
+                # Nothing but ground lies below ground.
+                is_floor = even[i, j] or step < -LOWER_M or (flat[i, j] and _agrees(lows, i, j))
                 if is_floor and not _is_buried(lows[i, j], height, accepted, node_m):
                     kind = _BELOW
             elif (gentle and patches_m2[i, j] >= LEVEL_M2) or (
@@ -272,10 +293,13 @@ def _walk(
             weight[i, j] = 1.0
         else:
             height[i, j] = z
-            slope[i, j, 0] = 0.9 * sx + 0.1 * plane[0]
-            slope[i, j, 1] = 0.9 * sy + 0.1 * plane[1]
+            steeper_x, steeper_y = sx - plane[0], sy - plane[1]
+            share = 0.9 / max(np.sqrt(steeper_x * steeper_x + steeper_y * steeper_y) / CARRIED_SLOPE, 1.0)
+            slope[i, j, 0], slope[i, j, 1] = plane[0] + share * steeper_x, plane[1] + share * steeper_y
             weight[i, j] = max(0.8 * support, 0.05)
         accepted[i, j] = kind != _REFUSED
+        if alone[i, j]:
+            weight[i, j] = ALONE_WEIGHT
     return height, accepted
 
 

@@ -4,6 +4,9 @@ Heights above a base surface are averaged over coarser and coarser nodes, and no
 the finest level that has some (pull-push; Gortler et al., The Lumigraph, SIGGRAPH 1996). The deviation is the spread of
 what was averaged, plus a doubt that grows with the size of the nodes. Along a line of sight it is at least half of the
 difference between the heights before and behind a gap: an edge hides what lies below it.
+
+A level that only a narrow sector shows is not carried to its sides: one wedge of false returns would move the ground of
+half the view.
 """
 
 from __future__ import annotations
@@ -27,11 +30,29 @@ BEYOND_GROWTH = 0.01
 STEP_M = 0.3
 """Where the ground before and behind a gap differs by more than twice this, it may be as high as either."""
 
-TILT_M = 20.0
-"""Beyond the ground that is seen the slope of the carrier's plane fades over this distance: land is mostly level."""
+PLANE_M, TILT_M = 30.0, 20.0
+"""From this range on the slope of the carrier's plane fades, over this distance: land is mostly level."""
 
-_SEEN_SHARE = 0.95
-"""Ground is seen as far as this share of the nodes with returns lie."""
+LOWER_LEVEL_M, LOWEST_SHARE = 1.0, 0.05
+"""Where so large a share of what is seen lies this far below the carrier's plane, the land has a lower level."""
+
+FALL = 0.03
+"""Beyond the last return of a direction the ground may fall to that level: it is taken to go half way, this steeply."""
+
+GAP_SLOPE = 0.02
+"""Between two returns of a direction ground lies between their heights, to this slope from the nearer one."""
+
+LEVEL_M = 0.3
+"""Ground this far above or below the carrier's plane is a level of its own, which another direction must confirm."""
+
+CONFIRM_M, CONFIRM_SLOPE = 0.4, 0.02
+"""It does if its own ground is as high to within this, and this slope across, ..."""
+
+CONFIRM_SECTORS = 9, 40
+"""... at about the same range and so many sectors away (13° to 56°): a wedge cannot confirm itself."""
+
+UNCONFIRMED_WEIGHT = 0.1
+"""Weight of the carrier's plane where returns show a level that no other direction confirms."""
 
 _SMOOTHINGS = 2
 """Passes in which nodes without returns take the mean of their neighbors, for each size of nodes."""
@@ -66,29 +87,59 @@ def fill_ground(walked_m: Floats, accepted: Mask, plane: Floats, half_extent_m: 
     """
     nodes = len(walked_m)
     node_m = 2.0 * half_extent_m / nodes
-    xy, range_m = _middles(nodes, half_extent_m)
-    ranges_m = range_m[accepted] if accepted.any() else np.zeros(1, np.float32)
-    # The base: the carrier's plane, level beyond the ground that is seen.
-    beyond_m = np.maximum(range_m - np.quantile(ranges_m, _SEEN_SHARE), np.float32(0.0))
-    fade = 1.0 - (beyond_m + TILT_M * np.expm1(-beyond_m / TILT_M)) / range_m
-    base = ((xy[0] * plane[0] + xy[1] * plane[1]) * fade + plane[2]).astype(np.float32)
-    above = np.where(accepted, walked_m - base, np.float32(0.0))
+    range_m = _middles(nodes, half_extent_m)[1]
+    nearest_m = range_m[accepted].min() if accepted.any() else 0.0
+    base, above = _over_base(walked_m, accepted, plane, half_extent_m)
     # No beam meets the ground just below the sensor: there the base counts.
     weight = accepted.astype(np.float32)
-    weight[(range_m < max(ranges_m.min(), 2.0 * node_m) + 0.5 * node_m) & ~accepted] = _BLIND_WEIGHT
-    level = _Level(above.copy(), weight, np.full_like(above, SEEN_STD_M**2))
+    weight[(range_m < max(nearest_m, 2.0 * node_m) + 0.5 * node_m) & ~accepted] = _BLIND_WEIGHT
+    known = weight > 0.0
+    seen, seen_base = _profiles(above, base, known)
+    # So it does, weakly, where returns show a level that no other direction confirms. They hold for their own nodes.
+    alone = _unconfirmed(above, accepted, seen, np.float32(node_m))
+    weight[alone] = UNCONFIRMED_WEIGHT
+    std = np.where(alone, np.float32(LEVEL_M), np.float32(SEEN_STD_M))
+    level = _Level(np.where(alone, np.float32(0.0), above), weight, std * std)
     _fill(level, node_m)
     heights, std = level.mean + base, np.sqrt(level.variance)
-    _doubt_gaps(above, base, weight > 0.0, np.float32(node_m), heights, std)
+    heights[alone], std[alone] = walked_m[alone], SEEN_STD_M
+    lower_m = _lower_level(above[accepted & ~alone])
+    _doubt_gaps(seen, seen_base, base, known, np.float32(node_m), lower_m, heights, std)
     return heights, std
 
 
+def unconfirmed_levels(walked_m: Floats, accepted: Mask, plane: Floats, half_extent_m: float) -> Mask:
+    """Return which accepted nodes (n, n) lie on a level that no other direction confirms; see :func:`fill_ground`."""
+    base, above = _over_base(walked_m, accepted, plane, half_extent_m)
+    seen, _ = _profiles(above, base, accepted)
+    return np.asarray(_unconfirmed(above, accepted, seen, np.float32(2.0 * half_extent_m / len(accepted))))
+
+
+def _lower_level(above_m: Floats) -> np.float32:
+    """Return how far below the base heights (k,) over it show a lower level, 0 for none."""
+    if not above_m.size:
+        return np.float32(0.0)
+    k = int(LOWEST_SHARE * above_m.size)
+    lower_m = -np.partition(above_m, k)[k]
+    return lower_m if lower_m > LOWER_LEVEL_M else np.float32(0.0)
+
+
+def _over_base(walked_m: Floats, accepted: Mask, plane: Floats, half_extent_m: float) -> tuple[Floats, Floats]:
+    """Return the base (n, n), which is the carrier's plane that levels off, and accepted heights above it, else 0."""
+    xy, _, fade = _middles(len(walked_m), half_extent_m)
+    base = (xy[0] * plane[0] + xy[1] * plane[1]) * fade + plane[2]
+    return base, np.where(accepted, walked_m - base, np.float32(0.0))
+
+
 @lru_cache(maxsize=4)
-def _middles(nodes: int, half_extent_m: float) -> tuple[Floats, Floats]:
-    """Return x and y (2, n, n) of the middles of the nodes, and their range (n, n)."""
+def _middles(nodes: int, half_extent_m: float) -> tuple[Floats, Floats, Floats]:
+    """Return x and y (2, n, n) of the nodes' middles, their range (n, n), and the share of the plane's slope there."""
     middles = (np.arange(nodes) + 0.5) * (2 * half_extent_m / nodes) - half_extent_m
     xy = np.stack(np.meshgrid(middles, middles, indexing="ij")).astype(np.float32)
-    return xy, np.hypot(*xy)
+    range_m = np.hypot(*xy)
+    beyond_m = np.maximum(range_m - np.float32(PLANE_M), np.float32(0.0))
+    fade = 1.0 - (beyond_m + TILT_M * np.expm1(-beyond_m / TILT_M)) / range_m
+    return xy, range_m, fade.astype(np.float32)
 
 
 def _fill(level: _Level, node_m: float) -> None:
@@ -164,31 +215,77 @@ def _smooth(mean: Any, weight: Any) -> None:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _doubt_gaps(
-    above: Any, base: Any, known: Any, node_m: Any, heights: Any, std: Any
-) -> None:  # pragma: no cover - compiled
-    """Raise ``std`` (n, n) in gaps along the lines of sight, and mend ``heights`` (n, n) where the ground breaks off.
-
-    Behind an edge the ground lies below the beam that passes it, and not far below where that beam meets the ground.
-
-    Args: ``above`` (n, n) heights over ``base`` (n, n) of nodes that are ``known``; all z are from the sensor.
-    """
+def _profiles(above: Any, base: Any, known: Any) -> Any:  # pragma: no cover - compiled
+    """Return known heights over ``base`` by sector and range in nodes (sectors, bins), NaN for none; and the base."""
     n = known.shape[0]
     bins = int(0.75 * n) + 1
-    per_rad, turn = np.float32(_SECTORS / (2 * np.pi)), np.float32(np.pi)
-    # Known heights by sector and range in nodes; a node covers every sector that it lies in.
     seen, seen_base = np.full((_SECTORS, bins), np.nan, np.float32), np.zeros((_SECTORS, bins), np.float32)
     for i in range(n):
         for j in range(n):
             if known[i, j]:
-                u, v = np.float32(i + 0.5 - n / 2), np.float32(j + 0.5 - n / 2)
-                r = np.sqrt(u * u + v * v)
-                at, b = (np.arctan2(v, u) + turn) * per_rad, min(int(r), bins - 1)
-                wide = np.float32(0.6) / max(r, np.float32(1.0)) * per_rad
+                at, r = _polar(i, j, n)
+                b, wide = min(int(r), bins - 1), _width(r)
+                # A node covers every sector that it lies in.
                 for k in range(int(np.floor(at - wide)), int(np.floor(at + wide)) + 1):
                     s = k % _SECTORS
                     if not seen[s, b] <= above[i, j]:  # the lowest of those that share a bin, NaN for none so far
                         seen[s, b], seen_base[s, b] = above[i, j], base[i, j]
+    return seen, seen_base
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _polar(i: int, j: int, n: int) -> Any:  # pragma: no cover - compiled
+    """Return azimuth in sectors and range in nodes of the middle of node (i, j)."""
+    u, v = np.float32(i + 0.5 - n / 2), np.float32(j + 0.5 - n / 2)
+    return (np.arctan2(v, u) + np.float32(np.pi)) * np.float32(_SECTORS / (2 * np.pi)), np.sqrt(u * u + v * v)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _width(r: Any) -> Any:  # pragma: no cover - compiled
+    """Return half the width of a node at a range in nodes, in sectors."""
+    return np.float32(0.6 * _SECTORS / (2 * np.pi)) / max(r, np.float32(1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unconfirmed(above: Any, accepted: Any, seen: Any, node_m: Any) -> Any:  # pragma: no cover - compiled
+    """Return which accepted nodes (n, n) lie on a level of their own that no other direction in ``seen`` confirms."""
+    n = accepted.shape[0]
+    alone = np.zeros((n, n), np.bool_)
+    for i in range(n):
+        for j in range(n):
+            if accepted[i, j] and abs(above[i, j]) > LEVEL_M:
+                at, r = _polar(i, j, n)
+                alone[i, j] = not _confirms(seen, int(at), r, above[i, j], node_m)
+    return alone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _confirms(seen: Any, at: int, r: Any, level: Any, node_m: Any) -> Any:  # pragma: no cover - compiled
+    """Whether ground about as high over the base is seen on a side of sector ``at``, at about this range in nodes."""
+    bins, about = seen.shape[1], 2 + int(r) // 8
+    across_m = r * node_m * np.float32(CONFIRM_SECTORS[0] * 2 * np.pi / _SECTORS)
+    tolerance = np.float32(CONFIRM_M) + np.float32(CONFIRM_SLOPE) * across_m
+    first = CONFIRM_SECTORS[0] + int(2 * _width(r))  # near the sensor a node is as wide as some sectors
+    for away in range(first, first + CONFIRM_SECTORS[1] - CONFIRM_SECTORS[0]):
+        for s in ((at - away) % _SECTORS, (at + away) % _SECTORS):
+            for b in range(max(int(r) - about, 1), min(int(r) + about + 1, bins)):
+                if abs(seen[s, b] - level) < tolerance:
+                    return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _doubt_gaps(
+    seen: Any, seen_base: Any, base: Any, known: Any, node_m: Any, lower: Any, heights: Any, std: Any
+) -> None:  # pragma: no cover - compiled
+    """Raise ``std`` (n, n) in gaps along the lines of sight, and mend ``heights`` (n, n) there.
+
+    Behind an edge the ground lies below the beam that passes it, and not far below where that beam meets the ground.
+    Beyond the last return it may lie as it does nearby, or at a level that is ``lower`` than the base by so much.
+
+    Args: ``seen`` and ``seen_base`` of :func:`_profiles`; ``base`` (n, n); all z are from the sensor.
+    """
+    n, bins = known.shape[0], seen.shape[1]
     # The bin of the last height before each bin (the first bin where there is none), and of the next (-1 for none).
     before, behind = np.zeros((_SECTORS, bins), np.int32), np.full((_SECTORS, bins), -1, np.int32)
     for s in range(_SECTORS):
@@ -202,12 +299,16 @@ def _doubt_gaps(
         for j in range(n):
             if known[i, j]:
                 continue
-            u, v = np.float32(i + 0.5 - n / 2), np.float32(j + 0.5 - n / 2)
-            r = np.sqrt(u * u + v * v)
-            s, b = int((np.arctan2(v, u) + turn) * per_rad) % _SECTORS, min(int(r), bins - 1)
+            at, r = _polar(i, j, n)
+            s, b = int(at) % _SECTORS, min(int(r), bins - 1)
             near, far = before[s, b], behind[s, b]
             if far < 0:
-                std[i, j] = max(std[i, j], growth * (r - np.float32(near)))
+                away = r - np.float32(near)
+                std[i, j] = max(std[i, j], growth * away)
+                if lower > 0.0:
+                    fall = min(half * (heights[i, j] - base[i, j] + lower), np.float32(FALL) * node_m * away)
+                    heights[i, j] -= max(fall, np.float32(0.0))
+                    std[i, j] = max(std[i, j], fall)
                 continue
             high, low = max(seen[s, near], seen[s, far]) + base[i, j], min(seen[s, near], seen[s, far]) + base[i, j]
             if seen[s, far] < seen[s, near]:
@@ -217,3 +318,7 @@ def _doubt_gaps(
             std[i, j] = max(std[i, j], apart)
             if half * abs(seen[s, near] - seen[s, far]) > step:
                 heights[i, j] = half * (high + low)
+            else:
+                # What other directions show does not lead out of what this one shows on both sides.
+                slack = np.float32(SEEN_STD_M) + np.float32(GAP_SLOPE) * node_m * min(np.float32(far) - r, r - near)
+                heights[i, j] = min(max(heights[i, j], low - slack), high + slack)

@@ -37,7 +37,10 @@ SUPPORT_KEPT = 0.8
 """At the held height at least this part of the present support must be left, or the carrier did change its height."""
 
 STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
-"""Deviation in meters by which held ground grows: with the root of seconds, and with the root of meters driven."""
+"""Deviation in meters by which held ground grows: with the root of seconds, and with the root of meters driven, ..."""
+
+TILT_STD = 0.002
+"""... and by a doubt of the poses' attitudes (0.1°), the farther from the sensor the more."""
 
 AGREE_M = 0.3
 """Two sweeps agree on ground that both see if their heights differ by no more than this, and twice their deviations."""
@@ -180,7 +183,8 @@ def _move_ground(
             s = a * before_std_m[p, q] + b * before_std_m[p, q + 1]
             s += c * before_std_m[p + 1, q] + d * before_std_m[p + 1, q + 1]
             turned = now_from_before[0] * bx + now_from_before[1] * by + now_from_before[2] * z
-            moved_m[i, j], moved_std_m[i, j] = turned + now_from_before[3], np.sqrt(s * s + variance)
+            tilted = np.float32(TILT_STD**2) * (x * x + y * y)
+            moved_m[i, j], moved_std_m[i, j] = turned + now_from_before[3], np.sqrt(s * s + variance + tilted)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

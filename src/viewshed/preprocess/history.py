@@ -266,8 +266,8 @@ def _fill_gaps(image: Any, gap: Any, ratio: Any, narrow: Any) -> None:  # pragma
     Pixels of something farther in a gap were seen from elsewhere. They are filled as well where the gap is narrow: of
     fewer than ``narrow`` rows at a meter.
     """
-    for column in range(image.shape[1]):
-        for row in range(image.shape[0]):
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
             depth = image[row, column]
             if depth == np.inf:
                 continue
