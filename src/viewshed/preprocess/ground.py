@@ -294,7 +294,9 @@ def _walk(
         else:
             height[i, j] = z
             steeper_x, steeper_y = sx - plane[0], sy - plane[1]
-            share = 0.9 / max(np.sqrt(steeper_x * steeper_x + steeper_y * steeper_y) / CARRIED_SLOPE, 1.0)
+            share, steeper2 = np.float32(0.9), steeper_x * steeper_x + steeper_y * steeper_y
+            if steeper2 > CARRIED_SLOPE * CARRIED_SLOPE:
+                share *= np.float32(CARRIED_SLOPE) / np.sqrt(steeper2)
             slope[i, j, 0], slope[i, j, 1] = plane[0] + share * steeper_x, plane[1] + share * steeper_y
             weight[i, j] = max(0.8 * support, 0.05)
         accepted[i, j] = kind != _REFUSED
