@@ -36,7 +36,7 @@ SIZES = ("35k", "120k")
 TORCH, NONE = "torch, eager", "no network"
 ONE_PASS = "one torch pass"
 OURS = "viewnet"
-ESTIMATE = f"{OURS} to estimate, with doubt"
+ESTIMATE = f"{OURS} to estimate"
 MANY, MANY_SWEEPS = f"{ESTIMATE}, of many sweeps", 64
 TARGETS_HZ = {
     ("MLE to mask", "35k"): 200, (ESTIMATE, "35k"): 350, (ESTIMATE, "120k"): 250,
@@ -62,10 +62,9 @@ the first mask, and the half of the last decoder stage that reads stage 1, is co
 
 OUR_TEXT = """\
 The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
-leveled sweep and its beams; with doubt: probability and deviation by one pass and two heads; int8: the same network
-in bytes. "Channels alone" begin with a sweep whose attitude is known, leveling it included. "Of many sweeps": time per
-sweep where {many} of them are estimated together, one a core with ONNX Runtime (`estimate_all`); the other rows are of
-one sweep at a time, by all cores. """
+leveled sweep and its beams; int8: the same network in bytes. "Channels alone" begin with a sweep whose attitude is
+known, leveling it included. "Of many sweeps": time per sweep where {many} of them are estimated together, one a core
+with ONNX Runtime (`estimate_all`); the other rows are of one sweep at a time, by all cores. """
 
 
 def main() -> None:
@@ -189,7 +188,6 @@ def our_jobs(runner: Runner, sweep: Sweep) -> dict[str, Callable[[], object]]:
     return {
         f"{OURS} channels alone": lambda: runner.card.input_of(level),
         f"{OURS} one pass alone": lambda: runner.run(inputs, runner.card.shape.no_masks(1)),
-        f"{OURS} one pass with doubt alone": lambda: runner.run_with_doubt(inputs),
         ESTIMATE: lambda: estimator.estimate(sweep),
         MANY: lambda: deque(estimate_all(estimator, [sweep] * MANY_SWEEPS), 0),
         f"{OURS} MCD T = {PASSES} to mask": mask_job(runner, level, PASSES),

@@ -1,4 +1,5 @@
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,8 @@ from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.plot import COLORS, Panel, _fit, _raster, comparison, contact_sheet, picture
+from viewshed.fov.estimate import Basis
+from viewshed.plot import COLORS, Panel, _fit, _raster, _title_lines, comparison, contact_sheet, picture
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -100,6 +102,21 @@ def test_grids_of_any_size_make_a_picture(cells: int) -> None:
 
 def test_pictures_are_the_same_each_time() -> None:
     assert picture(Panel(_estimate(), "a")) == picture(Panel(_estimate(), "a"))
+
+
+def test_a_picture_says_what_the_estimate_rests_on() -> None:
+    found = replace(_estimate(), basis=Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0))
+    assert _title_lines(Panel(found, "name\nsummary")) == [
+        "name", "summary", "sensor 1.84 m above the ground (estimated, 63% of the near ground agrees), reach 80 m",
+        "4% of the view over ground unsure by 0.5 m, 7% by inferred beams",
+    ]  # fmt: skip
+    assert _title_lines(Panel(_estimate(), "name")) == ["name"]
+    blind = replace(found, visible_prob=np.zeros(GRID.shape, np.float32))
+    assert len(_title_lines(Panel(blind, "name"))) == 2
+    # The page grows by the lines and by nothing else.
+    bare, told = (_image(picture(Panel(one, "name"))) for one in (_estimate(), found))
+    assert told.shape[0] - bare.shape[0] == 2 * 18
+    np.testing.assert_array_equal(told[-820:], bare[-820:])
 
 
 def test_the_title_is_cut_in_its_middle() -> None:

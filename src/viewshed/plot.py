@@ -50,6 +50,12 @@ _DPI = 100
 
 _TITLE_LETTERS = 100
 
+_COLUMN = 125
+"""Least width of a table's column in pixels."""
+
+_LINE = 18
+"""Height of a line of a title in pixels."""
+
 
 @dataclass(frozen=True, slots=True)
 class Panel:
@@ -97,48 +103,54 @@ def draw(panel: Panel) -> bytes:
 
 def picture(panel: Panel) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
-    side = 768
-    page = _Page.blank(side + 104, side + 124)
-    axes = page.axes(20, 52, side, side)
+    side, lines = 768, _title_lines(panel)
+    top = _LINE * len(lines) + 16
+    page = _Page.blank(side + 104, side + top + 72)
+    axes = page.axes(20, top, side, side)
     _draw(axes, panel, side)
-    axes.set_title("\n".join(_fit(line) for line in panel.title.splitlines()), fontsize=10, loc="left", linespacing=1.4)
+    axes.set_title("\n".join(lines), fontsize=10, loc="left", linespacing=1.4)
     shares = {state: f"{panel.estimate.share(state):.0%} " for state in CellState}
     _legend(page, 2, shares)
     if panel.leveled is not None:
-        _height_bar(page, (side + 46, 250, 18, 360))
+        _height_bar(page, (side + 46, top + 198, 18, 360))
     return page.png()
 
 
 def maps_picture(panel: Panel) -> bytes:
     """Return a PNG of states, probability and, where the estimate has one, deviation side by side."""
-    estimate, side = panel.estimate, 520
+    estimate, side, lines = panel.estimate, 520, _title_lines(panel)
+    above = _LINE * len(lines) + 16
     maps = {"probability of visible": (estimate.visible_prob, "cividis", 1.0)}
     if estimate.std is not None and np.isfinite(estimate.std).any():
         top = max(float(np.nanmax(estimate.std)), 1e-3)
         maps["standard deviation of the probability"] = (estimate.std, "magma", top)
-    page = _Page.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + 120)
-    axes = page.axes(20, 52, side, side)
+    page = _Page.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + above + 68)
+    axes = page.axes(20, above, side, side)
     _draw(axes, panel, side)
-    axes.set_title("\n".join(_fit(line) for line in panel.title.splitlines()), fontsize=9, loc="left", linespacing=1.4)
+    axes.set_title("\n".join(lines), fontsize=9, loc="left", linespacing=1.4)
     for k, (title, (values, colors, top)) in enumerate(maps.items()):
         left = side + 40 + k * (side + 90)
-        axes = page.axes(left, 52, side, side)
+        axes = page.axes(left, above, side, side)
         drawn = axes.imshow(
             values[::-1, ::-1], cmap=colors, vmin=0.0, vmax=top, interpolation="nearest", aspect="auto"
         )  # fmt: skip
         axes.set_title(title, fontsize=10, loc="left")
-        bar = page.axes(left + side + 10, 52, 14, side)
+        bar = page.axes(left + side + 10, above, 14, side)
         page.figure.colorbar(drawn, cax=bar).ax.tick_params(labelsize=8)
     _legend(page, 4, {state: f"{estimate.share(state):.0%} " for state in CellState})
     return page.png()
 
 
 def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: Sequence[str]) -> bytes:
-    """Return a PNG of several estimates side by side above a table of ``rows`` (one for each panel)."""
+    """Return a PNG of several estimates side by side above a table of ``rows`` (one for each panel).
+
+    Above the table stand the height of the sensor and its reach, where the first estimate says them.
+    """
     across, side = len(panels) if len(panels) < 4 else 2 if len(panels) == 4 else 3, 400
     down = -(-len(panels) // across)
-    table_top, table_height = down * (side + 36) + 10, 26 * (len(rows) + 1)
-    page = _Page.blank(max(across * (side + 12) + 12, 640), table_top + table_height + 60)
+    basis = panels[0].estimate.basis
+    table_top, table_height = down * (side + 36) + (10 if basis is None else 10 + _LINE), 26 * (len(rows) + 1)
+    page = _Page.blank(max(across * (side + 12) + 12, _COLUMN * len(header)), table_top + table_height + 60)
     for k, panel in enumerate(panels):
         row, column = divmod(k, across)
         axes = page.axes(12 + column * (side + 12), 28 + row * (side + 36), side, side)
@@ -146,6 +158,7 @@ def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: S
         axes.set_title(panel.title, fontsize=10)
     axes = page.axes(12, table_top, page.width - 24, table_height)
     axes.axis("off")
+    axes.set_title("" if basis is None else basis.height_line, fontsize=9, loc="left")
     _table(axes, rows, header)
     _legend(page, 4 if across == 3 else 2)
     return page.png()
@@ -162,6 +175,14 @@ def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> 
         axes.set_title(panel.title, fontsize=6.5, pad=2)
     _legend(page, 4)
     return page.png()
+
+
+def _title_lines(panel: Panel) -> list[str]:
+    """Return the lines above a picture: its title, and what the estimate rests on where that is known."""
+    basis = panel.estimate.basis
+    height = () if basis is None else (basis.height_line,)
+    view = () if basis is None or not panel.estimate.visible().any() else (basis.view_line,)
+    return [_fit(line) for line in (*panel.title.splitlines(), *height, *view)]
 
 
 def _fit(line: str) -> str:

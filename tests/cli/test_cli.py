@@ -116,7 +116,11 @@ def test_compare_prints_a_row_for_each_method(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith("| ")]
     assert [row.split("|")[1].strip() for row in rows] == ["method", "shadow_map", "first_blocker"]
-    assert rows[1].split("|")[5].strip() == "1.000"
+    columns = [cell.strip() for cell in rows[0].split("|")]
+    assert rows[1].split("|")[columns.index("IoU with the first")].strip() == "1.000"
+    for name in ("ground unsure by 0.5 m", "by inferred beams"):
+        assert 0 <= float(rows[1].split("|")[columns.index(name)].strip().removesuffix("%")) <= 100
+    assert done.stdout.splitlines()[-2].startswith("sensor 1.85 m above the ground (estimated, 9")
     assert (tmp_path / "c.png").stat().st_size > 10_000
 
 
@@ -401,7 +405,9 @@ def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
     upside_down = np.column_stack([sweep.points * [1, -1, -1], np.zeros(len(sweep))]).astype(np.float32)
     upside_down.tofile(tmp_path / "x.bin")
     done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
-    assert "or --file-frame if the file's z points down" in done.stdout
+    assert "; ground not seen, sensor taken to be" in done.stdout
+    assert "warning: no ground is seen, and the sensor is taken to be" in done.stderr
+    assert "or --file-frame if the file's z points down" in done.stderr
 
 
 @pytest.mark.parametrize("damaged", [1, 2])

@@ -68,7 +68,7 @@ def test_the_readmes_python_and_its_command_give_one_mask(sweep_file: Path) -> N
     with pytest.raises(SystemExit):
         main(["estimate", str(sweep_file), "--results", "npz", "--out", str(out)])
     saved, estimate = read_npz(out / "street.npz"), viewshed.estimate(viewshed.read_sweep(sweep_file))
-    assert (saved.method, saved.threshold) == (estimate.method, estimate.threshold) == ("viewnet", 0.5)
+    assert (saved.method, saved.threshold) == (estimate.method, estimate.threshold) == ("shadow_map", 0.5)
     assert np.array_equal(saved.visible(), estimate.visible())
     assert np.array_equal(saved.state, estimate.state)
 

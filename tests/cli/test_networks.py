@@ -130,7 +130,7 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
             ("--device", "cuda", "--method", "majority_vote"),
             "device must be left out for majority_vote, which is no network",
         ),
-        (("--device", "tpu"), "device must be one of cpu, cuda, got 'tpu'"),
+        (("--device", "tpu", "--method", "viewnet"), "device must be one of cpu, cuda, got 'tpu'"),
         (("--method", "oracle"), "paper_delaunay, viewnet, unet, mc_dropout, got 'oracle'"),
     ],
 )
@@ -183,18 +183,17 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
     )
 
 
-def test_where_no_method_is_asked_for_it_is_ours_if_shipped_for_grid_and_target(tmp_path: Path) -> None:
+def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(tmp_path: Path) -> None:
     x, y = np.meshgrid(np.linspace(2, 14, 60), np.linspace(-9, 9, 60))
     sweep = Sweep(np.stack([x.ravel(), y.ravel(), np.full(3600, -1.8)], axis=1).astype(np.float32))
     write_sweep(sweep, tmp_path / "sweep.ply")
     for number, (words, method) in enumerate(
         [
-            ((), "viewnet"),
-            (("--grid", "indoor", "--target", "pedestrian"), "viewnet"),
-            (("--grid", "indoor"), "viewnet"),
-            (("--target", "pedestrian"), "viewnet"),
+            ((), "shadow_map"),
+            (("--grid", "indoor", "--target", "pedestrian"), "shadow_map"),
             (("--grid", "64x16"), "shadow_map"),
-            (("--method", "shadow_map"), "shadow_map"),
+            (("--method", "viewnet"), "viewnet"),
+            (("--weights", "viewnet_indoor_car", "--grid", "indoor"), "viewnet"),
             (("--profile", "paper"), "paper_label"),
         ]
     ):

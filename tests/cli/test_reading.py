@@ -1,5 +1,6 @@
 """What a stranger reads when a file is not what it was taken for: units, heights, sensors, origins, rings."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -31,13 +32,69 @@ def lines(path: Path, *options: str) -> tuple[int, list[str]]:
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"), [(1000.0, "is the file in millimeters?"), (0.001, "is the file in kilometers?")]
+    ("factor", "words"),
+    [
+        (1000.0, "is the file in millimeters or centimeters?"),
+        (100.0, "is the file in millimeters or centimeters?"),
+        (0.001, "is the file in kilometers?"),
+        (0.0, "nearly all points lie at the origin: are they returns at all?"),
+    ],
 )
 def test_units_are_doubted(factor: float, words: str, tmp_path: Path) -> None:
     code, [line] = lines(written(STREET.points * np.float32(factor), tmp_path))
     assert code == 0
     assert line.startswith("viewshed: a: warning: ")
     assert words in line
+
+
+def test_coordinates_of_a_map_are_doubted(tmp_path: Path) -> None:
+    code, [line] = lines(written(STREET.points + np.array([566_000.0, 5_930_000.0, 12.0], np.float32), tmp_path))
+    assert code == 0
+    assert re.search(r"the points lie around \((565999|566000|566001), 5930000, ", line)
+    assert line.endswith("Subtract the sensor's position before they are written")
+
+
+def test_points_counted_from_the_road_are_noticed(tmp_path: Path) -> None:
+    code, [line] = lines(written(STREET.points + np.array([0.0, 0.0, 1.8], np.float32), tmp_path))
+    assert code == 0
+    assert "no point lies below the origin: are the points counted from the road? Say with --origin X,Y,Z" in line
+
+
+@pytest.mark.parametrize("command", ["estimate", "info", "compare", "export"])
+def test_a_cloud_upside_down_is_doubted_by_every_command(command: str, tmp_path: Path) -> None:
+    path = written(STREET.points * np.array([1.0, 1.0, -1.0], np.float32), tmp_path)
+    out = () if command == "info" else ("--out", tmp_path / "result")
+    done = run(command, path, *out)
+    assert done.returncode == 0
+    [line] = done.stderr.splitlines()
+    assert ": warning: no ground is seen, and the sensor is taken to be " in line
+    assert line.endswith("give --height if it is known, or --file-frame if the file's z points down")
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("ring", [500.0, -1.0, np.nan, 0.5])
+def test_a_junk_ring_column_costs_one_line_and_not_the_cloud(ring: float, tmp_path: Path) -> None:
+    count = len(STREET)
+    header = (
+        "VERSION .7\nFIELDS x y z ring\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+        f"WIDTH {count}\nHEIGHT 1\nPOINTS {count}\nDATA binary\n"
+    )
+    rows = np.column_stack([STREET.points, np.full(count, ring)]).astype(np.float32)
+    path = tmp_path / "a.pcd"
+    path.write_bytes(header.encode() + rows.tobytes())
+    code, [line] = lines(path)
+    assert code == 0
+    assert re.fullmatch(r"viewshed: warning: .*a\.pcd: ring is left out: .*", line)
+
+
+@pytest.mark.parametrize("command", ["info", "compare", "export"])
+def test_every_command_that_reads_a_sweep_says_its_doubts(command: str, tmp_path: Path) -> None:
+    path = written(STREET.points, tmp_path)
+    out = () if command == "info" else ("--out", tmp_path / "result")
+    done = run(command, path, "--height", "50", *out)
+    assert done.returncode == 0
+    [line] = done.stderr.splitlines()
+    assert line.startswith("viewshed: a.npz: warning: the sensor's height is said to be 50.00 m, outside of 0.1 to 10")
 
 
 @pytest.mark.parametrize("height", ["50", "0.04"])

@@ -21,7 +21,7 @@ from viewshed.datasets.wild import (
     wild_scenes,
     wild_tables,
 )
-from viewshed.datasets.wild_archive import make_wild_archive
+from viewshed.datasets.wild_archive import make_wild_archive, split_of_set
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.sim.world import GROUND
 
@@ -162,6 +162,8 @@ def test_an_archive_goes_on_to_the_same_bytes_and_gives_the_samples_back(tmp_pat
     make_wild_archive("development", "road", stores[1], LocalEngine(1), scenes=2)
     for path in (tmp_path / "whole").glob("*.parquet"):
         assert path.read_bytes() == (tmp_path / "stopped" / path.name).read_bytes()
+    assert whole.splits == ("development",)
+    assert split_of_set("training") == "train"
     sample, seen = whole[0], wild_scenes("development", "road")[0].observe(0)
     assert sample.sweep.points.tobytes() == seen.told("rings").points.tobytes()
     assert (sample.truth.expected_returns["car"] == seen.truth.expected_returns["car"]).all()

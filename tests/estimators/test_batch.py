@@ -29,7 +29,7 @@ from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 
 GRID = BevGrid(32, 16.0)
-SHAPES = {"one head": UNetShape(4, 2, 0.3, 3), "two heads": UNetShape(4, 2, 0.3, 3, 2, doubt=True)}
+SHAPES = {"flat": UNetShape(4, 2, 0.3, 3), "folded": UNetShape(4, 2, 0.3, 3, 2)}
 Floats = NDArray[np.float32]
 
 
@@ -53,10 +53,10 @@ def same(found: FovEstimate, expected: FovEstimate, atol: float = 0.0) -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 3, 16])
-@pytest.mark.parametrize(("heads", "passes"), [("one head", 1), ("two heads", 1), ("one head", 4)])
-def test_a_batch_says_what_its_sweeps_say_one_by_one(heads: str, passes: int, batch: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "passes"), [("flat", 1), ("folded", 1), ("flat", 4)])
+def test_a_batch_says_what_its_sweeps_say_one_by_one(name: str, passes: int, batch: int, tmp_path: Path) -> None:
     """To rounding: an engine may add up a batch in another order."""
-    shape = SHAPES[heads]
+    shape = SHAPES[name]
     export_onnx(tmp_path / "net.onnx", card(shape, GRID), drawn(shape))
     estimator = UnetEstimator(OnnxRunner(tmp_path / "net.onnx", 1), passes)
     found = list(estimate_all(estimator, SWEEPS, batch, threads=3))
@@ -92,9 +92,6 @@ class CountingRunner:
             prob[np.round(1000 * inputs.sum(axis=(1, 2, 3))) == self.unknown] = np.nan
         return prob
 
-    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
-        raise NotImplementedError
-
 
 def test_a_network_is_run_once_for_a_batch_and_for_no_sweep_without_returns() -> None:
     network = CountingRunner()
@@ -112,21 +109,17 @@ def test_a_network_is_run_once_for_a_batch_and_for_no_sweep_without_returns() ->
 def test_on_a_processor_each_thread_does_whole_sweeps_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shape = SHAPES["two heads"]
+    shape = SHAPES["folded"]
     export_onnx(tmp_path / "net.onnx", card(shape, GRID), drawn(shape))
-    estimator, inside, run = (
-        UnetEstimator(OnnxRunner(tmp_path / "net.onnx"), abstain_below=0.7),
-        [],
-        OnnxRunner.run_with_doubt,
-    )
+    estimator, inside, run = UnetEstimator(OnnxRunner(tmp_path / "net.onnx"), abstain_below=0.7), [], OnnxRunner.run
     meeting = threading.Barrier(2, timeout=30)
 
-    def ran(runner: OnnxRunner, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
+    def ran(runner: OnnxRunner, inputs: NDArray[Any], masks: Floats) -> Floats:
         inside.append((threading.current_thread().name, runner is estimator.runner, len(inputs)))
         meeting.wait()  # two sweeps are under way at once, or this fails
-        return run(runner, inputs)
+        return run(runner, inputs, masks)
 
-    monkeypatch.setattr(OnnxRunner, "run_with_doubt", ran)
+    monkeypatch.setattr(OnnxRunner, "run", ran)
     found = list(estimate_all(estimator, SWEEPS[:2] * 4, 4, threads=2))
     monkeypatch.undo()
     assert {own for _, own, _ in inside} == {False}

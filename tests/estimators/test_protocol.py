@@ -12,11 +12,11 @@ import viewshed
 from viewshed import GRIDS, PEDESTRIAN, BevGrid, FovEstimate, Sweep, Target
 from viewshed.estimators import (
     CLASSICAL,
+    DEFAULT_ESTIMATOR,
     ESTIMATORS,
     FORMER_NAMES,
     LEARNED,
     Estimator,
-    default_estimator,
     load_estimator,
 )
 from viewshed.geometry import Rigid
@@ -146,11 +146,11 @@ def test_load_estimator_takes_names_and_values() -> None:
     assert load_estimator("paper_polygon_fit").name == "paper_delaunay"
 
 
-def test_the_default_is_our_network_where_it_is_shipped() -> None:
-    assert default_estimator(ROAD, viewshed.CAR) == "viewnet"
-    assert default_estimator(BevGrid(64, 16.0), viewshed.CAR) == "shadow_map"
-    assert load_estimator(grid=BevGrid(64, 16.0)).name == "shadow_map"
-    assert load_estimator().name == "viewnet"
+def test_the_default_is_the_same_on_every_grid_and_target() -> None:
+    for grid in (ROAD, ROOM, BevGrid(64, 16.0)):
+        for target in (viewshed.CAR, PEDESTRIAN):
+            assert load_estimator(grid=grid, target=target).name == DEFAULT_ESTIMATOR
+    assert viewshed.estimate(Sweep(np.zeros((0, 3), np.float32))).method == DEFAULT_ESTIMATOR
 
 
 def test_weights_alone_say_which_network_they_are() -> None:

@@ -60,10 +60,9 @@ def test_a_turned_sweep_has_a_turned_view(real_data: Path) -> None:
     assert agreement(np.rot90(straight), left) > agreement(straight, left) + 0.1
 
 
-@pytest.mark.parametrize("method", ["mc_dropout", "viewnet"])
-def test_doubt_is_where_the_view_ends(real_data: Path, method: str) -> None:
+def test_passes_differ_where_the_view_ends(real_data: Path) -> None:
     sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0])
-    found = load_network(method, ROAD).estimate(sweep)
+    found = load_network("mc_dropout", ROAD).estimate(sweep)
     assert found.std is not None
     assert np.isfinite(found.std).all()
     doubtful = (found.visible_prob > 0.2) & (found.visible_prob < 0.8)
@@ -93,6 +92,3 @@ def test_our_network_in_bytes_sees_what_it_sees_in_float32(real_data: Path) -> N
         whole, small = (each.estimate(sweep) for each in estimators)
         assert agreement(whole.visible(), small.visible()) > 0.98
         assert np.abs(whole.visible_prob - small.visible_prob).mean() < 0.005
-        assert whole.std is not None
-        assert small.std is not None
-        assert np.corrcoef(whole.std.reshape(-1), small.std.reshape(-1))[0, 1] > 0.99

@@ -94,18 +94,6 @@ def test_one_pass_is_the_network_without_dropout(street: Sweep) -> None:
     assert not is_bounded(found, runner.run(inputs, SHAPE.masks(1, np.random.default_rng(3)))[0], evidence_of(street))
 
 
-def test_a_second_head_tells_the_deviation_in_one_pass(street: Sweep) -> None:
-    shape = UNetShape(4, 2, 0.3, doubt=True)
-    runner = TorchRunner(card(shape, GRID), drawn(shape))
-    once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)
-    prob, std = runner.run_with_doubt(runner.card.input_of(street)[None])
-    assert is_bounded(once.visible_prob, prob[0], evidence_of(street))
-    assert once.std is not None
-    assert np.array_equal(once.std, std[0])
-    assert several.std is not None
-    assert not np.array_equal(several.std, std[0])
-
-
 def test_mcd_has_a_deviation_and_mle_has_none(street: Sweep) -> None:
     runner = TorchRunner(card(SHAPE, GRID), drawn(SHAPE))
     once, several = UnetEstimator(runner).estimate(street), UnetEstimator(runner, PASSES).estimate(street)

@@ -1,7 +1,11 @@
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from viewshed import BevGrid, CellState, FovEstimate
+from viewshed.fov.estimate import Basis
 
 GRID = BevGrid(4, 2.0)
 
@@ -62,3 +66,24 @@ def test_bad_values_are_refused(changes: dict[str, object], message: str) -> Non
 def test_a_threshold_of_zero_is_refused() -> None:
     with pytest.raises(ValueError, match="threshold must lie in"):
         _estimate().visible(0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"height_source": "guessed"}, "height_source must be one of given, estimated, held, assumed, got 'guessed'"),
+        ({"ground_support": 1.5}, r"ground_support must lie in \[0, 1\], got 1.5"),
+        ({"inferred_share": float("nan")}, r"inferred_share must lie in \[0, 1\], got nan"),
+        ({"sensor_height_m": float("inf")}, "sensor_height_m must be finite"),
+        ({"reach_m": -1.0}, "reach_m not negative"),
+    ],
+)
+def test_a_basis_refuses_what_cannot_be(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0), **changes)
+
+
+def test_a_height_that_no_ground_gave_is_called_so() -> None:
+    assumed = Basis(1.8, "assumed", 0.0, 1.0, 0.0, 20.0)
+    assert assumed.height_line == "ground not seen, sensor taken to be 1.80 m above it, reach 20 m"
+    assert replace(assumed, height_source="given").height_line == "sensor 1.80 m above the ground (given), reach 20 m"

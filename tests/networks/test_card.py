@@ -91,6 +91,7 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
         ({"layout": "other"}, "card must be a viewshed network's; export the network with viewshed train"),
         ({"more": 1}, "card must have the fields clip, .*, got clip, .*more"),
         ({"grid": 3}, r"card must be whole, got one that is damaged \(.*\); export the network again"),
+        ({"shape": 3}, r"card must be whole, got one that is damaged \(.*\); export the network again"),
         ({"shape": {"width": 8}}, r"cells must divide by 16|must be whole|cells"),
         ({"target": "tram"}, "target must be one of car, pedestrian, got 'tram'"),
         ({"truth": "guess"}, "truth must be one of probe, paper_label, got 'guess'"),
@@ -116,6 +117,12 @@ def test_a_card_of_version_0_3_has_other_names_for_its_features() -> None:
     text = json.dumps({**json.loads(new.to_json()), "inputs": before})
     assert NetworkCard.from_json(text) == new
     assert NetworkCard.from_json(text).uses_history
+
+
+@pytest.mark.parametrize("doubt", [True, False])
+def test_an_older_card_says_whether_there_is_a_second_head(doubt: bool) -> None:
+    content = json.loads(card().to_json())
+    assert NetworkCard.from_json(json.dumps({**content, "shape": {**content["shape"], "doubt": doubt}})) == card()
 
 
 @pytest.mark.parametrize("name", ["viewnet_road", "viewnet_indoor_car_int8"])

@@ -10,6 +10,7 @@ from viewshed.datasets.presets import preset_named
 from viewshed.datasets.sample import Sample
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import ESTIMATORS
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, expected_returns, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
@@ -142,6 +143,18 @@ def test_a_sweep_without_returns_is_shown_as_nothing() -> None:
     found = maps(Sweep(np.zeros((0, 3), np.float32)))
     for name in ("counts", "lowest", "highest", "measured", "expected", "unresolved"):
         assert not found[name].any()
+
+
+def test_the_shadow_maps_probability_and_the_doubt_of_the_ground_are_shown(frame: Sample) -> None:
+    leveled = level(frame.sweep, GRID)
+    found = maps(frame.sweep)
+    prob = beam_evidence(leveled, GRID, CAR).visible_prob
+    assert np.array_equal(found["shadow_map"], np.floor(prob * np.float32(255.0)))
+    assert np.array_equal(found["shadow_map"] >= 127.5, prob >= 128 / 255)
+    # The code of the deviation is its logarithm: 255 · log(1 + 20 std) / log(101), 255 from five meters on.
+    for std_m, code in ((0.0, 0), (0.05, 38), (0.5, 132), (50.0, 255)):
+        unsure = replace(leveled, ground=HeightMap.flat(64.0, 0.0, std_m))
+        assert (feature_maps(("ground_std",), shown(unsure)) == code).all()
 
 
 def test_a_card_shows_its_channels_in_their_order(frame: Sample) -> None:

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 from tests.networks.made import GRID, card, drawn, inputs
+from tests.networks.older import with_second_head
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
@@ -24,7 +25,7 @@ from viewshed.networks.quantize import quantize_network
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.networks.weights import WEIGHTS, verify_checksum, with_checksum
 
-SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2, doubt=True)]
+SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
 
 
 def sealed(model: onnx.ModelProto) -> bytes:
@@ -38,6 +39,12 @@ def test_what_we_export_passes(shape: UNetShape) -> None:
     maps = np.random.default_rng(1).integers(0, 9, (2, shape.channels, *GRID.shape)).astype(np.uint8)
     small = quantize_network(content, "a.onnx", maps)
     assert inspect_network(small, "a.onnx").precision == "int8"
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_a_second_head_of_older_files_passes(shape: UNetShape) -> None:
+    content = sealed(with_second_head(onnx_model(card(shape), drawn(shape))))
+    assert inspect_network(content, "a.onnx") == card(shape)
 
 
 @pytest.mark.parametrize("path", sorted(WEIGHTS.glob("*.onnx")), ids=lambda path: path.name)
@@ -75,6 +82,12 @@ def _external(model: onnx.ModelProto) -> None:
     tensor.data_location = TensorProto.EXTERNAL
     entry = tensor.external_data.add()
     entry.key, entry.value = "location", "/etc/passwd"
+
+
+def _other_output(model: onnx.ModelProto) -> None:
+    older = with_second_head(model)
+    older.graph.output[1].name = older.graph.node[-1].output[0] = "variance"
+    model.CopyFrom(older)
 
 
 def _sixteen_gigabytes(model: onnx.ModelProto) -> None:
@@ -135,7 +148,7 @@ def _other_card(**changes: object) -> Callable[[onnx.ModelProto], None]:
     return change
 
 
-SMALL = {"width": 4, "depth": 2, "dropout": 0.3, "channels": 1, "fold": 1, "doubt": False}
+SMALL = {"width": 4, "depth": 2, "dropout": 0.3, "channels": 1, "fold": 1}
 WIDE = {"cells": 4096, "half_extent_m": 16.0, "offset_m": [0.0, 0.0]}
 
 
@@ -154,6 +167,7 @@ def _functions(model: onnx.ModelProto) -> None:
     (_node("Relu", ["inputs"], "other", domain="com.example"), "the operator com.example.Relu"),
     (_functions, "functions or training of its own"),
     (_graph_in_a_known_operator, "a setting 'body' that is a tensor, a graph or a fraction"),
+    (_other_output, "they must be inputs, masks and ..probability.."),
     (_external, "the constant 'c0' with data outside of the file"),
     (_sixteen_gigabytes, r"the constant 'huge' of shape \[65536, 65536\], 17179869184 bytes, with 4 in the file"),
     (_doubled, r"a tensor of shape \[1, \d+, 32, 32\], more than"),

@@ -10,13 +10,14 @@ import onnxruntime
 import pytest
 import torch
 from tests.networks.made import GRID, SMALL, card, drawn, inputs, nearby
+from tests.networks.older import with_second_head
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION, NetworkCard
 from viewshed.networks.onnx_export import export_onnx, onnx_model
 from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.networks.unet_torch import TorchRunner
-from viewshed.networks.weights import with_checksum
+from viewshed.networks.weights import WEIGHTS, with_checksum
 
 SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
 CUDA = "CUDAExecutionProvider"
@@ -49,26 +50,25 @@ def test_the_file_says_what_torch_says(shape: UNetShape, engine: str, tmp_path: 
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_second_head_says_what_torch_says_and_leaves_the_first_alone(engine: str, tmp_path: Path) -> None:
-    shape = UNetShape(4, 2, 0.3, 3, 2, doubt=True)
-    module = drawn(shape)
-    export_onnx(tmp_path / "a.onnx", card(shape), module)
-    runner, torch_runner = OnnxRunner(tmp_path / "a.onnx", 1, engine), TorchRunner(card(shape), module)
-    x = inputs(2, shape)
-    for found, expected in zip(runner.run_with_doubt(x), torch_runner.run_with_doubt(x), strict=True):
-        assert found.shape == (2, *GRID.shape)
-        assert expected.std() > 0.001
-        np.testing.assert_allclose(found, expected, atol=2e-6)
-    prob, std = runner.run_with_doubt(x)
-    np.testing.assert_allclose(prob, runner.run(x, shape.no_masks(2)), atol=1e-7)
-    assert std.min() >= 0
-    assert std.max() <= 0.5
-    assert sum(value.numel() for value in module.parameters()) == shape.parameters
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_older_files_with_a_second_head_give_their_probability(shape: UNetShape, engine: str, tmp_path: Path) -> None:
+    model = onnx_model(card(shape), drawn(shape))
+    export_onnx(tmp_path / "a.onnx", card(shape), drawn(shape))
+    older = OnnxRunner.of_content(with_checksum(with_second_head(model).SerializeToString()), "older", 1, engine)
+    runner = OnnxRunner(tmp_path / "a.onnx", 1, engine)
+    assert older.card == runner.card
+    for m in (shape.no_masks(1), shape.masks(3, np.random.default_rng(2))):
+        np.testing.assert_allclose(older.run(inputs(1, shape), m), runner.run(inputs(1, shape), m), atol=1e-6)
 
 
-def test_without_a_second_head_there_is_no_doubt_in_one_pass(path: Path) -> None:
-    with pytest.raises(ValueError, match="doubt in one pass needs a network with a head for it, and made has none"):
-        OnnxRunner(path, 1).run_with_doubt(inputs(1))
+@pytest.mark.parametrize("name", sorted(path.stem for path in WEIGHTS.glob("*.onnx")))
+def test_what_we_ship_gives_a_probability(name: str) -> None:
+    """Whether the file has a second head or not."""
+    runner = load_runner(name, 1)
+    frame = np.random.default_rng(1).integers(0, 9, (runner.card.shape.channels, *runner.card.grid.shape))
+    found = runner.run(runner.card.shown(frame.astype(np.uint8))[None], runner.card.shape.no_masks(1))
+    assert found.shape == (1, *runner.card.grid.shape)
+    assert 0 <= found.min() < found.max() <= 1
 
 
 def test_engines_agree_at_the_threshold(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import pytest
 import torch
 import torch.nn.functional as f
 from tests.networks.made import SMALL, card, drawn, inputs, nearby
+from tests.networks.older import older_card
 from torch import Tensor
 
 from viewshed.networks.architecture import UNetShape
@@ -118,6 +119,16 @@ def test_weights_come_back_as_they_were(tmp_path: Path) -> None:
     found, again = load_weights(tmp_path / "a.pt")
     assert found == card()
     assert not again.training
+    x, masks = inputs(2), SMALL.masks(2, np.random.default_rng(0))
+    assert np.array_equal(TorchRunner(card(), module).run(x, masks), TorchRunner(found, again).run(x, masks))
+
+
+def test_older_checkpoints_with_a_second_head_give_their_probability(tmp_path: Path) -> None:
+    module = drawn()
+    head = {"doubt.first.weight": torch.ones(4, 4, 3, 3), "doubt.last.bias": torch.ones(1)}
+    torch.save({"card": older_card(card().to_json()), "state": module.state_dict() | head}, tmp_path / "a.pt")
+    found, again = load_weights(tmp_path / "a.pt")
+    assert found == card()
     x, masks = inputs(2), SMALL.masks(2, np.random.default_rng(0))
     assert np.array_equal(TorchRunner(card(), module).run(x, masks), TorchRunner(found, again).run(x, masks))
 

@@ -62,3 +62,12 @@ def rosette(rng: np.random.Generator, count: int = 24_000) -> Floats:
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
     )
     return (direction * range_m[:, None]).astype(np.float32)
+
+
+def right_share(inferred: NDArray[np.int16], truth: NDArray[np.int16]) -> float:
+    """Return the share of returns in the right ring: each inferred ring stands for one true ring, and the other way."""
+    together = np.zeros((int(inferred.max()) + 2, int(truth.max()) + 1), np.int64)
+    np.add.at(together, (inferred + 1, truth), 1)
+    stands_for, stood_by = together[1:].argmax(axis=1), together[1:].argmax(axis=0)
+    right = (inferred >= 0) & (stands_for[np.maximum(inferred, 0)] == truth) & (stood_by[truth] == inferred)
+    return float(right.mean())

@@ -4,8 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from tests.preprocess.random_sensors import Floats, random_scene, random_sensor, rosette
+from tests.preprocess.random_sensors import Floats, random_scene, random_sensor, right_share, rosette
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
@@ -24,15 +23,6 @@ def measured(seed: int) -> tuple[Sweep, np.random.Generator]:
     model, scene = random_sensor(rng), random_scene(rng)
     sweep = cast(model, scene, float(rng.uniform(0.5, 2.5)), rng=rng)
     return sweep.select(rng.permutation(len(sweep))), rng
-
-
-def right_share(inferred: NDArray[np.int16], truth: NDArray[np.int16]) -> float:
-    """Return the share of returns in the right ring: each inferred ring stands for one true ring, and the other way."""
-    together = np.zeros((int(inferred.max()) + 2, int(truth.max()) + 1), np.int64)
-    np.add.at(together, (inferred + 1, truth), 1)
-    stands_for, stood_by = together[1:].argmax(axis=1), together[1:].argmax(axis=0)
-    right = (inferred >= 0) & (stands_for[np.maximum(inferred, 0)] == truth) & (stood_by[truth] == inferred)
-    return float(right.mean())
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -87,10 +77,13 @@ def from_the_side(points: Floats) -> Floats:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("moved", [seen_from_elsewhere, from_the_side])
-def test_points_that_are_not_in_the_sensors_frame_have_no_rings(seed: int, moved: object) -> None:
+def test_points_that_are_not_in_the_sensors_frame_have_no_rings_or_the_right_ones(seed: int, moved: object) -> None:
     assert callable(moved)
-    sensor_id = identify_sensor(Sweep(moved(measured(seed)[0].points)))
-    assert (sensor_id.ring, sensor_id.model) == (None, None)
+    sweep = measured(seed)[0]
+    sensor_id = identify_sensor(Sweep(moved(sweep.points)))
+    assert sensor_id.model is None
+    assert sweep.ring is not None
+    assert sensor_id.ring is None or right_share(sensor_id.ring, sweep.ring) > 0.99
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -266,9 +266,6 @@ class SaysAlways:
     def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
         return np.full((len(inputs), *self.card.grid.shape), self.prob, np.float32)
 
-    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
-        raise NotImplementedError
-
 
 def test_what_a_network_lowers_is_unknown_and_what_it_raises_is_not_claimed() -> None:
     model = LidarModel("test", np.deg2rad(np.linspace(-25, 8, 32)), azimuth_columns=720, max_range_m=150.0)

@@ -92,6 +92,21 @@ def test_a_tilted_roadside_sensor_is_leveled_without_an_attitude(pitch_deg: floa
     assert np.allclose(known.level_from_sensor.rotation, level_from_sensor.rotation, atol=1e-6)
 
 
+def test_a_sensor_that_looks_down_beside_far_walls_finds_its_tilt() -> None:
+    """Most of its returns are from the ground at its feet, most of the area that it sees from a wall."""
+    rng = np.random.default_rng(0)
+    azimuth, range_m = rng.uniform(-1, 1, 6000), rng.uniform(1.5, 9, 6000)
+    low = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), rng.normal(-1.7, 0.02, 6000)], axis=1)
+    wall = np.stack([np.full(1500, 35.0), rng.uniform(-35, 30, 1500), rng.uniform(-1.7, 8, 1500)], axis=1)
+    tilt = _pitch(np.deg2rad(45.0))
+    leveled = _level((np.concatenate([low, wall]) @ tilt).astype(np.float32))
+    assert leveled.sensor_height_m == pytest.approx(1.7, abs=0.1)
+    assert np.rad2deg(np.arccos(leveled.level_from_sensor.rotation[2] @ tilt[2])) < 1.5
+    # A room of which most returns are walls says nothing of a tilt.
+    room = np.concatenate([low[:300], wall * [0.1, 0.1, 0.4]])
+    assert _level(room.astype(np.float32)).level_from_sensor.rotation[2, 2] == 1.0
+
+
 def _pitch(angle: float) -> NDArray[np.float64]:
     """Nose down by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)

@@ -16,6 +16,8 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.geometry import Rigid
+from viewshed.preprocess.basis import basis_of
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import GAP_ROWS, History, _fill_gaps, _pixel, history_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
@@ -71,6 +73,16 @@ def test_a_wall_that_stood_there_hides_what_the_beams_now_claim_to_see() -> None
     assert claimed(lie, earlier)[hidden].mean() < 0.1
     elsewhere = np.asarray(GRID.centers)[..., 0] < 9
     assert (claimed(lie, earlier) == claimed(lie))[elsewhere].mean() > 0.98
+
+
+@pytest.mark.parametrize("poses", [(at(20, -10, 2.5), at(18, -12, 2.3)), (at(22, 10, -2.5), at(20, 8, -2.5))])
+def test_a_wall_seen_from_beyond_hides_though_they_saw_what_stands_behind_it(poses: Sequence[Rigid]) -> None:
+    """From here what they saw behind the wall lies in the gaps between the wall's returns."""
+    lie = seen([FAR], at(0, 0))
+    hidden = behind_wall()
+    assert claimed(lie)[hidden].all()
+    assert claimed(lie, [seen([WALL, FAR], pose) for pose in poses])[hidden].mean() < 0.1
+    assert claimed(lie, [seen([FAR], pose) for pose in poses])[hidden].mean() > 0.95
 
 
 def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
@@ -237,6 +249,8 @@ def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first(
     )
     first = estimator.estimate(stream[0])
     assert not first.visible().any()
+    assert first.basis is not None
+    assert (first.basis.unsure_ground_share, first.basis.inferred_share) == (0.0, 0.0)
     assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
     for sweep in stream:
         found, other = estimator.estimate(sweep), trusting.estimate(sweep)
@@ -248,6 +262,8 @@ def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first(
     assert (found.state[refused] == CellState.UNKNOWN).all()
     assert refused[behind_wall()].any()
     assert np.array_equal(where_confirmed(other, past).visible(), found.visible())
+    evidence = beam_evidence(past.now, GRID, CAR, past)
+    assert found.basis == basis_of(past.now, evidence, found.state)
 
 
 def test_a_sweep_is_not_its_own_past() -> None:
@@ -285,9 +301,24 @@ def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
     image = np.full((160, 720), np.inf, np.float32)
     image[[40, 45, 100], 7] = 10.0, 11.0, 11.0
     image[[40, 45], 9] = 10.0, 30.0
-    _fill_gaps(image, GAP_ROWS, np.float32(1.25))
+    _fill_gaps(image, GAP_ROWS, np.float32(1.25), np.float32(0.0))
     assert (image[41:45, 7] == 11.0).all()
     assert np.isinf(image[46:100, 7]).all()
     assert np.isinf(image[41:45, 9]).all()
     assert np.isfinite(image).sum() == 9
-    assert History(1.8, HeightMap.flat(32.0), (), ()).confirmations(GRID, CAR).sum() == 0
+
+
+def test_a_narrow_gap_is_closed_where_something_farther_was_seen_in_it() -> None:
+    image = np.full((160, 720), np.inf, np.float32)
+    image[[40, 42, 45], 7] = 10.0, 30.0, 11.0  # the farther pixel was seen from elsewhere
+    image[[40, 42, 45], 9] = 20.0, 60.0, 20.0  # twice as far, so the gap is twice as wide
+    image[[40, 42, 45], 11] = 10.0, 5.0, 11.0  # something nearer has an end of its own
+    _fill_gaps(image, GAP_ROWS, np.float32(1.25), np.float32(60.0))
+    assert image[40:46, 7].tolist() == [10.0, 11.0, 11.0, 11.0, 11.0, 11.0]
+    assert image[[40, 42, 45], 9].tolist() == [20.0, 60.0, 20.0]
+    assert image[[40, 42, 45], 11].tolist() == [10.0, 5.0, 11.0]
+    assert np.isfinite(image).sum() == 6 + 3 + 3
+
+
+def test_without_sweeps_nothing_is_confirmed() -> None:
+    assert History(returns_at(), (), ()).confirmations(GRID, CAR).sum() == 0

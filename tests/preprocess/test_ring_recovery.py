@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment, recover_rings
+from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment, recover_rings, rings_by_order
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
@@ -349,3 +349,17 @@ def test_every_real_sweep_is_named_right_or_not_at_all(real_data: object) -> Non
         assert expected or entry.sensor.startswith(UNKNOWN)
         seen += 1
     assert seen >= 60
+
+
+@pytest.mark.parametrize("start", [0.0, np.pi])
+def test_rings_stored_one_after_the_other_hold_no_halves_of_two(start: float) -> None:
+    rings, columns = 24, 900
+    ring, column = np.mgrid[:rings, :columns]
+    # The last but one point of a third of the rings lies beyond the seam.
+    jitter = 0.02 * ((ring % 3 == 0) & (column == columns - 2))
+    azimuth = (start + (column + 0.5) * (2 * np.pi / columns) + jitter + np.pi) % (2 * np.pi) - np.pi
+    slope = np.tan(np.deg2rad(-24.0 + 1.3 * ring)) + np.random.default_rng(1).normal(0.0, 2e-4, ring.shape)
+    found = rings_by_order(azimuth.ravel().astype(np.float32), slope.ravel().astype(np.float32))
+    assert found is not None
+    assert found.max() == rings - 1
+    assert (found == ring.ravel()).mean() > 0.999

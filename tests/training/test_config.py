@@ -16,6 +16,12 @@ def test_a_config_survives_toml(config: TrainConfig, tmp_path: Path) -> None:
     assert TrainConfig.from_json(config.to_json()) == config
 
 
+def test_an_older_config_says_how_a_second_head_is_trained(config: TrainConfig, tmp_path: Path) -> None:
+    assert TrainConfig.from_json(config.to_json() | {"doubt_frames": 60_000}) == config
+    (tmp_path / "tiny.toml").write_text(toml_of(config) + "doubt_frames = 0\n")
+    assert read_config(tmp_path / "tiny.toml") == config
+
+
 def test_the_shipped_networks_are_the_papers_on_our_grids() -> None:
     assert config_names() == (
         "indoor", "road", "viewnet_indoor", "viewnet_indoor_car", "viewnet_road", "viewnet_road_pedestrian",

@@ -146,6 +146,17 @@ def test_a_finished_training_is_not_repeated(config: TrainConfig, trained: Calla
     assert (seen, done.weights.stat().st_mtime_ns) == ([], before)
 
 
+def test_a_run_of_an_older_config_is_gone_on_with(
+    config: TrainConfig, trained: Callable[[TrainConfig], Trained], tmp_path: Path
+) -> None:
+    content = torch.load(trained(config).checkpoint, weights_only=True)
+    content["viewshed"]["config"]["doubt_frames"] = 60_000
+    torch.save(content, tmp_path / "last.ckpt")
+    done = train(config, tmp_path)
+    assert done.history == trained(config).history
+    assert _same_weights(done, trained(config))
+
+
 def test_training_ends_when_validation_no_longer_improves(config: TrainConfig, tmp_path: Path) -> None:
     done = train(replace(config, learning_rate=1e-9, epochs=30, patience=1, schedule="constant"), tmp_path / "out")
     losses = [epoch.validation_loss for epoch in done.history]

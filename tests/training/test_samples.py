@@ -1,6 +1,6 @@
 """TrainingFrames: inputs against a count by hand, truth against the archive, attacks and dropout by their seeds."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from viewshed.threats.attacks.removal import PhysicalRemoval
 from viewshed.training import TrainConfig
 from viewshed.training.data import prepare
 from viewshed.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
-from viewshed.training.sources import ArchivedSamples, OnlineSimulation
+from viewshed.training.sources import ArchivedSamples, CleanSample, CleanSamples, OnlineSimulation
 
 pytestmark = pytest.mark.slow
 
@@ -220,6 +220,39 @@ def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig,
     assert 0.15 < np.mean(with_past) < 0.6  # the first sweep of each scene has none before it
     other = prepare(replace(wanted, inputs=HISTORY_FEATURES), tmp_path).train
     assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
+
+
+def test_sweeps_without_a_pose_have_no_past(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, attacks=(), attack_share=0.0, past_share=1.0, inputs=("confirmations",))
+    frames = prepare(wanted, tmp_path).train
+    assert any((frames[1, index]["inputs"] * 255 != NO_HISTORY).any() for index in range(len(frames)))
+    lost = replace(frames, source=_WithoutPoses(frames.source))
+    assert all((lost[1, index]["inputs"] * 255 == NO_HISTORY).all() for index in range(len(frames)))
+
+
+@dataclass(frozen=True)
+class _WithoutPoses:
+    """Samples of which every other sweep has lost its pose."""
+
+    source: CleanSamples
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    @property
+    def block(self) -> int:
+        return self.source.block
+
+    def clean(self, epoch: int, index: int) -> CleanSample:
+        return self._lost(self.source.clean(epoch, index), index)
+
+    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        sweeps = self.source.earlier(epoch, index, count)
+        return sweeps if index % 2 else tuple(sweep.replace(world_from_sensor=None) for sweep in sweeps)
+
+    @staticmethod
+    def _lost(sample: CleanSample, index: int) -> CleanSample:
+        return replace(sample, sweep=sample.sweep.replace(world_from_sensor=None)) if index % 2 else sample
 
 
 def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainConfig, tmp_path: Path) -> None:

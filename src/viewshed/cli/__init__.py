@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated, cast
+import warnings
+from typing import Annotated, TextIO, cast
 
 import typer
 
@@ -69,7 +70,9 @@ def main(arguments: list[str] | None = None) -> None:
     """
     words = sys.argv[1:] if arguments is None else arguments
     try:
-        sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
     except _Refused as error:
         _refuse(cast(typer.BadParameter, error).format_message())
     except BAD_INPUTS as error:
@@ -100,6 +103,18 @@ def _from_interrupt(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Say a warning as other complaints are said, without the place in the source that Python would add."""
+    complain(f"warning: {' '.join(str(message).split())}")
 
 
 def _refuse(message: str) -> None:

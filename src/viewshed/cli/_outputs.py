@@ -32,9 +32,6 @@ T = TypeVar("T")
 RESULTS = ("png", "geojson", "npz")
 """What can be written of an estimate: picture, polygons, arrays."""
 
-_UNSURE_M = 0.5
-"""Ground with a larger standard deviation is told in the summary line: a third of a car's height."""
-
 _SUFFIXES = (".gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap")
 
 
@@ -271,10 +268,9 @@ class Run:
         report_doubts(leveled, name)
         estimate = replace(estimate, threshold=self.threshold)
         summary = summary_line(estimate, elapsed_ms)
-        ground = _ground_remark(leveled)
         for kind in self.results:
-            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}{ground}\n{summary}"))
-        remarks = f"{ground}{_claim_remark(leveled, estimate)}{_range_remark(leveled)}"
+            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
+        remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
         return f"{name}: {summary}{remarks} → {self.out / name}.{self.results[0]}"
 
 
@@ -305,27 +301,15 @@ def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
     )
 
 
-def _ground_remark(leveled: LeveledSweep) -> str:
-    """Return what a reader must know of the ground: the sensor's height above it and where that is from."""
+def _basis_remark(leveled: LeveledSweep, estimate: FovEstimate) -> str:
+    """Return what the estimate rests on."""
     if len(leveled.points) == 0:
         return f"; no usable return among {len(leveled.sweep)} points: nothing is known"
-    if leveled.ground.support == 0 and leveled.sweep.sensor_height_m is None:
-        assumed = f"; ground not seen, sensor taken to be {leveled.sensor_height_m:.2f} m above it"
-        return f"{assumed} (give --height, or --file-frame if the file's z points down)"
-    source = "estimated" if leveled.sweep.sensor_height_m is None else "given"
-    return f"; sensor {leveled.sensor_height_m:.2f} m above the ground ({source})"
-
-
-def _claim_remark(leveled: LeveledSweep, estimate: FovEstimate) -> str:
-    """Return what the claim rests on: the share over ground whose height is unsure, and that of inferred beams."""
-    from viewshed.preprocess.evidence import beam_evidence
-
-    claimed = estimate.visible()
-    if not claimed.any():
+    basis = estimate.basis
+    if basis is None:
         return ""
-    unsure = float((leveled.ground.std_at(estimate.grid.centers[claimed]) > _UNSURE_M).mean())
-    inferred = beam_evidence(leveled, estimate.grid, estimate.target).inferred_share(claimed)
-    return f"; {unsure:.0%} of the view over ground unsure by {_UNSURE_M:g} m, {inferred:.0%} by inferred beams"
+    view = f"; {basis.view_line}" if estimate.visible().any() else ""
+    return f"; {basis.height_line}{view}"
 
 
 def _range_remark(leveled: LeveledSweep) -> str:

@@ -10,16 +10,13 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
-from viewshed.cli._outputs import refuse_inputs
+from viewshed.cli._outputs import refuse_inputs, report_doubts
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.preprocess.leveling import LeveledSweep
-
-
-_HEADER = ("method", "visible m²", "hidden", "unknown", "IoU with the first", "time ms, leveled")
 
 
 def compare(
@@ -61,12 +58,16 @@ def compare(
     reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     sweep = reading.sweep(file, index)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
+    report_doubts(leveled, file.name)
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
     first = results[names[0]][0]
     rows = [_row(name, estimate, elapsed_ms, first) for name, (estimate, elapsed_ms) in results.items()]
     panels = [Panel(estimate, name, leveled) for name, (estimate, _) in results.items()]
-    write_atomic(out, comparison(panels, rows, _HEADER))
-    typer.echo(table(_HEADER, rows))
+    header = _header()
+    write_atomic(out, comparison(panels, rows, header))
+    typer.echo(table(header, rows))
+    if first.basis is not None:
+        typer.echo(first.basis.height_line)
     typer.echo(f"→ {out}")
 
 
@@ -104,6 +105,16 @@ def _timed(estimator: Estimator, leveled: LeveledSweep) -> tuple[FovEstimate, fl
     return estimator.estimate(leveled), 1e3 * (time.perf_counter() - start)
 
 
+def _header() -> list[str]:
+    from viewshed.fov.estimate import UNSURE_M
+
+    unsure = f"ground unsure by {UNSURE_M:g} m"
+    return [
+        "method", "visible m²", "hidden", "unknown", unsure, "by inferred beams", "IoU with the first",
+        "time ms, leveled",
+    ]  # fmt: skip
+
+
 def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate) -> list[str]:
     from viewshed.fov.estimate import CellState
 
@@ -111,4 +122,6 @@ def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate
     either = int((mask | reference).sum())
     overlap = int((mask & reference).sum()) / either if either else 1.0
     shares = [f"{estimate.share(state):.1%}" for state in (CellState.HIDDEN, CellState.UNKNOWN)]
-    return [name, f"{estimate.area_m2():.0f}", *shares, f"{overlap:.3f}", f"{elapsed_ms:.1f}"]
+    basis = estimate.basis
+    rests_on = ["", ""] if basis is None else [f"{basis.unsure_ground_share:.0%}", f"{basis.inferred_share:.0%}"]
+    return [name, f"{estimate.area_m2():.0f}", *shares, *rests_on, f"{overlap:.3f}", f"{elapsed_ms:.1f}"]

@@ -46,7 +46,7 @@ Files = Annotated[
 
 Method = Annotated[
     str | None,
-    typer.Option(help="Estimator; if not given viewnet, or shadow_map on grids of your own."),
+    typer.Option(help="Estimator; shadow_map if not given."),
 ]
 
 Threshold = Annotated[

@@ -9,7 +9,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
-from viewshed.cli._outputs import refuse_inputs, stem_of
+from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of
 
 
 def export(
@@ -46,6 +46,7 @@ def export(
 
     from viewshed._files import write_atomic
     from viewshed.io.export import EXPORTERS, read_npz, to_cpm
+    from viewshed.preprocess.leveling import level
 
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
@@ -56,7 +57,9 @@ def export(
             method, options.parse_grid(grid), target
         )
         reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-        estimate = estimator.estimate(reading.sweep(file, index))
+        leveled = level(reading.sweep(file, index), estimator.grid)
+        report_doubts(leveled, file.name)
+        estimate = estimator.estimate(leveled)
     content = json.dumps(to_cpm(estimate, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(estimate)
     name = stem_of(file.name) + EXPORTERS[to].suffix
     path_out = Path(name) if out is None else out / name if out.is_dir() else out

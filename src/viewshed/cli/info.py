@@ -10,6 +10,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, Reading
+from viewshed.cli._outputs import report_doubts
 
 if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
@@ -35,9 +36,10 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    reading = Reading("none", format, file_frame, height, attitude, origin, ring, vehicle_yaw)
+    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     sweep = reading.sweep(file, index)
     leveled = level(sweep, options.parse_grid(grid))
+    report_doubts(leveled, file.name)
     for name, value in (*_points(sweep, leveled), *_beams(sweep, sensor), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")
 
@@ -76,6 +78,8 @@ def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
 def _ground(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
     import numpy as np
 
+    from viewshed.preprocess.evidence import reach_of_sweep
+
     tilt = np.rad2deg(np.arccos(min(leveled.level_from_sensor.rotation[2, 2], 1.0)))
     source = "given" if sweep.known_attitude is not None else "estimated"
     yield "tilt", f"{tilt:.1f}° ({source})"
@@ -84,6 +88,7 @@ def _ground(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
         "given" if sweep.sensor_height_m is not None else "estimated" if ground.support else "assumed: no ground seen"
     )
     yield "height", f"sensor {leveled.sensor_height_m:.2f} m above the ground ({source})"
+    yield "reach", f"{reach_of_sweep(leveled):.0f} m: how far a dark target is seen"
     slope = np.rad2deg(np.arctan(np.hypot(ground.plane[0], ground.plane[1])))
     yield (
         "ground",

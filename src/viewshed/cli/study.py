@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -180,12 +181,14 @@ def wild(
     log: Annotated[Path, typer.Option(help="Log of openings, which is committed.")] = Path(
         "docs/results/wild_openings.md"
     ),
+    network: Annotated[list[Path] | None, typer.Option(help="File of a network that is tried as well.")] = None,
 ) -> None:
     """Every estimator on worlds, sensors and mountings that it was not made for, against exact truth.
 
     Example: viewshed study wild --preset tiny --out study
     """
     from viewshed._jobs import LocalEngine
+    from viewshed.networks.runtime import load_runner
     from viewshed.studies.store import ResultStore
     from viewshed.studies.wild.jobs import run_study
     from viewshed.studies.wild.openings import Opening
@@ -193,6 +196,9 @@ def wild(
     from viewshed.studies.wild.plan import WildPlan
 
     folder, plan = _folder(out, "wild"), WildPlan.load(preset)
+    for file in network or ():
+        load_runner(file)  # one that cannot be read fails here and not in every job
+    plan = replace(plan, networks=tuple(map(str, network or ())))
     _require_results(folder, run=run)
     opening = None
     if run and plan.opens_sealed and open_sealed:

@@ -47,7 +47,12 @@ def make_shard(job: WildShardJob) -> ShardResult:
 def _sample(scene: WildScene, sweep: int, told: tuple[str, ...]) -> Sample:
     seen = scene.observe(sweep)
     given = seen.told(told[(scene.number + sweep) % len(told)])
-    return Sample(given, seen.truth, seen.known, scene.name, scene.domain.set_name)
+    return Sample(given, seen.truth, seen.known, scene.name, split_of_set(scene.domain.set_name))
+
+
+def split_of_set(set_name: str) -> str:
+    """Return the split of a set's samples: ``train`` for the training set, as in every archive, else its own name."""
+    return "train" if set_name == "training" else set_name
 
 
 def make_wild_archive(

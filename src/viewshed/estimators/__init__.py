@@ -21,7 +21,6 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.networks.runtime import load_runner
-from viewshed.networks.weights import default_name
 from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
@@ -93,13 +92,8 @@ def paper_estimators_on(grid: BevGrid) -> dict[str, EstimatorFactory]:
     return PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _ROOM_M else PAPER_ESTIMATORS
 
 
-def default_estimator(grid: BevGrid, target: Target) -> str:
-    """Return the best method's name: ``viewnet`` where weights are shipped for grid and target, else ``shadow_map``."""
-    try:
-        default_name("viewnet", grid, target.name)
-    except ValueError:
-        return "shadow_map"
-    return "viewnet"
+DEFAULT_ESTIMATOR = "shadow_map"
+"""The method that is taken where none is named; docs/wild.md says by which rule."""
 
 
 def load_estimator(
@@ -116,8 +110,8 @@ def load_estimator(
     """Return an estimator, ready to use.
 
     Args:
-        name: of :data:`ESTIMATORS` or of the paper's estimators; a network's file; None is the best shipped method for
-            grid and target, or the network that ``weights`` name.
+        name: of :data:`ESTIMATORS` or of the paper's estimators; a network's file; None is
+            :data:`DEFAULT_ESTIMATOR`, or the network that ``weights`` name.
         grid: a name of :data:`GRIDS`, or a grid.
         target: a name of :data:`TARGETS`, or a target.
         device: of a network, ``cpu`` or ``cuda``.
@@ -139,7 +133,7 @@ def load_estimator(
             raise ValueError(f"weights must be left out where a file is named, got {name} and {weights}; name one")
         name, weights = None, name
     if name is None:
-        name = default_estimator(cells, thing) if weights is None else load_runner(weights).card.kind
+        name = DEFAULT_ESTIMATOR if weights is None else load_runner(weights).card.kind
     method = FORMER_NAMES.get(str(name), str(name)).replace("paper_polygon_fit", "paper_delaunay")
     options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
     given = {option: value for option, value in options.items() if value is not None}
@@ -166,7 +160,7 @@ def estimate(
     history: EarlierSweeps = None,
     device: str = "cpu",
 ) -> FovEstimate:
-    """Return the field of view of one sweep by the best shipped method, or by ``method``.
+    """Return the field of view of one sweep by :data:`DEFAULT_ESTIMATOR`, or by ``method``.
 
     The estimator is loaded once and kept; for options of networks take :func:`load_estimator`.
 
@@ -210,7 +204,7 @@ def target_named(target: str | Target) -> Target:
 
 
 __all__ = [
-    "CLASSICAL", "ESTIMATORS", "FORMER_NAMES", "LEARNED", "PAPER_ESTIMATORS", "PAPER_INDOOR_ESTIMATORS",
-    "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "default_estimator", "estimate", "grid_named",
+    "CLASSICAL", "DEFAULT_ESTIMATOR", "ESTIMATORS", "FORMER_NAMES", "LEARNED", "PAPER_ESTIMATORS",
+    "PAPER_INDOOR_ESTIMATORS", "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "estimate", "grid_named",
     "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
 ]  # fmt: skip

@@ -13,6 +13,7 @@ from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
+from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
@@ -125,11 +126,11 @@ class ClassicalEstimator:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate`."""
         leveled = leveled_on(sweep, self.grid)
         earlier = checked_history(self, leveled, history)
+        leveled = leveled if earlier is None else earlier.now
         prob = self.visible_prob(leveled, earlier)
         claimed = prob >= np.float32(self.threshold)
-        state = beam_evidence(leveled, self.grid, self.target, earlier).states(
-            claimed, ~claimed, leveled.obstacle_cells(self.grid)
-        )
+        evidence = beam_evidence(leveled, self.grid, self.target, earlier)
+        state = evidence.states(claimed, ~claimed, leveled.obstacle_cells(self.grid))
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
@@ -139,6 +140,7 @@ class ClassicalEstimator:
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
             agent=leveled.sweep.agent,
+            basis=basis_of(leveled, evidence, state),
         )
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
@@ -167,7 +169,7 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
     """Return earlier sweeps as the sensor sees them now, or None for none.
 
     Raises:
-        ValueError: the estimator uses none, or a sweep has no pose.
+        ValueError: the estimator uses none, a sweep has no pose, or it is the history of another sweep.
     """
     if history is None or (not isinstance(history, History) and not len(history)):
         return None
@@ -176,5 +178,7 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
             f"history must be left out for {estimator.name}, which looks at one sweep; use viewnet or shadow_map"
         )
     if isinstance(history, History):
+        if history.now.sweep is not leveled.sweep:
+            raise ValueError("history must be that of the sweep to estimate, got another one's; use History.of")
         return history
     return history_of(leveled, history, estimator.grid)

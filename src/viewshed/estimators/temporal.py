@@ -12,6 +12,8 @@ import numpy as np
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
+from viewshed.preprocess.basis import basis_of
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
@@ -137,6 +139,7 @@ class TemporalEstimator:
             raise ValueError("history must be left out: a TemporalEstimator remembers its own stream")
         leveled = leveled_on(sweep, self.grid)
         seen = self.buffer.history(leveled)
+        leveled = leveled if seen is None else seen.now
         estimate = self.inner.estimate(leveled, seen)
         self.buffer.add(leveled)
         return where_confirmed(estimate, seen) if self.require_confirmation else estimate
@@ -189,8 +192,10 @@ def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstima
     if history is not None:
         confirmed = history.confirmations(estimate.grid, estimate.target) > 0
     claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
-    return replace(
-        estimate,
-        visible_prob=np.where(confirmed, estimate.visible_prob, np.float32(0.0)),
-        state=np.where(claimed & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state),
-    )
+    state = np.where(claimed & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state)
+    # What is left of the claims may rest on other shares of unsure ground and inferred beams.
+    basis = estimate.basis and replace(estimate.basis, unsure_ground_share=0.0, inferred_share=0.0)
+    if history is not None:
+        basis = basis_of(history.now, beam_evidence(history.now, estimate.grid, estimate.target, history), state)
+    visible_prob = np.where(confirmed, estimate.visible_prob, np.float32(0.0))
+    return replace(estimate, visible_prob=visible_prob, state=state, basis=basis)

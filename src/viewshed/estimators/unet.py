@@ -23,6 +23,7 @@ from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, load_runner
 from viewshed.networks.weights import default_name, float32_name
 from viewshed.preprocess.azimuth_bins import Crop
+from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
@@ -40,7 +41,7 @@ _MAX_PASSES = 1000
 
 
 class NetworkOutput(NamedTuple):
-    """What a network says of one sweep: probability and standard deviation (cells, cells); None where it has none."""
+    """What a network says of one sweep: probability and standard deviation (cells, cells); None for one pass."""
 
     prob: NDArray[np.float32]
     std: NDArray[np.float32] | None
@@ -63,9 +64,9 @@ class NetworkInput:
 class UnetEstimator:
     """Probability of visible by a U-Net: that of arXiv 2503.07375, or our own, on the grid that it was trained for.
 
-    With one pass dropout is off (maximum likelihood) and there is a deviation only if the network has a head for it.
-    With more, ``visible_prob`` is the mean over passes under random dropout masks and ``std`` their standard
-    deviation. The masks depend on ``seed`` alone: the same sweep gives the same estimate.
+    With one pass dropout is off (maximum likelihood) and ``std`` is NaN. With more, ``visible_prob`` is the mean over
+    passes under random dropout masks and ``std`` their standard deviation. The masks depend on ``seed`` alone: the same
+    sweep gives the same estimate.
 
     A cell is claimed if its probability reaches the card's threshold, and only where the beams support the claim: the
     network ranks and lowers claims within the evidence (:mod:`viewshed.preprocess.evidence`), which decides the states.
@@ -134,7 +135,8 @@ class UnetEstimator:
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate` and the class."""
         leveled = leveled_on(sweep, self.grid)
-        prepared = self.prepare(leveled, checked_history(self, leveled, history))
+        earlier = checked_history(self, leveled, history)
+        prepared = self.prepare(leveled if earlier is None else earlier.now, earlier)
         [output] = self.infer([prepared])
         return self.finish(prepared, output)
 
@@ -172,9 +174,6 @@ class UnetEstimator:
         if self.passes > 1:
             return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in features]
         together = np.stack(features) if len(features) > 1 else features[0][None]
-        if self.card.shape.doubt:
-            probs, stds = self.runner.run_with_doubt(together)
-            return [NetworkOutput(prob, std) for prob, std in zip(probs, stds, strict=True)]
         probs = self.runner.run(together, np.repeat(self._masks, len(features), axis=0))
         return [NetworkOutput(prob, None) for prob in probs]
 
@@ -199,6 +198,7 @@ class UnetEstimator:
             world_from_level=leveled.world_from_level,
             t_ns=leveled.sweep.t_ns,
             agent=leveled.sweep.agent,
+            basis=basis_of(leveled, evidence, state),
         )
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib import import_module  # pictures and formats know this module: it looks them up when it is asked
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,13 @@ THRESHOLD = 0.5
 """A cell counts as visible from this probability on."""
 
 
+UNSURE_M = 0.5
+"""Ground with a larger standard deviation is unsure: by a third of a car's height."""
+
+HeightSource = Literal["given", "estimated", "held", "assumed"]
+"""Where a sensor's height is from: the sweep, its returns, earlier sweeps of its stream, or none of them."""
+
+
 class CellState(IntEnum):
     """What is known of a cell. Visible means FREE or SURFACE; only UNKNOWN says nothing."""
 
@@ -40,6 +48,67 @@ class CellState(IntEnum):
     """Inside range and coverage, but blocked by something nearer."""
 
 
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What an estimate rests on, by which a reader can judge it.
+
+    Attributes:
+        sensor_height_m: height of the sensor above the ground below it.
+        height_source: ``given`` with the sweep, ``estimated`` from its returns, ``held`` from earlier sweeps of the
+            stream, or ``assumed`` where no ground was seen.
+        ground_support: share in [0, 1] of the near ground that lies on the plane that carries the sensor.
+        unsure_ground_share: share in [0, 1] of the FREE and SURFACE cells on ground whose height has a standard
+            deviation above :data:`UNSURE_M`.
+        inferred_share: share in [0, 1] of these cells that measured beams alone would not support.
+        reach_m: how far the sensor sees a dark target; nothing is claimed beyond.
+    """
+
+    sensor_height_m: float
+    height_source: HeightSource
+    ground_support: float
+    unsure_ground_share: float
+    inferred_share: float
+    reach_m: float
+
+    def __post_init__(self) -> None:
+        if self.height_source not in get_args(HeightSource):
+            raise ValueError(
+                f"height_source must be one of {', '.join(get_args(HeightSource))}, got {self.height_source!r}"
+            )
+        for name in ("ground_support", "unsure_ground_share", "inferred_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
+        if not (isfinite(self.sensor_height_m) and self.reach_m >= 0.0):
+            raise ValueError(
+                f"sensor_height_m must be finite and reach_m not negative, got {self.sensor_height_m}, {self.reach_m}"
+            )
+
+    @property
+    def height_line(self) -> str:
+        """The sensor's height, where it is from, how sure it is, and how far the sensor sees, in words.
+
+        >>> Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0).height_line
+        'sensor 1.84 m above the ground (estimated, 63% of the near ground agrees), reach 80 m'
+        """
+        height, reach = f"{self.sensor_height_m:.2f} m above", f"reach {self.reach_m:.0f} m"
+        if self.height_source == "assumed":
+            return f"ground not seen, sensor taken to be {height} it, {reach}"
+        agrees = f", {self.ground_support:.0%} of the near ground agrees" if self.height_source == "estimated" else ""
+        return f"sensor {height} the ground ({self.height_source}{agrees}), {reach}"
+
+    @property
+    def view_line(self) -> str:
+        """How much of the view stands on unsure ground, and how much rests on inferred beams, in words.
+
+        >>> Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0).view_line
+        '4% of the view over ground unsure by 0.5 m, 7% by inferred beams'
+        """
+        return (
+            f"{self.unsure_ground_share:.0%} of the view over ground unsure by {UNSURE_M:g} m,"
+            f" {self.inferred_share:.0%} by inferred beams"
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FovEstimate:
     """The field of view of one sweep on a :class:`BevGrid` in the ``level`` frame.
@@ -48,8 +117,8 @@ class FovEstimate:
         grid: where the cells are.
         visible_prob: (cells, cells) float32 in [0, 1]: probability that a target in the cell would have given at
             least ``target.min_returns`` returns (the one definition of visible).
-        std: (cells, cells) float32 standard deviation of that probability over the model's posterior;
-            NaN where the estimator has none.
+        std: (cells, cells) float32 standard deviation of that probability over the model's posterior: of
+            ``mc_dropout`` over its passes; NaN where the estimator has none.
         state: (cells, cells) uint8 of :class:`CellState`.
         method: name of the estimator.
         target: what would have to be seen.
@@ -57,6 +126,7 @@ class FovEstimate:
         world_from_level: pose of the ``level`` frame in the map, or None.
         t_ns: time of the sweep, or None.
         agent: whose sensor it was.
+        basis: what the estimate rests on; None where no sweep is known that it was made from.
 
     Raises:
         ValueError: a shape is not the grid's, or a value lies outside its range.
@@ -72,6 +142,7 @@ class FovEstimate:
     world_from_level: Rigid | None = None
     t_ns: int | None = None
     agent: str = "ego"
+    basis: Basis | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.threshold <= 1.0:
@@ -102,6 +173,18 @@ class FovEstimate:
             raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
         mask: NDArray[np.bool_] = self.visible_prob >= np.float32(threshold)
         return mask
+
+    def doubt(self) -> NDArray[np.float32]:
+        """Return the doubt (cells, cells) float32 in [0, 0.5]: the probability that the likelier answer is wrong.
+
+        As good as the probabilities are: best with ``viewnet``; a mask of zeros and ones has no doubt anywhere.
+
+        >>> prob = np.array([[0.0, 0.25], [0.5, 1.0]])
+        >>> FovEstimate(BevGrid(2, 1.0), prob, np.zeros((2, 2))).doubt().tolist()
+        [[0.0, 0.25], [0.5, 0.0]]
+        """
+        doubt: NDArray[np.float32] = np.float32(0.5) - np.abs(self.visible_prob - np.float32(0.5))
+        return doubt
 
     def area_m2(self, threshold: float | None = None) -> float:
         """Return the visible area in square meters."""

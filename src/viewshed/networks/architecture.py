@@ -19,7 +19,6 @@ class UNetShape:
         channels: channels of the input.
         fold: blocks of so many cells a side are folded into the channels of one before the first stage, and unfolded
             after the last (space to depth, Shi et al. 2016); 1 folds nothing, as published.
-        doubt: whether a second head tells the deviation of Monte Carlo dropout in one pass.
 
     >>> UNetShape().parameters, sum(UNetShape().masked_channels)
     (486409, 352)
@@ -30,7 +29,6 @@ class UNetShape:
     dropout: float = 0.1
     channels: int = 1
     fold: int = 1
-    doubt: bool = False
 
     def __post_init__(self) -> None:
         for name, low, high in (("width", 1, 256), ("depth", 1, 8), ("channels", 1, 64), ("fold", 1, 8)):
@@ -71,8 +69,6 @@ class UNetShape:
         total = (self.width + 1) * self.fold**2
         for inner, outer in self._stages():
             total += 9 * inner * outer + 9 * outer * outer + 4 * outer
-        if self.doubt:
-            total += (9 * self.width + 1) * self.width + (self.width + 1) * self.fold**2
         return total + sum(4 * 2 * w * w + w for w in self.widths[:-1])
 
     def flops(self, cells: int) -> int:
@@ -81,10 +77,7 @@ class UNetShape:
         stages = [9 * (inner + outer) * outer for inner, outer in self._stages()]
         macs = sum(products * (cells >> i) ** 2 for products, i in zip(stages, self._levels(), strict=True))
         macs += sum(2 * w * w * (cells >> i) ** 2 for i, w in enumerate(self.widths[:-1]))
-        heads = self.width * self.fold**2
-        if self.doubt:
-            heads += 9 * self.width**2 + heads
-        return 2 * (macs + heads * cells**2)
+        return 2 * (macs + self.width * self.fold**2 * cells**2)
 
     @property
     def divisor(self) -> int:

@@ -39,9 +39,6 @@ COUNTS = ("linear", "log")
 INT8 = "int8"
 """What the facts of a training say of the ``precision`` of a network that takes and multiplies bytes."""
 
-MOST_DEVIATION = 0.5
-"""Largest standard deviation that values in [0, 1] can have; what a head for the deviation tells is in its units."""
-
 _LAYOUT = "viewshed network"
 
 _RENAMED_FEATURES = {"confirmed": "measured", "unexplained": "unresolved", "supported": "confirmations"}
@@ -258,11 +255,13 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
     if set(content) != names:
         raise ValueError(f"card must have the fields {', '.join(sorted(names))}, got {', '.join(sorted(content))}")
     try:
+        shape = {**content.pop("shape")}
+        shape.pop("doubt", None)  # older files: whether there is a second head, which is not read
         low, high = content.pop("heights_m")
         grid, inputs = content.pop("grid"), tuple(_RENAMED_FEATURES.get(name, name) for name in content.pop("inputs"))
         x, y = grid["offset_m"]
         return NetworkCard(
-            shape=UNetShape(**content.pop("shape")),
+            shape=UNetShape(**shape),
             grid=BevGrid(grid["cells"], grid["half_extent_m"], (x, y)),
             heights_m=(low, high),
             inputs=inputs,
@@ -270,14 +269,6 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
         )
     except (TypeError, KeyError) as error:
         raise ValueError(f"card must be whole, got one that is damaged ({error}); export the network again") from error
-
-
-def require_doubt(card: NetworkCard) -> None:
-    """Raise a ValueError unless the network has a head for the deviation."""
-    if not card.shape.doubt:
-        raise ValueError(
-            f"doubt in one pass needs a network with a head for it, and {card.name} has none; use mc_dropout"
-        )
 
 
 class Runner(Protocol):
@@ -299,8 +290,4 @@ class Runner(Protocol):
 
     def single_threaded(self) -> Runner | None:
         """Return a runner of the same network that runs in the calling thread alone; None if there is none."""
-        ...
-
-    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return probabilities and deviations (N, cells, cells), of a network with a head for these; dropout off."""
         ...

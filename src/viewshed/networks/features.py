@@ -8,7 +8,7 @@ believe, which returns to doubt.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import BLOCK, split
+from viewshed.fov.height_map import HeightMap, LatticePositions, lattice_positions
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.azimuth_bins import (
@@ -184,6 +185,9 @@ FARTHEST_M = 100.0
 NO_HISTORY = 128
 """Code of ``confirmations`` without earlier sweeps: neither none of them nor all."""
 
+LEAST_STD_M, MOST_STD_M = 0.05, 5.0
+"""Standard deviations of the ground that ``ground_std`` resolves."""
+
 _STEPS = 16
 
 _STEPS_A_METER = 32
@@ -300,6 +304,26 @@ def _confirmations_code(context: FeatureContext) -> Bytes:
     return code
 
 
+def _prob_code(prob: Floats) -> Bytes:
+    """Return the code of probabilities (…): 0 to 255, with 0.5 between two codes."""
+    code: Bytes = (prob * np.float32(255.0)).astype(np.uint8)
+    return code
+
+
+def _std_code(ground: HeightMap, grid: BevGrid) -> Bytes:
+    """Return the code of the ground's standard deviation in each cell: its logarithm, 255 from ``MOST_STD_M`` on."""
+    size = np.log1p(np.minimum(ground.std_m, np.float32(MOST_STD_M)) * np.float32(1.0 / LEAST_STD_M))
+    # The logarithm at the nodes, which are fewer than the cells, and bilinear in between.
+    at_nodes = replace(ground, heights_m=size * np.float32(255.0 / np.log1p(MOST_STD_M / LEAST_STD_M)))
+    code: Bytes = at_nodes.at_positions(_node_positions(grid, ground.half_extent_m, len(size))).astype(np.uint8)
+    return code
+
+
+@lru_cache(maxsize=8)
+def _node_positions(grid: BevGrid, half_extent_m: float, nodes: int) -> LatticePositions:
+    return lattice_positions(grid.centers, half_extent_m, nodes)
+
+
 FEATURES: dict[str, Callable[[FeatureContext], Bytes]] = {
     "counts": lambda context: context.counts,
     "lowest": lambda context: context.statistics.lowest,
@@ -311,14 +335,17 @@ FEATURES: dict[str, Callable[[FeatureContext], Bytes]] = {
     "farthest": lambda context: context.beyond(context.statistics.farthest_m),
     "range": lambda context: _range_code(context.grid),
     "confirmations": _confirmations_code,
+    "shadow_map": lambda context: _prob_code(context.evidence.visible_prob),
+    "ground_std": lambda context: _std_code(context.leveled.ground, context.grid),
 }
 """The features by name. ``measured`` counts the expected returns of beams that returned and that are not isolated;
 ``expected`` those of measured and inferred beams, as the shadow map does; ``unresolved`` those of the beams whose depth
 is not known, as if nothing stopped them. ``blocker`` and ``farthest`` are how far the nearest obstacle and the farthest
 return of the azimuth lie beyond the cell. ``confirmations`` is the share of the earlier sweeps that would have seen a
-target in the cell."""
+target in the cell. ``shadow_map`` is the probability by measured and inferred beams that end at the obstacles of
+earlier sweeps; ``ground_std`` the standard deviation of the ground's height."""
 
-HISTORY_FEATURES = ("confirmations",)
+HISTORY_FEATURES = ("confirmations", "shadow_map")
 """Features that earlier sweeps change."""
 
 

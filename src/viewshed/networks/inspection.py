@@ -24,6 +24,9 @@ MOST_NODES = 1024
 MOST_NUMBERS = 1 << 28
 """Numbers of the largest tensor in one pass: a GiB in float32."""
 
+_OUTPUTS = (["probability"], ["probability", "deviation"])
+"""Outputs of a graph; the second one of older files, which they compute with Shape and Slice, is never asked for."""
+
 Shape = tuple[int, ...]
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
@@ -273,12 +276,11 @@ def _read_constant(message: memoryview) -> tuple[str, NDArray[np.generic]]:
 
 def _check_graph(graph: _Graph, card: NetworkCard) -> None:
     """Compute the shape of every tensor of the graph, for one pass and for many, and compare it with the card's."""
-    wanted = ["probability", "deviation"] if card.shape.doubt else ["probability"]
     if not graph.constants.keys().isdisjoint(graph.inputs):
         raise _RefusedError("constants that are called as the inputs")
-    if graph.inputs != ["inputs", "masks"] or graph.outputs != wanted:
+    if graph.inputs != ["inputs", "masks"] or graph.outputs not in _OUTPUTS:
         raise _RefusedError(
-            f"inputs {graph.inputs} and outputs {graph.outputs}; they must be inputs, masks and {wanted}"
+            f"inputs {graph.inputs} and outputs {graph.outputs}; they must be inputs, masks and {_OUTPUTS[0]}"
         )
     most = _most_numbers(card)
     work = card.shape.flops(card.grid.cells)
@@ -298,7 +300,7 @@ def _check_graph(graph: _Graph, card: NetworkCard) -> None:
                 shapes.known[output] = shape
         if shapes.products > passes * work:
             raise _RefusedError(f"{shapes.products:,} products, more than {passes * work:,}")
-        for name, count in zip(wanted, (passes, frames), strict=False):
+        for name, count in zip(graph.outputs, (passes, frames), strict=False):
             if shapes.known.get(name) != (count, *card.grid.shape):
                 raise _RefusedError(f"{name} of shape {shapes.known.get(name)}; it must be {(count, *card.grid.shape)}")
 

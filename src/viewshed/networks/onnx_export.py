@@ -14,7 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from viewshed._files import write_atomic
-from viewshed.networks.card import MOST_DEVIATION, NetworkCard
+from viewshed.networks.card import NetworkCard
 from viewshed.networks.unet_torch import Stage, UNet
 from viewshed.networks.weights import CARD_KEY, with_checksum
 
@@ -23,8 +23,6 @@ _OPSET, _IR = 17, 9
 
 def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
     """Write ``module`` to a new ONNX file: inputs ``inputs`` and ``masks``, output ``probability``, and the card.
-
-    A network with a head for it has the output ``deviation`` as well, one for each of the inputs.
 
     ``inputs`` (1 or N, channels, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
     folded into the convolutions. One input is enough for N masks: what comes before the first mask (encoder stages 1
@@ -44,10 +42,8 @@ def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
         helper.make_tensor_value_info("inputs", TensorProto.FLOAT, ["frames", card.shape.channels, cells, cells]),
         helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", total]),
     ]
-    names = ["probability", "deviation"] if card.shape.doubt else ["probability"]
-    counts = dict(zip(names, ("passes", "frames"), strict=False))
-    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [counts[name], cells, cells]) for name in names]
-    onnx_graph = helper.make_graph(graph.nodes, "unet", inputs, outputs, graph.constants)
+    output = helper.make_tensor_value_info("probability", TensorProto.FLOAT, ["passes", cells, cells])
+    onnx_graph = helper.make_graph(graph.nodes, "unet", inputs, [output], graph.constants)
     model = helper.make_model(
         onnx_graph, producer_name="viewshed", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
     )
@@ -80,26 +76,10 @@ class _Graph:
             last = i == shape.depth - 1
             x = self.split_stage(_stage(stage), x, skips.pop()) if last else self.joined(_stage(stage), x, skips.pop())
             x = x if last else self.node("Mul", [x, parts[shape.depth + i]])
-        self.output(self.head(x, module.head, shape.fold), "probability")
-        if module.doubt is not None:
-            x = self.once(x)
-            x = self.node("Relu", [self.conv(x, module.doubt.first.weight, module.doubt.first.bias)])
-            most = self.constant(np.array(MOST_DEVIATION, np.float32))
-            self.output(self.node("Mul", [self.head(x, module.doubt.last, shape.fold), most]), "deviation")
-
-    def once(self, x: str) -> str:
-        """As many of ``x`` as there are inputs: the deviation of one input is not computed for each of its masks."""
-        frames = self.node("Shape", ["inputs"], start=0, end=1)
-        return self.node("Slice", [x, self.constant(np.array([0])), frames, self.constant(np.array([0]))])
-
-    def head(self, x: str, conv: nn.Conv2d, fold: int) -> str:
-        assert conv.bias is not None
-        x = self.node("Conv", [x, *self.weights(conv.weight, conv.bias)], kernel_shape=[1, 1])
-        x = x if fold == 1 else self.node("DepthToSpace", [x], blocksize=fold, mode="CRD")
-        return self.node("Sigmoid", [x])
-
-    def output(self, x: str, name: str) -> None:
-        self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], [name]))
+        x = self.node("Conv", [x, *self.weights(module.head.weight, module.head.bias)], kernel_shape=[1, 1])
+        x = x if shape.fold == 1 else self.node("DepthToSpace", [x], blocksize=shape.fold, mode="CRD")
+        x = self.node("Sigmoid", [x])
+        self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], ["probability"]))
 
     def parts(self, channels: tuple[int, ...]) -> list[str]:
         names = [f"part{i}" for i in range(len(channels))]

@@ -3,8 +3,8 @@
 1. Rewrite the graph channels last, without the operators that eight-bit engines run badly: :func:`to_channels_last`.
 2. Calibrate: the smallest and the largest value of every activation over sweeps, with dropout off and on (min-max).
 3. Quantize: activations per tensor, asymmetric uint8; weights per output channel, symmetric int8; biases int32 in units
-   of input scale times weight scale. The first layer reads the uint8 feature maps as they are; the heads' last layers
-   and the sigmoids stay in float32.
+   of input scale times weight scale. The first layer reads the uint8 feature maps as they are; the head's last layer
+   and the sigmoid stay in float32.
 4. Write it in QDQ format: every operator is in float32 between DequantizeLinear and QuantizeLinear. Any ONNX engine
    computes the same; one that knows the pattern fuses it and multiplies bytes.
 """
@@ -72,12 +72,10 @@ def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastG
     graph.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
     first = graph.add("Transpose", ["inputs"], "straight", perm=[0, 3, 1, 2])
     same, side = {"inputs": first}, graph.side
-    for node in model.graph.node:
+    for node in _needed_nodes(model):
         x, output = same.get(node.input[0], node.input[0]), node.output[0]
         if node.op_type in ("SpaceToDepth", "DepthToSpace"):
             same[output] = x
-        elif node.op_type == "Shape":
-            _copy_node(graph, node, "inputs")
         elif node.op_type == "ConvTranspose":
             _rewrite_transposed_conv(graph, node, side)
             side *= 2
@@ -89,6 +87,16 @@ def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastG
     used = {name for node in graph.nodes for name in node.input}
     graph.constants = {name: value for name, value in graph.constants.items() if name in used}
     return graph
+
+
+def _needed_nodes(model: onnx.ModelProto) -> list[onnx.NodeProto]:
+    """Return the nodes that the probability is computed by: older files may have a second head, which is left out."""
+    needed, found = {"probability"}, list[onnx.NodeProto]()
+    for node in reversed(model.graph.node):
+        if not needed.isdisjoint(node.output):
+            needed.update(node.input)
+            found.append(node)
+    return found[::-1]
 
 
 def _copy_node(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str) -> None:
@@ -126,7 +134,7 @@ def _rewrite_transposed_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, sid
 
 
 def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
-    """Add what the last convolution 1 × 1 of a head does, and what unfolds its channels to cells."""
+    """Add what the last convolution 1 × 1 does, and what unfolds its channels to cells."""
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
     fold, side = graph.card.shape.fold, graph.side
     x = graph.add("Transpose", [node.input[0]], f"{name}_last", perm=[0, 2, 3, 1])
@@ -144,7 +152,7 @@ def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
 _OPSET, _IR = 19, 9
 _SEED = 0x6D61736B
 
-_SCALE_PRESERVING = ("Transpose", "Reshape", "MaxPool", "Slice")
+_SCALE_PRESERVING = ("Transpose", "Reshape", "MaxPool")
 """Operators that only move values: their outputs have the scale of their inputs."""
 
 _QUANTIZED_OPERATORS = (*_SCALE_PRESERVING, "Conv", "Add", "Concat", "Mul")
@@ -170,8 +178,8 @@ def quantize_network(
 ) -> bytes:
     """Return the file of a network in bytes, of that of one in float32.
 
-    Activations and masks are bytes, weights signed bytes with a scale for each channel they give; the last convolutions
-    of the heads, and what follows them, stay in float32. The card says so among the facts of the training.
+    Activations and masks are bytes, weights signed bytes with a scale for each channel they give; the last convolution,
+    and what follows it, stays in float32. The card says so among the facts of the training.
 
     Args:
         content: of a file that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
@@ -215,8 +223,7 @@ def _quantize_graph(graph: ChannelsLastGraph, ranges: Mapping[str, Range]) -> on
     quantized = _QdqGraph(graph, ranges)
     for node in graph.nodes:
         quantized.add(node)
-    outputs = ["probability", "deviation"] if graph.card.shape.doubt else ["probability"]
-    model = _model(graph, quantized.nodes, quantized.constants, outputs, TensorProto.UINT8)
+    model = _model(graph, quantized.nodes, quantized.constants, ["probability"], TensorProto.UINT8)
     helper.set_model_props(model, {CARD_KEY: graph.card.to_json()})
     onnx.checker.check_model(model)
     return model
@@ -234,12 +241,8 @@ def _model(
         helper.make_tensor_value_info("inputs", kind, ["frames", graph.side, graph.side, graph.inner]),
         helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", sum(card.shape.masked_channels)]),
     ]
-    counts, bare = {"probability": "passes", "deviation": "frames"}, kind == TensorProto.FLOAT
-    shapes: list[Any] = [None if bare else [counts[output], *card.grid.shape] for output in outputs]
-    outputs_info = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-        for name, shape in zip(outputs, shapes, strict=True)
-    ]
+    shape: list[Any] | None = None if kind == TensorProto.FLOAT else ["passes", *card.grid.shape]
+    outputs_info = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name in outputs]
     initializers = [numpy_helper.from_array(value, name) for name, value in constants.items()]
     graph = helper.make_graph(nodes, "unet", inputs, outputs_info, initializers)
     sets = [helper.make_opsetid("", _OPSET)]
@@ -293,7 +296,7 @@ class _QdqGraph:
         copy, output = onnx.NodeProto(), node.output[0]
         copy.CopyFrom(node)
         for i, name in enumerate(node.input):
-            copy.input[i] = name if node.op_type == "Shape" else self.names.get(name, name)
+            copy.input[i] = self.names.get(name, name)
             if name in self.graph.constants:
                 self.constants[name] = self.graph.constants[name]
         if scale is not None and node.op_type == "Conv":

@@ -15,7 +15,7 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
-from viewshed.networks.card import INT8, require_doubt
+from viewshed.networks.card import INT8
 from viewshed.networks.inspection import inspect_network
 from viewshed.networks.weights import shipped_content, shipped_names, verify_checksum
 
@@ -116,8 +116,6 @@ Floats = NDArray[np.float32]
 Call = Callable[[NDArray[Any], Floats, Sequence[str]], list[Floats]]
 """From inputs, masks and names of outputs to these."""
 
-_PROBABILITY, _DEVIATION = "probability", "deviation"
-
 _NO_INT8 = {"openvino": "which computes its masks wrong", "cuda": "which is for networks in float32"}
 
 
@@ -191,22 +189,10 @@ class OnnxRunner:
         self._check(inputs, masks)
         step = max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
         if len(masks) <= step:
-            return self._call(inputs, masks, [_PROBABILITY])[0]
+            return self._call(inputs, masks, ["probability"])[0]
         parts = [slice(start, start + step) for start in range(0, len(masks), step)]
         shared = len(inputs) == 1
         return np.concatenate([self.run(inputs if shared else inputs[part], masks[part]) for part in parts])
-
-    def run_with_doubt(self, inputs: NDArray[Any]) -> tuple[Floats, Floats]:
-        """Return probabilities and deviations (N, cells, cells); see :class:`viewshed.networks.card.Runner`.
-
-        Raises:
-            ValueError: the network has no head for deviations.
-        """
-        require_doubt(self.card)
-        masks = self.card.shape.no_masks(len(inputs))
-        self._check(inputs, masks)
-        prob, std = self._call(inputs, masks, [_PROBABILITY, _DEVIATION])
-        return prob, std
 
     def _check(self, inputs: NDArray[Any], masks: Floats) -> None:
         card = self.card

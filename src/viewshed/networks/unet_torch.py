@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from viewshed._files import write_atomic
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.card import MOST_DEVIATION, NetworkCard, require_doubt
+from viewshed.networks.card import NetworkCard
 
 
 class Stage(nn.Module):
@@ -34,20 +34,6 @@ class Stage(nn.Module):
         return torch.relu(self.norm2(self.conv2(x)))
 
 
-class DoubtHead(nn.Module):
-    """Reads the last stage: convolution 3 × 3, ReLU, convolution 1 × 1."""
-
-    def __init__(self, shape: UNetShape) -> None:
-        super().__init__()
-        self.first = nn.Conv2d(shape.width, shape.width, 3, padding=1)
-        self.last = nn.Conv2d(shape.width, shape.fold**2, 1)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return (N, fold², H, W) of (N, width, H, W)."""
-        out: Tensor = self.last(torch.relu(self.first(x)))
-        return out
-
-
 class UNet(nn.Module):
     """Encoder, bottleneck and decoder with skips; masks multiply the channels after the stages that drop out.
 
@@ -62,20 +48,9 @@ class UNet(nn.Module):
         self.up = nn.ModuleList(nn.ConvTranspose2d(2 * w, w, 2, stride=2) for w in shape.widths[-2::-1])
         self.decoder = nn.ModuleList(Stage(2 * w, w) for w in shape.widths[-2::-1])
         self.head = nn.Conv2d(shape.width, shape.fold**2, 1)
-        self.doubt = DoubtHead(shape) if shape.doubt else None
 
     def forward(self, inputs: Tensor, masks: Tensor) -> Tensor:
         """Return logits (N, 1, H, W)."""
-        return self._unfolded(self.head(self.features(inputs, masks)))
-
-    def with_doubt(self, inputs: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
-        """Return logits of the probability and of twice the deviation, both (N, 1, H, W)."""
-        assert self.doubt is not None
-        x = self.features(inputs, masks)
-        return self._unfolded(self.head(x)), self._unfolded(self.doubt(x))
-
-    def features(self, inputs: Tensor, masks: Tensor) -> Tensor:
-        """Return what the heads read, (N, width, H / fold, W / fold)."""
         parts = torch.split(masks[:, :, None, None], list(self.shape.masked_channels), dim=1)
         skips: list[Tensor] = []
         x = nn.functional.pixel_unshuffle(inputs, self.shape.fold)
@@ -87,10 +62,7 @@ class UNet(nn.Module):
         for i, (up, stage) in enumerate(zip(self.up, self.decoder, strict=True)):
             x = stage(torch.cat([up(x), skips.pop()], dim=1))
             x = x * parts[self.shape.depth + i] if i < self.shape.depth - 1 else x
-        return x
-
-    def _unfolded(self, x: Tensor) -> Tensor:
-        return nn.functional.pixel_shuffle(x, self.shape.fold)
+        return nn.functional.pixel_shuffle(self.head(x), self.shape.fold)
 
 
 class TorchRunner:
@@ -111,15 +83,8 @@ class TorchRunner:
         with self._evaluating():
             x, m = self._tensor(inputs), self._tensor(masks)
             x = x.expand(len(m), *x.shape[1:]) if len(x) == 1 else x
-            return _probability(self._module(x, m))
-
-    def run_with_doubt(self, inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return probabilities and deviations (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
-        require_doubt(self.card)
-        with self._evaluating():
-            masks = self.card.shape.no_masks(len(inputs))
-            prob, doubt = self._module.with_doubt(self._tensor(inputs), self._tensor(masks))
-            return _probability(prob), _probability(doubt) * np.float32(MOST_DEVIATION)
+            prob: NDArray[np.float32] = torch.sigmoid(self._module(x, m))[:, 0].float().cpu().numpy()
+            return prob
 
     @contextlib.contextmanager
     def _evaluating(self) -> Iterator[None]:
@@ -133,11 +98,6 @@ class TorchRunner:
 
     def _tensor(self, array: NDArray[np.float32]) -> Tensor:
         return torch.from_numpy(np.array(array, np.float32)).to(self._device)
-
-
-def _probability(logits: Tensor) -> NDArray[np.float32]:
-    prob: NDArray[np.float32] = torch.sigmoid(logits)[:, 0].float().cpu().numpy()
-    return prob
 
 
 def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:
@@ -158,7 +118,9 @@ def load_weights(path: str | Path) -> tuple[NetworkCard, UNet]:
     card = NetworkCard.from_json(content["card"])
     module = UNet(card.shape)
     try:
-        module.load_state_dict(content["state"])
+        # Older files may hold a second head, which is not read.
+        state = {name: value for name, value in content["state"].items() if not name.startswith("doubt.")}
+        module.load_state_dict(state)
     except (RuntimeError, AttributeError) as error:
         first = " ".join(str(error).split())[:120]
         raise ValueError(f"{path} must hold the weights of {card.shape}, got others ({first}); train again") from error

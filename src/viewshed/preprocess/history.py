@@ -16,11 +16,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import atan2
-from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams, Target, returns_by_kind
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.held_ground import hold_over, pose_of
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
 
@@ -42,11 +42,17 @@ SIGHT_STEP = 2
 GAP_ROWS, GAP_COLUMNS = 20, 4
 """Obstacle pixels of similar depth at most so many rows or columns (8° or 2°) apart belong to one obstacle."""
 
+SEEN_THROUGH_M = 1.0
+"""Such a gap is closed where something farther was seen in it if it is narrower than this: seen from elsewhere."""
+
 MAP_CELL_M = 0.5
 """Side of a cell of the map of obstacles: one stands where two sweeps saw it in the same or in neighboring cells."""
 
 MAP_CELLS = 512
 """Cells along a side of the map of obstacles, a square about the sensor."""
+
+LEAST_VIEW = 0.15
+"""A line of sight is open if more than this share of a target is in view past what is remembered."""
 
 _SIMILAR = 1.25
 
@@ -66,14 +72,12 @@ class History:
     """What earlier sweeps saw, seen from the sensor now.
 
     Attributes:
-        sensor_height_m: height of the sensor now.
-        ground: the ground now.
-        earlier: the sweeps, any number of them.
+        now: the sweep now, with the ground, height and reach that earlier ones hold; what is to be estimated.
+        earlier: the sweeps, any number of them, each with what those before it hold.
         now_from_earlier: pose of the ``level`` frame of each in that of the sweep now.
     """
 
-    sensor_height_m: float
-    ground: HeightMap
+    now: LeveledSweep
     earlier: tuple[LeveledSweep, ...]
     now_from_earlier: tuple[Rigid, ...]
     _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
@@ -87,9 +91,15 @@ class History:
         """
         if not earlier:
             return None
-        now_from_world = _pose(leveled).inverse()
-        poses = tuple(now_from_world @ _pose(sweep) for sweep in earlier)
-        return cls(leveled.sensor_height_m, leveled.ground, tuple(earlier), poses)
+        *before, now = hold_over([*earlier, leveled])
+        now_from_world = pose_of(now).inverse()
+        poses = tuple(now_from_world @ pose_of(sweep) for sweep in before)
+        return cls(now, tuple(before), poses)
+
+    @property
+    def sensor_height_m(self) -> float:
+        """Height of the sensor now."""
+        return self.now.sensor_height_m
 
     def obstacles(self) -> Floats:
         """Return the horizontal range of the nearest obstacle by slope and azimuth (ROWS, COLUMNS); +inf for none.
@@ -127,25 +137,28 @@ class History:
     def confirmations(self, grid: BevGrid, target: Target) -> NDArray[np.int32]:
         """Return how many of the earlier sweeps confirm that a target in each cell (cells, cells) would be seen.
 
-        A sweep confirms a cell that it would have seen itself, if the line of sight from here was open as well: if the
-        obstacles that it saw leave more than half of the target in view. Computed once for a grid and a target;
-        read-only.
+        A sweep confirms a cell that it would have seen itself, if the line of sight from here was open as well: past
+        the obstacles that it saw, those that several sweeps saw and those of the last sweep, whether they move or not.
+        Computed once for a grid and a target; read-only.
         """
         if (grid, target) in self._confirmations:
             return self._confirmations[grid, target]
         total, there = np.zeros(grid.shape, np.int32), np.empty(grid.shape, np.bool_)
         x0_m, y0_m = np.array(grid.origin_m, np.float32)
-        lines, where = _sight_lines(), (self.sensor_height_m, self.ground, grid, target)
+        lines, where = _sight_lines(), (self.sensor_height_m, self.now.ground, grid, target)
         [whole] = returns_by_kind([lines], *where)
-        for before, now_from_before in zip(self.earlier, self.now_from_earlier, strict=True):
+        # A sweep alone leaves gaps where it looked from afar or along a face, and the way seems open there.
+        images = [self._obstacles_of(*pair) for pair in zip(self.earlier, self.now_from_earlier, strict=True)]
+        remembered = np.minimum.reduce([self.obstacles(), *images[-1:]])
+        for before, now_from_before, image in zip(self.earlier, self.now_from_earlier, images, strict=True):
             # Did it see the cell from where it was?
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32)
             seen = beam_evidence(before, grid, target).supports_claim()
             _look_up_mask(seen, x0_m, y0_m, np.float32(grid.cell_m), before_from_now, there)
-            # Is the way from here to the cell open past the obstacles that it saw?
-            depth_m = _obstacle_ranges(self._obstacles_of(before, now_from_before), lines.azimuth, lines.slope)
+            # Is the way from here to the cell open?
+            depth_m = _obstacle_ranges(np.minimum(image, remembered), lines.azimuth, lines.slope)
             [open_] = returns_by_kind([Beams(lines.azimuth, lines.slope, depth_m)], *where)
-            total += there & (open_ > np.float32(0.5) * whole)
+            total += there & (open_ > np.float32(LEAST_VIEW) * whole)
         total.setflags(write=False)
         self._confirmations[grid, target] = total
         return total
@@ -161,13 +174,6 @@ def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep | LeveledSweep], g
     return History.of(leveled, [sweep for sweep in before if len(sweep.sweep)])
 
 
-def _pose(leveled: LeveledSweep) -> Rigid:
-    pose = leveled.world_from_level
-    if pose is None:
-        raise ValueError("sweeps must have poses to be seen together, got one without; give world_from_sensor")
-    return pose
-
-
 def _obstacle_points(before: LeveledSweep, now_from_before: Rigid) -> Floats:
     """Return the points (M, 3) of an earlier sweep on obstacles, in the ``level`` frame now."""
     transform = now_from_before.as_matrix()[:3].astype(np.float32)
@@ -178,8 +184,9 @@ def _obstacle_points(before: LeveledSweep, now_from_before: Rigid) -> Floats:
 
 def _close_gaps(image: Floats) -> None:
     """Close the gaps between the rings and between the columns of one obstacle in an image (ROWS, COLUMNS)."""
-    _fill_gaps(image, GAP_ROWS, np.float32(_SIMILAR))
-    _fill_gaps(image.T, GAP_COLUMNS, np.float32(_SIMILAR))
+    row_step, column_step = (SLOPES[1] - SLOPES[0]) / ROWS, 2 * np.pi / COLUMNS
+    _fill_gaps(image, GAP_ROWS, np.float32(_SIMILAR), np.float32(SEEN_THROUGH_M / row_step))
+    _fill_gaps(image.T, GAP_COLUMNS, np.float32(_SIMILAR), np.float32(SEEN_THROUGH_M / column_step))
 
 
 @lru_cache(maxsize=1)
@@ -253,21 +260,28 @@ def _draw_obstacles(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_gaps(image: Any, gap: Any, ratio: Any) -> None:  # pragma: no cover - compiled
-    """Fill gaps of at most so many rows between pixels of a column with similar depths, as those between rings are."""
-    last = np.full(image.shape[1], -1, np.int32)  # row of the last obstacle of each column
+def _fill_gaps(image: Any, gap: Any, ratio: Any, narrow: Any) -> None:  # pragma: no cover - compiled
+    """Fill gaps of at most so many rows between pixels of a column with similar depths, as those between rings are.
+
+    Pixels of something farther in a gap were seen from elsewhere. They are filled as well where the gap is narrow: of
+    fewer than ``narrow`` rows at a meter.
+    """
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             depth = image[row, column]
             if depth == np.inf:
                 continue
-            before = last[column]
-            if before >= 0 and 1 < row - before <= gap:
-                other = image[before, column]
-                if depth < other * ratio and other < depth * ratio:
-                    for between in range(before + 1, row):
-                        image[between, column] = max(depth, other)
-            last[column] = row
+            # Back to the nearest pixel that is no farther: of the same obstacle, or the gap is none of its own.
+            before, seen_through = row - 1, False
+            while before >= 0 and row - before <= gap and image[before, column] >= depth * ratio:
+                seen_through |= image[before, column] < np.inf
+                before -= 1
+            if before < 0 or not 1 < row - before <= gap or depth >= image[before, column] * ratio:
+                continue
+            fill = max(depth, image[before, column])
+            if not seen_through or (row - before) * fill < narrow:
+                for between in range(before + 1, row):
+                    image[between, column] = fill
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

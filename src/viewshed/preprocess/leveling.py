@@ -31,7 +31,12 @@ MAX_RANGE_M = 250.0
 """Returns farther than this are not used where the sensor is not known."""
 
 TILT_SUPPORT = 0.35
-"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt."""
+"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt, ..."""
+
+TILT_RETURNS = 0.5
+"""... or this share of the returns: far walls outweigh the ground below a sensor that looks down beside them."""
+
+_ON_PLANE_M = 0.2
 
 LEVEL_TILT = np.deg2rad(6.0)
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
@@ -49,6 +54,21 @@ _NO_MASK = np.zeros(0, np.bool_)
 _NO_MASK.setflags(write=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a sweep takes from earlier ones of its stream beside their ground; numbers alone, no sweep.
+
+    Attributes:
+        heights_m: the sensor's heights above the ground that the last sweeps estimated, this one's last.
+        reach_m: the greatest reach that a sweep of the stream showed.
+        is_height_held: whether this sweep's own height was set aside for the median of ``heights_m``.
+    """
+
+    heights_m: tuple[float, ...]
+    reach_m: float
+    is_height_held: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class LeveledSweep:
     """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows, in the sweep's order.
@@ -64,6 +84,8 @@ class LeveledSweep:
         ground: the local ground.
         sensor_id: the rings and the sensor, the sweep's own or identified by its points.
         range_image: the sweep's N returns on its range image, or None where the rings are not known.
+        held: what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a
+            sweep by itself.
     """
 
     sweep: Sweep
@@ -76,6 +98,7 @@ class LeveledSweep:
     ground: HeightMap
     sensor_id: SensorId = UNIDENTIFIED
     range_image: RangeImage | None = None
+    held: Held | None = None
 
     @property
     def sensor_height_m(self) -> float:
@@ -201,13 +224,20 @@ def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | Non
     normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
     if ground.support < TILT_SUPPORT:
         # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
-        stride = max(len(sweep) // 2500, 1)
-        steep, support = free_plane(np.ascontiguousarray(sweep.points[::stride]))
-        if support < TILT_SUPPORT:
+        returns = np.ascontiguousarray(sweep.points[:: max(len(sweep) // 2500, 1)])
+        steep, support = free_plane(returns)
+        if support < TILT_SUPPORT and _share_at_one_height(returns @ steep) < TILT_RETURNS:
             return None
         normal = steep.astype(np.float64)
     normal /= np.linalg.norm(normal)
     return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
+
+
+def _share_at_one_height(height_m: NDArray[np.float32]) -> float:
+    """Return the share of heights (n,) below the sensor that lie within ``_ON_PLANE_M`` of each other."""
+    low = np.sort(height_m[height_m < -LEAST_HEIGHT_M])
+    together = np.searchsorted(low, low + np.float32(_ON_PLANE_M)) - np.arange(len(low))
+    return float(together.max(initial=0)) / max(len(height_m), 1)
 
 
 def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:

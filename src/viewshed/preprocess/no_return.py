@@ -164,12 +164,13 @@ def _infer_no_return_beams(leveled: LeveledSweep, image: RangeImage, top_m: floa
 
 
 def _image_of_beams(leveled: LeveledSweep) -> RangeImage:
-    """Return the sweep's range image if its pixels are beams, else one by recovered rings and measured columns."""
+    """Return the sweep's range image if its pixels are beams, else one by its rings and measured columns."""
     image = leveled.range_image
     if image is not None and image.pixels_are_beams:
         return image
-    sweep = leveled.sweep
-    return range_image_by_rings(sweep.points, recover_rings(sweep, leveled.sensor_id.model), range_limits(sweep))
+    sweep, sensor_id = leveled.sweep, leveled.sensor_id
+    rings = recover_rings(sweep, sensor_id.model, sensor_id.ring)
+    return range_image_by_rings(sweep.points, rings, range_limits(sweep))
 
 
 def _clutter(leveled: LeveledSweep) -> NDArray[np.bool_] | None:

@@ -26,6 +26,9 @@ _NO_MATCH = 0.15
 _MATCH = 0.6
 """... and one that explains less than this share of what the elevations at which the returns gather explain."""
 
+_BELOW_M, _BELOW_SHARE = 0.1, 0.01
+"""Of a sensor above the ground more than this share of the points lie lower than this below it."""
+
 _LOW_M = 0.6
 """Sensors that seem to stand lower than this, and whose returns gather at no beams, may not be at the origin."""
 
@@ -41,14 +44,30 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     sweep = leveled.sweep
     if len(sweep) < _FEWEST:
         return ()
-    found = (_doubt_of_units(sweep) or _doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
+    units = _doubt_of_units(sweep)
+    if units:
+        return (units,)
+    found = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
     return tuple(doubt for doubt in found if doubt)
 
 
 def _doubt_of_units(sweep: Sweep) -> str:
-    half_m, most_m = np.quantile(np.linalg.norm(sweep.points[:: max(len(sweep) // 4096, 1)], axis=1), (0.5, 0.99))
+    some = sweep.points[:: max(len(sweep) // 4096, 1)].astype(np.float64)
+    half_m, most_m = np.quantile(np.linalg.norm(some, axis=1), (0.5, 0.99))
     if half_m > _MILLIMETERS_M:
-        return f"half of the points are farther than {half_m:.0f} m: is the file in millimeters? Convert it to meters"
+        middle_m = np.median(some, axis=0)
+        if np.median(np.linalg.norm(some - middle_m, axis=1)) < _MILLIMETERS_M:
+            where = ", ".join(f"{value:.0f}" for value in middle_m)
+            return (
+                f"the points lie around ({where}) m: are they in a map's coordinates? Subtract the sensor's position"
+                " before they are written"
+            )
+        return (
+            f"half of the points are farther than {half_m:.0f} m: is the file in millimeters or centimeters? Convert it"
+            " to meters"
+        )
+    if most_m == 0.0:
+        return "nearly all points lie at the origin: are they returns at all?"
     if most_m < _KILOMETERS_M:
         return f"nearly all points are nearer than {most_m:.3f} m: is the file in kilometers? Convert it to meters"
     return ""
@@ -63,7 +82,14 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
             f"the sensor's height of {height_m:.2f} m rests on a plane that only {support:.0%} of the near ground lies"
             " on: give --height if it is known"
         )
-    if low_m <= height_m <= high_m or (not given and support == 0):
+    if not given and support == 0:
+        if len(leveled.points) == 0 or _lies_on_the_ground(leveled.sweep):
+            return ""
+        return (
+            f"no ground is seen, and the sensor is taken to be {height_m:.2f} m above it: give --height if it is known,"
+            " or --file-frame if the file's z points down"
+        )
+    if low_m <= height_m <= high_m:
         return ""
     found = "is said to be" if given else "comes out as"
     return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
@@ -81,8 +107,18 @@ def _doubt_of_sensor(sweep: Sweep) -> str:
     return f"the returns do not lie at the beams of {sweep.model.name}: name another --sensor, or none"
 
 
+def _lies_on_the_ground(sweep: Sweep) -> bool:
+    """Whether no more than a few points lie below the origin."""
+    return bool(np.quantile(sweep.points[:, 2], _BELOW_SHARE) > -_BELOW_M)
+
+
 def _doubt_of_origin(leveled: LeveledSweep) -> str:
     sweep = leveled.sweep
+    if sweep.sensor_height_m is None and leveled.ground.support == 0 and _lies_on_the_ground(sweep):
+        return (
+            "no point lies below the origin: are the points counted from the road? Say with --origin X,Y,Z where the"
+            " sensor is"
+        )
     if sweep.sensor_height_m is not None or leveled.sensor_height_m > _LOW_M or leveled.sensor_id.model is not None:
         return ""
     # A low robot's returns gather at its beams; points counted from the axle or the road gather nowhere.

@@ -22,13 +22,17 @@ _COARSE = 1024
 
 _FINE = 512
 
+_BACK, _SOON = 0.35, 8
+"""Azimuths jitter across the seam by at most so many radians, for fewer than so many points."""
+
 
 @njit(cache=True, nogil=True)
 def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # pragma: no cover - compiled
     """Return rings (N,) counted from the wraps of the azimuth past ``start`` in the sense ``turn``.
 
-    Also their number, the steps against that sense, and the share of wraps at which the slope rises. First and last
-    rings of less than a hundredth of the others' size are joined to their neighbor. Stops early on a shuffled cloud.
+    Also their number, the steps against that sense, and the share of wraps at which the slope rises. A step back over
+    ``start`` soon after a wrap takes the wrap back. First and last rings of less than a hundredth of the others' size
+    are joined to their neighbor. Stops early on a shuffled cloud.
     """
     count = azimuth.shape[0]
     ring = np.zeros(count, np.int16)
@@ -42,6 +46,9 @@ def order_rings(azimuth: Any, slope: Any, start: float, turn: float) -> Any:  # 
             upward += slope[n] > slope[n - 1]
             first_end = n if wraps == 1 else first_end
             last_start = n
+        elif wraps > 0 and step > 2 * np.pi - _BACK and n - last_start < _SOON:
+            wraps -= 1
+            upward -= slope[n] < slope[n - 1]
         elif n > 0 and step < -0.003:
             backward += 1
         if backward > 100 + 0.1 * n or wraps > 4096:
@@ -143,6 +150,9 @@ PSEUDO_RINGS = 64
 _MOST_WAY = 1.5
 """Median slopes of rings go from the first to the last in at most this much of the way between these."""
 
+_LITTLE = 0.3
+"""Rings told by the order of the points are taken at once where they change by less than this share of a step."""
+
 _SAMPLED_RINGS = 6
 
 
@@ -180,13 +190,15 @@ class RingAssignment:
         return 2.0 * np.pi / self.columns
 
 
-def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignment:
+def recover_rings(
+    sweep: Sweep, model: LidarModel | None = None, known: NDArray[np.int16] | None = None
+) -> RingAssignment:
     """Return the beam and column of every return of ``sweep``.
 
-    Rings come from the sweep's own ring column; else from the order of the points (ring after ring, as in KITTI
-    files); else from the nearest beam of ``model`` (or of the sweep's model), if the elevations gather at its beams;
-    else, without a model, from the elevations at which the returns themselves gather; else from bins of elevation. All
-    but the second do not depend on the order of the points.
+    Rings are ``known`` (N,), -1 where no beam explains a return; else they come from the sweep's own ring column; else
+    from the order of the points (ring after ring, as in KITTI files); else from the nearest beam of ``model`` (or the
+    sweep's model), if the elevations gather at its beams; else, without a model, from the elevations at which the
+    returns themselves gather; else from bins of elevation. All but the order do not depend on the order of the points.
 
     >>> points = np.array([[10.0, 1.0, -1.0], [0.0, 10.0, 1.0]])
     >>> recover_rings(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
@@ -194,7 +206,7 @@ def recover_rings(sweep: Sweep, model: LidarModel | None = None) -> RingAssignme
     """
     model = sweep.model if model is None else model
     azimuth, slope, range_m = polar(sweep.points)
-    ring, rings, source = _rings(sweep, model, azimuth, slope, range_m)
+    ring, rings, source = _rings(sweep.ring if known is None else known, model, azimuth, slope, range_m)
     columns = _columns(azimuth, ring, range_m, model, source)
     column, placed, alone = count_alone(azimuth, ring, columns, rings)
     return RingAssignment(
@@ -229,12 +241,12 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _rings(
-    sweep: Sweep, model: LidarModel | None, azimuth: Angles, slope: Angles, range_m: Angles
+    known: NDArray[np.int16] | None, model: LidarModel | None, azimuth: Angles, slope: Angles, range_m: Angles
 ) -> tuple[NDArray[np.int16], int, Source]:
     """Return the ring of each point, the number of rings and where they come from."""
-    if sweep.ring is not None:
-        known = int(sweep.ring.max(initial=0)) + 1
-        return sweep.ring, known if model is None else max(known, model.rings), "file"
+    if known is not None:
+        rings = int(known.max(initial=0)) + 1
+        return known, rings if model is None else max(rings, model.rings), "file"
     ordered = rings_by_order(azimuth, slope)
     if ordered is not None and (model is None or ordered.max() < model.rings):
         return ordered, int(ordered.max()) + 1, "file order"
@@ -250,7 +262,12 @@ def _rings(
 
 
 def rings_by_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
-    """Return the rings told by the order of the points, or None where they are not stored ring after ring."""
+    """Return the rings told by the order of the points, or None where they are not stored ring after ring.
+
+    Rings begin behind or before the sensor. Counted from the wrong side each holds halves of two, and its slope changes
+    by a whole step on the way: the rings whose slope changes less are right.
+    """
+    best, least = None, np.inf
     for start in (0.0, np.pi):
         for turn in (1.0, -1.0):
             ring, rings, backward, upward = order_rings(azimuth, slope, start, turn)
@@ -262,10 +279,20 @@ def rings_by_order(azimuth: Angles, slope: Angles) -> NDArray[np.int16] | None:
             rising = float((steps > 0).mean())
             # Two sensors one after the other rise twice.
             once = np.abs(steps).sum() <= _MOST_WAY * abs(medians[-1] - medians[0])
-            if once and max(rising, 1 - rising) >= 0.9:
+            change = _change_within(ring, slope) / np.median(np.abs(steps))
+            if change < least and once and max(rising, 1 - rising) >= 0.9:
                 ascending: NDArray[np.int16] = ring if rising > 0.5 else (rings - 1 - ring).astype(np.int16)
-                return ascending
-    return None
+                best, least = ascending, change
+                if change < _LITTLE:
+                    return best
+    return best
+
+
+def _change_within(ring: NDArray[np.int16], slope: Angles) -> float:
+    """Return how much the slope changes, in the median ring, from a quarter of its returns to three quarters."""
+    starts = np.append(0, np.flatnonzero(np.diff(ring)) + 1)
+    sizes = np.diff(starts, append=len(ring))
+    return float(np.median(np.abs(slope[starts + sizes // 4] - slope[starts + 3 * sizes // 4])))
 
 
 def _elevation_bins(slope: Angles, range_m: Angles, model: LidarModel | None) -> tuple[NDArray[np.int16], int]:

@@ -14,6 +14,7 @@ from viewshed.geometry import FloatArray
 from viewshed.preprocess.beam_matching import EXPLAINED, NEAR_M, Angles, match_beams, polar
 from viewshed.preprocess.elevation_clusters import rings_by_clusters
 from viewshed.preprocess.ring_recovery import ring_medians, rings_by_order
+from viewshed.preprocess.sensor_motion import find_motion
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
 
@@ -44,6 +45,9 @@ _HIT = 0.9
 
 _SHARP = 0.97
 """Clusters that explain so many of the returns are the sensor's beams, whatever a table says."""
+
+_SHARP_AT_REST = 0.95
+"""The same of a sensor whose motion was undone: near the seam a return may be of either end of the revolution."""
 
 _CERTAIN = 0.5
 
@@ -91,8 +95,9 @@ def identify_sensor(sweep: Sweep) -> SensorId:
 
     Rings come from the order of the points, else from the elevations at which they gather. The sensor is the table that
     these rings agree with, if the sweep lets it be inferred; where there are no rings, one that explains points beside
-    its beams as well, as those of a moving sensor are. Neither is guessed: a cloud that gathers at no elevations has no
-    rings, and rings that agree with no table have no sensor.
+    its beams as well, as those of a moving sensor are. Where no table does, rings come from the elevations at which the
+    returns gather once the motion of the sensor is undone. None of this is guessed: a cloud that gathers at no
+    elevations has no rings, and rings that agree with no table have no sensor.
     """
     if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
         return SensorId(sweep.ring, sweep.model)
@@ -101,11 +106,17 @@ def identify_sensor(sweep: Sweep) -> SensorId:
         ordered = rings_by_order(azimuth, slope)
         if ordered is not None and int(ordered.max()) < sweep.model.rings:
             return SensorId(ordered, sweep.model)
-        return SensorId(_nearest_beams(slope, range_m, sweep.model), sweep.model)
+        return SensorId(_beams_of_known_sensor(sweep.model, sweep.points, slope, range_m), sweep.model)
     if not sweep.infer_sensor:
         first = next(_shown_rings(None, azimuth, slope, range_m), None)
         return UNIDENTIFIED if first is None else SensorId(first.ring, None)
     model, _, rings = _identify(sweep.ring, azimuth, slope, range_m)
+    at_rest = _rings_at_rest(sweep.points) if _is_doubtful(rings, model) else None
+    if at_rest is not None and _is_better(at_rest[0], rings):
+        # The motion blurred them: look again without it.
+        rings, slope, range_m = at_rest
+        rows = _sample_rows(len(slope))
+        model = _agreeing_table(rings.of(rows), slope[rows], range_m[rows])[0] or model
     if rings is None:
         return UNIDENTIFIED if model is None else SensorId(_nearest_beams(slope, range_m, model), model)
     if model is None:
@@ -170,6 +181,66 @@ def _shown_rings(own: NDArray[np.int16] | None, azimuth: Angles, slope: Angles, 
         yield _Rings(clustered[0], len(clustered[1].elevation), "elevation clusters", clustered[1].sharpness)
 
 
+def _beams_of_known_sensor(
+    model: LidarModel, points: FloatArray, slope: Angles, range_m: Angles
+) -> NDArray[np.int16] | None:
+    """Return the beam of each point (N, 3) of a sensor that is known; None where the points do not gather at its beams.
+
+    Where its table does not explain them sharply, the sensor moved or has a calibration of its own: then the clusters
+    without its motion are counted as the table's beams, if the two go together.
+    """
+    match = match_beams(slope, range_m, model)
+    motion = find_motion(points) if match.excess < _SHARP else None
+    if motion is not None:
+        azimuth, slope, range_m = polar(motion.undo(points))
+        rings = _sharp_clusters(azimuth, slope, range_m)
+        if rings is not None and (
+            rings.count == model.rings or _beams_of_rings(rings, slope, range_m, model) is not None
+        ):
+            return _counted_as_beams(rings, slope, range_m, model)
+        match = max(match, match_beams(slope, range_m, model), key=lambda one: one.excess)
+    return match.ring if match.excess >= EXPLAINED else None
+
+
+def _is_doubtful(rings: _Rings | None, model: LidarModel | None) -> bool:
+    """Return whether nothing shows rings, only clusters that are not sharp, or an order that no table confirms."""
+    if rings is None:
+        return True
+    if rings.source == "elevation clusters":
+        return rings.sharpness < _SHARP
+    return rings.source == "file order" and model is None
+
+
+def _is_better(clusters: _Rings, rings: _Rings | None) -> bool:
+    """Return whether sharp clusters tell more than the rings: sharper ones, or more than an order that skips rings."""
+    if rings is None:
+        return True
+    if rings.source == "file order":
+        return clusters.count > rings.count
+    return clusters.sharpness >= rings.sharpness
+
+
+def _rings_at_rest(points: FloatArray) -> tuple[_Rings, Angles, Angles] | None:
+    """Return the rings of points (N, 3) after the motion of their sensor is undone, and slope and range (N,) then.
+
+    None where no motion makes the elevations gather sharply.
+    """
+    motion = find_motion(points)
+    if motion is None:
+        return None
+    azimuth, slope, range_m = polar(motion.undo(points))
+    rings = _sharp_clusters(azimuth, slope, range_m)
+    return None if rings is None else (rings, slope, range_m)
+
+
+def _sharp_clusters(azimuth: Angles, slope: Angles, range_m: Angles) -> _Rings | None:
+    """Return the rings of returns (N,) at whose elevations nearly all of them gather, or None."""
+    found = rings_by_clusters(azimuth, slope, range_m)
+    if found is None or found[1].sharpness < _SHARP_AT_REST:
+        return None
+    return _Rings(found[0], len(found[1].elevation), "elevation clusters", found[1].sharpness)
+
+
 def _sample_rows(count: int) -> NDArray[np.int64]:
     """Return rows of a cloud in random order: all of them, or ``SAMPLE`` of a larger one."""
     rng = np.random.default_rng(0)
@@ -184,7 +255,7 @@ def _nearest_beams(slope: Angles, range_m: Angles, model: LidarModel) -> NDArray
 
 def _counted_as_beams(rings: _Rings, slope: Angles, range_m: Angles, model: LidarModel) -> NDArray[np.int16]:
     """Return rings (N,) counted as the table's beams, where rings are fewer than these."""
-    beam = _beams_of_rings(rings, slope, range_m, model)
+    beam = None if rings.count == model.rings else _beams_of_rings(rings, slope, range_m, model)
     if beam is None or (beam == np.arange(len(beam))).all():
         return rings.ring
     return np.where(rings.ring >= 0, beam[rings.ring], -1).astype(np.int16)

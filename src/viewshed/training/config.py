@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "ringless_share": (0.0, 1.0),
     "past_share": (0.0, 1.0),
     "learning_rate": (1e-9, 10.0), "batch": (1, 4096), "epochs": (1, 100_000), "patience": (1, 100_000),
-    "frames_per_epoch": (0, 10**9), "versions": (0, 1000), "doubt_frames": (0, 10**9),
+    "frames_per_epoch": (0, 10**9), "versions": (0, 1000),
     "workers": (0, 256), "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
 }  # fmt: skip
 
@@ -66,8 +66,6 @@ class TrainConfig:
         depth: poolings.
         fold: cells a side of the blocks that are folded into channels; 1 as published.
         dropout: share of the channels that are dropped, for ``mcd``.
-        doubt_frames: frames that teach a second head the deviation of Monte Carlo dropout once all else is trained; 0
-            for no such head.
         loss: ``bce``, cross-entropy over the cells whose truth is known, or ``bce_dice``, with the Dice loss added.
         learning_rate: of Adam.
         schedule: of the learning rate: ``constant``, or ``cosine`` down to a hundredth at the last epoch.
@@ -110,7 +108,6 @@ class TrainConfig:
     depth: int
     fold: int
     dropout: float
-    doubt_frames: int
     loss: str
     learning_rate: float
     schedule: str
@@ -139,8 +136,6 @@ class TrainConfig:
                 raise ValueError(f"{key} must lie in [{low:g}, {high:g}], got {getattr(self, key)}")
         self._check_attacks()
         self._check_data()
-        if self.doubt_frames and not self.shape.dropout:
-            raise ValueError("doubt_frames must be 0 without dropout: there is no deviation to learn; use variant mcd")
         if not self.past_share and not set(HISTORY_FEATURES).isdisjoint(self.inputs):
             raise ValueError(f"past_share must be above 0 with the inputs {', '.join(HISTORY_FEATURES)}, got 0")
         _ = self.card()
@@ -195,20 +190,24 @@ class TrainConfig:
 
     def card(self, **trained: str) -> NetworkCard:
         """Return the card of the network, with facts of its training."""
-        shape = replace(self.shape, doubt=self.doubt_frames > 0)
         return NetworkCard(
-            self.name, shape, self.grid, self.target, self.truth, self.max_range_m, self.heights_m,
+            self.name, self.shape, self.grid, self.target, self.truth, self.max_range_m, self.heights_m,
             counts=self.counts, threshold=self.threshold, inputs=self.inputs, trained=trained,
         )  # fmt: skip
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> TrainConfig:
         """Return the config in plain values: keys as the attributes, lists for tuples."""
-        return cls(**flat.from_dict(cls, table, "training config"))
+        return cls(**flat.from_dict(cls, current_keys(table), "training config"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the config as plain values."""
         return flat.to_dict(self)
+
+
+def current_keys(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a config in plain values without ``doubt_frames``, which older ones have: frames for a second head."""
+    return {key: value for key, value in table.items() if key != "doubt_frames"}
 
 
 def differing_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

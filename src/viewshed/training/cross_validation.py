@@ -20,7 +20,7 @@ import numpy as np
 import viewshed
 from viewshed._files import append_jsonl, is_begun
 from viewshed._page import facts, page, table
-from viewshed.training.config import TrainConfig, differing_keys
+from viewshed.training.config import TrainConfig, current_keys, differing_keys
 from viewshed.training.data import Fold, check_data, check_folds
 from viewshed.training.log import Machines, Step, save
 from viewshed.training.run import require_torch, train
@@ -69,8 +69,9 @@ class FoldStore:
             scores = [FoldScore(**line) for line in lines]
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path} is damaged; delete it, finished folds are read from their folders") from error
+        head["config"] = current_keys(head.get("config", {}))
         if head != about:
-            other = differing_keys(head.get("config", {}), about["config"]) or differing_keys(head, about)
+            other = differing_keys(head["config"], about["config"]) or differing_keys(head, about)
             raise ValueError(f"{path} is of a cross-validation with other {other}; choose another --out, or delete it")
         store.scores.update({(score.setting, score.fold): score for score in scores})
         return store

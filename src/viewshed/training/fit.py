@@ -13,7 +13,7 @@ import io
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,7 +27,7 @@ from torch.utils.data import DataLoader, Dataset
 import viewshed
 from viewshed._page import facts
 from viewshed.networks.unet_torch import UNet, save_weights
-from viewshed.training.config import TrainConfig, differing_keys
+from viewshed.training.config import TrainConfig, current_keys, differing_keys
 from viewshed.training.data import TrainingData
 from viewshed.training.log import (
     CHECKPOINT,
@@ -38,13 +38,12 @@ from viewshed.training.log import (
     Epoch,
     Machines,
     OnProgress,
-    Step,
     best_of,
     csv_of,
     is_finished,
     save,
 )
-from viewshed.training.module import FORMAT, KEY, Learner, train_doubt_head
+from viewshed.training.module import FORMAT, KEY, Learner
 from viewshed.training.samples import Share, TrainingFrames, TrainingOrder, ValidationOrder
 
 _REPAIR = "delete it, and training begins again"
@@ -86,7 +85,7 @@ def _load(path: Path) -> dict[str, Any]:
 
 def _check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> None:
     """Check that a checkpoint is of this config and version of the code."""
-    before, now = checkpoint[KEY]["config"], config.to_json()
+    before, now = current_keys(checkpoint[KEY]["config"]), config.to_json()
     if before != now:
         other = differing_keys(before, now)
         raise ValueError(f"{path} is of a training with other {other}; choose another --out, or delete it")
@@ -181,7 +180,7 @@ def fit(
             _run(trainer, learner, loaders, str(last) if history else None)
         if not trainer.is_global_zero:
             return learner.history
-    return _finish(config, frames, out, machines, on_progress)
+    return _finish(config, out)
 
 
 class Loaders(L.LightningDataModule):
@@ -286,9 +285,7 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
         raise OSError(f"a worker ended early; {what}; the same command goes on from the last whole epoch") from error
 
 
-def _finish(
-    config: TrainConfig, frames: TrainingData, out: Path, machines: Machines, on_progress: OnProgress | None
-) -> list[Epoch]:
+def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
     """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
     from viewshed.networks.onnx_export import export_onnx
     from viewshed.training.figures import curve_figure
@@ -299,9 +296,6 @@ def _finish(
         return history
     module = UNet(config.shape)
     module.load_state_dict(checkpoint["best"])
-    if config.doubt_frames:
-        on_doubt = None if on_progress is None else _doubt_progress(on_progress, config)
-        module = train_doubt_head(config, module, frames.train, torch.device(machines.device), on_doubt)
     card = config.card(**_training_facts(config, history))
     with silenced():
         save_weights(out / STATE, card, module.eval())
@@ -309,10 +303,6 @@ def _finish(
         save(out / CURVES, curve_figure(config.name, history))
         export_onnx(out / WEIGHTS, card, module.eval())
     return history
-
-
-def _doubt_progress(on_progress: OnProgress, config: TrainConfig) -> Callable[[int, int, float], None]:
-    return lambda done, total, loss: on_progress(Step("doubt", config.epochs, config.epochs, done, total, loss))
 
 
 def _training_facts(config: TrainConfig, history: list[Epoch]) -> dict[str, str]:

@@ -232,11 +232,17 @@ class TrainingFrames:
         return TrainingSample(self.config.card().maps_of(sweeps[0], sweeps[1:]), clean.visible, clean.known)
 
     def _past(self, epoch: int, index: int, attacked: AttackedSweep) -> tuple[Sweep, ...]:
-        """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks."""
+        """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks.
+
+        Those without a pose cannot be seen together with others, and are left out.
+        """
         rng = self._rng(epoch, index, _Purpose.PAST)
         if rng.random() >= self.config.past_share or not self.config.card().uses_history:
             return ()
+        if attacked.sweep.world_from_sensor is None:
+            return ()
         earlier = self.source.earlier(epoch, index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
+        earlier = tuple(sweep for sweep in earlier if sweep.world_from_sensor is not None)
         return attacked.attack_history(earlier, rng) if rng.random() < _LASTING_SHARE else earlier
 
     def _blank(self) -> Arrays:

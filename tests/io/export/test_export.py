@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from shapely import MultiPolygon
 from shapely.affinity import affine_transform
 
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import polygon_of_mask
 from viewshed.fov.visibility import PEDESTRIAN
 from viewshed.geometry import Rigid
@@ -39,6 +40,7 @@ from viewshed.io.export import (
     write_npz,
 )
 
+BASIS = Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0)
 POSE = Rigid.from_yaw(0.7, (105.0, -37.5, 2.0))
 
 
@@ -51,6 +53,7 @@ def random_estimate(seed: int, cells: int = 13, pose: Rigid | None = None) -> Fo
     return FovEstimate(
         BevGrid(cells, 0.31 * cells, (2.5, -1.25)), prob, state, std,
         method="shadow_map", target=PEDESTRIAN, world_from_level=pose, t_ns=1_533_151_603_547_590_123, agent="left",
+        basis=BASIS,
     )  # fmt: skip
 
 
@@ -129,11 +132,23 @@ def test_npz_loses_nothing(tmp_path_factory: pytest.TempPathFactory, seed: int, 
     back = read_npz(path)
     for name in ("visible_prob", "std", "state"):
         np.testing.assert_array_equal(getattr(back, name), getattr(made, name))
-    for name in ("grid", "method", "target", "t_ns", "agent"):
+    for name in ("grid", "method", "target", "t_ns", "agent", "basis"):
         assert getattr(back, name) == getattr(made, name)
     assert (back.world_from_level is None) == (made.world_from_level is None)
     if back.world_from_level is not None:
         np.testing.assert_array_equal(back.world_from_level.as_matrix(), POSE.as_matrix())
+
+
+def test_npz_without_a_basis_reads_as_none(tmp_path: Path) -> None:
+    write_npz(replace(random_estimate(3), basis=None), tmp_path / "fov.npz")
+    assert read_npz(tmp_path / "fov.npz").basis is None
+    # So did version 0.3 write it.
+    with np.load(tmp_path / "fov.npz") as file:
+        arrays = dict(file)
+    about = json.loads(arrays["about"].tobytes())
+    del about["basis"]
+    np.savez(tmp_path / "old.npz", **(arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}))
+    assert read_npz(tmp_path / "old.npz").basis is None
 
 
 def test_broken_npz_gets_one_line(tmp_path: Path) -> None:
@@ -170,7 +185,16 @@ def test_geojson_round_trip(pose: Rigid | None) -> None:
     np.testing.assert_array_equal(back.state, made.state)
     np.testing.assert_array_equal(back.visible(), made.visible())
     assert back.grid == made.grid
-    assert (back.t_ns, back.agent, back.method) == (made.t_ns, "left", "shadow_map")
+    assert (back.t_ns, back.agent, back.method, back.basis) == (made.t_ns, "left", "shadow_map", BASIS)
+    assert fov_from_geojson(to_geojson(replace(made, basis=None))).basis is None
+
+
+def test_every_geojson_feature_says_what_the_estimate_rests_on() -> None:
+    for feature in to_geojson(random_estimate(5))["features"]:
+        assert feature["properties"].items() >= {
+            "sensor_height_m": 1.84, "height_source": "estimated", "ground_support": 0.63, "unsure_ground_share": 0.04,
+            "inferred_share": 0.07, "reach_m": 80.0,
+        }.items()  # fmt: skip
 
 
 def test_geojson_states_its_frame_and_is_placed_by_the_pose() -> None:

@@ -140,9 +140,6 @@ class _Echo:
     def single_threaded(self) -> None:
         return
 
-    def run_with_doubt(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        raise NotImplementedError
-
 
 def test_a_network_is_tried_on_the_grid_of_where_it_is_tried(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
     store, _ = study

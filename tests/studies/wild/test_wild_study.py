@@ -14,6 +14,7 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR, expected_returns
 from viewshed.geometry import Rigid
 from viewshed.metrics import ConfusionCounts, Scores
+from viewshed.networks.weights import shipped_content
 from viewshed.preprocess.leveling import level
 from viewshed.sim.lidar.optics import optics_of
 from viewshed.studies.store import ResultStore
@@ -189,6 +190,17 @@ def test_the_page_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
     page = page_of(again)["wild.md"].decode()
     for word in ("own: F1", "other: F1", "shadow_map", *LADDER, "cutting"):
         assert word in page
+
+
+def test_a_network_of_ones_own_stands_in_the_tables_by_its_files_name(tmp_path: Path) -> None:
+    file = tmp_path / "mine.onnx"
+    file.write_bytes(shipped_content("viewnet_road_int8"))
+    plan = replace(FAST, methods=("shadow_map",), ladder=False, sets=("development",), networks=(str(file),))
+    store = ResultStore.open(tmp_path / "study", plan)
+    assert list(run_study(store, LocalEngine(1))) == []
+    assert "| mine |" in page_of(store)["wild.md"].decode()
+    with pytest.raises(ValueError, match="networks must have file names of their own"):
+        replace(plan, networks=(str(file), "elsewhere/mine.onnx"))
 
 
 def test_worst_scenes_are_pictures(tmp_path: Path) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 import shapely
 from shapely.affinity import affine_transform
 
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import mask_of_polygon, polygon_of_mask
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
@@ -17,13 +18,17 @@ STATES = (
     "one MultiPolygon each: `free`, `surface`, `hidden`, `unknown`; and `visible`, the cells at or above the threshold"
 )
 
+_BASIS = tuple(field.name for field in fields(Basis))
+"""Properties of each feature that say what the estimate rests on; absent where that is not known."""
+
 
 def to_geojson(estimate: FovEstimate, threshold: float | None = None) -> dict[str, Any]:
     """Return a GeoJSON FeatureCollection (dict) of five MultiPolygons: ``visible`` and the four cell states.
 
     Coordinates are meters, **not** the WGS84 degrees of RFC 7946: of the ``world`` frame where the estimate has a pose
     (its x, y and yaw; ``level`` is upright, so nothing else is left), else of ``level``. The member ``viewshed:frame``
-    says which. The four states tile the grid; ``visible`` overlaps them.
+    says which. The four states tile the grid; ``visible`` overlaps them. Each feature's properties also say what the
+    estimate rests on, by the names of :class:`Basis`.
     """
     threshold = estimate.threshold if threshold is None else threshold
     pose = estimate.world_from_level
@@ -61,6 +66,7 @@ def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float) -> 
             "target": estimate.target.name,
             "t_ns": estimate.t_ns,
             "agent": estimate.agent,
+            **({} if estimate.basis is None else asdict(estimate.basis)),
         },
     }
 
@@ -78,8 +84,8 @@ def fov_from_geojson(collection: dict[str, Any]) -> FovEstimate:
         ValueError: a layer or a member of this package is missing.
     """
     try:
-        fields = collection["viewshed:grid"]
-        grid = BevGrid(fields["cells"], fields["half_extent_m"], (fields["offset_m"][0], fields["offset_m"][1]))
+        where = collection["viewshed:grid"]
+        grid = BevGrid(where["cells"], where["half_extent_m"], (where["offset_m"][0], where["offset_m"][1]))
         matrix = collection["viewshed:frame"]["world_from_level"]
         pose = None if matrix is None else Rigid.from_matrix(matrix)
         features = {feature["properties"]["layer"]: feature for feature in collection["features"]}
@@ -91,6 +97,7 @@ def fov_from_geojson(collection: dict[str, Any]) -> FovEstimate:
         return FovEstimate(
             grid, masks["visible"].astype(np.float32), state,
             method=about["method"], world_from_level=pose, t_ns=about["t_ns"], agent=about["agent"],
+            basis=Basis(**{name: about[name] for name in _BASIS}) if "reach_m" in about else None,
         )  # fmt: skip
     except (KeyError, IndexError, TypeError) as error:
         raise ValueError(f"collection must come from to_geojson, {error!r} is missing or wrong") from error

@@ -8,13 +8,14 @@ import lzma
 import struct
 import zipfile
 import zlib
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from viewshed._files import write_atomic
-from viewshed.fov.estimate import THRESHOLD, FovEstimate
+from viewshed.fov.estimate import THRESHOLD, Basis, FovEstimate
 from viewshed.fov.visibility import Target
 from viewshed.geometry import Rigid
 from viewshed.grid import MAX_CELLS, BevGrid
@@ -52,6 +53,7 @@ def to_npz(estimate: FovEstimate) -> bytes:
         "t_ns": estimate.t_ns,
         "agent": estimate.agent,
         "threshold": estimate.threshold,
+        "basis": None if estimate.basis is None else asdict(estimate.basis),
     }
     arrays: dict[str, Any] = {name: getattr(estimate, name) for name in _ARRAYS}
     file = io.BytesIO()
@@ -88,7 +90,7 @@ def _estimate(about: dict[str, Any], arrays: dict[str, Any]) -> FovEstimate:
     if about["version"] != _VERSION:
         raise ValueError(f"version must be {_VERSION}, got {about['version']}")
     cells, half_extent_m, offset = about["grid"]
-    matrix = about["world_from_level"]
+    matrix, basis = about["world_from_level"], about.get("basis")
     return FovEstimate(
         BevGrid(cells, half_extent_m, (offset[0], offset[1])),
         **arrays,
@@ -98,4 +100,5 @@ def _estimate(about: dict[str, Any], arrays: dict[str, Any]) -> FovEstimate:
         t_ns=about["t_ns"],
         agent=about["agent"],
         threshold=about.get("threshold", THRESHOLD),
+        basis=None if basis is None else Basis(**basis),
     )

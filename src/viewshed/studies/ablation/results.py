@@ -324,7 +324,7 @@ def _doubt(test: SettingResults) -> Iterator[Target]:
         return
     for words, cases in (("benign", (BENIGN,)), ("attacked", ATTACKS)):
         one, several = (test.scores(name, cases) for name in (OURS, SEVERAL))
-        figures = {"Brier score": Scores.brier, "AURC": Scores.aurc, "AURC by deviation": Scores.aurc_std}
+        figures = {"Brier score": Scores.brier, "AURC": Scores.aurc}
         for name, figure in figures.items():
             ours, theirs = figure(one), figure(several)
             what = f"{name} of one pass beside that of 20, {words}"

@@ -113,7 +113,7 @@ def config_of(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
         validation_share=plan.validation_share, cells=plan.cells, half_extent_m=setting.grid.half_extent_m,
         target="car", truth=setting.truth, variant=model.variant, attacks=attacks, attack_share=share,
         ringless_share=0.0, past_share=0.0, width=plan.width, depth=plan.depth, fold=1, dropout=plan.dropout,
-        doubt_frames=0, loss=plan.loss, learning_rate=plan.learning_rate,
+        loss=plan.loss, learning_rate=plan.learning_rate,
         schedule=plan.schedule, batch=plan.batch, epochs=plan.epochs, patience=plan.patience,
         frames_per_epoch=plan.frames_per_epoch, fresh=False, versions=plan.versions,
         mirrored=plan.mirrored, precision=plan.precision, workers=plan.workers,

@@ -3,7 +3,7 @@
 Figures of a record by name. Areas are in square meters, over cells whose truth is known:
 
 - ``flat``: 1 where 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor.
-- ``auroc``, ``aurc``: of the doubt 0.5 - |p - 0.5| for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
+- ``auroc``, ``aurc``: of the doubt for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
   deviation, where there is one. Cells at which fewer than ``min_returns`` beams aim are left out; ``auroc_known`` and
   ``auroc_std_known`` have all cells.
 - ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
@@ -54,10 +54,10 @@ def records_of(seen: WildObservation, plan: WildPlan) -> Iterator[WildRecord]:
         sample = seen.sample(told)
         leveled = level(sample.sweep, grid)
         for target in plan.targets:
-            for method in plan.methods:
+            for name, method in zip(plan.judged, (*plan.methods, *plan.networks), strict=True):
                 estimator = estimator_named(method, seen.scene.domain.name, target)
                 if estimator is not None:
-                    yield record_of(seen, sample, estimator.estimate(leveled), leveled, method)
+                    yield record_of(seen, sample, estimator.estimate(leveled), leveled, name)
     # A base frame whose offset nobody tells has no exact beams from its own origin: no ladder there.
     if plan.ladder and seen.mounting.family.frame != "base":
         for target in plan.targets:
@@ -91,7 +91,7 @@ def record_of(
     std = None if estimate.std is None or np.isnan(estimate.std).any() else estimate.std
     scores.add(prob[judged], true[judged], None if std is None else std[judged])
     numbers = {"flat": float(_is_flat(sample)), "aurc": scores.aurc(), "aurc_std": scores.aurc_std()}
-    wrong, doubt = claimed != true, 0.5 - np.abs(prob - 0.5)
+    wrong, doubt = claimed != true, estimate.doubt()
     for suffix, mask in (("", judged), ("_known", known)):
         numbers[f"auroc{suffix}"] = _auroc(doubt[mask], wrong[mask])
         numbers[f"auroc_std{suffix}"] = float("nan") if std is None else _auroc(std[mask], wrong[mask])

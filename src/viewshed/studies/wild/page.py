@@ -25,12 +25,6 @@ from viewshed.studies.wild.records import Pool, from_table
 
 OWN = "own"
 
-_WHAT = {
-    "rings": "Told ring, time and intensity of each return: no sensor, no height, no attitude.",
-    "nothing": "Told nothing but points.",
-    "table": "Told the maker's beam table, rings, height and attitude.",
-}
-
 JUDGED = ("shadow_map", "viewnet")
 """Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
 
@@ -57,7 +51,7 @@ def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
     told = next(one for one in ("rings", *plan.told) if one in plan.told)
 
     def part(domain: str, target: str, what: str) -> Pool:
-        return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.methods)
+        return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.judged)
 
     values = {"domains": pool.names("domain"), "targets": plan.targets, "knowledge": list(knowledge)}
     title, blocks = fill_template("wild/page.md", values, {

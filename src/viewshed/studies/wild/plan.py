@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 from viewshed.datasets.wild import SEALED, SETS, TOLD, wild_tables
@@ -29,6 +30,7 @@ class WildPlan(Plan):
         targets: of ``TARGETS``.
         ladder: whether the shadow map is also given the exact ground, returns and rings, one by one.
         worst: how many of the worst scenes of each domain are shown as pictures.
+        networks: files of networks that are tried as well, each by the name of its file.
 
     Raises:
         ValueError: a name is not known, or a number is out of range.
@@ -47,11 +49,19 @@ class WildPlan(Plan):
     targets: tuple[str, ...]
     ladder: bool
     worst: int
+    networks: tuple[str, ...]
 
     def __post_init__(self) -> None:
         for key, table in (("sets", SETS), ("domains", DOMAINS), *self.WHOLE_TABLES.items()):
             check_names(key, getattr(self, key), table, once=True)
         self.check_at_least(0, "scenes", "worst")
+        if len(set(self.judged)) < len(self.judged):
+            raise ValueError(f"networks must have file names of their own, got {', '.join(self.judged)}")
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Names under which estimates stand in the tables: the methods, and the files of the networks."""
+        return (*self.methods, *(Path(file).stem for file in self.networks))
 
     @property
     def opens_sealed(self) -> bool:
