@@ -61,7 +61,7 @@ AGREE_M = 0.3
 """Returns below the ground are believed if two neighbors agree with them to within this, ..."""
 
 LOWER_M = 0.3
-"""... or if they are this much lower: the ground lies no higher than the foot of a wall that is seen over an edge."""
+"""... or, of a wall that is seen over an edge, if they are this much lower: the ground lies no higher than its foot."""
 
 CARRIED_SLOPE = 0.15
 """Where no ground is met the slope that is carried on differs by at most this from that of the carrier's plane."""
@@ -267,7 +267,7 @@ def _walk(
                 kind = _FOLLOWED
             elif step < 0.0:
                 # Nothing but ground lies below ground.
-                is_floor = even[i, j] or step < -LOWER_M or (flat[i, j] and _agrees(lows, i, j))
+                is_floor = even[i, j] or (_agrees(lows, i, j) if flat[i, j] else step < -LOWER_M)
                 if is_floor and not _is_buried(lows[i, j], height, accepted, node_m):
                     kind = _BELOW
             elif (gentle and patches_m2[i, j] >= LEVEL_M2) or (
