@@ -20,6 +20,7 @@ from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
 from viewshed.estimators import CLASSICAL, DEFAULT_ESTIMATOR, Estimator, load_estimator
 from viewshed.estimators.temporal import where_confirmed
 from viewshed.fov.visibility import CAR
+from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
 from viewshed.metrics import ConfusionCounts, Mask
 from viewshed.preprocess.history import History
@@ -46,8 +47,8 @@ _TRIED: dict[str, tuple[str, int | None, dict[str, float]]] = {
 ONE, PAST, CONFIRMED = "one sweep", "five earlier sweeps", "five, confirmed"
 """What an estimate rests on."""
 
-_MOVED_M, _THING_M = 0.2, 6.0
-"""What moved so far since the sweep before moves; returns so near to its middle are its own."""
+_MOVED_M, _THING_M = 0.2, (7.0, 2.0)
+"""What moved so far since the sweep before moves; returns so near to its middle, ahead and beside, are its own."""
 
 HELPED = ("shadow_map", "viewnet")
 """Methods that use earlier sweeps."""
@@ -152,11 +153,14 @@ def opens_moving(sample: StudySample, tampered: Tampered) -> bool:
     xyz = sample.sweep.world_from_sensor @ sweep.points[leveled.rows[taken]]
     interval_s = scene.preset.interval_s
     now_s = (frame // scene.preset.agents + 0.5) * interval_s
-    moving = np.zeros(len(xyz), np.bool_)
-    for thing in world_of(scene).things:
-        (x, y, _), (x_before, y_before, _) = (thing.pose_at(t_s) for t_s in (now_s, now_s - interval_s))
-        if np.hypot(x - x_before, y - y_before) > _MOVED_M:
-            moving |= np.hypot(xyz[:, 0] - x, xyz[:, 1] - y) < _THING_M
+    moving, world = np.zeros(len(xyz), np.bool_), world_of(scene)
+    carrier = world.agents[frame % scene.preset.agents].carrier
+    for number, thing in enumerate(world.things):
+        (x, y, yaw), (x_before, y_before, _) = (thing.pose_at(t_s) for t_s in (now_s, now_s - interval_s))
+        if number != carrier and np.hypot(x - x_before, y - y_before) > _MOVED_M:
+            # In the thing's own frame.
+            ahead, beside, _ = np.abs(Rigid.from_yaw(yaw, (x, y, 0.0)).inverse() @ xyz).T
+            moving |= (ahead < _THING_M[0]) & (beside < _THING_M[1])
     return bool(len(moving)) and float(moving.mean()) > 0.5
 
 
