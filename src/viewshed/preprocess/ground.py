@@ -61,7 +61,7 @@ AGREE_M = 0.3
 """Returns below the ground are believed if two neighbors agree with them to within this, ..."""
 
 LOWER_M = 0.3
-"""... or if they are this much lower: the ground lies no higher than the foot of a wall that is seen over an edge."""
+"""... or, of a wall that is seen over an edge, if they are this much lower: the ground lies no higher than its foot."""
 
 CARRIED_SLOPE = 0.15
 """Where no ground is met the slope that is carried on differs by at most this from that of the carrier's plane."""
@@ -267,7 +267,7 @@ def _walk(
                 kind = _FOLLOWED
             elif step < 0.0:
                 # Nothing but ground lies below ground.
-                is_floor = even[i, j] or step < -LOWER_M or (flat[i, j] and _agrees(lows, i, j))
+                is_floor = even[i, j] or (_agrees(lows, i, j) if flat[i, j] else step < -LOWER_M)
                 if is_floor and not _is_buried(lows[i, j], height, accepted, node_m):
                     kind = _BELOW
             elif (gentle and patches_m2[i, j] >= LEVEL_M2) or (
@@ -294,7 +294,9 @@ def _walk(
         else:
             height[i, j] = z
             steeper_x, steeper_y = sx - plane[0], sy - plane[1]
-            share = 0.9 / max(np.sqrt(steeper_x * steeper_x + steeper_y * steeper_y) / CARRIED_SLOPE, 1.0)
+            share, steeper2 = np.float32(0.9), steeper_x * steeper_x + steeper_y * steeper_y
+            if steeper2 > CARRIED_SLOPE * CARRIED_SLOPE:
+                share *= np.float32(CARRIED_SLOPE) / np.sqrt(steeper2)
             slope[i, j, 0], slope[i, j, 1] = plane[0] + share * steeper_x, plane[1] + share * steeper_y
             weight[i, j] = max(0.8 * support, 0.05)
         accepted[i, j] = kind != _REFUSED

@@ -37,7 +37,7 @@ LOWER_LEVEL_M, LOWEST_SHARE = 1.0, 0.05
 """Where so large a share of what is seen lies this far below the carrier's plane, the land has a lower level."""
 
 FALL = 0.03
-"""Beyond the last return of a direction the ground may fall to that level: it is taken to go half way, this steeply."""
+"""Beyond the last return of a direction the ground may fall to that level: it is taken half way, by this slope."""
 
 GAP_SLOPE = 0.02
 """Between two returns of a direction ground lies between their heights, to this slope from the nearer one."""
