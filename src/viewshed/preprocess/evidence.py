@@ -58,7 +58,7 @@ class BeamEvidence:
         unresolved: float32 expected returns by the other beams without a return, as if nothing had stopped them.
         aimed: float32 beams of the first two kinds that aim at the target, whatever their depth.
         visible_prob: float32 probability that both kinds give ``target.min_returns`` returns, averaged over the heights
-            that the ground may have; 0 beyond the reach.
+            that the ground may have; below the threshold where no claim is supported.
         within_reach: bool, not farther from the sensor than it sees a dark target.
     """
 
@@ -94,8 +94,7 @@ class BeamEvidence:
     def bounded(self, prob: Floats, threshold: float) -> Floats:
         """Return an estimator's probability (cells, cells), below its threshold where the beams support no claim."""
         most = np.nextafter(np.float32(threshold), np.float32(0.0))
-        bounded = np.where(self.supports_claim(), prob, np.minimum(prob, most))
-        return np.where(self.within_reach, bounded, np.float32(0.0))
+        return np.where(self.supports_claim(), prob, np.minimum(prob, most))
 
     def states(self, visible: Mask, denied: Mask, obstacle: Mask) -> States:
         """Return the states (cells, cells) uint8 of what an estimator calls visible, or not visible.
@@ -145,10 +144,9 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     both = kinds[0] + kinds[1]
     within = polar_of_cells(grid)[0] <= np.float32(reach_of_sweep(leveled))
     prob = _probability(both, measured + inferred, ground, height_m, grid, target)
-    # No claim rests on other heights of the ground alone, and none lies beyond the reach.
+    # No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
     most = np.nextafter(np.float32(THRESHOLD), np.float32(0.0))
-    prob = np.where(_enough(measured + inferred, target), prob, np.minimum(prob, most))
-    prob[~within] = 0.0
+    prob = np.where(_enough(measured + inferred, target) & within, prob, np.minimum(prob, most))
     aimed = beams_that_aim(both, height_m, ground, grid, target)
     evidence = BeamEvidence(grid, target, measured, inferred, unresolved, aimed, prob, within)
     for array in (measured, inferred, unresolved, aimed, prob, within):

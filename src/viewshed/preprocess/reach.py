@@ -12,21 +12,19 @@ from viewshed.sensors import LidarModel
 LEAST_REACH_M = 20.0
 """Least reach of a sensor that no table describes: small rooms do not show how far it sees."""
 
-FAR_SHARE = 0.995
-"""Without a table the reach is the range within which this share of the supported returns lies, ..."""
-
-MOST_SHARE, MOST_TIMES = 0.95, 1.5
-"""... but at most so many times the range within which this smaller share lies: a few returns cannot move that far."""
+BULK_SHARE, REACH_TIMES = 0.9, 2.5
+"""Without a table the reach is so many times the range within which this share of the supported returns lies."""
 
 
 def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: LidarModel | None = None) -> float:
     """Return up to which range in meters a sensor sees a dark target.
 
-    The table's own reach. Where the sensor is not known, or its table has none: the 99.5 % quantile of the supported
-    returns, at most 1.5 times their 95 % quantile, at least 20 m, and within the table's maximum range.
+    The table's own reach. Where the sensor is not known, or its table has none: 2.5 times the 90 % quantile of the
+    supported returns, at least 20 m, and within the table's maximum range. On sensors drawn at random that is about as
+    far as they see a target of 10 % reflectivity.
 
-    In a cloud of 35,000 returns, 150 returns more or fewer are 0.4 %: they decide on the 99.5 % quantile, and hardly
-    move the 95 % quantile.
+    In a cloud of 35,000 returns, 150 returns more or fewer are 0.4 %: they would decide on the 99.5 % quantile, and
+    hardly move the 90 % quantile.
 
     Args:
         range_m: (N,) distance of each return from the sensor.
@@ -44,8 +42,7 @@ def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: Lid
     supported = supported[supported <= most_m]
     if len(supported) == 0:
         return min(LEAST_REACH_M, most_m)
-    bulk_m, far_m = np.quantile(supported, (MOST_SHARE, FAR_SHARE))
-    return float(min(max(LEAST_REACH_M, min(far_m, MOST_TIMES * bulk_m)), most_m))
+    return float(min(max(LEAST_REACH_M, REACH_TIMES * np.quantile(supported, BULK_SHARE)), most_m))
 
 
 def returns_beyond(points: NDArray[np.float32], model: LidarModel | None) -> int:
