@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from viewshed._files import write_atomic
 from viewshed.metrics import Scores
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.training.config import TrainConfig
+from viewshed.training.data import archived_samples
 from viewshed.training.samples import TrainingFrames, TrainingSample
 from viewshed.training.sources import FRAMES_PER_NEW_SCENE, OnlineSimulation
 
@@ -43,11 +45,12 @@ class QuantizationCost:
 def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: int = FRAMES) -> QuantizationCost:
     """Write a network in int8 to a new file ``out`` and return what that costs.
 
-    The sweeps are simulated as for the training, each of a scene of its own that no epoch has seen, attacked as often
-    as there; the first ``frames`` calibrate, as many others check.
+    The sweeps are attacked as often as in the training; the first ``frames`` calibrate, as many others check. Those of
+    presets are simulated anew, each in a scene of its own that no epoch has seen; of archives they are sweeps of the
+    training, spread evenly, with other attacks.
 
     Args:
-        config: that the network was trained with; its data must be presets.
+        config: that the network was trained with.
         network: file of the network in float32.
         out: file to be written, whole or not at all.
         frames: sweeps that calibrate.
@@ -63,8 +66,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     content = Path(network).read_bytes()
     whole = OnnxRunner.of_content(content, str(network), 1)
     _check(config, whole)
-    source = TrainingFrames(OnlineSimulation(config, 2 * frames * FRAMES_PER_NEW_SCENE), config)
-    drawn = (source.draw(_EPOCH, number * FRAMES_PER_NEW_SCENE) for number in range(2 * frames))
+    drawn = _draw(config, 2 * frames)
     calibration_maps = [next(drawn).maps for _ in range(frames)]
     training_facts = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
     small = quantize_network(content, str(network), calibration_maps, training_facts)
@@ -76,6 +78,18 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
         )
     write_atomic(out, small)
     return cost
+
+
+def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
+    """Yield so many frames, in no order; see :func:`quantize`."""
+    if config.simulated:
+        source = TrainingFrames(OnlineSimulation(config, count * FRAMES_PER_NEW_SCENE), config)
+        numbers = np.arange(count) * FRAMES_PER_NEW_SCENE
+    else:
+        source = TrainingFrames(archived_samples(config), config)
+        spread = np.linspace(0, len(source) - 1, count).astype(np.intp)
+        numbers = np.random.default_rng(config.seed).permutation(spread)
+    return (source.draw(_EPOCH, int(number)) for number in numbers)
 
 
 def _check(config: TrainConfig, runner: OnnxRunner) -> None:

@@ -119,6 +119,17 @@ def prepare(
     return TrainingData(replace(train, mirrored=config.mirrored), validation)
 
 
+def archived_samples(config: TrainConfig) -> ArchivedSamples:
+    """Return the clean frames of the archives of a config, all scenes of its split.
+
+    Raises:
+        ValueError: an archive is not there, or has not what the config wants.
+    """
+    archives = [_open_archive(place) for place in config.data]
+    check_archives(config, archives)
+    return ArchivedSamples(tuple(archive.split(config.train_split) for archive in archives), config)
+
+
 def _frames_of_archives(
     config: TrainConfig,
     archives: tuple[Archive, ...],
