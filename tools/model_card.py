@@ -8,6 +8,7 @@ from pathlib import Path
 
 from viewshed._page import facts, page, table
 from viewshed.datasets.presets import Preset, preset_named
+from viewshed.datasets.wild import wild_tables
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.runtime import load_runner
 from viewshed.networks.weights import WEIGHTS, float32_name, manifest
@@ -52,6 +53,10 @@ truth](crossview.md); [speed](network_speed.md).
   disagree."""
 
 
+PARTS = {"own-road": ("roads", "the first 1,500 sweeps"), "own-indoor": ("rooms", "the first 1,000 sweeps")}
+"""Archives that hold the first scenes of a preset."""
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Write the page."""
     parser = argparse.ArgumentParser(prog="model_card.py", description=__doc__)
@@ -65,7 +70,7 @@ def card_page() -> str:
     """Return the page."""
     cards = {name: load_runner(name, 1).card for name in manifest()}
     own = {name: card for name, card in cards.items() if float32_name(name) == name}
-    presets = dict.fromkeys(name for card in own.values() for name in card.trained["data"].split(", "))
+    data = dict.fromkeys(name for card in own.values() for name in card.trained["data"].split(", "))
     return page(
         "Model card of the shipped weights", facts(), _ABOUT,
         table(["name", "KB", "SHA-256", "grid", "target", "taken by", "channels", "parameters", "GFLOP", "numbers"],
@@ -76,8 +81,7 @@ def card_page() -> str:
         _ATTACKS,
         table(["name", "attacks in training", "never shown"], map(_attacks, own.values())),
         _DATA,
-        table(["preset", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"],
-              (_data(preset_named(name)) for name in presets)),
+        table(["data", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"], map(_data, data)),
         _WORTH,
     )  # fmt: skip
 
@@ -110,7 +114,22 @@ def _attacks(card: NetworkCard) -> list[str]:
     return [f"`{card.name}`", ", ".join(shown), ", ".join(never) or "–"]
 
 
-def _data(preset: Preset) -> list[str]:
+def _data(name: str) -> list[str]:
+    if name in PARTS:
+        preset, part = PARTS[name]
+        return [f"`{name}`: of `{preset}`, {part}", *_preset_data(preset_named(preset))[1:]]
+    kind, _, domain_name = name.partition("-")
+    if kind == "wild":
+        training = wild_tables().of_set("training")
+        domain = next(one for one in training if one.name == domain_name)
+        return [
+            f"`{name}`", f"{domain.scenes * domain.sweeps:,}", f"{domain.scenes:,}", str(domain.seed),
+            *(", ".join(names) for names in (domain.styles, domain.sensors, domain.conditions)),
+        ]  # fmt: skip
+    return _preset_data(preset_named(name))
+
+
+def _preset_data(preset: Preset) -> list[str]:
     weather = (f"{name} {weight:g}" for name, weight in zip(preset.conditions, preset.condition_weights, strict=True))
     sensors = [*preset.sensors, *([f"{preset.roadside_sensor} (on masts)"] if preset.roadside else [])]
     place = preset.splits.index("train")

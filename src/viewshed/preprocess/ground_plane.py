@@ -24,6 +24,9 @@ _CARRIER_SECTORS = 64
 BELOW_SHARE = 0.35
 """Weight of a node below a plane against one on it: land may fall away from the road, while a roof hides it."""
 
+LEVEL_SHARE = 0.4
+"""Share of all weight by which a plane of slope 1 counts less: of two with about as much on them the flatter one."""
+
 _TRIALS = 256
 
 
@@ -125,7 +128,7 @@ def _best_plane(points: Any, weight: Any, height: float) -> Any:  # pragma: no c
     tolerance = np.float32(0.10) + np.float32(0.006) * (np.abs(some[0]) + np.abs(some[1]))
     sums = np.cumsum(weight)
     plane = np.zeros(3, np.float32)
-    best = np.float32(0.0)
+    best, total = np.float32(0.0), some_weight.sum()
     state = np.uint32(12345)
     for _ in range(_TRIALS):
         i, state = _draw_weighted(state, sums)
@@ -135,6 +138,9 @@ def _best_plane(points: Any, weight: Any, height: float) -> Any:  # pragma: no c
         near = abs(candidate[2] + height) <= 0.4 if np.isfinite(height) else candidate[2] <= -MIN_HEIGHT_M
         if fits and near:
             score = _score(some[0], some[1], some[2], some_weight, tolerance, candidate)
+            # Of two planes with about as much on them the flatter one: roads climb rarely.
+            slope = np.sqrt(candidate[0] * candidate[0] + candidate[1] * candidate[1])
+            score -= LEVEL_SHARE * slope * total
             if score > best:
                 best, plane = score, candidate
     return plane, best
