@@ -30,6 +30,9 @@ GROUND_STEPS = ((-1.22, 0.3), (1.22, 0.3))
 """Heights of the ground, in standard deviations, and their weights; the height itself has what is left. Together they
 have nearly the variance of a normal distribution."""
 
+SURE_AIM = 0.9
+"""Probability from which enough beams aim at a target to call its cell hidden: a beam more or less must not decide."""
+
 Floats = NDArray[np.float32]
 
 Mask = NDArray[np.bool_]
@@ -87,9 +90,10 @@ class BeamEvidence:
     def supports_denial(self) -> Mask:
         """Return where a cell may be called hidden (cells, cells).
 
-        Within reach, where enough beams aim at a target and too few reach it on the ground as it was estimated.
+        Within reach, where surely enough beams aim at a target and too few reach it on the ground as it was estimated.
         """
-        return _enough(self.aimed, self.target) & ~_enough(self.reaching, self.target) & self.within_reach
+        aimed = probability_of_visible(self.aimed, self.target.min_returns) >= np.float32(SURE_AIM)
+        return aimed & ~_enough(self.reaching, self.target) & self.within_reach
 
     def bounded(self, prob: Floats, threshold: float) -> Floats:
         """Return an estimator's probability (cells, cells), below its threshold where the beams support no claim."""
