@@ -166,7 +166,7 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     plan = AblationPlan.load("small")
     whole = plan.config_of(WHOLE)
     assert whole == TrainConfig.from_json(read_config("viewnet_road").to_json() | dict(plan.base) | {"name": WHOLE})
-    assert set(plan.base) == {"epochs", "frames_per_epoch"}
+    assert set(plan.base) == {"data", "epochs", "frames_per_epoch"}
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
