@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed import CAR, GRIDS, BevGrid, LidarModel, load_estimator, read_sweep, write_sweep
+from viewshed import CAR, GRIDS, BevGrid, FovEstimate, LidarModel, load_estimator, read_sweep, write_sweep
 from viewshed._page import facts, page, table
 from viewshed.datasets.presets import preset_named
 from viewshed.grid import polar_of_cells
+from viewshed.integrity.roc import auroc
 from viewshed.metrics import ConfusionCounts, Mask
 from viewshed.sim.lidar.optics import optics_of
 from viewshed.studies.cases import DEFAULT, TOUCHING, apply, case_generator, visible_with
@@ -69,11 +70,13 @@ class Counted:
         version: and commit.
         default: the method that it takes by default.
         counts: (S, 4) cells (both, over, under, neither) of each scene, by method and case.
+        ranks: AUROC of the doubt for errors, the mean over scenes, by method and case.
     """
 
     version: str
     default: str
     counts: Mapping[tuple[str, str], Counts]
+    ranks: Mapping[tuple[str, str], float]
 
     def of(self, method: str) -> dict[str, Counts]:
         """Return the counts of a method by case."""
@@ -82,14 +85,16 @@ class Counted:
     def to_json(self) -> str:
         """Return it as text."""
         rows = {f"{method}|{case}": counts.astype(int).tolist() for (method, case), counts in self.counts.items()}
-        return json.dumps({"version": self.version, "default": self.default, "counts": rows})
+        ranks = {f"{method}|{case}": rank for (method, case), rank in self.ranks.items()}
+        return json.dumps({"version": self.version, "default": self.default, "counts": rows, "ranks": ranks})
 
     @classmethod
     def of_json(cls, text: str) -> Counted:
         """Return what :meth:`to_json` wrote."""
         read = json.loads(text)
         counts = {tuple(key.split("|")): np.array(rows, np.float64) for key, rows in read["counts"].items()}
-        return cls(read["version"], read["default"], counts)
+        ranks = {tuple(key.split("|")): rank for key, rank in read["ranks"].items()}
+        return cls(read["version"], read["default"], counts, ranks)
 
 
 def name_of(case: Case) -> str:
@@ -131,16 +136,29 @@ def counted(folder: Path) -> Counted:
     grid = GRIDS["road"]
     methods = {name: load_estimator(None if name == DEFAULT_METHOD else name, grid=grid) for name in METHODS}
     rows: dict[tuple[str, str], list[list[int]]] = {}
+    ranks: dict[tuple[str, str], list[float]] = {}
     for file in sorted(folder.glob("*.truth.npz")):
         number, case, *_ = file.name.split(".")
         truth = np.load(file)
         sweep = read_sweep(folder / f"{number}.{case}.npz", sensor=str(truth["sensor"]) or None)
         for name, method in methods.items():
-            claimed = method.estimate(sweep).visible()
+            estimate = method.estimate(sweep)
+            claimed = estimate.visible()
             found = ConfusionCounts.of(claimed, truth["visible"], truth["known"], grid.cell_area_m2)
             rows.setdefault((name, case), []).append([found.both, found.over, found.under, found.neither])
+            ranks.setdefault((name, case), []).append(_rank(estimate, truth["visible"], truth["known"]))
     about = facts()
-    return Counted(about["version"], methods[DEFAULT_METHOD].name, {key: np.array(row) for key, row in rows.items()})
+    counts = {key: np.array(row) for key, row in rows.items()}
+    means = {key: float(np.nanmean(row)) for key, row in ranks.items()}
+    return Counted(about["version"], methods[DEFAULT_METHOD].name, counts, means)
+
+
+def _rank(estimate: FovEstimate, visible: Mask, known: Mask) -> float:
+    """Return the AUROC of an estimate's doubt for its errors, over cells of known truth; NaN where there is none."""
+    doubt, wrong = 0.5 - np.abs(estimate.visible_prob - 0.5), estimate.visible() != visible
+    if not (wrong & known).any():
+        return float("nan")
+    return auroc(doubt[known & ~wrong], doubt[known & wrong])
 
 
 def difference(before: Counts, after: Counts) -> tuple[float, float, float]:
@@ -179,6 +197,10 @@ def report(before: Counted, after: Counted) -> str:
         blocks += [f"## {method.capitalize()}: {one}", table(["case", "before", "after", *head], rows)]
     own = _rows(names, after.of("shadow_map"), after.of("viewnet"))
     blocks += ["## After: the network against the shadow map", table(["case", "shadow_map", "viewnet", *head], own)]
+    judged = [(one, method) for one in (before, after) for method in ("shadow_map", "viewnet")]
+    ranks = ([name, *(f"{one.ranks[method, name]:.3f}" for one, method in judged)] for name in names)
+    doubts = ["case", "before: shadow_map", "before: viewnet", "after: shadow_map", "after: viewnet"]
+    blocks += ["## AUROC of the doubt for errors", table(doubts, ranks)]
     scenes = max(len(counts) for counts in after.counts.values())
     about = _INTRODUCTION.format(scenes=scenes, domain=DOMAIN, severity=SEVERITY, least=LEAST)
     provenance = facts(seed=str(SEED), before=before.version, after=after.version)

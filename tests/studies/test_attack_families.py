@@ -24,6 +24,7 @@ def test_both_versions_read_the_files_that_one_wrote(tmp_path: Path, monkeypatch
     assert set(found.counts) == {
         (method, case) for method in attack_families.METHODS for case in ("benign", "far_wall", "fewer_beams")
     }
+    assert all(0.5 < found.ranks["viewnet", case] < 1.0 for case in found.of("viewnet"))
     for counts in found.counts.values():
         assert counts.shape == (1, 4)
         assert counts[0, 0] > 1000
@@ -36,7 +37,8 @@ def test_both_versions_read_the_files_that_one_wrote(tmp_path: Path, monkeypatch
 
 def _counted(both: int, over: int) -> Counted:
     rows = np.array([[both, over, 100 - both, 1000 - over]] * 3, np.float64)
-    return Counted("v", "viewnet", {(method, "benign"): rows for method in attack_families.METHODS})
+    keys = [(method, "benign") for method in attack_families.METHODS]
+    return Counted("v", "viewnet", dict.fromkeys(keys, rows), dict.fromkeys(keys, 0.9))
 
 
 def test_a_version_is_worse_below_the_least_difference(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,5 +51,6 @@ def test_a_version_is_worse_below_the_least_difference(monkeypatch: pytest.Monke
     assert "**worse**" not in attack_families.report(before, same).split("\n## ", 1)[1]
     text = attack_families.report(before, worse)
     assert "| benign | 0.900 | 0.889 | -0.011 [-0.011, -0.011] | +0.000 | **worse** |" in text
+    assert "| benign | 0.900 | 0.900 | 0.900 | 0.900 |" in text
     with pytest.raises(ValueError, match="must count the same files, got others for benign; run counts again"):
-        attack_families.report(_counted(50, 1), Counted("v", "viewnet", {("shadow_map", "benign"): np.ones((3, 4))}))
+        attack_families.report(_counted(50, 1), replace(same, counts={("shadow_map", "benign"): np.ones((3, 4))}))
