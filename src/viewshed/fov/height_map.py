@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.geometry import FloatArray
+from viewshed.grid import BevGrid
 
 NODES = 64
 """Lattice nodes per side."""
@@ -31,6 +33,12 @@ def lattice_positions(xy: FloatArray, half_extent_m: float, nodes: int) -> Latti
     node, down, right = (array.reshape(-1) for array in positions)
     _locate(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), node, down, right)
     return positions
+
+
+@lru_cache(maxsize=8)
+def positions_of_cells(grid: BevGrid, half_extent_m: float, nodes: int) -> LatticePositions:
+    """Return the positions (cells, cells) of a grid's cells on a lattice; computed once."""
+    return lattice_positions(grid.centers, half_extent_m, nodes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

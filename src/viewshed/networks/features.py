@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed._numba import BLOCK, split
-from viewshed.fov.height_map import HeightMap, LatticePositions, lattice_positions
+from viewshed.fov.height_map import HeightMap, positions_of_cells
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.azimuth_bins import (
@@ -315,13 +315,8 @@ def _std_code(ground: HeightMap, grid: BevGrid) -> Bytes:
     size = np.log1p(np.minimum(ground.std_m, np.float32(MOST_STD_M)) * np.float32(1.0 / LEAST_STD_M))
     # The logarithm at the nodes, which are fewer than the cells, and bilinear in between.
     at_nodes = replace(ground, heights_m=size * np.float32(255.0 / np.log1p(MOST_STD_M / LEAST_STD_M)))
-    code: Bytes = at_nodes.at_positions(_node_positions(grid, ground.half_extent_m, len(size))).astype(np.uint8)
+    code: Bytes = at_nodes.at_positions(positions_of_cells(grid, ground.half_extent_m, len(size))).astype(np.uint8)
     return code
-
-
-@lru_cache(maxsize=8)
-def _node_positions(grid: BevGrid, half_extent_m: float, nodes: int) -> LatticePositions:
-    return lattice_positions(grid.centers, half_extent_m, nodes)
 
 
 FEATURES: dict[str, Callable[[FeatureContext], Bytes]] = {

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fov.estimate import THRESHOLD, UNSURE_M, Basis, CellState, HeightSource
-from viewshed.fov.height_map import lattice_positions
-from viewshed.fov.visibility import probability_of_visible
-from viewshed.grid import BevGrid
+from viewshed.fov.estimate import UNSURE_M, Basis, CellState, HeightSource
+from viewshed.fov.height_map import positions_of_cells
 from viewshed.preprocess.evidence import BeamEvidence, reach_of_sweep
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -25,16 +21,16 @@ def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.ui
     """
     claimed = (state == CellState.FREE) | (state == CellState.SURFACE)
     count = max(int(claimed.sum()), 1)
-    # The deviation of the ground at the node before each claimed cell, and the returns by measured beams alone.
+    # The deviation of the ground at the node before each claimed cell.
     ground = leveled.ground
-    std_m = ground.std_m.ravel()[_nodes(evidence.grid, ground.half_extent_m, len(ground.std_m))[claimed]]
-    measured = probability_of_visible(evidence.measured[claimed], evidence.target.min_returns)
+    nodes = positions_of_cells(evidence.grid, ground.half_extent_m, len(ground.std_m)).node
+    std_m = ground.std_m.ravel()[nodes[claimed]]
     return Basis(
         sensor_height_m=leveled.sensor_height_m,
         height_source=_height_source(leveled),
         ground_support=min(ground.support, 1.0),  # a sum of float32 weights can exceed it
         unsure_ground_share=int((std_m > np.float32(UNSURE_M)).sum()) / count,
-        inferred_share=int((measured < np.float32(THRESHOLD)).sum()) / count,
+        inferred_share=evidence.inferred_share(claimed),
         reach_m=reach_of_sweep(leveled),
     )
 
@@ -45,9 +41,3 @@ def _height_source(leveled: LeveledSweep) -> HeightSource:
     if leveled.held is not None and leveled.held.is_height_held:
         return "held"
     return "estimated" if leveled.ground.support > 0 else "assumed"
-
-
-@lru_cache(maxsize=4)
-def _nodes(grid: BevGrid, half_extent_m: float, nodes: int) -> NDArray[np.int32]:
-    """Return the node (cells, cells) of the ground's lattice before each cell, counted row by row."""
-    return lattice_positions(grid.centers, half_extent_m, nodes).node

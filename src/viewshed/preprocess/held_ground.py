@@ -77,8 +77,7 @@ def hold(leveled: LeveledSweep, before: LeveledSweep) -> LeveledSweep:
     """
     at_height, held = _at_held_height(leveled, before)
     ground = _held_ground(at_height, before)
-    heights_m = np.empty(len(at_height.points), np.float32)
-    _heights_above(at_height.points, ground.heights_m.reshape(-1), np.float32(ground.half_extent_m), heights_m)
+    heights_m = at_height.points[:, 2] - ground.at(at_height.points)
     heights_m.setflags(write=False)
     return replace(at_height, ground=ground, height_m=heights_m, held=held)
 
@@ -241,19 +240,3 @@ def _spread_nearest(away: Any, label: Any) -> None:  # pragma: no cover - compil
                         found = away[p, q] + (diagonal if k % 2 == 1 else straight)
                         if found < away[i, j]:
                             away[i, j], label[i, j] = found, label[p, q]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _heights_above(points: Any, ground_m: Any, half_m: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Write the height (M,) of points (M, 3) above the ground (n · n), bilinear between its nodes."""
-    n, half = np.int32(np.sqrt(ground_m.shape[0])), np.float32(0.5)
-    nodes_per_m, last = np.float32(n) / (np.float32(2.0) * half_m), np.float32(n - 1.001)
-    for k in range(points.shape[0]):
-        u = min(max((points[k, 0] + half_m) * nodes_per_m - half, np.float32(0.0)), last)
-        v = min(max((points[k, 1] + half_m) * nodes_per_m - half, np.float32(0.0)), last)
-        i, j = np.int32(u), np.int32(v)
-        fu, fv = u - np.float32(i), v - np.float32(j)
-        at, under = np.uint32(i * n + j), np.uint32(i * n + j + n)
-        low = ground_m[at] + (ground_m[at + np.uint32(1)] - ground_m[at]) * fv
-        high = ground_m[under] + (ground_m[under + np.uint32(1)] - ground_m[under]) * fv
-        out[k] = points[k, 2] - low - (high - low) * fu
