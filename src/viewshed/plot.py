@@ -50,7 +50,7 @@ _DPI = 100
 
 _TITLE_LETTERS = 100
 
-_COLUMN = 125
+_COLUMN = 178
 """Least width of a table's column in pixels."""
 
 _LINE = 18
