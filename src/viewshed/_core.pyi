@@ -27,3 +27,23 @@ def least_confirmations(mean: float) -> int: ...
 def pixels_without(
     ring: NDArray[np.int16], left_out: NDArray[np.bool_], column: NDArray[np.int32], counts: NDArray[np.uint8]
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]: ...
+
+# sensor_id.cpp
+
+# ground.cpp
+
+# leveling.cpp
+
+# no_return.cpp
+
+# visibility.cpp
+
+# history.cpp
+
+# features.cpp
+
+# ray_trace.cpp
+
+# polygons.cpp
+
+# files.cpp
