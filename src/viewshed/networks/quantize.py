@@ -211,7 +211,7 @@ def _calibrate(graph: ChannelsLastGraph, frames: Iterable[Bytes]) -> dict[str, R
         count += 1
         inputs = graph.card.shown(maps)[None].astype(np.float32) / np.float32(255.0)
         masks = np.concatenate([shape.no_masks(1), shape.masks(1, rng)])
-        for name, values in zip(names, run(inputs, masks, names), strict=True):
+        for name, values in zip(names, run({"inputs": inputs, "masks": masks}, names), strict=True):
             low, high = ranges[name]
             ranges[name] = min(low, float(values.min())), max(high, float(values.max()))
     if count == 0:
