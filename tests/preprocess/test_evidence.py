@@ -263,7 +263,7 @@ class SaysAlways:
     def single_threaded(self) -> None:
         return
 
-    def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
+    def run(self, inputs: NDArray[Any], masks: Floats | None = None) -> Floats:
         return np.full((len(inputs), *self.card.grid.shape), self.prob, np.float32)
 
 
