@@ -9,6 +9,8 @@ np.False_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from viewshed._extras import needed_for
+
 if TYPE_CHECKING:
     from viewshed.datasets import Archive, Sample
     from viewshed.datasets.recording import open_recording
@@ -51,7 +53,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that ``import viewshed`` stays light."""
     if name not in _HOMES:
         raise AttributeError(f"module 'viewshed' has no attribute {name!r}")
-    home = import_module(f"viewshed.{_HOMES[name]}")
+    with needed_for(f"viewshed.{name}"):
+        home = import_module(f"viewshed.{_HOMES[name]}")
     return home if name == "attacks" else getattr(home, name)
 
 

@@ -15,9 +15,7 @@ MASKS = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1
 @given(MASKS)
 def test_regions_are_numbered_as_scipy_numbers_them(mask: Mask) -> None:
     np.testing.assert_array_equal(label_regions(mask), ndimage.label(mask)[0])
-    np.testing.assert_array_equal(
-        label_regions(mask, diagonal=True), ndimage.label(mask, structure=np.ones((3, 3)))[0]
-    )
+    np.testing.assert_array_equal(label_regions(mask, diagonal=True), ndimage.label(mask, structure=np.ones((3, 3)))[0])
 
 
 @given(MASKS)
