@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 import io
+import platform
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from llvmlite import binding
 from numpy.typing import NDArray
 
+from viewshed._extras import needed_for
 from viewshed.networks.card import INT8
 from viewshed.networks.deterministic import without_masks
 from viewshed.networks.inspection import inspect_network
@@ -285,14 +286,26 @@ def values_of(content: bytes, threads: int | None = None) -> Call:
     return lambda inputs, names: list(session.run(names, inputs))
 
 
-def may_saturate(features: Mapping[str, bool]) -> bool:
-    """Return whether sums of products of bytes saturate on a processor with these features: an x86 without VNNI.
+def may_saturate(machine: str, cpu_info: str) -> bool:
+    """Return whether sums of products of bytes saturate on a processor: an x86 without VNNI, or not known to have it.
 
-    >>> may_saturate({"avx2": True, "avxvnni": False}), may_saturate({"avx2": True, "avx512vnni": True})
+    Args:
+        machine: kind of processor, of ``platform.machine``.
+        cpu_info: what Linux tells of it in ``/proc/cpuinfo``; empty elsewhere.
+
+    >>> may_saturate("x86_64", "flags: sse2 avx2"), may_saturate("x86_64", "flags: avx2 avx512_vnni")
     (True, False)
+    >>> may_saturate("arm64", "")
+    False
     """
-    x86 = bool(features.get("sse2") or features.get("avx2"))
-    return x86 and not (features.get("avx512vnni") or features.get("avxvnni"))
+    is_x86 = machine.lower() in {"x86_64", "amd64", "i386", "i686"}
+    return is_x86 and not {"avx512_vnni", "avx_vnni"} & set(cpu_info.split())
+
+
+@lru_cache(maxsize=1)
+def _bytes_may_saturate() -> bool:
+    cpu_info = Path("/proc/cpuinfo")
+    return may_saturate(platform.machine(), cpu_info.read_text(encoding="utf-8") if cpu_info.exists() else "")
 
 
 def _session(content: bytes, threads: int | None) -> Any:
@@ -303,7 +316,7 @@ def _session(content: bytes, threads: int | None) -> Any:
     options.log_severity_level = 3
     # Threads that wait for the next layer, or the next sweep, would take the cores from the rest of the estimate.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    if may_saturate(binding.get_host_cpu_features()):
+    if _bytes_may_saturate():
         options.add_session_config_entry("session.x64quantprecision", "1")  # exact, and two to four times as slow
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -317,10 +330,8 @@ def _cuda(content: bytes, threads: int | None, precision: str) -> Call:
 
 
 def _openvino(content: bytes, threads: int | None, precision: str) -> Call:
-    try:
+    with needed_for("engine openvino"):
         import openvino
-    except ImportError as error:
-        raise ImportError("openvino is not installed; run: pip install 'viewshed[openvino]'") from error
     core = openvino.Core()
     settings: dict[str, Any] = {"INFERENCE_PRECISION_HINT": precision, "PERFORMANCE_HINT": "LATENCY"}
     if threads is not None:
