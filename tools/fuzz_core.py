@@ -5,8 +5,8 @@
 The arguments are those of real calls: estimates, files, polygons and streams are made once while every function of the
 core is watched. Then, for S seconds a function, some arguments are damaged: other types and shapes, rows left out or
 doubled, values that are not finite, huge, denormal or out of range, all values the same, numbers far too large. A call
-may raise ValueError, TypeError, OverflowError or MemoryError. With --sanitize the core is compiled with checks of addresses and
-of undefined behavior first (into build/sanitize), and the calls run against that.
+may raise ValueError, TypeError, OverflowError or MemoryError. With --sanitize the core is compiled with checks of
+addresses and of undefined behavior first (into build/sanitize), and the calls run against that.
 
 The exit code is 1 if a call raises anything else or a function of the core was never called; a crash ends the process,
 and the line printed last names function, seed and round.
