@@ -42,7 +42,7 @@ def _level(
     points: NDArray[np.float32], azimuth: NDArray[np.float32] | None = None, sensor_m: float = SENSOR_M
 ) -> LeveledSweep:
     """A level sweep on flat ground of points given in the level frame (z = 0 on the ground)."""
-    points = np.asarray(points, np.float32).reshape(-1, 3)
+    points = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
     range_m = np.hypot(points[:, 0].astype(np.float64), points[:, 1])
     azimuth = np.arctan2(points[:, 1], points[:, 0]) if azimuth is None else azimuth
     return LeveledSweep(
