@@ -136,7 +136,7 @@ def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.isolated_returns`) where the rings are known or can be identified.
+    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified.
     """
     # 1. Identify the sensor: its beam table, and the ring of each return.
     sensor_id = identify_sensor(sweep)

@@ -34,7 +34,7 @@ def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: Lid
 
     Args:
         range_m: (N,) distance of each return from the sensor.
-        isolated: (N,) returns that nothing around confirms (:mod:`viewshed.preprocess.isolated_returns`).
+        isolated: (N,) returns that nothing around confirms (:mod:`viewshed.preprocess.range_image`).
         model: the sensor, or None where it is not known.
 
     >>> from viewshed.sensors import lidar_model
