@@ -16,7 +16,7 @@ BULK_SHARE, REACH_TIMES = 0.9, 2.5
 """What the returns show: so many times the range within which this share of the supported ones lies."""
 
 USUAL_REACH_M = 65.0
-"""How far a sensor sees that nothing is known of: half of those of the training set in the wild see farther."""
+"""How far a sensor sees that nothing is known of: about the median of the training set in the wild."""
 
 
 def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: LidarModel | None = None) -> float:
