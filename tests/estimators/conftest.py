@@ -51,7 +51,7 @@ def _level(
         range_m.astype(np.float32),
         np.asarray(azimuth, np.float32),
         points[:, 2].copy(),
-        np.arange(len(points)),
+        np.arange(len(points), dtype=np.int32),
         Rigid(np.eye(3), np.array([0.0, 0.0, sensor_m])),
         HeightMap.flat(100.0),
     )

@@ -109,7 +109,7 @@ def made_level(points: NDArray[np.float32], ground: HeightMap) -> LeveledSweep:
     return LeveledSweep(
         Sweep(points - np.array([0, 0, SENSOR_M], np.float32), sensor_height_m=SENSOR_M), points,
         np.hypot(x, y).astype(np.float32), np.arctan2(y, x).astype(np.float32), points[:, 2].copy(),
-        np.arange(len(points)), Rigid(np.eye(3), np.array([0.0, 0.0, SENSOR_M])), ground,
+        np.arange(len(points), dtype=np.int32), Rigid(np.eye(3), np.array([0.0, 0.0, SENSOR_M])), ground,
     )  # fmt: skip
 
 
@@ -264,7 +264,7 @@ class SaysAlways:
     def single_threaded(self) -> None:
         return
 
-    def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
+    def run(self, inputs: NDArray[Any], masks: Floats | None = None) -> Floats:
         return np.full((len(inputs), *self.card.grid.shape), self.prob, np.float32)
 
 
