@@ -100,7 +100,7 @@ class UnetEstimator:
         self.runner, self.passes, self.seed, self.abstain_below = runner, passes, seed, abstain_below
         self.name = name or ("unet" if passes == 1 else "mc_dropout")
         rng = np.random.Generator(np.random.PCG64(seed))
-        self._masks = shape.no_masks(1) if passes == 1 else shape.masks(passes, rng)
+        self._masks = None if passes == 1 else shape.masks(passes, rng)
 
     def with_abstention(self, below: float) -> UnetEstimator:
         """Return the same estimator that abstains below another probability."""
@@ -174,8 +174,7 @@ class UnetEstimator:
         if self.passes > 1:
             return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in features]
         together = np.stack(features) if len(features) > 1 else features[0][None]
-        probs = self.runner.run(together, np.repeat(self._masks, len(features), axis=0))
-        return [NetworkOutput(prob, None) for prob in probs]
+        return [NetworkOutput(prob, None) for prob in self.runner.run(together)]
 
     def finish(self, prepared: NetworkInput, output: NetworkOutput | None) -> FovEstimate:
         """Return the estimate that the network's output gives; many threads may do it."""

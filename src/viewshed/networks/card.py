@@ -283,8 +283,8 @@ class Runner(Protocol):
         """What the network is."""
         ...
 
-    def run(self, inputs: NDArray[Any], masks: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return probabilities (N, cells, cells) of inputs (N, channels, cells, cells) under masks (N, M).
+    def run(self, inputs: NDArray[Any], masks: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Return probabilities (N, cells, cells) of inputs (N, channels, cells, cells), dropout off or by masks (N, M).
 
         A network in bytes takes its inputs as :meth:`NetworkCard.shown` gives them.
 
