@@ -1,5 +1,8 @@
 """The native core: from points to estimate. Each function checks its arrays and raises ValueError or TypeError."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,7 +77,75 @@ def obstacle_cells(
 
 # features.cpp
 
+def feature_maps(
+    features: Sequence[tuple[str, tuple[NDArray[Any], ...]]],
+    cell_range_m: NDArray[np.float32],
+    cell_bin: NDArray[np.int16],
+    x_m: NDArray[np.float32],
+    y_m: NDArray[np.float32],
+    half_extent_m: float,
+    fold: int,
+) -> NDArray[np.uint8]: ...
+def height_codes(
+    points: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    x0_m: float,
+    y0_m: float,
+    cells_per_m: float,
+    cells: int,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]: ...
+def fold_maps(maps: NDArray[np.uint8], fold: int) -> NDArray[np.uint8]: ...
+
 # ray_trace.cpp
+
+def azimuth_bins_filled(azimuth: NDArray[np.float32]) -> int: ...
+def farthest_in_bins(
+    azimuth: NDArray[np.float32], range_m: NDArray[np.float32], bins: int | None, drop: int
+) -> NDArray[np.float32]: ...
+def first_blocker(
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    low_m: float,
+    high_m: float,
+    bins: int | None,
+    rank: int,
+    median_bins: int,
+    reach_m: float | None,
+    margin_m: float,
+) -> NDArray[np.float32]: ...
+def ranges_in_bins(
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    low_m: float,
+    high_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def cells_within(
+    limit_m: NDArray[np.float32], cell_range_m: NDArray[np.float32], cell_bin: NDArray[np.int16]
+) -> NDArray[np.float32]: ...
+def trace_windows(
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    slices: int,
+    window: float,
+    margin_m: float,
+    cell_range_m: NDArray[np.float32],
+    cell_azimuth: NDArray[np.float32],
+    cell_slice: NDArray[np.int16],
+) -> NDArray[np.float32]: ...
+def any_return_on(
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    far_m: float,
+    low_m: float,
+    high_m: float,
+    sensor_m: float,
+    x0_m: float,
+    y0_m: float,
+    cells_per_m: float,
+    cells: float,
+) -> bool: ...
 
 # polygons.cpp
 

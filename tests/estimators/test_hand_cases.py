@@ -11,7 +11,7 @@ from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
-from viewshed.preprocess.azimuth_bins import BINS_LADDER, measured_azimuth_bins
+from viewshed.preprocess.azimuth_bins import measured_azimuth_bins
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
@@ -216,7 +216,6 @@ def test_beyond_the_farthest_return_is_hidden_by_an_obstacle_and_unknown_on_grou
 def test_bins_follow_the_measured_step(columns: int, bins: int) -> None:
     azimuth = ((np.arange(columns) + 0.4) * 2 * np.pi / columns - np.pi).astype(np.float32)
     assert measured_azimuth_bins(np.tile(azimuth, 3)) == bins
-    assert bins in BINS_LADDER
 
 
 def test_the_window_reaches_across_the_back(make_level: MakeLevel) -> None:
