@@ -30,10 +30,10 @@ _VISIBLE = (1, 2)  # FREE and SURFACE
 _WORST = 8
 
 INTRODUCTION = """\
-Both versions read the same files: every real sweep that is at hand, and simulated ones (own and wild worlds; told table,
-rings or points alone; every third attacked, by each of the attacks in turn). *Same states*: share of the cells of the
-grid whose state (free, surface, hidden, unknown) is the same. *F1*: of the visible cells of one version against those of
-the other. *All alike*: share of the sweeps in which no cell differs."""
+Both versions read the same files: every real sweep that is at hand, and simulated ones (own and wild worlds; told
+table, rings or points alone; every third attacked, by each of the attacks in turn). *Same states*: share of the cells
+of the grid whose state (free, surface, hidden, unknown) is the same. *F1*: of the visible cells of one version against
+those of the other. *All alike*: share of the sweeps in which no cell differs."""
 
 
 def write_simulated(folder: Path, count: int) -> None:
