@@ -53,9 +53,8 @@ void insert(float* row, std::size_t size, float value, Before before) {
     row[k] = value;
 }
 
-MULTIVERSION void compare_cells(const float* limit_m, const float* cell_range_m, const std::int16_t* cell_bin,
-                                std::size_t count, float* visible) {
-    for (std::size_t k = 0; k < count; ++k) visible[k] = cell_range_m[k] <= limit_m[cell_bin[k]] ? 1.0f : 0.0f;
+MULTIVERSION void compare(const float* range_m, const float* limit_m, std::size_t count, float* visible) {
+    for (std::size_t k = 0; k < count; ++k) visible[k] = range_m[k] <= limit_m[k] ? 1.0f : 0.0f;
 }
 
 }  // namespace
@@ -164,7 +163,13 @@ void find_cells_within(View1<const float> limit_m, View1<const float> cell_range
                        View1<float> visible) {
     const std::size_t count = visible.size;
     for_ranges(count, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-        compare_cells(limit_m.data, &cell_range_m[begin], &cell_bin[begin], end - begin, &visible[begin]);
+        // What is compared becomes vectors, what is looked up does not.
+        float limit_of[BLOCK];
+        for (std::size_t start = begin; start < end; start += BLOCK) {
+            const std::size_t size = std::min(BLOCK, end - start);
+            for (std::size_t k = 0; k < size; ++k) limit_of[k] = limit_m[std::size_t(cell_bin[start + k])];
+            compare(&cell_range_m[start], limit_of, size, &visible[start]);
+        }
     });
 }
 

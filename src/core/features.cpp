@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -22,7 +23,7 @@ namespace {
 // Heights above local ground that the lowest and the highest return resolve.
 constexpr float LOW_M = -2.0f, HIGH_M = 4.0f;
 
-// Expected returns that their codes resolve, and steps of their table for each.
+// Expected returns that codes resolve, and steps of their table for each.
 constexpr int MOST_RETURNS = 127, STEPS = 16;
 
 // Distances that codes resolve, and steps of their table a meter.
@@ -38,31 +39,54 @@ constexpr std::size_t PART = 16384;
 // The most cells of a side: a row fits on the stack.
 constexpr std::size_t MOST_CELLS = 4096;
 
-// Code of expected returns by their step: 255 from MOST_RETURNS on.
+// log(1 + x) for x in [0, 2^23), without branches: fdlibm's log1pf (Sun Microsystems 1993), digit for digit.
+INLINE float log1p_of(float x) {
+    // 1 + x = 2^k (1 + f) with 1 + f in [√½, √2); what rounding 1 + x lost is c. Below √2 - 1 it is k = 0, f = x.
+    const float sum = 1.0f + x;
+    const auto bits = std::bit_cast<std::int32_t>(sum);
+    const std::int32_t fraction = bits & 0x007fffff, exponent = (bits >> 23) - 127;
+    const bool is_small = x < 0x1.a827aep-2f, is_upper = fraction >= 0x003504f7;
+    const float scaled = std::bit_cast<float>(fraction | (is_upper ? 0x3f000000 : 0x3f800000));
+    const float f = is_small ? x : scaled - 1.0f, k = is_small ? 0.0f : float(exponent + (is_upper ? 1 : 0));
+    const float lost = (exponent > 0 ? 1.0f - (sum - x) : x - (sum - 1.0f)) / sum, c = is_small ? 0.0f : lost;
+    // log(1 + f) = f - f²/2 + s (f²/2 + R(s²)) with s = f / (2 + f).
+    const float half = 0.5f * f * f, s = f / (2.0f + f), z = s * s;
+    float r = z * 1.4798198640e-01f + 1.5313838422e-01f;
+    r = z * r + 1.8183572590e-01f;
+    r = z * r + 2.2222198546e-01f;
+    r = z * r + 2.8571429849e-01f;
+    r = z * r + 4.0000000596e-01f;
+    r = z * (z * r + 6.6666668653e-01f);
+    const float without_k = f - (half - s * (half + r));
+    const float with_k = k * 6.9313812256e-01f - ((half - (s * (half + r) + (k * 9.0580006145e-06f + c))) - f);
+    return is_small ? without_k : with_k;
+}
+
+// Code of expected returns by their step: their logarithm, 255 from MOST_RETURNS on.
 struct ReturnsTable {
     static constexpr int LAST = MOST_RETURNS * STEPS;
-    std::array<std::int32_t, LAST + 1> code;
+    std::array<std::uint8_t, LAST + 1> code;
 
     ReturnsTable() {
         for (int k = 0; k <= LAST; ++k) {
             const double size = 255.0 * std::log1p(double(k) / STEPS) / std::log1p(double(MOST_RETURNS));
-            code[std::size_t(k)] = std::int32_t(std::nearbyint(size));
+            code[std::size_t(k)] = std::uint8_t(std::nearbyint(size));
         }
     }
 };
 
 // 128.5, more or less the logarithm of a signed distance, cut to a whole number.
-std::int32_t away_code(float away_m) {
+std::uint8_t away_code(float away_m) {
     const float scale = float(127.0 / std::log1p(double(FARTHEST_M)));
-    const float size = std::log1p(std::min(std::fabs(away_m), FARTHEST_M)) * scale;
-    return std::int32_t(128.5f + std::copysign(size, away_m));
+    const float size = log1p_of(std::min(std::fabs(away_m), FARTHEST_M)) * scale;
+    return std::uint8_t(128.5f + std::copysign(size, away_m));
 }
 
 // Code at each step of distance from -FARTHEST_M on, and the distances where codes begin. A step is shorter than any
 // code is wide, so that a distance has the code of its step or the next one.
 struct AwayTable {
     static constexpr std::size_t SIZE = std::size_t(2 * FARTHEST_M) * STEPS_A_METER + 1;
-    std::array<std::int32_t, SIZE> code;
+    std::array<std::uint8_t, SIZE> code;
     std::array<float, 257> begin;
 
     AwayTable() {
@@ -70,7 +94,7 @@ struct AwayTable {
             const float step_m = float(k) / float(STEPS_A_METER) - FARTHEST_M;
             code[k] = away_code(std::max(step_m - 1e-4f, -FARTHEST_M));
         }
-        for (std::int32_t c = 0; c < 256; ++c) {
+        for (int c = 0; c < 256; ++c) {
             float low = -FARTHEST_M, high = FARTHEST_M;
             for (int halving = 0; halving < 64; ++halving) {
                 const float middle = (low + high) / 2.0f;
@@ -82,20 +106,29 @@ struct AwayTable {
     }
 };
 
-MULTIVERSION void code_returns(const float* values, const float* further, std::size_t count, const std::int32_t* table,
-                               std::uint8_t* codes) {
-    float sum[BLOCK];
-    for (std::size_t start = 0; start < count; start += BLOCK) {
-        const std::size_t size = std::min(BLOCK, count - start);
-        for (std::size_t k = 0; k < size; ++k) sum[k] = values[start + k];
-        if (further != nullptr) {
-            for (std::size_t k = 0; k < size; ++k) sum[k] += further[start + k];
-        }
-        for (std::size_t k = 0; k < size; ++k) {
-            const float step = sum[k] * float(STEPS), last = float(ReturnsTable::LAST);
-            const float inside = step < last ? step : last;
-            codes[start + k] = std::uint8_t(table[std::int32_t(inside > 0.0f ? inside : 0.0f)]);
-        }
+// What is calculated becomes vectors, what is looked up does not: each loop does one of them.
+MULTIVERSION void find_steps(const float* values, const float* further, std::size_t count, std::int32_t* step) {
+    constexpr float LAST = float(ReturnsTable::LAST);
+    for (std::size_t k = 0; k < count; ++k) {
+        const float sum = further == nullptr ? values[k] : values[k] + further[k];
+        const float at = sum * float(STEPS) < LAST ? sum * float(STEPS) : LAST;
+        step[k] = std::int32_t(at > 0.0f ? at : 0.0f);
+    }
+}
+
+void code_returns(const float* values, const float* further, std::size_t count, const ReturnsTable& table,
+                  std::uint8_t* codes) {
+    std::int32_t step[MOST_CELLS];
+    find_steps(values, further, count, step);
+    for (std::size_t k = 0; k < count; ++k) codes[k] = table.code[std::size_t(step[k])];
+}
+
+// The logarithm of standard deviations of the ground: 255 from MOST_STD_M on.
+MULTIVERSION void code_deviations(const float* std_m, std::size_t count, float* codes) {
+    const float scale = float(255.0 / std::log1p(double(MOST_STD_M / LEAST_STD_M)));
+    for (std::size_t k = 0; k < count; ++k) {
+        const float most_m = std_m[k] < MOST_STD_M ? std_m[k] : MOST_STD_M;
+        codes[k] = log1p_of(most_m * float(1.0 / LEAST_STD_M)) * scale;
     }
 }
 
@@ -110,14 +143,25 @@ MULTIVERSION void code_ranges(const float* range_m, std::size_t count, std::uint
     }
 }
 
-MULTIVERSION void code_beyond(const float* limit_m, const std::int16_t* bin, const float* range_m, std::size_t count,
-                              const std::int32_t* table, const float* begin, std::uint8_t* codes) {
+// Turn limits into how far they lie beyond each cell, and the steps of that.
+MULTIVERSION void find_steps_beyond(const float* range_m, std::size_t count, float* away_m, std::int32_t* step) {
     for (std::size_t k = 0; k < count; ++k) {
-        float away_m = limit_m[bin[k]] - range_m[k];
-        away_m = away_m > -FARTHEST_M ? away_m : -FARTHEST_M;
-        away_m = away_m < FARTHEST_M ? away_m : FARTHEST_M;
-        const std::int32_t code = table[std::int32_t((away_m + FARTHEST_M) * float(STEPS_A_METER))];
-        codes[k] = std::uint8_t(code + (away_m >= begin[code + 1] ? 1 : 0));
+        float away = away_m[k] - range_m[k];
+        away = away > -FARTHEST_M ? away : -FARTHEST_M;
+        away_m[k] = away < FARTHEST_M ? away : FARTHEST_M;
+        step[k] = std::int32_t((away_m[k] + FARTHEST_M) * float(STEPS_A_METER));
+    }
+}
+
+void code_beyond(const float* limit_m, const std::int16_t* bin, const float* range_m, std::size_t count,
+                 const AwayTable& table, std::uint8_t* codes) {
+    float away_m[MOST_CELLS];
+    std::int32_t step[MOST_CELLS];
+    for (std::size_t k = 0; k < count; ++k) away_m[k] = limit_m[std::size_t(bin[k])];
+    find_steps_beyond(range_m, count, away_m, step);
+    for (std::size_t k = 0; k < count; ++k) {
+        const std::size_t code = table.code[std::size_t(step[k])];
+        codes[k] = std::uint8_t(code + (away_m[k] >= table.begin[code + 1]));
     }
 }
 
@@ -146,7 +190,10 @@ Position locate(float at_m, float half_extent_m, std::size_t nodes) {
 class DeviationRows {
 public:
     DeviationRows(View2<const float> std_m, const GridCells& cells, float half_extent_m)
-        : std_m_(std_m), cells_(cells), half_extent_m_(half_extent_m), low_(cells.y_m.size), high_(cells.y_m.size) {}
+        : std_m_(std_m), cells_(cells), half_extent_m_(half_extent_m), codes_(std_m.columns), low_(cells.y_m.size),
+          high_(cells.y_m.size) {
+        for (const float y_m : cells.y_m) columns_.push_back(locate(y_m, half_extent_m, std_m.columns));
+    }
 
     void write(std::size_t i, std::uint8_t* codes) {
         const Position row = locate(cells_.x_m[i], half_extent_m_, std_m_.rows);
@@ -164,20 +211,18 @@ public:
 
 private:
     void interpolate(std::size_t node, Buffer<double>& line) {
-        std::vector<float> code(std_m_.columns);
-        const float scale = float(255.0 / std::log1p(double(MOST_STD_M / LEAST_STD_M)));
-        for (std::size_t k = 0; k < code.size(); ++k) {
-            code[k] = std::log1p(std::min(std_m_(node, k), MOST_STD_M) * float(1.0 / LEAST_STD_M)) * scale;
-        }
+        code_deviations(std_m_[node], std_m_.columns, codes_.data());
         for (std::size_t j = 0; j < line.size(); ++j) {
-            const Position at = locate(cells_.y_m[j], half_extent_m_, std_m_.columns);
-            line[j] = code[at.node] * (1 - at.part) + code[at.node + 1] * at.part;
+            const auto [node_before, part] = columns_[j];
+            line[j] = codes_[node_before] * (1 - part) + codes_[node_before + 1] * part;
         }
     }
 
     View2<const float> std_m_;
     const GridCells& cells_;
     float half_extent_m_;
+    std::vector<Position> columns_;
+    Buffer<float> codes_;
     Buffer<double> low_, high_;
     std::size_t node_ = std::numeric_limits<std::size_t>::max() - 1;  // of no row
 };
@@ -193,15 +238,14 @@ void write_row(const Feature& feature, const GridCells& cells, std::size_t i, De
             std::memcpy(codes, feature.bytes[i], count);
             break;
         case Coding::RETURNS:
-            code_returns(feature.values[i], feature.further.data ? feature.further[i] : nullptr, count,
-                         of_returns.code.data(), codes);
+            code_returns(feature.values[i], feature.further.data ? feature.further[i] : nullptr, count, of_returns,
+                         codes);
             break;
         case Coding::PROBABILITY:
             code_probabilities(feature.values[i], count, codes);
             break;
         case Coding::BEYOND:
-            code_beyond(feature.limit_m.data, cells.bin[i], cells.range_m[i], count, of_distances.code.data(),
-                        of_distances.begin.data(), codes);
+            code_beyond(feature.limit_m.data, cells.bin[i], cells.range_m[i], count, of_distances, codes);
             break;
         case Coding::RANGE:
             code_ranges(cells.range_m[i], count, codes);
