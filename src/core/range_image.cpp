@@ -25,6 +25,9 @@ constexpr double FULL_RING = 0.9, FULLEST_RING = 1.05;
 // The phase of a ring is found from a histogram of so many bins, so that the order of the points does not matter.
 constexpr int PHASES = 16;
 
+// The largest image that is accepted.
+constexpr std::size_t MOST_RINGS = 4096, MOST_COLUMNS = 65536;
+
 // Points of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
@@ -39,7 +42,10 @@ MULTIVERSION void place_block(const float* points, std::size_t count, float per_
         const float z = points[3 * k + 2], d2 = x[k] * x[k] + y[k] * y[k] + z * z;
         squared_m2[k] = (d2 >= near2) & (d2 <= far2) ? d2 : -1.0f;
     }
-    for (std::size_t k = 0; k < count; ++k) position[k] = (azimuth_of(y[k], x[k]) + PI) * per_rad;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float columns = (azimuth_of(y[k], x[k]) + PI) * per_rad;
+        position[k] = columns >= 0.0f ? columns : 0.0f;  // no number is in no direction
+    }
     for (std::size_t k = 0; k < count; ++k) phase[k] = std::int32_t(position[k] * float(PHASES)) % PHASES;
 }
 
@@ -170,11 +176,17 @@ void take_out(View1<const std::int16_t> ring, View1<const bool> left_out, View1<
               View2<std::uint8_t> counts) {
     const std::vector<std::uint8_t> before(counts.data, counts.data + counts.size());
     for (std::size_t n = 0; n < left_out.size; ++n) {
-        if (!left_out[n] || column[n] < 0) continue;
+        if (!left_out[n] || column[n] < 0 || ring[n] < 0) continue;
         const std::size_t pixel = ring[n] * counts.columns + column[n];
         counts.data[pixel] = std::uint8_t(counts.data[pixel] - (before[pixel] != FULL_COUNT));
         column[n] = -1;
     }
+}
+
+// Raise ValueError unless an image has pixels, and no more than the densest sensor's by far.
+void require_image(std::size_t rings, std::size_t columns) {
+    require(rings >= 1 && rings <= MOST_RINGS, "an image must have 1 to 4096 rings");
+    require(columns >= 1 && columns <= MOST_COLUMNS, "an image must have 1 to 65536 columns");
 }
 
 // What Python calls: arrays are checked here, whatever hands them in.
@@ -183,8 +195,8 @@ void bind_range_image(nb::module_& m) {
         "range_image",
         [](Points points, In1<std::int16_t> ring, std::size_t columns, std::size_t rings, float near_m, float far_m) {
             require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
-            require(rings > 0 && columns > 0 && rings * columns < (1u << 28), "an image must have 1 to 2^28 pixels");
-            require_within<std::int16_t>(view(ring), -1, std::int16_t(std::min<std::size_t>(rings - 1, 32767)), "ring");
+            require_image(rings, columns);
+            require_within<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
             std::optional<RangeImage> made;
             {
                 nb::gil_scoped_release unlocked;
@@ -216,9 +228,10 @@ void bind_range_image(nb::module_& m) {
         "pixels_without",
         [](In1<std::int16_t> ring, In1<bool> left_out, In1<std::int32_t> column, In2<std::uint8_t> counts) {
             const std::size_t count = ring.shape(0), rings = counts.shape(0), columns = counts.shape(1);
+            require_image(rings, columns);
             require(left_out.shape(0) == count && column.shape(0) == count, "ring, left_out and column must be as long");
-            require_within<std::int16_t>(view(ring), -1, std::int16_t(int(rings) - 1), "ring");
-            require_within<std::int32_t>(view(column), -1, std::int32_t(int(columns) - 1), "column");
+            require_within<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
+            require_within<std::int32_t>(view(column), -1, std::int32_t(columns - 1), "column");
             Buffer<std::int32_t> kept(count);
             Buffer<std::uint8_t> fewer(rings * columns);
             std::copy_n(column.data(), count, kept.data());

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
@@ -59,14 +60,14 @@ class Delaunay(ClassicalEstimator):
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""
-        from scipy import spatial
-
         if not spans_area(points):
             return np.zeros((0, 4))
         try:
-            corners = points[spatial.Delaunay(points).simplices]
-        except spatial.QhullError:
+            triangles = shapely.get_parts(shapely.delaunay_triangles(shapely.MultiPoint(points)))
+        except shapely.GEOSException:  # all but on one line
             return np.zeros((0, 4))
+        # A triangle's ring is closed: its last corner is the first again.
+        corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
         sides = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2)
         length_m = np.hypot(sides[..., 2] - sides[..., 0], sides[..., 3] - sides[..., 1])
         kept: NDArray[np.float64] = sides[length_m.max(axis=1) <= self.max_edge_m].reshape(-1, 4)
