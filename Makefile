@@ -1,4 +1,4 @@
-# These need nothing but Python 3.11 or newer: `make demo`, `make check` and `make test`.
+# These need Python 3.11 or newer and a C++ compiler: `make demo`, `make check` and `make test`.
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= demo
@@ -15,7 +15,7 @@ timed = begin=$$(date +%s); $(MAKE) --no-print-directory $(2); code=$$?; \
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo check test properties lint types imports quick unit docs bench clean
+.PHONY: help demo check test properties lint types imports quick unit docs bench fuzz clean
 
 help:  ## list the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,15 +56,22 @@ docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
 bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/speed.md
 	$(BIN)/python -m benchmarks
 
+fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers
+	$(BIN)/python tools/fuzz_core.py --sanitize --seconds 30
+
 clean:  ## remove what these commands made
 	rm -rf $(VENV) $(OUT) site build dist
 
 $(VENV)/.made:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"viewshed needs Python 3.11 or newer, this is {v[0]}.{v[1]}; run make PYTHON=python3.11 …")'
+	@command -v $${CXX:-c++} >/dev/null || { echo "viewshed's core needs a C++20 compiler (g++ 11 or clang 14): install one, or set CXX" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/.core: pyproject.toml $(VENV)/.made
+# The native core is compiled by the install, and again when its sources change.
+CORE := pyproject.toml CMakeLists.txt $(wildcard src/core/*)
+
+$(VENV)/.core: $(CORE) $(VENV)/.made
 	$(PIP) --editable .
 	@touch $@
 
@@ -73,14 +80,14 @@ $(VENV)/.torch: $(VENV)/.made
 	$(PIP) 'torch==2.13.0'
 	@touch $@
 
-$(VENV)/.test: pyproject.toml $(VENV)/.torch
+$(VENV)/.test: $(CORE) $(VENV)/.torch
 	$(PIP) --editable '.[test]'
 	@touch $@ $(VENV)/.core
 
-$(VENV)/.bench: pyproject.toml $(VENV)/.made
+$(VENV)/.bench: $(CORE) $(VENV)/.made
 	$(PIP) --editable '.[bench]'
 	@touch $@ $(VENV)/.core
 
-$(VENV)/.docs: pyproject.toml $(VENV)/.made
+$(VENV)/.docs: $(CORE) $(VENV)/.made
 	$(PIP) --editable '.[docs]'
 	@touch $@ $(VENV)/.core

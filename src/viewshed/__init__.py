@@ -9,6 +9,7 @@ np.False_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from viewshed import _core
 from viewshed._extras import needed_for
 
 if TYPE_CHECKING:
@@ -28,6 +29,11 @@ if TYPE_CHECKING:
     from viewshed.threats import attacks
 
 __version__ = "0.3.0"
+
+if _core.__version__ != __version__:
+    raise ImportError(
+        f"viewshed's native core must be of version {__version__}, got {_core.__version__}; build it: pip install ."
+    )
 
 _HOMES = {
     # what most users need, in the order of the flow

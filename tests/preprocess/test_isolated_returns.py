@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed import BevGrid, Sweep
+from viewshed import BevGrid, Sweep, _core
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
-from viewshed.preprocess.isolated_returns import _least_confirmations
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor, silent_columns
+from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
@@ -134,8 +133,8 @@ def test_columns_with_a_few_returns_among_full_ones_are_silent() -> None:
     counts[:, :4] = 1  # four columns from all eight rings, one from four, one from three, one from none
     counts[2:6, 4] = 1
     counts[:3, 5] = 2
-    assert silent_columns(counts).tolist() == [False, False, False, False, False, True, True]
-    assert silent_columns(np.zeros((3, 2), np.uint8)).all()
+    assert _core.silent_columns(counts).tolist() == [False, False, False, False, False, True, True]
+    assert _core.silent_columns(np.zeros((3, 2), np.uint8)).all()
 
 
 def test_a_few_points_in_a_dropped_sector_open_nothing() -> None:
@@ -194,7 +193,7 @@ def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_vie
 
 
 def test_so_many_confirm_by_chance_as_a_poisson_variable_tells() -> None:
-    least = _least_confirmations(np.array([0.0, 0.1, 1.0, 3.0]))
+    least = np.array([_core.least_confirmations(mean) for mean in (0.0, 0.1, 1.0, 3.0)])
     numbers = np.random.default_rng(0).poisson([0.0, 0.1, 1.0, 3.0], (200_000, 4))
     assert least.tolist() == [2, 2, 5, 9]
     assert ((numbers >= least).mean(axis=0) <= 0.011).all()

@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from viewshed import BevGrid, Sweep
+from viewshed import BevGrid, Sweep, _core
 from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
-from viewshed.preprocess.range_image import assign_pixels
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
 
@@ -60,7 +59,7 @@ def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> No
     jitter[0], jitter[-1] = -0.3, 0.3
     azimuth = -np.pi + (np.arange(360) + phase + jitter) * (2 * np.pi / 360)
     points = np.column_stack([10 * np.cos(azimuth), 10 * np.sin(azimuth), np.zeros(360)]).astype(np.float32)
-    column, _, counts, _ = assign_pixels(points, np.zeros(360, np.int32), 360, 1)
+    column, counts, *_ = _core.range_image(points, np.zeros(360, np.int16), 360, 1, 0.5, 250.0)
     assert np.array_equal(column, np.arange(360))
     assert (counts == 1).all()
 

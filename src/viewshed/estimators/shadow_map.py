@@ -35,7 +35,7 @@ class ShadowMap(ClassicalEstimator):
     went as far as the nearer of its neighbors in the ring).
 
     Limits: trusts each measured depth, with ``inferred`` each that another beam confirms
-    (:mod:`viewshed.preprocess.isolated_returns`), so that removed or many far-spoofed returns open false corridors;
+    (:mod:`viewshed.preprocess.range_image`), so that removed or many far-spoofed returns open false corridors;
     needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is inferred;
     with ``inferred`` the share of ground that returns is learned from the whole sweep, and obstacles elsewhere
     change it.

@@ -14,11 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed._numba import atan2
 from viewshed.fov.height_map import LatticePositions, lattice_positions
 from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, range_limits
-from viewshed.preprocess.range_image import RangeImage, range_image_by_rings, silent_columns
+from viewshed.preprocess.range_image import RangeImage, range_image_by_rings
 from viewshed.preprocess.ring_recovery import recover_rings
 
 FILL_COLUMNS = 16
@@ -100,7 +101,7 @@ def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
     # Isolated returns are returns here; clutter is not.
     image = _image_of_beams(leveled)
     depths = _depth_images(leveled, image, _clutter(leveled))
-    pixels, ends_m, steps = find_no_return(depths.counts, depths.range_m, False)
+    pixels, ends_m, steps = find_no_return(depths.counts, depths.range_m, False, _core.silent_columns(depths.counts))
     azimuth, slope = _directions(pixels, np.tan(image.elevation), image.phase, _rotation(leveled), image.columns)
     if not fill:
         return Beams(azimuth, slope, np.full(len(pixels), np.inf, np.float32))
@@ -144,7 +145,8 @@ def _infer_no_return_beams(leveled: LeveledSweep, image: RangeImage, top_m: floa
     ground_slope = _ground_slopes(leveled)
     highest = _highest_slopes(ground_slope, top_m)
     rings = _rings_below(float(highest.max()), tangent, rotation)
-    pixels, ends_m, steps = find_no_return(depths.counts[:rings], depths.range_m, True)
+    counts = depths.counts[:rings]
+    pixels, ends_m, steps = find_no_return(counts, depths.range_m, True, _core.silent_columns(counts))
     azimuth, slope = _directions(pixels, tangent, image.phase, rotation, image.columns)
     rise_m = image.origin_m[pixels[:, 0]].astype(np.float32)
     # Rule 1: narrow gaps in a ring, then in a column; beams beside them in the same gap are bounded by what they meet.
@@ -291,18 +293,17 @@ def _fill_depth_images(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_no_return(counts: Any, depth_m: Any, awake: bool) -> Any:  # pragma: no cover - compiled
+def find_no_return(counts: Any, depth_m: Any, awake: bool, silent: Any) -> Any:  # pragma: no cover - compiled
     """Return ring and column (M, 2) of the no-return beams, lowest ring first, and the returns around them in the ring.
 
     Of the nearest pixel with a return on each side: depth (M, 2), +inf for none, and steps in columns (M, 2). With
-    ``awake`` only beams of rings and columns that have returns.
+    ``awake`` only beams of rings that have returns, and of columns that are not ``silent`` (columns,).
     """
     rings, columns = counts.shape
     size = counts.size - np.count_nonzero(counts)
     pixels = np.empty((size, 2), np.int32)
     ends_m = np.full((size, 2), np.inf, np.float32)
     steps = np.full((size, 2), columns, np.int32)
-    silent = silent_columns(counts) if awake else np.zeros(columns, np.bool_)
     m = 0
     for r in range(rings):
         if awake and not counts[r].any():
@@ -311,7 +312,7 @@ def find_no_return(counts: Any, depth_m: Any, awake: bool) -> Any:  # pragma: no
         around = _columns_around(counts[r], empty)
         for k in range(empty.shape[0]):
             c = empty[k]
-            if silent[c]:
+            if awake and silent[c]:
                 continue
             pixels[m, 0], pixels[m, 1] = r, c
             for side in range(2):

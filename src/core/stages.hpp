@@ -1,0 +1,24 @@
+// The stages, each in a file of its own, that the module offers to Python.
+#pragma once
+
+#include "arrays.hpp"
+
+namespace viewshed {
+
+using namespace nb::literals;
+
+void bind_range_image(nb::module_& m);
+void bind_sensor_id(nb::module_& m);
+void bind_ground(nb::module_& m);
+void bind_leveling(nb::module_& m);
+void bind_no_return(nb::module_& m);
+void bind_visibility(nb::module_& m);
+void bind_history(nb::module_& m);
+void bind_features(nb::module_& m);
+void bind_mc_dropout(nb::module_& m);
+void bind_ray_trace(nb::module_& m);
+void bind_concave_hull(nb::module_& m);
+void bind_polygons(nb::module_& m);
+void bind_files(nb::module_& m);
+
+}  // namespace viewshed
