@@ -132,6 +132,10 @@ def height_codes(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]: ...
 def fold_maps(maps: NDArray[np.uint8], fold: int) -> NDArray[np.uint8]: ...
 
+# mc_dropout.cpp
+
+def mean_and_deviation(probability: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+
 # ray_trace.cpp
 
 def azimuth_bins_filled(azimuth: NDArray[np.float32]) -> int: ...
@@ -182,6 +186,23 @@ def any_return_on(
     cells_per_m: float,
     cells: float,
 ) -> bool: ...
+
+# concave_hull.cpp
+
+def concave_hull(
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    concavity: float,
+    length_m: float,
+    x_m: float,
+    y_m: float,
+    cell_m: float,
+    cells: int,
+) -> NDArray[np.float32]: ...
+def thin_returns(
+    points: NDArray[np.float32], range_m: NDArray[np.float32], x_m: float, y_m: float, cell_m: float
+) -> tuple[NDArray[np.float64], bool]: ...
+def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
 
 # polygons.cpp
 

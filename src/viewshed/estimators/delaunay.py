@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.estimators.concave_hull import fill, spans_area, thinned
+from viewshed.estimators.concave_hull import fill, thinned
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, require
@@ -55,13 +55,12 @@ class Delaunay(ClassicalEstimator):
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 in the union of the small triangles between the returns, 0 elsewhere."""
         leveled = self.crop.apply(leveled)
-        visible = fill(self._edges(thinned(leveled, self.grid)), self.grid)
+        points, spans_area = thinned(leveled, self.grid)
+        visible = fill(self._edges(points) if spans_area else np.zeros((0, 4)), self.grid)
         return visible.astype(np.float32)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""
-        if not spans_area(points):
-            return np.zeros((0, 4))
         try:
             triangles = shapely.get_parts(shapely.delaunay_triangles(shapely.MultiPoint(points)))
         except shapely.GEOSException:  # all but on one line

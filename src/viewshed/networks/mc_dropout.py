@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.networks.card import Runner
 
 Floats = NDArray[np.float32]
@@ -29,14 +30,5 @@ def mean_and_deviation(probability: Floats) -> tuple[Floats, Floats]:
     ([0.5], [0.25])
     """
     flat = np.ascontiguousarray(probability, np.float32).reshape(len(probability), -1)
-    mean, std = np.empty(flat.shape[1], np.float32), np.empty(flat.shape[1], np.float32)
-    share = np.float32(1.0 / len(flat))
-    for start in range(0, flat.shape[1], _CELLS):
-        block = slice(start, start + _CELLS)
-        # Differences to the first pass are small: squares of the values themselves would cancel in float32.
-        difference = flat[:, block] - flat[0, block]
-        shift = difference.sum(axis=0) * share
-        mean[block] = flat[0, block] + shift
-        difference -= shift
-        std[block] = np.sqrt(np.square(difference, out=difference).sum(axis=0) * share)
+    mean, std = _core.mean_and_deviation(flat)
     return mean.reshape(probability.shape[1:]), std.reshape(probability.shape[1:])
