@@ -91,7 +91,8 @@ def filled(**named: Any) -> Any:
 
 def of_lows(**named: Any) -> Any:
     points, rise = lows()
-    return _core.ground_of_lows(**{"lows_m": points, "rise_m": rise, "half_m": HALF_M, "height_m": 1.8} | named)
+    given: dict[str, Any] = {"lows_m": points, "rise_m": rise, "half_m": HALF_M, "height_m": 1.8}
+    return _core.ground_of_lows(**given | named)
 
 
 def test_level_ground_is_found_where_it_lies() -> None:
@@ -106,7 +107,8 @@ def test_level_ground_is_found_where_it_lies() -> None:
 
 def test_threads_do_not_change_the_ground() -> None:
     points = street()
-    for ask in (lambda: found(points), of_lows, held, filled):
+    asks: list[Callable[[], Any]] = [lambda: found(points), of_lows, held, filled]
+    for ask in asks:
         answers = []
         for count in (1, 2, 4):
             _core.set_threads(count)
