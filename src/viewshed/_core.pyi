@@ -35,6 +35,42 @@ def pixels_without(
 
 # ground.cpp
 
+_Ground = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], tuple[float, float, float], float, float]
+
+def ground(
+    points: NDArray[np.float32],
+    isolated: NDArray[np.bool_],
+    rotation: NDArray[np.float32],
+    near_m: float,
+    far_m: float,
+    heading: float,
+    half_m: float,
+    nodes: int,
+    height_m: float,
+) -> _Ground: ...
+def ground_of_lows(
+    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_m: float, height_m: float
+) -> _Ground: ...
+def fill_ground(
+    walked_m: NDArray[np.float32], accepted: NDArray[np.bool_], plane: NDArray[np.float32], half_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def free_plane(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]: ...
+def held_ground(
+    heights_m: NDArray[np.float32],
+    std_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+    before_heights_m: NDArray[np.float32],
+    before_std_m: NDArray[np.float32],
+    before_seen: NDArray[np.bool_],
+    before_half_m: float,
+    before_from_now: NDArray[np.float32],
+    now_from_before: NDArray[np.float32],
+    variance_m2: float,
+    plane: tuple[float, float, float],
+    height_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]] | None: ...
+
 # leveling.cpp
 
 EGO_BOX_M: tuple[float, float]
