@@ -1,6 +1,8 @@
 // Columns of files: rows of float32, points moved between frames, and the packing of PCD.
 #include <algorithm>
 #include <cmath>
+#include <numbers>
+#include <vector>
 
 #include "stages.hpp"
 #include "vectors.hpp"
@@ -13,6 +15,9 @@ constexpr float FARTHEST_M = 1e4f, BRIGHTEST = 1e6f;
 
 // The highest ring of a nuScenes file that is believed.
 constexpr float HIGHEST_RING = 127.0f;
+
+// Nearer returns are null returns or the sensor's own housing.
+constexpr float NULL_RANGE_M = 0.5f;
 
 // Split rows of x, y, z, intensity into points (3 N,) and intensity (N,).
 MULTIVERSION void split_four(const float* rows, std::size_t count, float* points, float* intensity) {
@@ -99,6 +104,52 @@ std::int64_t unpack_lzf(View1<const std::uint8_t> packed, View1<std::uint8_t> un
     return std::int64_t(end);
 }
 
+// How the rings of returns beside each other differ, seen from the origin, in whatever frame and order.
+struct RingSpread {
+    std::size_t count;         // returns that were looked at
+    double elevation_std;      // their elevations' standard deviation in radians
+    double beside, any_two;    // mean difference of rings: of returns beside each other, and of any two
+};
+
+// Four narrow sectors, ahead, behind and aside, with all of their returns: those above each other in a degree of azimuth
+// are neighbors. half_width is the tangent of half of a sector.
+RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> ring, float half_width) {
+    // Degree of azimuth, elevation and ring of each return there, in one number that sorts by them.
+    std::vector<std::uint64_t> returns;
+    double sum = 0.0, squares = 0.0;
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        const float x = std::fabs(points(n, 0)), y = std::fabs(points(n, 1)), z = points(n, 2);
+        // Null returns lie at the origin or beside it, thousands of them in one place.
+        if (!(std::min(x, y) < half_width * std::max(x, y)) || std::max(x, y) < NULL_RANGE_M) continue;
+        if (!std::isfinite(x + y + z)) continue;
+        const double elevation = azimuth_of(z, std::sqrt(x * x + y * y));
+        const double degree = std::floor(azimuth_of(points(n, 1), points(n, 0)) * (180.0 / std::numbers::pi));
+        sum += elevation;
+        squares += elevation * elevation;
+        const auto height = std::uint64_t((elevation + std::numbers::pi) * double(1ull << 28));
+        returns.push_back(std::uint64_t(degree + 181.0) << 48 | height << 16 | std::uint64_t(std::uint16_t(ring[n])));
+    }
+    RingSpread spread{returns.size(), 0.0, 0.0, 0.0};
+    if (returns.size() < 2) return spread;
+    std::sort(returns.begin(), returns.end());
+    const double count = double(returns.size()), mean = sum / count;
+    spread.elevation_std = std::sqrt(std::max(squares / count - mean * mean, 0.0));
+    std::vector<std::int64_t> sizes(1 << 16, 0);
+    for (std::size_t k = 0; k < returns.size(); ++k) {
+        const auto here = std::int64_t(returns[k] & 0xffff);
+        ++sizes[here];
+        if (k > 0) spread.beside += double(std::abs(here - std::int64_t(returns[k - 1] & 0xffff)));
+    }
+    spread.beside /= count - 1.0;
+    // Any two differ by so many rings: each step from a ring to the next lies between those below and those above it.
+    double below = 0.0;
+    for (const std::int64_t size : sizes) {
+        below += double(size);
+        spread.any_two += 2.0 * below * (count - below) / (count * count);
+    }
+    return spread;
+}
+
 }  // namespace
 
 void bind_files(nb::module_& m) {
@@ -127,6 +178,16 @@ void bind_files(nb::module_& m) {
         "quarter_turn"_a,
         "Split rows of x, y, z, intensity, ring; how many rings are no whole numbers. With quarter_turn points are "
         "(y, -x, z).");
+    m.def(
+        "spread_of_rings",
+        [](Points points, In1<std::int16_t> ring, float half_width) {
+            require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
+            const RingSpread spread = spread_of_rings(view(points), view(ring), half_width);
+            return nb::make_tuple(spread.count, spread.elevation_std, spread.beside, spread.any_two);
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert(), "half_width"_a,
+        "Returns in four narrow sectors, their elevations' standard deviation, and the mean difference of the rings of "
+        "neighbors and of any two.");
     m.def(
         "plausible_rows",
         [](In1<float> rows, std::size_t columns) {

@@ -78,7 +78,7 @@ INLINE float clamped(float at, float last) {
 // 1. Slopes.
 
 // Write the limits (LIMITS, stride) of one sector, and return the steepest slope of a target's top.
-MULTIVERSION float write_limits(const CellWindows& windows, const Ground& ground, float target_height_m,
+MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
                                 const float* deviations, std::size_t sector, float* limits) {
     const double azimuth = (double(sector) + 0.5) * (2 * std::numbers::pi / GROUND_SECTORS) - std::numbers::pi;
     const auto x = float(std::cos(azimuth)), y = float(std::sin(azimuth));
@@ -446,7 +446,7 @@ MULTIVERSION void CellCounts::read(std::size_t first, std::size_t count, float (
     }
 }
 
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const Ground& ground,
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations) {
     thread_local Scratch<float> limits_scratch;
     thread_local Scratch<Row> rows_scratch, totals_scratch;

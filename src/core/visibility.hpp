@@ -19,7 +19,7 @@ struct Beams {
 
 // The ground on a lattice of nodes × nodes that spans ±half_extent_m, its standard deviation, and the sensor's height. A
 // deviation that is not there (no data) is 0.
-struct Ground {
+struct TargetGround {
     View2<const float> heights_m, std_m;
     float half_extent_m, sensor_height_m;
 };
@@ -85,7 +85,7 @@ struct CellCounts {
 
 // Count three kinds of beams: measured, inferred, unresolved. With `deviations`, also where the ground lies so many standard
 // deviations higher; else those lanes are 0.
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const Ground& ground,
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations);
 
 }  // namespace viewshed

@@ -15,7 +15,8 @@ from viewshed.io._columns import FILE_FRAMES, IDENTITY, Columns
 from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
-_CHUNK_ROWS = 65_536
+_CHUNK_ROWS = 8_192
+"""So many rows stay in the nearest memory between reading and splitting."""
 
 _LOCAL = threading.local()
 
