@@ -72,11 +72,11 @@ public:
     std::vector<Crossing> crossings;             // by cell
 };
 
-// The sums of one sweep at all cells; memory of the thread that asks, which the next count overwrites.
+// The sums of one sweep at all cells.
 struct CellCounts {
     const CellWindows* windows;
-    const Row* rows;    // (windows.rows(),)
-    const Row* totals;  // (SEGMENTS, windows.bins)
+    Buffer<Row> rows;    // (windows.rows(),), and some more to be read in whole blocks
+    Buffer<Row> totals;  // (SEGMENTS, windows.bins)
 
     // Write `count` cells from `first` on, a lane after the other, into (LANES, BLOCK).
     static constexpr std::size_t BLOCK = 512;
