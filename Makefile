@@ -15,7 +15,7 @@ timed = begin=$$(date +%s); $(MAKE) --no-print-directory $(2); code=$$?; \
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo check test properties lint types imports quick unit docs bench clean
+.PHONY: help demo check test properties lint types imports quick unit docs bench fuzz clean
 
 help:  ## list the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -55,6 +55,9 @@ docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
 
 bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/speed.md
 	$(BIN)/python -m benchmarks
+
+fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers
+	$(BIN)/python tools/fuzz_core.py --sanitize --seconds 30
 
 clean:  ## remove what these commands made
 	rm -rf $(VENV) $(OUT) site build dist

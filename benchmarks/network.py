@@ -187,7 +187,7 @@ def our_jobs(runner: Runner, sweep: Sweep) -> dict[str, Callable[[], object]]:
     estimator, inputs = UnetEstimator(runner), runner.card.input_of(level)[None]
     return {
         f"{OURS} channels alone": lambda: runner.card.input_of(level),
-        f"{OURS} one pass alone": lambda: runner.run(inputs, runner.card.shape.no_masks(1)),
+        f"{OURS} one pass alone": lambda: runner.run(inputs),
         ESTIMATE: lambda: estimator.estimate(sweep),
         MANY: lambda: deque(estimate_all(estimator, [sweep] * MANY_SWEEPS), 0),
         f"{OURS} MCD T = {PASSES} to mask": mask_job(runner, level, PASSES),
@@ -206,7 +206,7 @@ def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -
     jobs = {"MLE to mask": mask_job(runner, level, 1), f"MCD T = {PASSES} to mask": mask_job(runner, level, PASSES)}
     if name == TORCH:
         inputs = np.zeros((1, 1, *card.grid.shape), np.float32)
-        return {**jobs, ONE_PASS: lambda: runner.run(inputs, card.shape.no_masks(1))}
+        return {**jobs, ONE_PASS: lambda: runner.run(inputs)}
     estimator = UnetEstimator(runner)
     return {**jobs, "MLE to estimate": lambda: estimator.estimate(sweep)}
 
@@ -214,7 +214,7 @@ def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -
 def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
     """Return a job from a sweep to its mask."""
     card = runner.card
-    masks = card.shape.no_masks(1) if passes == 1 else card.shape.masks(passes, np.random.default_rng(SEED))
+    masks = None if passes == 1 else card.shape.masks(passes, np.random.default_rng(SEED))
 
     def job() -> object:
         found = runner.run(card.input_of(sweep)[None], masks)

@@ -32,5 +32,5 @@ with tempfile.TemporaryDirectory() as folder:
     runner = load_runner(trained.weights)
     sweep = archive.split("test")[0].sweep
     inputs = runner.card.input_of(sweep)[None]
-    prob = runner.run(inputs, runner.card.shape.no_masks(1))
+    prob = runner.run(inputs)
     print(f"{trained.weights.name}: input {inputs.shape}, probability {prob.shape}, mean {prob.mean():.2f}")

@@ -34,9 +34,18 @@ def attributes(tree: ast.AST) -> set[str]:
     return {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
 
 
+def words(source: str) -> set[str]:
+    return set(re.findall(r"[A-Za-z_]\w*", source))
+
+
 @every_fault
 def test_a_fault_fits_in_one_place_and_its_code_could_run(fault: Any, tmp_path: Path) -> None:
     planted = tool.plant(fault, SYMBOLS, PACKAGE)
+    if planted.symbol.is_native:
+        assert planted.before != planted.after
+        source = (PACKAGE / planted.symbol.file).read_text(encoding="utf-8")
+        assert words(planted.after) <= words(source) | {"true", "false"}
+        return
     copy = tmp_path / planted.symbol.file
     copy.parent.mkdir(parents=True, exist_ok=True)
     sound = (PACKAGE / planted.symbol.file).read_text(encoding="utf-8")
@@ -121,6 +130,29 @@ def test_a_symbol_is_found_in_whatever_file_it_is(package: Path, symbol: str, fi
 def test_a_fault_that_does_not_fit_is_refused(package: Path, symbol: str, find: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         planted(package, symbol, find, "k")
+
+
+def test_functions_and_constants_of_the_core_are_found(package: Path) -> None:
+    core = package.parent / "core"
+    core.mkdir()
+    (core / "walls.cpp").write_text(
+        "namespace house {\n"
+        "constexpr float LOW_M = 1.0f, HIGH_M = 2.0f;\n"
+        "constexpr int TABLE[] = {\n    1,\n    2,\n};\n"
+        "struct Wall {\n    int width;\n};\n\n"
+        "INLINE bool is_low(float z,\n                   int i) {\n    return z < LOW_M;\n}\n\n"
+        "void declared(int i);\n\n"
+        "float same(float z) {\n    return is_low(z, 1) ? z : 0.0f;\n}\n"
+        "}  // namespace house\n"
+    )
+    found = {(each.name, each.first, each.last) for each in tool.read_symbols(package) if each.module == "core.walls"}
+    assert found == {
+        ("LOW_M", 2, 2), ("HIGH_M", 2, 2), ("TABLE", 3, 6), ("is_low", 11, 14), ("same", 18, 20),
+    }  # fmt: skip
+    fault = planted(package, "core.walls:is_low", "z < LOW_M", "z > LOW_M")
+    fault.write(package)
+    assert "    return z > LOW_M;\n}\n\nvoid declared(int i);" in (core / "walls.cpp").read_text()
+    assert fault.symbol.is_native
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import viewshed
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src" / "viewshed").rglob("*.py"))
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-HEAVY = ("numba", "matplotlib", "shapely", "pyarrow", "scipy", "rasterio", "typer")
+HEAVY = ("numpy", "numba", "matplotlib", "PIL", "shapely", "onnxruntime", "pyarrow", "scipy", "typer")
 
 
 def _text(name: str) -> str:

@@ -2,9 +2,10 @@
 
     python tools/planted_faults.py [--only WORD] [--jobs N] [--out docs/results/planted_faults.md]
 
-A fault names a symbol of the package and one replaced text in it, so it follows the symbol from file to file. The tests
-named beside it run against the copy until the first one fails. The exit code is 1 if a fault is not caught, or could
-not be judged: its tests fail without it, or they fail because its code cannot run at all.
+A fault names a symbol of the package or of its native core and one replaced text in it, so it follows the symbol from
+file to file; the core of a copy is compiled again for each fault in it. The tests named beside it run against the copy
+until the first one fails. The exit code is 1 if a fault is not caught, or could not be judged: its tests fail without
+it, or they fail because its code cannot run at all.
 """
 
 from __future__ import annotations
@@ -27,9 +28,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("src") / "viewshed"
+CORE = Path("src") / "core"
 LIMIT_S = 600
 # A fault changes what code answers. Code that stops with one of these was not mended after something was renamed.
 _BROKEN = re.compile(r"\b(?:NameError|UnboundLocalError|AttributeError|ImportError|SyntaxError|\w*TypingError)\b")
+
+
+_NATIVE = (".cpp", ".hpp")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +42,8 @@ class Fault:
     """One fault: in the source of ``symbol``, ``find`` (which must occur once) becomes ``replace``.
 
     ``symbol`` is a qualified name ("BevGrid.index", "count_points", "MAJORITY"), after "package.module:" where several
-    modules have it. ``find`` is compared without regard to white space and to a comma before a closing bracket.
+    modules have it; of the core, a function or constant after "core.file:". ``find`` is compared without regard to
+    white space and to a comma before a closing bracket.
     """
 
     what: str
@@ -49,13 +55,21 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """A function, class, constant or field, and where its source is: lines ``first`` to ``last``, from 1."""
+    """A function, class, constant or field, and where its source is: lines ``first`` to ``last``, from 1.
+
+    ``file`` is relative to the package.
+    """
 
     module: str
     name: str
     file: Path
     first: int
     last: int
+
+    @property
+    def is_native(self) -> bool:
+        """Whether it is in the core."""
+        return self.file.suffix in _NATIVE
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +122,33 @@ def read_symbols(package: Path) -> list[Symbol]:
         file = path.relative_to(package)
         for name, first, last in _definitions(ast.parse(path.read_text(encoding="utf-8")), ""):
             symbols.append(Symbol(module_name(package, file), name, file, first, last))
+    for path in sorted((package.parent / CORE.name).glob("*.[ch]pp")):
+        for name, first, last in _native_definitions(path.read_text(encoding="utf-8").splitlines()):
+            symbols.append(Symbol(f"core.{path.stem}", name, Path("..", CORE.name, path.name), first, last))
     return symbols
+
+
+def _native_definitions(lines: list[str]) -> Iterator[tuple[str, int, int]]:
+    """Yield name, first and last line of the functions and constants of a C++ file, which begin at the line's start."""
+    at = 0
+    while at < len(lines):
+        first = at
+        at += 1
+        if not re.match(r"\w", lines[first]) or re.match(r"namespace|using|struct|class|enum|template", lines[first]):
+            continue
+        # A statement or a signature may go on over several lines.
+        while not re.search(r"[;{]\s*(?://.*)?$", lines[at - 1]) and at < len(lines):
+            at += 1
+        text = " ".join(lines[first:at])
+        if text.startswith("constexpr") and "{" not in text.partition("=")[0]:
+            while not lines[at - 1].rstrip().endswith(";") and at < len(lines):
+                at += 1
+            text = " ".join(lines[first:at])
+            yield from ((name, first + 1, at) for name in re.findall(r"\b([A-Z]\w*)(?:\[\w*\])?\s*=", text))
+        elif (name := re.search(r"([\w~]+)\s*\(", text)) and text.rstrip().endswith("{"):
+            while lines[at - 1] != "}" and at < len(lines):
+                at += 1
+            yield name[1], first + 1, at
 
 
 def _definitions(parent: ast.AST, prefix: str) -> Iterator[tuple[str, int, int]]:
@@ -236,6 +276,8 @@ def drop_compiled(planted: Planted, package: Path, above: dict[str, set[str]]) -
     Numba looks at the times of a function's own file only, but compiles into it the functions and constants that it
     takes from other files. Plain functions and classes cannot be in there.
     """
+    if planted.symbol.is_native:
+        return
     is_constant = not re.match(r"\s*(?:@|(?:async\s+)?def\b|class\b)", planted.before)
     if is_constant or "njit" in planted.before:
         module = planted.symbol.module
@@ -247,10 +289,31 @@ def drop_compiled(planted: Planted, package: Path, above: dict[str, set[str]]) -
 
 
 def copy_project(to: Path) -> None:
-    """Copy package, tests, tools, pages and settings; compiled code comes along with the times of its sources."""
+    """Copy package, core, tests, tools, pages and settings; compiled code comes along with the times of its sources."""
     for name in ("src", "tests", "tools", "docs", "configs"):
         shutil.copytree(ROOT / name, to / name)
-    shutil.copy2(ROOT / "pyproject.toml", to / "pyproject.toml")
+    for name in ("pyproject.toml", "CMakeLists.txt"):
+        shutil.copy2(ROOT / name, to / name)
+    # An editable install would be found before the copy.
+    (to / "src" / "sitecustomize.py").write_text(
+        "import sys\n"
+        "sys.meta_path[:] = [each for each in sys.meta_path if not type(each).__name__.startswith('ScikitBuild')]\n"
+    )
+
+
+def build_core(project: Path) -> None:
+    """Compile the core of a copy; what is compiled already and has not changed is kept.
+
+    Raises:
+        RuntimeError: it does not compile.
+    """
+    folder = project / "build"
+    if not folder.exists():
+        configure = ("cmake", "-S", str(project), "-B", str(folder), f"-DPython_EXECUTABLE={sys.executable}")
+        subprocess.run(configure, capture_output=True, check=True)
+    run = subprocess.run(("cmake", "--build", str(folder)), capture_output=True, text=True, check=False)
+    if run.returncode != 0:
+        raise RuntimeError(f"the core does not compile: {(run.stdout + run.stderr)[-300:].strip()}")
 
 
 def first_failure(project: Path, tests: tuple[str, ...]) -> tuple[str, str] | None:
@@ -298,6 +361,8 @@ def judge(planted: Planted, project: Path, above: dict[str, set[str]]) -> Verdic
     planted.write(project / PACKAGE)
     drop_compiled(planted, project / PACKAGE, above)
     try:
+        if planted.symbol.is_native:
+            build_core(project)
         failure = first_failure(project, planted.fault.tests)
     except RuntimeError as error:
         return Verdict(planted, trouble=str(error))
@@ -316,7 +381,9 @@ def run_all(faults: list[Planted], jobs: int) -> list[Verdict]:
         clean = Path(folder) / "clean"
         clean.mkdir()
         copy_project(clean)
+        build_core(clean)
         check_copy(clean)
+        shutil.rmtree(clean / "build")  # it knows its own place only
 
         # Without a fault all tests must pass; that also compiles what is compiled, once for all copies.
         def unfit(test: str) -> str | None:
@@ -344,6 +411,9 @@ def run_all(faults: list[Planted], jobs: int) -> list[Verdict]:
             finally:
                 shutil.rmtree(project / PACKAGE)
                 shutil.copytree(clean / PACKAGE, project / PACKAGE)
+                if planted.symbol.is_native:  # written anew, so that it is compiled again
+                    core_file = project / PACKAGE / planted.symbol.file
+                    core_file.write_bytes((clean / PACKAGE / planted.symbol.file).read_bytes())
                 projects.put(project)
 
         verdicts = []
@@ -371,10 +441,8 @@ def report(verdicts: list[Verdict]) -> str:
         "|---|---|---|",
     ]
     for verdict in verdicts:
-        planted = verdict.planted
-        lines.append(
-            f"| {planted.fault.what} | `{planted.symbol.file.as_posix()}` | {str(verdict).replace('|', '/')} |"
-        )
+        file = verdict.planted.symbol.file.as_posix().removeprefix("../")
+        lines.append(f"| {verdict.planted.fault.what} | `{file}` | {str(verdict).replace('|', '/')} |")
     return "\n".join(lines) + "\n"
 
 

@@ -1,8 +1,590 @@
 // Local ground and its uncertainty.
+#include "ground.hpp"
+
+#include <nanobind/stl/array.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "ground_fill.hpp"
+#include "held_ground.hpp"
+#include "parallel.hpp"
 #include "stages.hpp"
+#include "vectors.hpp"
 
 namespace viewshed {
+namespace {
 
-void bind_ground(nb::module_&) {}
+// Sensor height where neither the sweep nor its returns give one; the most that the lowest share of its nodes may give,
+// which are at least so many.
+constexpr double ASSUMED_HEIGHT_M = 1.8, MOST_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
+constexpr std::size_t FEWEST_NODES = 6;
+
+// A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level.
+constexpr double MIN_SUPPORT = 0.22;
+
+// A node whose returns all lie within this height may be a patch of ground; a higher one is a car or a wall.
+constexpr double FLAT_M = 0.2;
+
+// Nodes whose low points lie this near to one plane are a patch; steeper planes get more by the slope's share.
+constexpr double EVEN_M = 0.12;
+constexpr int EVEN_NODES = 7;
+
+// Slope of the steepest patch (50°): the side of a cutting. Steepest patch (17°) that needs no ground at its foot.
+constexpr double STEEPEST = 1.2, EVEN_SLOPE = 0.3;
+
+// Such a patch may lie this far from what the nodes nearer to the sensor predict, or at any height if it is this large: a
+// terrace, and not the roof of a car.
+constexpr double EVEN_STEP_M = 0.5, LEVEL_M2 = 40.0;
+
+// A patch that climbs from accepted ground is a slope if it is this large, and not the front of a car, and meets that ground
+// to within this.
+constexpr double FACE_M2 = 20.0, FOOT_M = 0.25, FOOT_SLOPE = 0.1;
+
+// Returns below the ground are believed if two neighbors agree with them to within this, or, of a wall that is seen over an
+// edge, if they are this much lower: the ground lies no higher than its foot.
+constexpr float AGREE_M = 0.3f;
+constexpr double LOWER_M = 0.3;
+
+// Steps that are followed: on flat nodes so much more per meter of their side, and where little carries there so much more.
+constexpr double STEP_M = 0.10, FLAT_STEP = 0.05, FLAT_NODE_M = 2.5, DOUBT_STEP_M = 0.10;
+
+// They are taken by this share in height and in slope.
+constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
+
+// Where no ground is met so much of the slope and of the weight is carried on, and a slope that differs by at most so much
+// from that of the carrier's plane.
+constexpr float CARRIED_SHARE = 0.9f;
+constexpr double CARRIED_SLOPE = 0.15, CARRIED_WEIGHT = 0.8, LEAST_WEIGHT = 0.05;
+
+// Weight in the walk of a level that no other direction confirms.
+constexpr float ALONE_WEIGHT = 0.01f;
+
+// A beam that passes this far below accepted ground had ended there: what it says of ground farther away is wrong.
+constexpr float BURIED_M = 0.3f;
+
+// Returns are attached to ground at most so many nodes beside them, if two nodes of it are about as high.
+constexpr std::ptrdiff_t BESIDE_NODES = 2;
+constexpr double BESIDE_M = 0.12, BESIDE_SLOPE = 0.03;
+
+// Nodes with returns of a part that is worth a thread.
+constexpr std::size_t PART = 1024;
+
+INLINE bool has(const Lows& lows, std::size_t at) {
+    return lows.z_m[at] < std::numeric_limits<float>::infinity();
+}
+
+// Nodes that lie on one plane with their neighbors, the plane's slope along x and y, and how many nodes hang together.
+class Patches {
+public:
+    Patches(const Lows& lows, float node_m)
+        : lows_(lows), n_(std::ptrdiff_t(lows.nodes)), node_m_(node_m), even_(lows.nodes * lows.nodes, false),
+          slope_x_(lows.nodes * lows.nodes), slope_y_(lows.nodes * lows.nodes),
+          count_(lows.nodes * lows.nodes, 0) {
+        const std::size_t some = lows.some.size();
+        for_ranges(some, count_parts(some, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+            for (std::size_t k = begin; k < end; ++k) fit(lows.some[k]);
+        });
+    }
+
+    bool is_even(std::size_t at) const { return even_[at]; }
+    float slope_x(std::size_t at) const { return slope_x_[at]; }
+    float slope_y(std::size_t at) const { return slope_y_[at]; }
+
+    // Square meters of the patch of an even node: neighbors on planes that predict each other's low point. Few are asked
+    // for, so that a patch is measured when it is.
+    double area_m2(std::size_t at) {
+        if (count_[at] == 0) measure(at);
+        return double(count_[at]) * double(node_m_) * double(node_m_);
+    }
+
+private:
+    void fit(std::int32_t node) {
+        const std::size_t at = std::size_t(node);
+        const std::ptrdiff_t i = node / n_, j = node % n_;
+        slope_x_[at] = slope_y_[at] = 0.0f;
+        if (i < 1 || j < 1 || i >= n_ - 1 || j >= n_ - 1) return;
+        std::array<float, 9> x, y, z;
+        int count = 0;
+        for (std::ptrdiff_t p = i - 1; p <= i + 1; ++p) {
+            for (std::ptrdiff_t q = j - 1; q <= j + 1; ++q) {
+                const auto near = std::size_t(p * n_ + q);
+                if (!has(lows_, near)) continue;
+                x[count] = lows_.x_m[near];
+                y[count] = lows_.y_m[near];
+                z[count] = lows_.z_m[near];
+                ++count;
+            }
+        }
+        // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
+        if (count >= EVEN_NODES) fit_plane(at, x.data(), y.data(), z.data(), count);
+    }
+
+    // The least-squares plane of points, and whether they lie on it.
+    void fit_plane(std::size_t at, const float* x, const float* y, const float* z, int count) {
+        float mx = 0.0f, my = 0.0f, mz = 0.0f;
+        for (int k = 0; k < count; ++k) {
+            mx += x[k];
+            my += y[k];
+            mz += z[k];
+        }
+        mx /= float(count);
+        my /= float(count);
+        mz /= float(count);
+        double xx = 1e-6, xy = 0.0, yy = 1e-6, xz = 0.0, yz = 0.0;
+        for (int k = 0; k < count; ++k) {
+            const float dx = x[k] - mx, dy = y[k] - my, dz = z[k] - mz;
+            xx += double(dx * dx);
+            xy += double(dx * dy);
+            yy += double(dy * dy);
+            xz += double(dx * dz);
+            yz += double(dy * dz);
+        }
+        const double area = xx * yy - xy * xy, a = (xz * yy - yz * xy) / area, b = (yz * xx - xz * xy) / area;
+        const double slope = std::sqrt(a * a + b * b);
+        bool fits = !(slope > STEEPEST);
+        for (int k = 0; k < count && fits; ++k) {
+            const double off = double(z[k] - mz) - a * double(x[k] - mx) - b * double(y[k] - my);
+            fits = !(std::fabs(off) > EVEN_M * (1.0 + slope));
+        }
+        even_[at] = fits;
+        slope_x_[at] = float(a);
+        slope_y_[at] = float(b);
+    }
+
+    void measure(std::size_t first) {
+        std::vector<std::int32_t> members{std::int32_t(first)};
+        count_[first] = -1;
+        for (std::size_t k = 0; k < members.size(); ++k) {
+            const auto at = std::size_t(members[k]);
+            const std::ptrdiff_t i = members[k] / n_, j = members[k] % n_;
+            for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 1, 0); p < std::min(i + 2, n_); ++p) {
+                for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 1, 0); q < std::min(j + 2, n_); ++q) {
+                    const auto near = std::size_t(p * n_ + q);
+                    if (count_[near] != 0 || !even_[near] || !continues(at, near)) continue;
+                    count_[near] = -1;
+                    members.push_back(std::int32_t(near));
+                }
+            }
+        }
+        for (const std::int32_t at : members) count_[std::size_t(at)] = std::int32_t(members.size());
+    }
+
+    // Whether the mean slope of two nodes leads from the low point of one to that of the other.
+    bool continues(std::size_t from, std::size_t to) const {
+        const float dx = lows_.x_m[to] - lows_.x_m[from], dy = lows_.y_m[to] - lows_.y_m[from];
+        const double rise =
+            0.5 * double((slope_x_[to] + slope_x_[from]) * dx + (slope_y_[to] + slope_y_[from]) * dy);
+        return std::fabs(double(lows_.z_m[to] - lows_.z_m[from]) - rise) < FLAT_M;
+    }
+
+    const Lows& lows_;
+    std::ptrdiff_t n_;
+    float node_m_;
+    Buffer<bool> even_;
+    Buffer<float> slope_x_, slope_y_;
+    Buffer<std::int32_t> count_;  // 0 where it is not measured
+};
+
+// Heights (n, n) as the walk carries them outwards from the sensor, and the nodes whose low points it accepts (n, n).
+class Walk {
+public:
+    Walk(const Lattice& lattice, const Lows& lows, Patches& patches, const Plane& carrier)
+        : lattice_(lattice), lows_(lows), patches_(patches), carrier_(carrier), n_(std::ptrdiff_t(lattice.nodes)),
+          node_m_(float(lattice.node_m)), height_m(lattice.size()), accepted(lattice.size()),
+          state_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
+
+    // Walk. Nodes that are attached (n, n) are accepted whatever the step; those that are alone (n, n) carry hardly anything
+    // on.
+    void walk(const bool* attached, const bool* alone) {
+        std::fill_n(accepted.data(), accepted.size(), false);
+        std::fill_n(state_.data(), state_.size(), State{});
+        for (std::size_t k = 0; k < lattice_.size(); ++k) {
+            visit(lattice_.row[k], lattice_.column[k], attached, alone);
+        }
+    }
+
+private:
+    const Lattice& lattice_;
+    const Lows& lows_;
+    Patches& patches_;
+    Plane carrier_;
+    std::ptrdiff_t n_;
+    float node_m_;
+
+public:
+    Buffer<float> height_m;
+    Buffer<bool> accepted;
+
+private:
+    enum class Kind { refused, followed, patch, below };
+
+    // What a node carries on; weight 0 before it is visited.
+    struct State {
+        float height, slope_x, slope_y, weight;
+    };
+
+    // What the nodes nearer to the sensor carry to one: weight, height, slope and mean step (x, y).
+    struct Carried {
+        float total = 0.0f, z = 0.0f, sx = 0.0f, sy = 0.0f, mx = 0.0f, my = 0.0f;
+    };
+
+    // States have a border of nodes without weight.
+    std::size_t padded(std::ptrdiff_t i, std::ptrdiff_t j) const { return std::size_t((i + 1) * (n_ + 2) + j + 1); }
+
+    // x or y of a row's middle.
+    double middle(std::ptrdiff_t i) const { return (double(i) + 0.5 - double(n_) / 2) * double(node_m_); }
+
+    Carried carried(std::ptrdiff_t i, std::ptrdiff_t j) const;
+
+    void visit(std::ptrdiff_t i, std::ptrdiff_t j, const bool* attached, const bool* alone);
+
+    // What a low point is to the walk, so far above what is predicted.
+    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b);
+
+    // Whether the low points of two of the eight nodes around (i, j) are about as high as its own.
+    bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const;
+
+    // Whether the beam to a low point would pass below accepted ground on its way.
+    bool is_buried(std::size_t at) const;
+
+    // Whether the plane through a low point of slope (a, b) meets accepted ground within two nodes.
+    bool meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const;
+
+    Buffer<State> state_;
+};
+
+Walk::Carried Walk::carried(std::ptrdiff_t i, std::ptrdiff_t j) const {
+    Carried sum;
+    for (std::ptrdiff_t p = -1; p <= 1; ++p) {
+        for (std::ptrdiff_t q = -1; q <= 1; ++q) {
+            const State& near = state_[padded(i + p, j + q)];
+            const float w = near.weight * (p != 0 && q != 0 ? 0.5f : 1.0f);
+            const float dx = float(-p) * node_m_, dy = float(-q) * node_m_;
+            sum.z += w * (near.height + near.slope_x * dx + near.slope_y * dy);
+            sum.sx += w * near.slope_x;
+            sum.sy += w * near.slope_y;
+            sum.mx += w * dx;
+            sum.my += w * dy;
+            sum.total += w;
+        }
+    }
+    const float per = sum.total > 0.0f ? 1.0f / sum.total : 0.0f;
+    sum.z *= per;
+    sum.sx *= per;
+    sum.sy *= per;
+    sum.mx *= per;
+    sum.my *= per;
+    return sum;
+}
+
+void Walk::visit(std::ptrdiff_t i, std::ptrdiff_t j, const bool* attached, const bool* alone) {
+    const auto at = std::size_t(i * n_ + j);
+    State& state = state_[padded(i, j)];
+    // 1. Height and slope as the nodes nearer to the sensor predict them; the carrier's plane where there are none.
+    Carried near = carried(i, j);
+    const double x = middle(i), y = middle(j);
+    double z = double(near.z);
+    if (near.total == 0.0f) {
+        z = double(carrier_[0]) * x + double(carrier_[1]) * y + double(carrier_[2]);
+        near = {0.0f, 0.0f, carrier_[0], carrier_[1], node_m_, 0.0f};
+    }
+    const double support = std::min(double(near.total) / 3.0, 1.0);
+    // 2. How far the low point lies above that, and what it is.
+    Kind kind = Kind::refused;
+    if (has(lows_, at)) {
+        const double dx = double(lows_.x_m[at]) - x, dy = double(lows_.y_m[at]) - y, low = double(lows_.z_m[at]);
+        const double step = low - z - double(near.sx) * dx - double(near.sy) * dy;
+        const bool even = patches_.is_even(at);
+        const float a = patches_.slope_x(at), b = patches_.slope_y(at);
+        kind = attached != nullptr && attached[at] ? (even ? Kind::patch : Kind::below)
+                                                   : kind_of(i, j, step, support, even, a, b);
+        // 3. Patches are taken as they are, with their slope if they break with the prediction; small steps in part.
+        if (kind == Kind::patch || (kind == Kind::below && even)) {
+            state.height = float(low - double(a) * dx - double(b) * dy);
+            const bool breaks = kind == Kind::below || std::fabs(step) >= EVEN_STEP_M;
+            state.slope_x = breaks ? a : 0.5f * (near.sx + a);
+            state.slope_y = breaks ? b : 0.5f * (near.sy + b);
+        } else if (kind == Kind::below) {
+            state.height = float(low - double(near.sx) * dx - double(near.sy) * dy);
+            state.slope_x = 0.5f * near.sx;
+            state.slope_y = 0.5f * near.sy;
+        } else if (kind == Kind::followed) {
+            const double my = double(near.my), side = double(node_m_);
+            const double length2 = double(near.mx * near.mx) + my * my + 0.25 * side * side;
+            state.height = float(z + FOLLOWED * step);
+            state.slope_x = float(double(near.sx) + FOLLOWED_SLOPE * step * double(near.mx) / length2);
+            state.slope_y = float(double(near.sy) + FOLLOWED_SLOPE * step * my / length2);
+        }
+    }
+    if (kind == Kind::refused) {
+        const float steeper_x = near.sx - carrier_[0], steeper_y = near.sy - carrier_[1];
+        const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
+        float share = CARRIED_SHARE;
+        if (double(steeper2) > CARRIED_SLOPE * CARRIED_SLOPE) share *= float(CARRIED_SLOPE) / std::sqrt(steeper2);
+        state.height = float(z);
+        state.slope_x = carrier_[0] + share * steeper_x;
+        state.slope_y = carrier_[1] + share * steeper_y;
+        state.weight = float(std::max(CARRIED_WEIGHT * support, LEAST_WEIGHT));
+    } else {
+        state.weight = 1.0f;
+        accepted[at] = true;
+    }
+    if (alone != nullptr && alone[at]) state.weight = ALONE_WEIGHT;
+    height_m[at] = state.height;
+}
+
+Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b) {
+    const auto at = std::size_t(i * n_ + j);
+    if (!std::isfinite(step)) return Kind::refused;
+    const bool flat = double(lows_.rise_m[at]) < double(float(FLAT_M));
+    const bool gentle = even && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
+    const double small = STEP_M + (flat ? FLAT_STEP * std::min(double(node_m_), FLAT_NODE_M) : 0.0) +
+                         DOUBT_STEP_M * (1.0 - support);
+    if (gentle && std::fabs(step) < EVEN_STEP_M) return Kind::patch;
+    if (std::fabs(step) < small) return Kind::followed;
+    if (step < 0.0) {
+        // Nothing but ground lies below ground.
+        const bool is_floor = even || (flat ? agrees(i, j) : step < -LOWER_M);
+        return is_floor && !is_buried(at) ? Kind::below : Kind::refused;
+    }
+    const bool is_level = gentle && patches_.area_m2(at) >= LEVEL_M2;
+    const bool is_slope = !is_level && even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
+    return is_level || is_slope ? Kind::patch : Kind::refused;
+}
+
+bool Walk::agrees(std::ptrdiff_t i, std::ptrdiff_t j) const {
+    const float own = lows_.z_m[std::size_t(i * n_ + j)];
+    int count = 0;
+    for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 1, 0); p < std::min(i + 2, n_); ++p) {
+        for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 1, 0); q < std::min(j + 2, n_); ++q) {
+            count += std::fabs(lows_.z_m[std::size_t(p * n_ + q)] - own) < AGREE_M;
+        }
+    }
+    return count > 2;
+}
+
+bool Walk::is_buried(std::size_t at) const {
+    const float center = 0.5f * float(n_), u = lows_.x_m[at] / node_m_, v = lows_.y_m[at] / node_m_;
+    const float z = lows_.z_m[at];
+    const int steps = int(std::max(std::fabs(u), std::fabs(v)));
+    for (int k = 1; k < steps; ++k) {
+        const float share = 1.0f - float(k) / float(steps);
+        const auto p = std::ptrdiff_t(center + share * u), q = std::ptrdiff_t(center + share * v);
+        const auto on_way = std::size_t(p * n_ + q);
+        if (accepted[on_way] && share * z < height_m[on_way] - BURIED_M) return true;
+    }
+    return false;
+}
+
+bool Walk::meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const {
+    const auto at = std::size_t(i * n_ + j);
+    const double low_x = double(lows_.x_m[at]), low_y = double(lows_.y_m[at]), low = double(lows_.z_m[at]);
+    const double tolerance = FOOT_M + FOOT_SLOPE * double(std::sqrt(a * a + b * b));
+    for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 2, 0); p < std::min(i + 3, n_); ++p) {
+        for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 2, 0); q < std::min(j + 3, n_); ++q) {
+            const auto near = std::size_t(p * n_ + q);
+            if (!accepted[near]) continue;
+            const double rise = double(a) * (middle(p) - low_x) + double(b) * (middle(q) - low_y);
+            if (std::fabs(low + rise - double(height_m[near])) < tolerance) return true;
+        }
+    }
+    return false;
+}
+
+// Accept low points that go on beside accepted ones (n, n), until nothing changes. A ring that goes on behind a hole or a car
+// lies beside the ring before them, whatever the walk carried there.
+void attach(const Lows& lows, View1<bool> accepted) {
+    const auto n = std::ptrdiff_t(lows.nodes);
+    std::vector<std::int32_t> waiting, again;
+    for (const std::int32_t at : lows.some) {
+        if (!accepted[std::size_t(at)]) waiting.push_back(at);
+    }
+    for (bool changed = true; changed;) {
+        changed = false;
+        again.clear();
+        for (const std::int32_t node : waiting) {
+            const auto at = std::size_t(node);
+            const std::ptrdiff_t i = node / n, j = node % n;
+            int count = 0;
+            for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - BESIDE_NODES, 0);
+                 p < std::min(i + BESIDE_NODES + 1, n); ++p) {
+                for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - BESIDE_NODES, 0);
+                     q < std::min(j + BESIDE_NODES + 1, n); ++q) {
+                    const auto near = std::size_t(p * n + q);
+                    if (!accepted[near]) continue;
+                    const float away = std::hypot(lows.x_m[near] - lows.x_m[at], lows.y_m[near] - lows.y_m[at]);
+                    count += double(std::fabs(lows.z_m[near] - lows.z_m[at])) < BESIDE_M + BESIDE_SLOPE * double(away);
+                }
+            }
+            if (count >= 2) {
+                accepted[at] = changed = true;
+            } else {
+                again.push_back(node);
+            }
+        }
+        std::swap(waiting, again);
+        std::reverse(waiting.begin(), waiting.end());  // to and fro
+    }
+}
+
+// How far below the sensor the lowest twentieth of the nodes lies; the assumed height without any.
+double lowest_m(const Lows& lows) {
+    if (lows.some.size() < FEWEST_NODES) return ASSUMED_HEIGHT_M;
+    std::vector<double> below;
+    for (const std::int32_t at : lows.some) below.push_back(-double(lows.z_m[std::size_t(at)]));
+    std::sort(below.begin(), below.end());
+    const double place = LOWEST_SHARE * double(below.size() - 1);
+    const auto k = std::size_t(place);
+    const double above = below[std::min(k + 1, below.size() - 1)];
+    return std::clamp(below[k] + (above - below[k]) * (place - double(k)), MIN_HEIGHT_M, MOST_HEIGHT_M);
+}
+
+}  // namespace
+
+Ground estimate_ground(const Lattice& lattice, const Lows& lows, double height_m) {
+    const std::size_t n = lattice.nodes, size = lattice.size();
+    Ground ground{Buffer<float>(size), Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
+                  std::numeric_limits<double>::quiet_NaN()};
+    // Walk, attach what goes on beside the ground, and walk again from there, past levels that one sector alone shows.
+    Patches patches(lows, float(lattice.node_m));
+    Walk walk(lattice, lows, patches, ground.carrier.plane);
+    Buffer<bool> alone(size);
+    walk.walk(nullptr, nullptr);
+    find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, alone);
+    std::copy_n(walk.accepted.data(), size, ground.seen.data());
+    attach(lows, ground.seen);
+    walk.walk(ground.seen.data(), alone.data());
+    std::copy_n(walk.accepted.data(), size, ground.seen.data());
+    fill_ground(lattice, walk.height_m, ground.seen, ground.carrier.plane, ground.heights_m, ground.std_m);
+    // No plane, or one at the sensor's own height: the ground is not seen.
+    const bool is_known = std::isfinite(height_m);
+    const bool is_own = double(ground.heights_m[(n / 2) * n + n / 2]) > -MIN_HEIGHT_M;
+    if (ground.carrier.support < MIN_SUPPORT || (!is_known && is_own)) {
+        ground.level_m = -(is_known ? height_m : lowest_m(lows));
+    }
+    return ground;
+}
+
+namespace {
+
+// Heights, standard deviations, seen nodes, plane and support as numpy arrays; and the z of level ground, NaN where it is seen.
+nb::tuple as_tuple(Ground& ground, std::size_t n) {
+    const auto& [a, b, c] = ground.carrier.plane;
+    return nb::make_tuple(std::move(ground.heights_m).array({n, n}), std::move(ground.std_m).array({n, n}),
+                          std::move(ground.seen).array({n, n}), nb::make_tuple(a, b, c), ground.carrier.support,
+                          ground.level_m);
+}
+
+Plane plane_of(const In1<float>& plane) {
+    require(plane.shape(0) == 3, "plane must be (a, b, c)");
+    require_bounded(view(plane), "plane must be finite");
+    return {plane.data()[0], plane.data()[1], plane.data()[2]};
+}
+
+// Low points (n, n, 3) of an array, and the rise of their nodes (n, n).
+Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) {
+    const std::size_t n = points.shape(0);
+    require(points.shape(1) == n && points.shape(2) == 3, "lows_m must be (n, n, 3)");
+    require(rise_m.shape(0) == n && rise_m.shape(1) == n, "rise_m must be (n, n) as lows_m");
+    require_lattice(n, half_m);
+    Lows lows(n);
+    const double reach_m = half_m * (1.0 + 0.5 / double(n));  // rounding may lead out of the outermost nodes
+    for (std::size_t at = 0; at < n * n; ++at) {
+        const float* p = points.data() + 3 * at;
+        lows.z_m[at] = std::isfinite(p[2]) ? p[2] : std::numeric_limits<float>::infinity();
+        lows.rise_m[at] = rise_m.data()[at];
+        if (!std::isfinite(p[2])) continue;
+        require(std::fabs(double(p[0])) <= reach_m && std::fabs(double(p[1])) <= reach_m && std::fabs(p[2]) <= MOST_M,
+                "lows_m must lie on the lattice");
+        lows.x_m[at] = p[0];
+        lows.y_m[at] = p[1];
+        lows.some.push_back(std::int32_t(at));
+    }
+    return lows;
+}
+
+}  // namespace
+
+// What Python calls: arrays are checked here, whatever hands them in.
+void bind_ground(nb::module_& m) {
+    m.def(
+        "ground",
+        [](Points points, In1<bool> isolated, In2<float> rotation, float near_m, float far_m,
+           double heading, double half_m, std::size_t nodes, double height_m) {
+            require(isolated.shape(0) == points.shape(0), "isolated must have one row for each point");
+            require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
+            require(rotation.shape(0) == 3 && rotation.shape(1) == 3, "rotation must be (3, 3)");
+            require_bounded(view(rotation).flat(), "rotation must be finite");
+            require(far_m <= MOST_M, "far_m must be at most 1e6 m");
+            require_lattice(nodes, half_m);
+            std::optional<Ground> found;
+            {
+                nb::gil_scoped_release unlocked;
+                const auto lattice = lattice_of(nodes, half_m);
+                const Lows lows = lowest_returns(view(points), view(isolated), view(rotation), near_m, far_m, heading,
+                                                 float(half_m), nodes);
+                found = estimate_ground(*lattice, lows, height_m);
+            }
+            return as_tuple(*found, nodes);
+        },
+        "points"_a.noconvert(), "isolated"_a.noconvert(), "rotation"_a.noconvert(), "near_m"_a, "far_m"_a, "heading"_a,
+        "half_m"_a, "nodes"_a, "height_m"_a,
+        "Heights, deviations, seen nodes (nodes, nodes), plane, support, and level (or NaN) of the ground below points "
+        "(N, 3), isolated (N,) ones left out, after rotation (3, 3); the sensor's height may be NaN.");
+    m.def(
+        "ground_of_lows",
+        [](In3<float> lows_m, In2<float> rise_m, double half_m, double height_m) {
+            const Lows lows = lows_of(lows_m, rise_m, half_m);
+            std::optional<Ground> found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = estimate_ground(*lattice_of(lows.nodes, half_m), lows, height_m);
+            }
+            return as_tuple(*found, lows.nodes);
+        },
+        "lows_m"_a.noconvert(), "rise_m"_a.noconvert(), "half_m"_a, "height_m"_a,
+        "As `ground`, by low points (n, n, 3) and the rise (n, n) from each to the highest return of its node.");
+    m.def(
+        "fill_ground",
+        [](In2<float> walked_m, In2<bool> accepted, In1<float> plane, double half_m) {
+            const std::size_t n = walked_m.shape(0);
+            require(walked_m.shape(1) == n && accepted.shape(0) == n && accepted.shape(1) == n,
+                    "walked_m and accepted must be (n, n)");
+            require_lattice(n, half_m);
+            const Plane carrier = plane_of(plane);
+            for (std::size_t at = 0; at < n * n; ++at) {
+                require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MOST_M, "walked_m must be finite");
+            }
+            Buffer<float> heights_m(n * n), std_m(n * n);
+            {
+                nb::gil_scoped_release unlocked;
+                fill_ground(*lattice_of(n, half_m), view(walked_m).flat(), view(accepted).flat(), carrier, heights_m,
+                            std_m);
+            }
+            return nb::make_tuple(std::move(heights_m).array({n, n}), std::move(std_m).array({n, n}));
+        },
+        "walked_m"_a.noconvert(), "accepted"_a.noconvert(), "plane"_a.noconvert(), "half_m"_a,
+        "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
+    m.def(
+        "free_plane",
+        [](Points points) {
+            FreePlane found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = free_plane(view(points));
+            }
+            Buffer<float> normal(3);
+            std::copy_n(found.normal.data(), 3, normal.data());
+            return nb::make_tuple(std::move(normal).array(), found.support);
+        },
+        "points"_a.noconvert(),
+        "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");
+    bind_held_ground(m);
+}
 
 }  // namespace viewshed

@@ -45,11 +45,15 @@ public:
             parts_ = parts;
             next_.store(0);
             error_ = nullptr;
-            busy_.store(threads_.size());
+            is_open_ = true;
             job_.fetch_add(1, std::memory_order_release);
         }
         wake_.notify_all();
         take_parts();
+        {
+            std::lock_guard lock(mutex_);
+            is_open_ = false;  // who is still asleep has nothing left to do and is not waited for
+        }
         while (busy_.load(std::memory_order_acquire) > 0) std::this_thread::yield();
         if (error_) std::rethrow_exception(error_);
     }
@@ -77,7 +81,12 @@ private:
                 std::unique_lock lock(mutex_);
                 wake_.wait(lock, [&] { return job_.load(std::memory_order_acquire) != done; });
             }
-            ++done;
+            {
+                std::lock_guard lock(mutex_);
+                done = job_.load(std::memory_order_relaxed);
+                if (!is_open_) continue;
+                busy_.fetch_add(1, std::memory_order_relaxed);
+            }
             take_parts();
             busy_.fetch_sub(1, std::memory_order_release);
         }
@@ -89,6 +98,7 @@ private:
     std::atomic<std::size_t> job_{0}, next_{0}, busy_{0};
     const std::function<void(std::size_t)>* part_ = nullptr;
     std::size_t parts_ = 0;
+    bool is_open_ = false;  // the last job has parts that nobody has taken yet, perhaps
     std::exception_ptr error_;
 };
 

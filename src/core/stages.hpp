@@ -15,7 +15,9 @@ void bind_no_return(nb::module_& m);
 void bind_visibility(nb::module_& m);
 void bind_history(nb::module_& m);
 void bind_features(nb::module_& m);
+void bind_mc_dropout(nb::module_& m);
 void bind_ray_trace(nb::module_& m);
+void bind_concave_hull(nb::module_& m);
 void bind_polygons(nb::module_& m);
 void bind_files(nb::module_& m);
 

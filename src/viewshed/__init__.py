@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from viewshed import _core
+from viewshed._extras import needed_for
 
 if TYPE_CHECKING:
     from viewshed.datasets import Archive, Sample
@@ -58,7 +59,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that ``import viewshed`` stays light."""
     if name not in _HOMES:
         raise AttributeError(f"module 'viewshed' has no attribute {name!r}")
-    home = import_module(f"viewshed.{_HOMES[name]}")
+    with needed_for(f"viewshed.{name}"):
+        home = import_module(f"viewshed.{_HOMES[name]}")
     return home if name == "attacks" else getattr(home, name)
 
 

@@ -1,5 +1,8 @@
 """The native core: from points to estimate. Each function checks its arrays and raises ValueError or TypeError."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +65,75 @@ def undo_motion(
 
 # ground.cpp
 
+_Ground = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], tuple[float, float, float], float, float]
+
+def ground(
+    points: NDArray[np.float32],
+    isolated: NDArray[np.bool_],
+    rotation: NDArray[np.float32],
+    near_m: float,
+    far_m: float,
+    heading: float,
+    half_m: float,
+    nodes: int,
+    height_m: float,
+) -> _Ground: ...
+def ground_of_lows(
+    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_m: float, height_m: float
+) -> _Ground: ...
+def fill_ground(
+    walked_m: NDArray[np.float32], accepted: NDArray[np.bool_], plane: NDArray[np.float32], half_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def free_plane(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]: ...
+def held_ground(
+    heights_m: NDArray[np.float32],
+    std_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+    before_heights_m: NDArray[np.float32],
+    before_std_m: NDArray[np.float32],
+    before_seen: NDArray[np.bool_],
+    before_half_m: float,
+    before_from_now: NDArray[np.float32],
+    now_from_before: NDArray[np.float32],
+    variance_m2: float,
+    plane: tuple[float, float, float],
+    height_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]] | None: ...
+
 # leveling.cpp
+
+EGO_BOX_M: tuple[float, float]
+EGO_HEIGHTS_M: tuple[float, float]
+
+def vehicle_heading(points: NDArray[np.float32], rotation: NDArray[np.float32]) -> float: ...
+def level_points(
+    points: NDArray[np.float32],
+    clutter: NDArray[np.bool_] | None,
+    level_from_sensor: NDArray[np.float32],
+    near_m: float,
+    far_m: float,
+    heading: float,
+    ground_m: NDArray[np.float32],
+    half_extent_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]: ...
+def beam_slopes(
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    sensor_height_m: float,
+    left_out: NDArray[np.bool_] | None,
+    rows: NDArray[np.int32],
+) -> NDArray[np.float32]: ...
+def obstacle_cells(
+    points: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    x0_m: float,
+    y0_m: float,
+    cells_per_m: float,
+    low_m: float,
+    high_m: float,
+    cells: int,
+) -> NDArray[np.bool_]: ...
 
 # no_return.cpp
 
@@ -72,8 +143,112 @@ def undo_motion(
 
 # features.cpp
 
+def feature_maps(
+    features: Sequence[tuple[str, tuple[NDArray[Any], ...]]],
+    cell_range_m: NDArray[np.float32],
+    cell_bin: NDArray[np.int16],
+    x_m: NDArray[np.float32],
+    y_m: NDArray[np.float32],
+    half_extent_m: float,
+    fold: int,
+) -> NDArray[np.uint8]: ...
+def height_codes(
+    points: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    x0_m: float,
+    y0_m: float,
+    cells_per_m: float,
+    cells: int,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]: ...
+def fold_maps(maps: NDArray[np.uint8], fold: int) -> NDArray[np.uint8]: ...
+
+# mc_dropout.cpp
+
+def mean_and_deviation(probability: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+
 # ray_trace.cpp
+
+def azimuth_bins_filled(azimuth: NDArray[np.float32]) -> int: ...
+def farthest_in_bins(
+    azimuth: NDArray[np.float32], range_m: NDArray[np.float32], bins: int | None, drop: int
+) -> NDArray[np.float32]: ...
+def first_blocker(
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    low_m: float,
+    high_m: float,
+    bins: int | None,
+    rank: int,
+    median_bins: int,
+    reach_m: float | None,
+    margin_m: float,
+) -> NDArray[np.float32]: ...
+def ranges_in_bins(
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    low_m: float,
+    high_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def cells_within(
+    limit_m: NDArray[np.float32], cell_range_m: NDArray[np.float32], cell_bin: NDArray[np.int16]
+) -> NDArray[np.float32]: ...
+def trace_windows(
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    slices: int,
+    window: float,
+    margin_m: float,
+    cell_range_m: NDArray[np.float32],
+    cell_azimuth: NDArray[np.float32],
+    cell_slice: NDArray[np.int16],
+) -> NDArray[np.float32]: ...
+def any_return_on(
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    far_m: float,
+    low_m: float,
+    high_m: float,
+    sensor_m: float,
+    x0_m: float,
+    y0_m: float,
+    cells_per_m: float,
+    cells: float,
+) -> bool: ...
+
+# concave_hull.cpp
+
+def concave_hull(
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    concavity: float,
+    length_m: float,
+    x_m: float,
+    y_m: float,
+    cell_m: float,
+    cells: int,
+) -> NDArray[np.float32]: ...
+def thin_returns(
+    points: NDArray[np.float32], range_m: NDArray[np.float32], x_m: float, y_m: float, cell_m: float
+) -> tuple[NDArray[np.float64], bool]: ...
+def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
 
 # polygons.cpp
 
 # files.cpp
+
+def split_xyzi(rows: NDArray[np.float32], points: NDArray[np.float32], intensity: NDArray[np.float32]) -> None: ...
+def split_xyzir(
+    rows: NDArray[np.float32],
+    points: NDArray[np.float32],
+    intensity: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    quarter_turn: bool,
+) -> int: ...
+def spread_of_rings(
+    points: NDArray[np.float32], ring: NDArray[np.int16], half_width: float
+) -> tuple[int, float, float, float]: ...
+def plausible_rows(rows: NDArray[np.float32], columns: int) -> bool: ...
+def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None: ...
+def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int: ...

@@ -10,7 +10,6 @@ whole, and fail every job that is not finished; that of multiprocessing waits fo
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import logging
 import multiprocessing
 import os
@@ -27,6 +26,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from viewshed._extras import needed_for
 
 if TYPE_CHECKING:
     import ray
@@ -322,8 +323,8 @@ class RayEngine:
 
     def __post_init__(self) -> None:
         _check_workers(self.workers)
-        if importlib.util.find_spec("ray") is None:
-            raise ImportError("engine ray needs Ray, which is not installed; pip install 'viewshed[ray]'")
+        with needed_for("engine ray"):
+            import ray  # noqa: F401
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish, see :class:`Engine`; an OSError if there is no cluster."""

@@ -1,26 +1,19 @@
-"""Pictures of estimates, seen from above: forward is up, left is left. The only module that imports matplotlib."""
+"""Pictures of estimates, seen from above: forward is up, left is left."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Polygon, Rectangle
-from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
+from viewshed._canvas import BLACK, WHITE, Canvas, Color, Pixels, text_width
 from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
-
-Image = NDArray[np.uint8]
 
 COLORS = {
     CellState.UNKNOWN: (0.93, 0.93, 0.93),
@@ -46,15 +39,26 @@ _LOW_M = 0.3
 
 _LARGE = 500
 
-_DPI = 100
-
 _TITLE_LETTERS = 100
-
-_COLUMN = 178
-"""Least width of a table's column in pixels."""
 
 _LINE = 18
 """Height of a line of a title in pixels."""
+
+_ROW = 26
+"""Height of a row of a table in pixels."""
+
+_HEAD_COLOR, _LINE_COLOR = (237, 237, 237), (204, 204, 204)
+"""Of a table: behind the heads of its columns, and between its cells."""
+
+_COLOR_STEPS = {
+    "viridis": "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e "
+               "89d548 b0dd2f d8e219 fde725",
+    "cividis": "00224e 002d68 163770 2e416d 3f4c6c 4e566c 5c616e 696b71 767676 838179 928c78 a09875 afa471 bfb06b "
+               "cfbd62 dfca57 f0d846 fee838",
+    "magma": "000004 090720 1a1042 311165 4a1079 621980 792282 912b81 aa337d c23b75 d9466b ec5860 f7725c fc8e64 "
+             "feaa74 fec68a fde2a3 fcfdbf",
+}  # fmt: skip
+"""Every fifteenth color of matplotlib's maps of these names (in the public domain); those between are interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,33 +69,6 @@ class Panel:
     title: str
     leveled: LeveledSweep | None = None
     threshold: float = THRESHOLD
-
-
-@dataclass(frozen=True, slots=True)
-class _Page:
-    """A figure on which places are given in pixels from the upper left corner."""
-
-    figure: Figure
-    width: int
-    height: int
-
-    @classmethod
-    def blank(cls, width: int, height: int) -> _Page:
-        return cls(Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI), width, height)
-
-    def axes(self, left: int, top: int, width: int, height: int) -> Axes:
-        bottom = self.height - top - height
-        place = (left / self.width, bottom / self.height, width / self.width, height / self.height)
-        axes = self.figure.add_axes(place)
-        axes.set_xticks([])
-        axes.set_yticks([])
-        return axes
-
-    def png(self) -> bytes:
-        buffer = io.BytesIO()
-        FigureCanvasAgg(self.figure)
-        self.figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 4})
-        return buffer.getvalue()
 
 
 def draw(panel: Panel) -> bytes:
@@ -105,14 +82,12 @@ def picture(panel: Panel) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
     side, lines = 768, _title_lines(panel)
     top = _LINE * len(lines) + 16
-    page = _Page.blank(side + 104, side + top + 72)
-    axes = page.axes(20, top, side, side)
-    _draw(axes, panel, side)
-    axes.set_title("\n".join(lines), fontsize=10, loc="left", linespacing=1.4)
-    shares = {state: f"{panel.estimate.share(state):.0%} " for state in CellState}
-    _legend(page, 2, shares)
+    page = Canvas.blank(side + 104, side + top + 72)
+    page.paste(_map(panel, side), 20, top)
+    _title(page, lines, 20, top, 10)
+    _legend(page, 2, {state: f"{panel.estimate.share(state):.0%} " for state in CellState})
     if panel.leveled is not None:
-        _height_bar(page, (side + 46, top + 198, 18, 360))
+        _height_bar(page, side + 46, top + 198, 18, 360)
     return page.png()
 
 
@@ -124,19 +99,14 @@ def maps_picture(panel: Panel) -> bytes:
     if estimate.std is not None and np.isfinite(estimate.std).any():
         top = max(float(np.nanmax(estimate.std)), 1e-3)
         maps["standard deviation of the probability"] = (estimate.std, "magma", top)
-    page = _Page.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + above + 68)
-    axes = page.axes(20, above, side, side)
-    _draw(axes, panel, side)
-    axes.set_title("\n".join(lines), fontsize=9, loc="left", linespacing=1.4)
+    page = Canvas.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + above + 68)
+    page.paste(_map(panel, side), 20, above)
+    _title(page, lines, 20, above, 9)
     for k, (title, (values, colors, top)) in enumerate(maps.items()):
         left = side + 40 + k * (side + 90)
-        axes = page.axes(left, above, side, side)
-        drawn = axes.imshow(
-            values[::-1, ::-1], cmap=colors, vmin=0.0, vmax=top, interpolation="nearest", aspect="auto"
-        )  # fmt: skip
-        axes.set_title(title, fontsize=10, loc="left")
-        bar = page.axes(left + side + 10, above, 14, side)
-        page.figure.colorbar(drawn, cax=bar).ax.tick_params(labelsize=8)
+        page.paste(Canvas(_value_pixels(values, colors, top, side)), left, above)
+        page.text((left, above - 8), title, 10)
+        _color_bar(page, colors, _ticks(top), top, (left + side + 10, above, 14, side))
     _legend(page, 4, {state: f"{estimate.share(state):.0%} " for state in CellState})
     return page.png()
 
@@ -149,17 +119,19 @@ def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: S
     across, side = len(panels) if len(panels) < 4 else 2 if len(panels) == 4 else 3, 400
     down = -(-len(panels) // across)
     basis = panels[0].estimate.basis
-    table_top, table_height = down * (side + 36) + (10 if basis is None else 10 + _LINE), 26 * (len(rows) + 1)
-    page = _Page.blank(max(across * (side + 12) + 12, _COLUMN * len(header)), table_top + table_height + 60)
+    table_top, table_height = down * (side + 36) + (10 if basis is None else 10 + _LINE), _ROW * (len(rows) + 1)
+    columns = _column_widths(rows, header)
+    width = max(across * (side + 12) + 12, sum(columns) + 24)
+    page = Canvas.blank(width, table_top + table_height + 60)
+    margin = (width - across * (side + 12) + 12) // 2
     for k, panel in enumerate(panels):
         row, column = divmod(k, across)
-        axes = page.axes(12 + column * (side + 12), 28 + row * (side + 36), side, side)
-        _draw(axes, panel, side)
-        axes.set_title(panel.title, fontsize=10)
-    axes = page.axes(12, table_top, page.width - 24, table_height)
-    axes.axis("off")
-    axes.set_title("" if basis is None else basis.height_line, fontsize=9, loc="left")
-    _table(axes, rows, header)
+        left, top = margin + column * (side + 12), 28 + row * (side + 36)
+        page.paste(_map(panel, side), left, top)
+        page.text((left + side / 2, top - 8), panel.title, 10, "ms")
+    if basis is not None:
+        page.text((12, table_top - 8), basis.height_line, 9)
+    _table(page, rows, header, columns, table_top)
     _legend(page, 4 if across == 3 else 2)
     return page.png()
 
@@ -167,14 +139,21 @@ def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: S
 def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> bytes:
     """Return a PNG with one small picture of ``side`` pixels for each panel, ``across`` in a row."""
     down = -(-max(len(panels), 1) // across)
-    page = _Page.blank(across * (side + 6) + 6, down * (side + 32) + 40)
+    page = Canvas.blank(across * (side + 6) + 6, down * (side + 32) + 40)
     for k, panel in enumerate(panels):
         row, column = divmod(k, across)
-        axes = page.axes(6 + column * (side + 6), 30 + row * (side + 32), side, side)
-        _draw(axes, panel, side)
-        axes.set_title(panel.title, fontsize=6.5, pad=2)
+        left, top = 6 + column * (side + 6), 30 + row * (side + 32)
+        page.paste(_map(panel, side), left, top)
+        for number, line in enumerate(reversed(panel.title.splitlines())):
+            page.text((left + side / 2, top - 4 - 10 * number), line, 6.5, "ms")
     _legend(page, 4)
     return page.png()
+
+
+def _title(page: Canvas, lines: Sequence[str], left: int, top: int, points: float) -> None:
+    """Write lines above a picture, the last one 8 pixels above ``top``."""
+    for number, line in enumerate(reversed(lines)):
+        page.text((left, top - 8 - _LINE * number), line, points)
 
 
 def _title_lines(panel: Panel) -> list[str]:
@@ -191,25 +170,25 @@ def _fit(line: str) -> str:
     return line if len(line) <= _TITLE_LETTERS else f"{line[: half - 1]} … {line[-half + 2 :]}"
 
 
-def _draw(axes: Axes, panel: Panel, pixels: int) -> None:
-    grid = panel.estimate.grid
+def _map(panel: Panel, pixels: int) -> Canvas:
+    """Return the square picture of an estimate: states, edge and points, then sensor, scale bar and direction."""
+    canvas, grid = Canvas(_raster(panel, pixels)), panel.estimate.grid
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
-    axes.imshow(
-        _raster(panel, pixels), extent=(y0 + side, y0, x0, x0 + side), interpolation="nearest", aspect="auto"
-    )  # fmt: skip
-    size = side * (0.012 if pixels > 300 else 0.03)
-    axes.add_patch(
-        Polygon(
-            [(0, 1.5 * size), (size, -size), (0, -0.5 * size), (-size, -size)], facecolor="black", edgecolor="white",
-            linewidth=0.8, zorder=3,
-        )
-    )  # fmt: skip
-    _scale_bar(axes, grid, pixels)
+    scale = pixels / side
+    # The sensor, an arrow that points forward, stands at the origin of the level frame.
+    column, row = (y0 + side) * scale, (x0 + side) * scale
+    size = pixels * (0.012 if pixels > 300 else 0.03)
+    arrow = [(0.0, -1.5 * size), (size, size), (0.0, 0.5 * size), (-size, size)]
+    corners = [(column + right, row + down) for right, down in arrow]
+    canvas.polygon(corners, WHITE, grow=1.0)
+    canvas.polygon(corners, BLACK)
+    _scale_bar(canvas, side)
     if pixels >= _LARGE:
-        _forward_mark(axes)
+        _forward_mark(canvas)
+    return canvas
 
 
-def _raster(panel: Panel, pixels: int) -> Image:
+def _raster(panel: Panel, pixels: int) -> Pixels:
     """Return the picture as (pixels, pixels, 3) uint8: row 0 is farthest ahead, column 0 farthest left."""
     estimate = panel.estimate
     palette = _bytes(np.array([COLORS[CellState(state)] for state in range(len(CellState))]))
@@ -230,7 +209,7 @@ def _edge(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask & ~inner
 
 
-def _paint_points(image: Image, leveled: LeveledSweep, fine: BevGrid) -> None:
+def _paint_points(image: Pixels, leveled: LeveledSweep, fine: BevGrid) -> None:
     """Paint each point in the color of its height, higher ones on top; large pictures show obstacles as 2 × 2."""
     low, high = HEIGHTS_M
     order = np.argsort(leveled.height_m, kind="stable")
@@ -247,27 +226,40 @@ def _paint_points(image: Image, leveled: LeveledSweep, fine: BevGrid) -> None:
         image[np.minimum(i[tall] + di, last), np.minimum(j[tall] + dj, last)] = colors[tall]
 
 
-@lru_cache(maxsize=1)
-def _height_colors() -> Image:
-    return _bytes(colormaps["viridis"](np.arange(256))[:, :3])
+def _height_colors() -> Pixels:
+    return _colors("viridis")
 
 
-def _bytes(colors: NDArray[np.float64]) -> Image:
+@lru_cache(maxsize=3)
+def _colors(name: str) -> Pixels:
+    """Return the (256, 3) colors of a map, from low to high."""
+    steps = np.array([list(bytes.fromhex(step)) for step in _COLOR_STEPS[name].split()])
+    at = np.linspace(0, 255, len(steps))
+    return np.stack([np.interp(np.arange(256), at, channel) for channel in steps.T], axis=1).round().astype(np.uint8)
+
+
+def _value_pixels(values: NDArray[np.float32], colors: str, top: float, pixels: int) -> Pixels:
+    """Return values (cells, cells) from 0 to ``top`` as (pixels, pixels, 3) uint8, white where there is none."""
+    nearest = (np.arange(pixels) * len(values)) // pixels
+    shown = values[nearest][:, nearest][::-1, ::-1]
+    known = np.isfinite(shown)
+    level = np.clip(np.where(known, shown, 0.0) / top * 256, 0, 255).astype(np.intp)
+    return np.where(known[..., None], _colors(colors)[level], np.uint8(255)).astype(np.uint8)
+
+
+def _bytes(colors: NDArray[np.float64]) -> Pixels:
     return (colors * 255).round().astype(np.uint8)
 
 
-def _scale_bar(axes: Axes, grid: BevGrid, pixels: int) -> None:
-    (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
-    length = _round_length(side / 4)
-    size = 8.0 if pixels > 300 else 6.0
-    letters = size * 1.6 / pixels * side  # height of a line of text in meters
-    x, y, pad = x0 + 0.03 * side, y0 + 0.03 * side, 0.012 * side
-    box = Rectangle((y - pad, x - pad), length + 2 * pad, letters + 2 * pad, color="white", alpha=0.85, zorder=2)
-    axes.add_patch(box)
-    axes.plot([y + length, y], [x, x], color="black", linewidth=2, solid_capstyle="butt", zorder=3)
-    axes.text(y + length / 2, x + pad / 2, f"{length:g} m", ha="center", va="bottom", fontsize=size, zorder=3)
-    axes.set_xlim(y0 + side, y0)
-    axes.set_ylim(x0, x0 + side)
+def _scale_bar(canvas: Canvas, side_m: float) -> None:
+    """Draw a bar of a round length in the lower right corner."""
+    pixels, points = canvas.width, 8.0 if canvas.width > 300 else 6.0
+    length_m = _round_length(side_m / 4)
+    length, pad, letters = length_m / side_m * pixels, 0.012 * pixels, 1.6 * points
+    right = bottom = 0.97 * pixels
+    canvas.veil((right - length - pad, bottom - letters - 2 * pad, right + pad, bottom + pad))
+    canvas.rectangle((right - length, bottom - 1.5, right, bottom + 1.5), BLACK)
+    canvas.text((right - length / 2, bottom - pad), f"{length_m:g} m", points, "ms")
 
 
 def _round_length(limit_m: float) -> float:
@@ -280,38 +272,87 @@ def _round_length(limit_m: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= limit_m * (1 + 1e-9)))
 
 
-def _forward_mark(axes: Axes) -> None:
-    box = {"boxstyle": "round", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
-    axes.text(
-        0.02, 0.98, "↑ forward", transform=axes.transAxes, ha="left", va="top", fontsize=9, zorder=3, bbox=box
-    )  # fmt: skip
+def _forward_mark(canvas: Canvas) -> None:
+    words, left, top = "↑ forward", 0.02 * canvas.width, 0.02 * canvas.width
+    canvas.veil((left - 5, top - 4, left + text_width(words, 9) + 5, top + 17), radius=4)
+    canvas.text((left, top + 12), words, 9)
 
 
-def _table(axes: Axes, rows: Sequence[Sequence[str]], header: Sequence[str]) -> None:
-    table = axes.table(cellText=[list(row) for row in rows], colLabels=list(header), loc="center", bbox=Bbox.unit())
-    table.auto_set_font_size(False)
-    table.set_fontsize(9)
-    for (row, _), cell in table.get_celld().items():
-        cell.set_edgecolor("0.8")
-        if row == 0:
-            cell.set_facecolor("0.93")
-            cell.set_text_props(weight="bold")
+def _column_widths(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[int]:
+    """Return the pixels of each column of a table: its longest words and some room."""
+    heads = [text_width(words, 9, bold=True) for words in header]
+    cells = [[text_width(words, 9) for words in row] for row in rows]
+    return [round(max(column)) + 28 for column in zip(heads, *cells, strict=True)]
 
 
-def _legend(page: _Page, columns: int, shares: dict[CellState, str] | None = None) -> None:
-    patches: list[Patch] = [
-        Patch(facecolor=COLORS[state], edgecolor="black", linewidth=0.4, label=(shares or {}).get(state, "") + words)
-        for state, words in WORDS.items()
-    ]
-    page.figure.legend(
-        handles=patches, loc="lower center", ncols=columns, fontsize=9 if columns == 2 else 8, frameon=False
-    )
+def _table(
+    page: Canvas, rows: Sequence[Sequence[str]], header: Sequence[str], columns: Sequence[int], top: int
+) -> None:
+    """Draw a table over the width of the page: names at the left, figures at the right of their columns."""
+    room = page.width - 24 - sum(columns)
+    edges = 12 + np.concatenate([[0], np.cumsum(columns)]) + np.arange(len(columns) + 1) * room // len(columns)
+    for k, row in enumerate([header, *rows]):
+        above, below = top + k * _ROW, top + (k + 1) * _ROW
+        for j, (left, right) in enumerate(pairwise(edges.tolist())):
+            page.rectangle((left, above, right + 1, below + 1), _HEAD_COLOR if k == 0 else WHITE, _LINE_COLOR)
+            if k == 0:
+                page.text(((left + right) / 2, below - 9), row[j], 9, "ms", bold=True)
+            elif j == 0:
+                page.text((left + 10, below - 9), row[j], 9)
+            else:
+                page.text((right - 10, below - 9), row[j], 9, "rs")
 
 
-def _height_bar(page: _Page, place: tuple[int, int, int, int]) -> None:
-    axes = page.axes(*place)
-    axes.imshow(_height_colors()[::-1, None], aspect="auto", extent=(0, 1, *HEIGHTS_M))
-    axes.yaxis.tick_right()
-    axes.set_yticks(np.arange(HEIGHTS_M[0], HEIGHTS_M[1] + 0.5, 1.0))
-    axes.tick_params(labelsize=8)
-    axes.set_title("points:\nheight\nabove\nground, m", fontsize=8, pad=8)
+def _legend(page: Canvas, columns: int, shares: dict[CellState, str] | None = None) -> None:
+    """Draw what the colors of the states mean at the foot of the page, in the middle."""
+    points = 9.0 if columns == 2 else 8.0
+    entries = [(state, (shares or {}).get(state, "") + words) for state, words in WORDS.items()]
+    down = -(-len(entries) // columns)
+    across = [entries[k * down : (k + 1) * down] for k in range(columns)]
+    widths = [30 + max(text_width(words, points) for _, words in column) for column in across]
+    left, top = (page.width - sum(widths) - 22 * (columns - 1)) / 2, page.height - 13 - 18 * (down - 1)
+    for column, width in zip(across, widths, strict=True):
+        for k, (state, words) in enumerate(column):
+            foot = top + 18 * k
+            page.rectangle((left, foot - 9, left + 23, foot), _color(COLORS[state]), BLACK)
+            page.text((left + 30, foot), words, points)
+        left += width + 22
+
+
+def _height_bar(page: Canvas, left: int, top: int, width: int, height: int) -> None:
+    """Draw which color is which height of a point."""
+    low, high = HEIGHTS_M
+    ticks = [(value, f"{value:g}") for value in np.arange(low, high + 0.5)]
+    _color_bar(page, "viridis", ticks, high - low, (left, top, width, height))
+    for number, line in enumerate(["ground, m", "above", "height", "points:"]):
+        page.text((left + width / 2, top - 10 - 14 * number), line, 8, "ms")
+
+
+def _color_bar(
+    page: Canvas, colors: str, ticks: Sequence[tuple[float, str]], top_value: float, place: tuple[int, int, int, int]
+) -> None:
+    """Draw the colors from 0 to ``top_value`` as a bar at (left, top, width, height), with ticks at its right."""
+    left, top, width, height = place
+    shades = _colors(colors)[(np.arange(height)[::-1] * 256) // height]
+    page.paste(Canvas(np.repeat(shades[:, None], width, axis=1)), left, top)
+    for value, words in ticks:
+        row = top + height * (1 - value / top_value)
+        page.rectangle((left + width, row, left + width + 5, row + 1), BLACK)
+        page.text((left + width + 8, row), words, 8, "lm")
+
+
+def _ticks(top: float) -> list[tuple[float, str]]:
+    """Return round values from 0 to ``top``, four to ten of them, with their words.
+
+    >>> _ticks(0.25)
+    [(0.0, '0.00'), (0.05, '0.05'), (0.1, '0.10'), (0.15, '0.15'), (0.2, '0.20'), (0.25, '0.25')]
+    """
+    step = _round_length(top / 4)
+    digits = max(0, -int(np.floor(np.log10(step))))
+    values = [round(k * step, digits) for k in range(int(top / step * (1 + 1e-9)) + 1)]
+    return [(value, f"{value:.{digits}f}") for value in values]
+
+
+def _color(shares: tuple[float, float, float]) -> Color:
+    red, green, blue = _bytes(np.array(shares)).tolist()
+    return red, green, blue

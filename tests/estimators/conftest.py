@@ -42,7 +42,7 @@ def _level(
     points: NDArray[np.float32], azimuth: NDArray[np.float32] | None = None, sensor_m: float = SENSOR_M
 ) -> LeveledSweep:
     """A level sweep on flat ground of points given in the level frame (z = 0 on the ground)."""
-    points = np.asarray(points, np.float32).reshape(-1, 3)
+    points = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
     range_m = np.hypot(points[:, 0].astype(np.float64), points[:, 1])
     azimuth = np.arctan2(points[:, 1], points[:, 0]) if azimuth is None else azimuth
     return LeveledSweep(
@@ -51,7 +51,7 @@ def _level(
         range_m.astype(np.float32),
         np.asarray(azimuth, np.float32),
         points[:, 2].copy(),
-        np.arange(len(points)),
+        np.arange(len(points), dtype=np.int32),
         Rigid(np.eye(3), np.array([0.0, 0.0, sensor_m])),
         HeightMap.flat(100.0),
     )

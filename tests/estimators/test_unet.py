@@ -1,5 +1,6 @@
 """The contract of every estimator over the learned ones, on the grid of a network made by hand; then what is theirs."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from viewshed.networks.card import NetworkCard
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import TorchRunner
 from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
-from viewshed.preprocess.leveling import level
+from viewshed.preprocess.leveling import Held, level
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(64, 16.0)
@@ -117,7 +118,7 @@ def test_the_mean_and_deviation_are_those_of_the_seeds_masks(street: Sweep) -> N
 
 
 def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_reach() -> None:
-    # Ground out to 8 m, and a patch of it at 21 m, of so few returns that the reach stays 20 m.
+    # Ground out to 8 m, and a patch of it at 21 m, where the stream holds a reach of 20 m.
     ground = np.stack(np.meshgrid(np.arange(-15, 15.5, 0.25), np.arange(-15, 15.5, 0.25)), axis=-1).reshape(-1, 2)
     ground = ground[((np.abs(ground[:, 1]) > 4) | (ground[:, 0] < 6)) & (np.hypot(*ground.T) < 8)]
     patch = np.stack(np.meshgrid(np.arange(14.4, 15.9, 0.3), np.arange(14.4, 15.9, 0.3)), axis=-1).reshape(-1, 2)
@@ -128,7 +129,7 @@ def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_reach(
     points = np.concatenate([np.column_stack([ground, np.full(len(ground), -1.8)]), wall]).astype(np.float32)
     runner = TorchRunner(NetworkCard("made", SHAPE, GRID, max_range_m=30.0), nearby(SHAPE))
     sweep = Sweep(points, sensor_height_m=1.8)
-    estimate = UnetEstimator(runner).estimate(sweep)
+    estimate = UnetEstimator(runner).estimate(replace(level(sweep, GRID), held=Held((), 20.0)))
     i, j = (GRID.index(np.array([[12.0, 0.1], [6.1, 0.1], [3.1, 3.1], [15.1, 15.1], [13.6, 13.9]]))[0]).T
     words = [CellState(state).name for state in estimate.state[i, j]]
     assert words == ["HIDDEN", "SURFACE", "FREE", "UNKNOWN", "FREE"]

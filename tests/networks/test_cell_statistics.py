@@ -1,21 +1,21 @@
-"""One pass over the returns tells what the plain functions tell, one after the other."""
+"""What the returns of a cell and of an azimuth say, beside the plainest way to compute it."""
+
+from typing import Any
 
 import numpy as np
 import pytest
 
+from viewshed import _core
+from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
-from viewshed.networks.features import EVIDENCE_BINS, HEIGHTS_M, cell_statistics
-from viewshed.preprocess.azimuth_bins import (
-    azimuth_bins_of,
-    farthest_in_bins,
-    measured_azimuth_bins,
-    nearest_obstacle_in_bins,
-)
+from viewshed.networks.features import FeatureContext
+from viewshed.preprocess.azimuth_bins import azimuth_bins_of, measured_azimuth_bins
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(32, 16.0, (2.0, -1.0))
 ABOVE_SENSOR_M = 1.8
+LOW_M, HIGH_M = -2.0, 4.0
 
 
 def _level(columns: int) -> LeveledSweep:
@@ -28,37 +28,57 @@ def _level(columns: int) -> LeveledSweep:
     return level(sweep, GRID)
 
 
+def _shown(leveled: LeveledSweep) -> FeatureContext:
+    return FeatureContext(leveled, GRID, CAR, None)
+
+
 @pytest.mark.parametrize("columns", [2000, 700, 400, 330, 190, 130, 7])
-def test_azimuths_and_obstacles_are_those_of_the_plain_functions(columns: int) -> None:
+def test_ranges_are_those_of_the_returns_of_each_bin(columns: int) -> None:
     leveled = _level(columns)
-    found = cell_statistics(leveled, GRID)
-    assert found.bins == measured_azimuth_bins(leveled.azimuth)
-    assert np.array_equal(found.blocker_m, nearest_obstacle_in_bins(leveled, found.bins, 1, OBSTACLE_HEIGHTS_M))
-    assert np.array_equal(found.farthest_m, farthest_in_bins(leveled, found.bins))
-    bins = azimuth_bins_of(leveled.azimuth, EVIDENCE_BINS)
-    assert np.array_equal(found.returns, np.bincount(bins, minlength=EVIDENCE_BINS))
-    assert np.array_equal(found.obstacle, leveled.obstacle_cells(GRID))
-    assert found.obstacle.any()
+    farthest_m, blocker_m = _shown(leveled).ranges_m
+    assert len(farthest_m) == len(blocker_m) == measured_azimuth_bins(leveled.azimuth)
+    bins = azimuth_bins_of(leveled.azimuth, len(farthest_m))
+    obstacle = (leveled.height_m > OBSTACLE_HEIGHTS_M[0]) & (leveled.height_m < OBSTACLE_HEIGHTS_M[1])
+    plain = np.full(len(farthest_m), -1.0, np.float32), np.full(len(farthest_m), np.inf, np.float32)
+    np.maximum.at(plain[0], bins, leveled.range_m)
+    np.minimum.at(plain[1], bins[obstacle], leveled.range_m[obstacle])
+    assert np.array_equal(farthest_m, plain[0])
+    assert np.array_equal(blocker_m, plain[1])
 
 
 def test_codes_ascend_with_the_height_of_the_lowest_and_the_highest_return() -> None:
     leveled = _level(700)
-    found, (cells, inside) = cell_statistics(leveled, GRID), GRID.index(leveled.points)
-    low, high = HEIGHTS_M
-    code = 1 + (254 * (leveled.height_m.astype(float).clip(low, high) - low) / (high - low)).astype(int)
+    (lowest, highest), (cells, inside) = _shown(leveled).height_codes, GRID.index(leveled.points)
+    height_m = leveled.height_m.astype(float).clip(LOW_M, HIGH_M)
+    code = 1 + (254 * (height_m - LOW_M) / (HIGH_M - LOW_M)).astype(int)
     for cell in np.unique(cells[inside], axis=0)[::9]:
         here = code[(cells == cell).all(axis=1)]
-        assert abs(int(found.lowest[tuple(cell)]) - here.min()) <= 1
-        assert abs(int(found.highest[tuple(cell)]) - here.max()) <= 1
+        assert abs(int(lowest[tuple(cell)]) - here.min()) <= 1
+        assert abs(int(highest[tuple(cell)]) - here.max()) <= 1
     empty = np.ones(GRID.shape, bool)
     empty[tuple(cells[inside].T)] = False
-    assert not found.lowest[empty].any()
-    assert not found.highest[empty].any()
+    assert not lowest[empty].any()
+    assert not highest[empty].any()
 
 
-def test_no_return_tells_nothing() -> None:
-    found = cell_statistics(level(Sweep(np.zeros((0, 3), np.float32)), GRID), GRID)
-    for each in (found.lowest, found.highest, found.obstacle, found.returns):
-        assert not each.any()
-    assert np.isposinf(found.blocker_m).all()
-    assert (found.farthest_m == -1.0).all()
+def test_no_return_says_nothing() -> None:
+    shown = _shown(level(Sweep(np.zeros((0, 3), np.float32)), GRID))
+    assert not np.any(shown.height_codes)
+    farthest_m, blocker_m = shown.ranges_m
+    assert np.isposinf(blocker_m).all()
+    assert (farthest_m == -1.0).all()
+
+
+def test_heights_of_wrong_arrays_are_refused() -> None:
+    points, height_m = np.zeros((3, 3), np.float32), np.zeros(3, np.float32)
+    with pytest.raises(ValueError, match="as long"):
+        _core.height_codes(points, height_m[:2], 0.0, 0.0, 1.0, 4)
+    with pytest.raises(ValueError, match=r"cells must lie in \[1, 4096\]"):
+        _core.height_codes(points, height_m, 0.0, 0.0, 1.0, 0)
+    wrongs: list[Any] = [points.astype(np.float64), points[:, :2], points.T]
+    for wrong in wrongs:
+        with pytest.raises(TypeError):
+            _core.height_codes(wrong, height_m, 0.0, 0.0, 1.0, 4)
+    for value in (np.nan, np.inf, -1e30):
+        found = _core.height_codes(np.full((1, 3), value, np.float32), np.full(1, value, np.float32), 0.0, 0.0, 1.0, 4)
+        assert not np.any(found)

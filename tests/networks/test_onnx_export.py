@@ -162,7 +162,7 @@ def test_arrays_of_other_shapes_are_refused(path: Path) -> None:
 
 def test_openvino_that_is_not_installed_is_named(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    with pytest.raises(ImportError, match=r"openvino is not installed; run: pip install 'viewshed\[openvino\]'"):
+    with pytest.raises(ImportError, match=r"engine openvino needs openvino: pip install 'viewshed\[openvino\]'"):
         OnnxRunner(path, engine="openvino")
 
 

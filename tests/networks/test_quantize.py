@@ -83,7 +83,7 @@ def test_the_lean_graph_says_what_the_file_says(shape: UNetShape, tmp_path: Path
     whole, frame = OnnxRunner(tmp_path / "a.onnx", 1), maps(1, shape)[0] // 40
     masks = shape.masks(3, np.random.default_rng(4))
     folded = in_bytes.shown(frame)[None].astype(np.float32) / np.float32(255.0)
-    [found] = run(folded, masks, ["probability"])
+    [found] = run({"inputs": folded, "masks": masks}, ["probability"])
     np.testing.assert_allclose(found, whole.run(told.shown(frame)[None], masks), atol=2e-5)
     assert found.std() > 0.01
 

@@ -2,7 +2,7 @@
 
 import gc
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 from weakref import ref
@@ -25,7 +25,7 @@ from viewshed.networks.card import NetworkCard
 from viewshed.preprocess import evidence as evidence_module
 from viewshed.preprocess.evidence import GROUND_STEPS, BeamEvidence, beam_evidence, reach_of_sweep
 from viewshed.preprocess.history import History
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.leveling import Held, LeveledSweep, level
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import Box, Scene, cast
 from viewshed.threats.attacks import ATTACKS
@@ -109,7 +109,7 @@ def made_level(points: NDArray[np.float32], ground: HeightMap) -> LeveledSweep:
     return LeveledSweep(
         Sweep(points - np.array([0, 0, SENSOR_M], np.float32), sensor_height_m=SENSOR_M), points,
         np.hypot(x, y).astype(np.float32), np.arctan2(y, x).astype(np.float32), points[:, 2].copy(),
-        np.arange(len(points)), Rigid(np.eye(3), np.array([0.0, 0.0, SENSOR_M])), ground,
+        np.arange(len(points), dtype=np.int32), Rigid(np.eye(3), np.array([0.0, 0.0, SENSOR_M])), ground,
     )  # fmt: skip
 
 
@@ -177,6 +177,7 @@ def test_beams_that_aim_are_counted_whatever_their_depth() -> None:
     xy = 3.0 * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     points = np.concatenate([np.column_stack([xy, np.full(360, SENSOR_M + 3.0 * slope)]) for slope in slopes])
     leveled, grid = made_level(points.astype(np.float32), HeightMap.flat(40.0)), BevGrid(36, 18.0)
+    leveled = replace(leveled, held=Held((), 20.0))
     evidence = beam_evidence(leveled, grid, CAR)
     r = (np.floor(np.hypot(*np.moveaxis(grid.centers, -1, 0)) / grid.cell_m) + 0.5) * grid.cell_m
     # A slope within a bin of the histogram (1/256) of the foot or the top may count in part.
@@ -186,7 +187,7 @@ def test_beams_that_aim_are_counted_whatever_their_depth() -> None:
     expected = rings_aimed * 360 * 2 * np.arctan2(CAR.width_m / 2, r) / (2 * np.pi)
     assert clear.mean() > 0.4
     assert np.abs(evidence.aimed - expected)[clear].max() < 0.6 * rings_aimed.max()
-    # Nothing reaches beyond 3 m: hidden wherever enough aim, within the reach of 20 m.
+    # Nothing reaches beyond 3 m: hidden wherever enough aim, within a reach of 20 m.
     far = clear & (r > 4.5) & (np.abs(expected - CAR.min_returns) > 0.6 * rings_aimed.max())
     denied = (expected >= CAR.min_returns) & (np.hypot(*np.moveaxis(grid.centers, -1, 0)) <= 20.0)
     assert np.array_equal(evidence.supports_denial()[far], denied[far])
@@ -263,7 +264,7 @@ class SaysAlways:
     def single_threaded(self) -> None:
         return
 
-    def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
+    def run(self, inputs: NDArray[Any], masks: Floats | None = None) -> Floats:
         return np.full((len(inputs), *self.card.grid.shape), self.prob, np.float32)
 
 

@@ -133,7 +133,7 @@ def returns_at(*xyz: tuple[float, float, float], t_s: float = 0.0, agent: str = 
     x, y, z = points.T
     sweep = Sweep(points, world_from_sensor=at(0, 0), t_ns=int(1e9 * t_s), agent=agent)
     ground, level_from_sensor = HeightMap.flat(32.0), Rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
-    rows = np.arange(len(points))
+    rows = np.arange(len(points), dtype=np.int32)
     return LeveledSweep(sweep, points, np.hypot(x, y), np.arctan2(y, x), z, rows, level_from_sensor, ground)
 
 

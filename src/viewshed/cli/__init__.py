@@ -9,6 +9,7 @@ from typing import Annotated, TextIO, cast
 import typer
 
 from viewshed import __version__
+from viewshed._extras import needed_for
 from viewshed.cli._options import BAD_INPUTS, complain, one_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
@@ -72,7 +73,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
-            sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
+            with needed_for(" ".join(["viewshed", *words[:1]])):
+                sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
     except _Refused as error:
         _refuse(cast(typer.BadParameter, error).format_message())
     except BAD_INPUTS as error:

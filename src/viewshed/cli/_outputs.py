@@ -225,8 +225,7 @@ class Run:
         from viewshed._jobs import cores
         from viewshed.estimators.batch import in_order
 
-        threads = 1 if "png" in self.results else cores()  # matplotlib is for one thread
-        with closing(in_order(self._written, self._estimated(sweeps, failures, batch), batch, threads)) as written:
+        with closing(in_order(self._written, self._estimated(sweeps, failures, batch), batch, cores())) as written:
             for done in written:
                 file, line = done.result()
                 if isinstance(line, str):

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import ClassicalEstimator
-from viewshed.estimators.concave_hull import fill, spans_area, thinned
+from viewshed.estimators.concave_hull import fill, thinned
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import ALL_RETURNS, Crop, require
@@ -54,19 +55,18 @@ class Delaunay(ClassicalEstimator):
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 in the union of the small triangles between the returns, 0 elsewhere."""
         leveled = self.crop.apply(leveled)
-        visible = fill(self._edges(thinned(leveled, self.grid)), self.grid)
+        points, spans_area = thinned(leveled, self.grid)
+        visible = fill(self._edges(points) if spans_area else np.zeros((0, 4)), self.grid)
         return visible.astype(np.float32)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""
-        from scipy import spatial
-
-        if not spans_area(points):
-            return np.zeros((0, 4))
         try:
-            corners = points[spatial.Delaunay(points).simplices]
-        except spatial.QhullError:
+            triangles = shapely.get_parts(shapely.delaunay_triangles(shapely.MultiPoint(points)))
+        except shapely.GEOSException:  # all but on one line
             return np.zeros((0, 4))
+        # A triangle's ring is closed: its last corner is the first again.
+        corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
         sides = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2)
         length_m = np.hypot(sides[..., 2] - sides[..., 0], sides[..., 3] - sides[..., 1])
         kept: NDArray[np.float64] = sides[length_m.max(axis=1) <= self.max_edge_m].reshape(-1, 4)

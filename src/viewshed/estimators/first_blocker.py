@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.visibility import CAR, Target
 from viewshed.grid import BevGrid
-from viewshed.preprocess.azimuth_bins import (
-    farthest_in_bins,
-    measured_azimuth_bins,
-    nearest_obstacle_in_bins,
-    require,
-    require_bins,
-    with_margin,
-    within_limits,
-)
+from viewshed.preprocess.azimuth_bins import require, require_bins, within_limits
 from viewshed.preprocess.evidence import reach_of_sweep
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
@@ -77,30 +68,8 @@ class FirstBlocker(ClassicalEstimator):
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 before the first obstacle of each azimuth bin, 0 behind it."""
-        bins = self.azimuth_bins or measured_azimuth_bins(leveled.azimuth)
-        farthest_m = farthest_in_bins(leveled, bins)
-        blocker_m = nearest_obstacle_in_bins(leveled, bins, self.rank, self.obstacle_height_m)
-        if self.median_bins:
-            blocker_m = _median(blocker_m, farthest_m >= 0, self.median_bins // 2)
-        reach_m = np.float32(reach_of_sweep(leveled))
-        limit_m = np.minimum(blocker_m, farthest_m if self.limit_farthest else reach_m)
-        limit_m = np.where(farthest_m >= 0, limit_m, np.float32(-1.0))
-        return within_limits(self.grid, with_margin(limit_m, self.grid.cell_m)).astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def _median(values: NDArray[np.float32], known: NDArray[np.bool_], half: int) -> Any:  # pragma: no cover - compiled
-    """Lower median over ± ``half`` bins around the circle, of the bins that are known."""
-    bins = values.shape[0]
-    out = values.copy()
-    window = np.empty(2 * half + 1, np.float32)
-    for b in range(bins):
-        count = 0
-        for offset in range(-half, half + 1):
-            c = (b + offset) % bins
-            if known[c]:
-                window[count] = values[c]
-                count += 1
-        if count:
-            out[b] = np.sort(window[:count])[(count - 1) // 2]
-    return out
+        limit_m = _core.first_blocker(
+            leveled.azimuth, leveled.range_m, leveled.height_m, *self.obstacle_height_m, self.azimuth_bins, self.rank,
+            self.median_bins, None if self.limit_farthest else reach_of_sweep(leveled), self.grid.cell_m,
+        )  # fmt: skip
+        return within_limits(self.grid, limit_m)

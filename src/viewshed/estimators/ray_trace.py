@@ -6,12 +6,11 @@ Ray trace to the farthest return once the few farthest are dropped.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.estimators.base import ClassicalEstimator
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import polar
@@ -87,14 +86,11 @@ class QuantizedRayTrace(ClassicalEstimator):
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 up to the farthest return of each azimuth bin, 0 beyond."""
         leveled = self.crop.apply(leveled)
-        visible = self._visible_about_centroid(leveled) if self.about_centroid else self._visible(leveled)
-        return visible.astype(np.float32)
+        if self.about_centroid:
+            return self._visible_about_centroid(leveled)
+        return within_limits(self.grid, self._limit(farthest_in_bins(leveled, self.azimuth_bins)))
 
-    def _visible(self, leveled: LeveledSweep) -> NDArray[np.bool_]:
-        farthest_m = farthest_in_bins(leveled, self.azimuth_bins or measured_azimuth_bins(leveled.azimuth))
-        return within_limits(self.grid, self._limit(farthest_m))
-
-    def _visible_about_centroid(self, leveled: LeveledSweep) -> NDArray[np.bool_]:
+    def _visible_about_centroid(self, leveled: LeveledSweep) -> NDArray[np.float32]:
         bins = self.azimuth_bins or 1
         xy = leveled.points[:, :2].astype(np.float64)
         centroid = xy.mean(axis=0).round(6) if len(xy) else np.zeros(2)
@@ -103,7 +99,7 @@ class QuantizedRayTrace(ClassicalEstimator):
         np.maximum.at(farthest_m, azimuth_bins_of(azimuth, bins), range_m.astype(np.float32))
         cell_range_m, cell_azimuth = polar(self.grid.centers - centroid)
         limit_m = self._limit(farthest_m)[azimuth_bins_of(cell_azimuth, bins)]
-        return np.asarray(cell_range_m.astype(np.float32) <= limit_m)
+        return (cell_range_m.astype(np.float32) <= limit_m).astype(np.float32)
 
     def _limit(self, farthest_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the range (bins,) up to which a cell's center is visible."""
@@ -154,94 +150,12 @@ class ContinuousRayTrace(ClassicalEstimator):
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 up to the farthest return near each cell's azimuth, 0 beyond."""
         leveled = self.crop.apply(leveled)
-        bins = int(np.ceil(2.0 * np.pi * _SLICES / self.window))
+        slices = int(np.ceil(2.0 * np.pi * _SLICES / self.window))
         margin_m = self.grid.cell_m if self.margin_m is None else self.margin_m
-        range_m, azimuth = polar_of_cells(self.grid)
-        visible = np.empty(self.grid.shape, np.float32)
-        _trace(
-            leveled.azimuth,
-            leveled.range_m,
-            azimuth_bins_of(leveled.azimuth, bins),
-            bins_of_cells(self.grid, bins),
-            range_m,
-            azimuth,
-            self.window,
-            margin_m,
-            bins,
-            visible,
-        )
-        return visible
-
-
-@njit(cache=True, nogil=True)
-def _trace(  # pragma: no cover - compiled
-    azimuth: Any,  # (M,) of the returns
-    range_m: Any,  # (M,)
-    slices: Any,  # (M,) fine azimuth bin of each return
-    cell_slice: Any,  # (cells, cells) fine azimuth bin of each cell
-    cell_range_m: Any,  # (cells, cells)
-    cell_azimuth: Any,  # (cells, cells)
-    window: Any,  # half width in radians
-    margin_m: Any,  # how far beyond the farthest return a cell is still visible
-    bins: Any,  # fine azimuth bins
-    visible: Any,  # (cells, cells), written
-) -> None:
-    """Decide by whole slices where they agree; look at single returns only where the window's ends matter."""
-    farthest = _slice_maxima(slices, range_m, bins)
-    start, order = _slice_order(slices, bins)
-    whole = int(window / (2.0 * np.pi / bins))
-    # Every return of the inner slices lies within the window, none beyond the outer ones does.
-    inner = _sliding_maximum(farthest, whole - 1)
-    outer = _sliding_maximum(farthest, whole + 2)
-    for i in range(visible.shape[0]):
-        for j in range(visible.shape[1]):
-            b, need = cell_slice[i, j], cell_range_m[i, j] - margin_m
-            seen = inner[b] >= 0.0 and need <= inner[b]
-            if not seen and outer[b] >= 0.0 and need <= outer[b]:
-                for offset in range(-whole - 2, whole + 3):
-                    c = (b + offset + bins) % bins
-                    if abs(offset) >= whole and farthest[c] >= need:
-                        for k in order[start[c] : start[c + 1]]:
-                            away = abs(np.float64(azimuth[k]) - cell_azimuth[i, j])
-                            seen |= range_m[k] >= need and min(away, 2.0 * np.pi - away) <= window
-            visible[i, j] = seen
-
-
-@njit(cache=True, nogil=True)
-def _slice_maxima(slices: Any, range_m: Any, bins: Any) -> Any:  # pragma: no cover - compiled
-    """Return the farthest return (bins,) of each slice, -1 where there is none."""
-    farthest = np.full(bins, -1.0, np.float32)
-    for n in range(slices.shape[0]):
-        farthest[slices[n]] = max(farthest[slices[n]], range_m[n])
-    return farthest
-
-
-@njit(cache=True, nogil=True)
-def _slice_order(slices: Any, bins: Any) -> Any:  # pragma: no cover - compiled
-    """Counting sort: where each slice starts, and the returns in the order of slices."""
-    start = np.zeros(bins + 1, np.int64)
-    for n in range(slices.shape[0]):
-        start[slices[n] + 1] += 1
-    for b in range(bins):
-        start[b + 1] += start[b]
-    free = start.copy()
-    order = np.empty(slices.shape[0], np.int64)
-    for n in range(slices.shape[0]):
-        order[free[slices[n]]] = n
-        free[slices[n]] += 1
-    return start, order
-
-
-@njit(cache=True, nogil=True)
-def _sliding_maximum(values: Any, reach: Any) -> Any:  # pragma: no cover - compiled
-    bins = values.shape[0]
-    out = np.empty(bins, np.float32)
-    for b in range(bins):
-        best = np.float32(-1.0)
-        for offset in range(-reach, reach + 1):
-            best = max(best, values[(b + offset + bins) % bins])
-        out[b] = best
-    return out
+        return _core.trace_windows(
+            leveled.azimuth, leveled.range_m, slices, self.window, margin_m, *polar_of_cells(self.grid),
+            bins_of_cells(self.grid, slices),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,4 +194,4 @@ class TrimmedRayTrace(ClassicalEstimator):
         """Return 1 up to the farthest return of each azimuth bin but the few farthest, 0 beyond."""
         bins = self.azimuth_bins or min(measured_azimuth_bins(leveled.azimuth), FALLBACK_BINS)
         limit_m = farthest_in_bins(leveled, bins, drop=self.trim)
-        return within_limits(self.grid, with_margin(limit_m, self.grid.cell_m)).astype(np.float32)
+        return within_limits(self.grid, with_margin(limit_m, self.grid.cell_m))

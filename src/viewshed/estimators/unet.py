@@ -18,7 +18,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard, Runner
-from viewshed.networks.features import FeatureContext, feature_maps
+from viewshed.networks.features import FeatureContext
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import IN_BYTES, load_runner
 from viewshed.networks.weights import default_name, float32_name
@@ -100,7 +100,7 @@ class UnetEstimator:
         self.runner, self.passes, self.seed, self.abstain_below = runner, passes, seed, abstain_below
         self.name = name or ("unet" if passes == 1 else "mc_dropout")
         rng = np.random.Generator(np.random.PCG64(seed))
-        self._masks = shape.no_masks(1) if passes == 1 else shape.masks(passes, rng)
+        self._masks = None if passes == 1 else shape.masks(passes, rng)
 
     def with_abstention(self, below: float) -> UnetEstimator:
         """Return the same estimator that abstains below another probability."""
@@ -159,7 +159,7 @@ class UnetEstimator:
         context = self.card.seen(leveled, history)
         if not Crop(self.card.max_range_m, self.card.heights_m).any_on(leveled, self.grid):
             return NetworkInput(context, None)
-        return NetworkInput(context, self.card.shown(feature_maps(self.card.inputs, context)))
+        return NetworkInput(context, self.card.input_of_context(context))
 
     def infer(self, prepared: Sequence[NetworkInput]) -> list[NetworkOutput | None]:
         """Return the network's output for each sweep, None where it need not run.
@@ -174,8 +174,7 @@ class UnetEstimator:
         if self.passes > 1:
             return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in features]
         together = np.stack(features) if len(features) > 1 else features[0][None]
-        probs = self.runner.run(together, np.repeat(self._masks, len(features), axis=0))
-        return [NetworkOutput(prob, None) for prob in probs]
+        return [NetworkOutput(prob, None) for prob in self.runner.run(together)]
 
     def finish(self, prepared: NetworkInput, output: NetworkOutput | None) -> FovEstimate:
         """Return the estimate that the network's output gives; many threads may do it."""
@@ -185,7 +184,8 @@ class UnetEstimator:
             prob = evidence.bounded(output.prob, self.threshold)
             abstains = self.abstain_below > NEVER_ABSTAIN
             denied = prob <= np.float32(1.0 - self.abstain_below) if abstains else prob < np.float32(self.threshold)
-            state = evidence.states(prob >= np.float32(self.threshold), denied, context.statistics.obstacle)
+            obstacle = context.leveled.obstacle_cells(self.grid)
+            state = evidence.states(prob >= np.float32(self.threshold), denied, obstacle)
         leveled = context.leveled
         return FovEstimate(
             grid=self.grid,

@@ -14,10 +14,10 @@ import numpy as np
 import shapely
 from numba import njit
 from numpy.typing import NDArray
-from scipy import ndimage
 from shapely import GeometryType, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from viewshed.fov._mask_regions import label_regions, squared_depth
 from viewshed.fov._sector_polygons import best_sectors
 from viewshed.fov._star_polygons import free_ranges, star_vertices
 from viewshed.geometry import FloatArray
@@ -186,8 +186,7 @@ def polygon_of_mask(mask: BoolMask, grid: BevGrid) -> MultiPolygon:
     array = checked_mask(mask, grid)
     if not array.any():
         return MultiPolygon()
-    labels, _ = ndimage.label(array)
-    vertices, starts, ring_labels = trace(np.pad(array, 1).view(np.uint8), labels)
+    vertices, starts, ring_labels = trace(np.pad(array, 1).view(np.uint8), label_regions(array))
     vertices, rings, owners = _grouped(vertices, starts, ring_labels)
     coords = np.asarray(grid.origin_m) + vertices * grid.cell_m
     return MultiPolygon(
@@ -313,8 +312,8 @@ def _star_about(
 
 def deepest_point(mask: BoolMask, grid: BevGrid) -> NDArray[np.float64]:
     """Return (2,) meters: the center of the true cell of ``mask`` that lies farthest from any other."""
-    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    center: NDArray[np.float64] = grid.centers[np.unravel_index(int(np.argmax(depth)), mask.shape)]
+    deepest = np.unravel_index(int(np.argmax(squared_depth(mask))), mask.shape)
+    center: NDArray[np.float64] = grid.centers[deepest]
     return center
 
 
@@ -335,7 +334,7 @@ def blind_spot(mask: BoolMask, grid: BevGrid) -> BoolMask | None:
     cells, inside = grid.index(nudges)
     if not inside.all():
         return None
-    labels, _ = ndimage.label(np.pad(~mask, 1, constant_values=True), structure=np.ones((3, 3)))
+    labels = label_regions(np.pad(~mask, 1, constant_values=True), diagonal=True)
     around = labels[1:-1, 1:-1]
     own = np.unique(around[cells[:, 0], cells[:, 1]])
     if labels[0, 0] in own:

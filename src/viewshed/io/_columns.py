@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from viewshed import _core
 from viewshed.geometry import Rigid
 from viewshed.io._input import InputFile
 from viewshed.io._rings import matched_azimuth, matched_time_s, problem_of_rings, rings_by_elevation, whole_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
-
-_U = np.uint64
 
 FILE_FRAMES: dict[str, Rigid] = {
     "sensor": Rigid.identity(),
@@ -127,7 +125,7 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
     """
     points, azimuth = columns.points, columns.azimuth
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
-        move_points(points, columns.frame.rotation, columns.frame.translation)
+        _core.move_points(points, columns.frame.rotation, columns.frame.translation)
         azimuth = None if azimuth is None else _turned(azimuth, columns.frame)
     model = given.model if given.model is not None else columns.model
     saved = columns.saved or _NOTHING_SAVED
@@ -150,18 +148,6 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
     for line in left_out:
         warnings.warn(f"{source.path}: {line}", stacklevel=2)
     return sweep
-
-
-@njit(cache=True, nogil=True)
-def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None:
-    """Replace points (N, 3) by ``rotation @ point + shift``, computed in float64, in place."""
-    for i in range(_U(points.shape[0])):
-        x = np.float64(points[i, 0])
-        y = np.float64(points[i, 1])
-        z = np.float64(points[i, 2])
-        for k in range(3):
-            moved = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + shift[k]
-            points[i, k] = np.float32(moved)
 
 
 def _turned(azimuth: NDArray[np.float32], frame: Rigid) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.sensors import MAX_RINGS, LidarModel
 from viewshed.sweep import REVOLUTION_S
 
@@ -103,19 +104,11 @@ def problem_of_rings(ring: NDArray[Any], points: NDArray[np.float32]) -> str | N
     low, high = int(ring.min()), int(ring.max())
     if low < 0 or high >= MAX_RINGS:
         return f"rings must lie in [0, {MAX_RINGS}), got {low}…{high}"
-    # Four narrow sectors, with all of their returns: those above each other in a degree of azimuth are neighbors.
-    with np.errstate(invalid="ignore", over="ignore"):
-        x, y = np.abs(points[:, 0]), np.abs(points[:, 1])
-        rows = np.flatnonzero((np.minimum(x, y) < _SECTOR * np.maximum(x, y)) & np.isfinite(points[:, 2]))
-        elevation = np.arctan2(points[rows, 2], np.hypot(points[rows, 0], points[rows, 1]))
-        degree = np.floor(np.rad2deg(np.arctan2(points[rows, 1], points[rows, 0])))
-    if len(rows) < _LEAST_NEIGHBORS:
+    count, elevation_std, beside, any_two = _core.spread_of_rings(points, ring.astype(np.int16), _SECTOR)
+    if count < _LEAST_NEIGHBORS:
         return None
     if low == high:
-        return f"every return has ring {low}" if float(elevation.std()) > _FLAT else None
-    column = ring[rows[np.lexsort((elevation, degree))]].astype(np.float64)
-    beside = np.abs(np.diff(column)).mean()
-    any_two = np.abs(column - np.random.default_rng(0).permutation(column)).mean()
+        return f"every return has ring {low}" if elevation_std > _FLAT else None
     return "returns beside each other are of rings far apart" if beside > _MOST_APART * any_two else None
 
 

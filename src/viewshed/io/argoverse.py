@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed._extras import needed_for
 from viewshed.geometry import Rigid
 from viewshed.io._columns import FILE_FRAMES, WANTED, Columns, columns_of_table
 from viewshed.io._input import InputFile, unpack_limit
@@ -35,7 +36,8 @@ def read_argoverse2(source: InputFile, frame: Rigid | None) -> Iterator[Columns]
 
 def _table(content: bytes) -> dict[str, NDArray[Any]]:
     """Return the wanted columns of the messages in an Arrow file; its footer is not used."""
-    import pyarrow as pa
+    with needed_for("reading Argoverse 2"):
+        import pyarrow as pa
 
     stream = pa.py_buffer(content)[_MAGIC_BYTES:]
     try:

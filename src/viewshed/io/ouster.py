@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed._extras import needed_for
 from viewshed.geometry import Rigid
 from viewshed.io._columns import IDENTITY, Columns
 from viewshed.io._input import InputFile, one_line
@@ -19,8 +20,6 @@ from viewshed.sensors import LidarModel
 _METADATA_BYTES = 1_000_000
 
 _ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 columns; tables take 48 bytes a pixel
-
-_INSTALL = "needs ouster-sdk; install it with: pip install 'viewshed[packets]'"
 
 
 def metadata_path(path: str) -> Path:
@@ -39,10 +38,8 @@ def read_ouster(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     Ring 0 is the lowest beam; azimuth is the encoder's angle of the column, without the beams' own offsets.
     """
     content = source.content()
-    try:
+    with needed_for("reading Ouster packets"):
         from ouster.sdk import core
-    except ImportError as error:
-        raise ImportError(_INSTALL) from error
     info = _sensor_info(core, metadata_path(source.path))
     yield from _revolutions(core, info, content, IDENTITY if frame is None else frame)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.geometry import Rigid
 from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_columns, table_of_sweep
 from viewshed.io._input import InputFile
@@ -167,54 +167,14 @@ def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
             f"PCD sizes do not agree: {header.points} points are {needed} bytes, got {unpacked} from {packed}"
         )
     data = np.empty(unpacked, np.uint8)
-    written = unpack_lzf(np.frombuffer(content, np.uint8, packed, header.start + 8), data)
+    # liblzf's stream, which the core decodes without leaving either array; -1 where it is damaged.
+    written = _core.unpack_lzf(np.frombuffer(content, np.uint8, packed, header.start + 8), data)
     if written != unpacked:
         raise ValueError("PCD compressed data is damaged")
     return {
         name: data[field.offset * header.points :][: field.size * header.points].view(field.dtype)
         for name, field in _wanted(header).items()
     }
-
-
-@njit(cache=True, nogil=True)
-def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int:
-    """Decode an LZF stream into ``unpacked``; return the bytes written, or -1 where the stream is damaged.
-
-    Stream of M. Lehmann's liblzf: control < 32 is a run of control + 1 literals, else a back reference of length
-    (control >> 5) + 2 (+ one more byte if that field is 7) at distance ((control & 31) << 8 | byte) + 1.
-    No index leaves either array.
-    """
-    at = 0
-    end = 0
-    while at < packed.size:
-        control = np.int64(packed[at])
-        at += 1
-        if control < 32:
-            length = np.int64(control + 1)
-            if at + length > packed.size or end + length > unpacked.size:
-                return -1
-            for _ in range(length):
-                unpacked[end] = packed[at]
-                at += 1
-                end += 1
-            continue
-        length = np.int64(control >> 5)
-        if length == 7:
-            if at >= packed.size:
-                return -1
-            length += np.int64(packed[at])
-            at += 1
-        length += 2
-        if at >= packed.size:
-            return -1
-        start = end - ((control & 31) << 8) - np.int64(packed[at]) - 1
-        at += 1
-        if start < 0 or end + length > unpacked.size:
-            return -1
-        for k in range(length):
-            unpacked[end + k] = unpacked[start + k]
-        end += int(length)
-    return end
 
 
 _BODIES = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}

@@ -7,17 +7,16 @@ import threading
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.geometry import Rigid
 from viewshed.io._columns import FILE_FRAMES, IDENTITY, Columns
 from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
-_U = np.uint64
-
-_CHUNK_ROWS = 65_536
+_CHUNK_ROWS = 8_192
+"""So many rows stay in the nearest memory between reading and splitting."""
 
 _LOCAL = threading.local()
 
@@ -31,12 +30,12 @@ def read_kitti(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     rows = _rows(source, 4)
     block = np.empty(4 * rows, np.float32)
     points, intensity = block[: 3 * rows], block[3 * rows :]
-    buffer, _ = _scratch()
+    buffer = _scratch()
     start = 0
     while start < rows:
         count = _fill(source, buffer, rows - start, 4)
         stop = start + count
-        split_xyzi(buffer, points[3 * start : 3 * stop], intensity[start:stop])
+        _core.split_xyzi(buffer, points[3 * start : 3 * stop], intensity[start:stop])
         start = stop
     yield Columns(points.reshape(rows, 3), intensity, frame=IDENTITY if frame is None else frame)
 
@@ -47,13 +46,14 @@ def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     block = np.empty(9 * rows, np.int16)
     floats, ring = block[: 8 * rows].view(np.float32), block[8 * rows :]
     points, intensity = floats[: 3 * rows], floats[3 * rows :]
-    buffer, rings = _scratch()
+    buffer = _scratch()
     start = bad = 0
     while start < rows:
         count = _fill(source, buffer, rows - start, 5)
         stop = start + count
-        split_xyzir(buffer, points[3 * start : 3 * stop], intensity[start:stop], rings[:count], frame is None)
-        bad += whole_numbers(rings[:count], ring[start:stop])
+        bad += _core.split_xyzir(
+            buffer, points[3 * start : 3 * stop], intensity[start:stop], ring[start:stop], frame is None
+        )
         start = stop
     if bad and source.size % 16 == 0:
         raise ValueError(f"the fifth column must be whole ring numbers, {bad} of {rows} are not; is it nuScenes?")
@@ -65,13 +65,12 @@ def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     )  # fmt: skip
 
 
-def _scratch() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return this thread's buffers for rows and rings, kept because fresh memory costs more than reading."""
-    buffers: tuple[NDArray[np.float32], NDArray[np.float32]] | None = getattr(_LOCAL, "buffers", None)
-    if buffers is None:
-        buffers = np.empty(5 * _CHUNK_ROWS, np.float32), np.empty(_CHUNK_ROWS, np.float32)
-        _LOCAL.buffers = buffers
-    return buffers
+def _scratch() -> NDArray[np.float32]:
+    """Return this thread's buffer for rows, kept because fresh memory costs more than reading."""
+    buffer: NDArray[np.float32] | None = getattr(_LOCAL, "buffer", None)
+    if buffer is None:
+        buffer = _LOCAL.buffer = np.empty(5 * _CHUNK_ROWS, np.float32)
+    return buffer
 
 
 def _rows(source: InputFile, columns: int) -> int:
@@ -107,7 +106,7 @@ def columns_of_bin(source: InputFile) -> int:
     sample = source.file.read(_SAMPLE_BYTES)
     source.file.seek(0)
     raw = np.frombuffer(sample, np.float32, len(sample) // 4)
-    fits = [columns for columns in (4, 5) if source.size % (4 * columns) == 0 and plausible_rows(raw, columns)]
+    fits = [columns for columns in (4, 5) if source.size % (4 * columns) == 0 and _core.plausible_rows(raw, columns)]
     if len(fits) == 1:
         return fits[0]
     if fits:
@@ -141,77 +140,3 @@ def write_nuscenes(sweep: Sweep) -> bytes:
         rows[:, 3] = sweep.intensity
     rows[:, 4] = sweep.ring
     return rows.tobytes()
-
-
-@njit(cache=True, nogil=True)
-def split_xyzi(raw: NDArray[np.float32], points: NDArray[np.float32], intensity: NDArray[np.float32]) -> None:
-    """Split rows x, y, z, intensity (4 N,) into points (3 N,) and intensity (N,)."""
-    for i in range(_U(intensity.size)):
-        j = _U(4) * i
-        k = _U(3) * i
-        points[k] = raw[j]
-        points[k + _U(1)] = raw[j + _U(1)]
-        points[k + _U(2)] = raw[j + _U(2)]
-        intensity[i] = raw[j + _U(3)]
-
-
-@njit(cache=True, nogil=True)
-def split_xyzir(
-    raw: NDArray[np.float32],
-    points: NDArray[np.float32],
-    intensity: NDArray[np.float32],
-    ring: NDArray[np.float32],
-    quarter_turn: bool,
-) -> None:
-    """Split rows x, y, z, intensity, ring (5 N,) into points (3 N,), intensity (N,) and ring (N,).
-
-    With ``quarter_turn`` points are (y, -x, z): nuScenes' x right, y forward becomes x forward, y left.
-    """
-    if quarter_turn:
-        for i in range(_U(intensity.size)):
-            j = _U(5) * i
-            k = _U(3) * i
-            points[k] = raw[j + _U(1)]
-            points[k + _U(1)] = -raw[j]
-            points[k + _U(2)] = raw[j + _U(2)]
-            intensity[i] = raw[j + _U(3)]
-            ring[i] = raw[j + _U(4)]
-    else:
-        for i in range(_U(intensity.size)):
-            j = _U(5) * i
-            k = _U(3) * i
-            points[k] = raw[j]
-            points[k + _U(1)] = raw[j + _U(1)]
-            points[k + _U(2)] = raw[j + _U(2)]
-            intensity[i] = raw[j + _U(3)]
-            ring[i] = raw[j + _U(4)]
-
-
-@njit(cache=True, nogil=True)
-def whole_numbers(values: NDArray[np.float32], whole: NDArray[np.int16]) -> int:
-    """Write values (N,) as 16-bit integers; return how many are not such numbers."""
-    bad = np.int32(0)
-    for i in range(_U(values.size)):
-        number = np.int16(np.int32(values[i]))
-        whole[i] = number
-        bad += np.int32(np.float32(number) != values[i])
-    return int(bad)
-
-
-@njit(cache=True, nogil=True)
-def plausible_rows(raw: NDArray[np.float32], columns: int) -> bool:
-    """Return whether rows (N · columns,) read as meters within 10 km, an intensity ≥ 0 and, if five, a ring in 0…127.
-
-    Rows that are not finite say nothing.
-    """
-    for start in range(0, raw.size // columns * columns, columns):
-        finite = True
-        for k in range(columns):
-            finite &= np.isfinite(raw[start + k])
-        far = max(abs(raw[start]), abs(raw[start + 1]), abs(raw[start + 2]))
-        if finite and (far > 1e4 or raw[start + 3] < 0 or raw[start + 3] > 1e6):
-            return False
-        ring = raw[start + columns - 1]
-        if finite and columns == 5 and (ring < 0 or ring > 127 or ring != np.floor(ring)):
-            return False
-    return True

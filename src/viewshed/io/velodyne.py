@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed._extras import needed_for
 from viewshed.geometry import Rigid
 from viewshed.io._columns import IDENTITY, Columns
 from viewshed.io._input import InputFile
@@ -135,8 +136,6 @@ _TABLES = {"HDL32E": "HDL-32E", "VLP16": "VLP-16", "VLP32C": "VLP-32C"}
 
 _NO_AZIMUTH_OFFSET = {"HDL32E", "VLP16", "PuckHiRes"}
 
-_INSTALL = "needs velodyne-decoder; install it with: pip install 'viewshed[packets]'"
-
 
 def is_velodyne(payload: bytes) -> bool:
     """Return whether a UDP payload is a Velodyne data packet: 1206 bytes, twelve blocks that begin with ff ee."""
@@ -166,10 +165,8 @@ def _bare(content: bytes) -> Iterator[tuple[float, bytes]]:
 
 
 def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) -> Iterator[Columns]:
-    try:
+    with needed_for("reading Velodyne packets"):
         import velodyne_decoder
-    except ImportError as error:
-        raise ImportError(_INSTALL) from error
     decoder = name = None
     any_returns = False
     for seconds, payload in packets:

@@ -21,7 +21,6 @@ from viewshed.networks.features import (
     FeatureContext,
     feature_maps,
     fold_maps,
-    replace_codes,
 )
 from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep, level
@@ -122,7 +121,8 @@ class NetworkCard:
 
     def seen(self, leveled: LeveledSweep, past: History | None = None) -> FeatureContext:
         """Return the context of a leveled sweep from which :func:`feature_maps` computes the features."""
-        counts = self._clipped(leveled.sweep.points, leveled.level_from_sensor.rotation)
+        points, rotation = leveled.sweep.points, leveled.level_from_sensor.rotation
+        counts = self._clipped(points, rotation) if "counts" in self.inputs else None
         return FeatureContext(leveled, self.grid, TARGETS[self.target], counts, past)
 
     @property
@@ -181,14 +181,18 @@ class NetworkCard:
         linear = np.float32(255.0 / self.divisor if self.counts == "linear" else 1.0)
         return np.array([linear if name == "counts" else 1.0 for name in self.inputs], np.float32)
 
+    def input_of_context(self, context: FeatureContext) -> NDArray[Any]:
+        """Return the network's input, of :attr:`input_shape`, from what its features are computed from."""
+        if self.precision == INT8 and "counts" not in self.inputs:
+            return feature_maps(self.inputs, context, self.shape.fold)
+        return self.shown(feature_maps(self.inputs, context))
+
     def _folded(self, maps: Bytes) -> Bytes:
-        blocks, size = fold_maps(maps, self.shape.fold), self.shape.fold**2
         if "counts" in self.inputs and self.counts == "log":
-            begin = self.inputs.index("counts") * size
-            replace_codes(
-                blocks[..., begin : begin + size], np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8)
-            )
-        return blocks
+            codes, maps = np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8), maps.copy()
+            counts = maps[self.inputs.index("counts")]
+            counts[:] = codes[counts]
+        return fold_maps(maps, self.shape.fold)
 
     def _of_counts(self) -> NDArray[np.float32]:
         """Return (256,) as what each number of returns is shown."""
@@ -279,8 +283,8 @@ class Runner(Protocol):
         """What the network is."""
         ...
 
-    def run(self, inputs: NDArray[Any], masks: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return probabilities (N, cells, cells) of inputs (N, channels, cells, cells) under masks (N, M).
+    def run(self, inputs: NDArray[Any], masks: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Return probabilities (N, cells, cells) of inputs (N, channels, cells, cells), dropout off or by masks (N, M).
 
         A network in bytes takes its inputs as :meth:`NetworkCard.shown` gives them.
 

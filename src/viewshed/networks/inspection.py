@@ -9,13 +9,14 @@ network of ours, whoever wrote it; what it *says* can still be wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.networks.card import NetworkCard
+from viewshed.networks.protobuf import as_ints, as_message, as_text, fields, signed
 from viewshed.networks.weights import CARD_KEY
 
 MOST_NODES = 1024
@@ -28,7 +29,6 @@ _OUTPUTS = (["probability"], ["probability", "deviation"])
 """Outputs of a graph; the second one of older files, which they compute with Shape and Slice, is never asked for."""
 
 Shape = tuple[int, ...]
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 _DTYPES: dict[int, type[np.generic]] = {1: np.float32, 2: np.uint8, 3: np.int8, 6: np.int32, 7: np.int64}
 """Types of constants by their number in onnx.TensorProto: those that our exports write."""
@@ -101,79 +101,16 @@ class _RefusedError(ValueError):
     """A file that is sound ONNX and not of ours."""
 
 
-# Protocol buffers: a message is a sequence of (field number · 8 + wire type, value); messages nest as bytes.
-
-
-def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """Yield number and value of each field of a message: an int, or the bytes of anything longer."""
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
-        number, kind = key >> 3, key & 7
-        if kind == _VARINT:
-            value, at = _varint(message, at)
-            yield number, value
-            continue
-        length, at = {_FIXED64: (8, at), _FIXED32: (4, at)}.get(kind) or _length(message, at, kind)
-        if length > len(message) - at:
-            raise ValueError(f"a field of {length} bytes where {len(message) - at} are left")
-        yield number, message[at : at + length]
-        at += length
-
-
-def _length(message: memoryview, at: int, kind: int) -> tuple[int, int]:
-    if kind != _BYTES:
-        raise ValueError(f"wire type {kind}")
-    return _varint(message, at)
-
-
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    value = 0
-    for shift in range(0, 70, 7):
-        byte = message[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, at
-    raise ValueError("a number of more than 64 bits")
-
-
-def _signed(value: int) -> int:
-    """Return an int64 of its two's complement, as protocol buffers write negative numbers."""
-    return value - (1 << 64) if value >> 63 else value
-
-
-def _message(value: int | memoryview) -> memoryview:
-    if isinstance(value, int):
-        raise ValueError("a number where a message must be")
-    return value
-
-
-def _text(value: int | memoryview) -> str:
-    return bytes(_message(value)).decode("utf-8")
-
-
-def _ints(value: int | memoryview) -> tuple[int, ...]:
-    """Return repeated int64, one by one or packed."""
-    if isinstance(value, int):
-        return (_signed(value),)
-    found, at = [], 0
-    while at < len(value):
-        number, at = _varint(value, at)
-        found.append(_signed(number))
-    return tuple(found)
-
-
 def _read_model(content: bytes) -> tuple[_Graph, dict[str, str]]:
     """Return graph and metadata of an onnx.ModelProto."""
     graphs: list[_Graph] = []
     metadata: dict[str, str] = {}
-    for number, value in _fields(memoryview(content)):
+    for number, value in fields(memoryview(content)):
         if number == 7:
-            graphs.append(_read_graph(_message(value)))
+            graphs.append(_read_graph(as_message(value)))
         elif number == 14:
-            entry = dict(_fields(_message(value)))
-            metadata[_text(entry.get(1, memoryview(b"")))] = _text(entry.get(2, memoryview(b"")))
+            entry = dict(fields(as_message(value)))
+            metadata[as_text(entry.get(1, memoryview(b"")))] = as_text(entry.get(2, memoryview(b"")))
         elif number in (20, 25):  # training_info, functions
             raise _RefusedError("functions or training of its own")
     if len(graphs) != 1:
@@ -183,19 +120,19 @@ def _read_model(content: bytes) -> tuple[_Graph, dict[str, str]]:
 
 def _read_graph(message: memoryview) -> _Graph:
     graph = _Graph()
-    for number, value in _fields(message):
+    for number, value in fields(message):
         if number == 1:
-            graph.nodes.append(_read_node(_message(value)))
+            graph.nodes.append(_read_node(as_message(value)))
             if len(graph.nodes) > MOST_NODES:
                 raise _RefusedError(f"more than {MOST_NODES} nodes")
         elif number == 5:
-            name, constant = _read_constant(_message(value))
+            name, constant = _read_constant(as_message(value))
             if name in graph.constants:
                 raise _RefusedError(f"the constant {name!r} twice")
             graph.constants[name] = constant
         elif number in (11, 12):
             names = graph.inputs if number == 11 else graph.outputs
-            names.append(next((_text(item) for key, item in _fields(_message(value)) if key == 1), ""))
+            names.append(next((as_text(item) for key, item in fields(as_message(value)) if key == 1), ""))
         elif number == 15:
             raise _RefusedError("sparse constants")
     return graph
@@ -206,17 +143,17 @@ def _read_node(message: memoryview) -> _Node:
     outputs: list[str] = []
     messages: list[memoryview] = []
     kind, domain = "", ""
-    for number, value in _fields(message):
+    for number, value in fields(message):
         if number == 1:
-            inputs.append(_text(value))
+            inputs.append(as_text(value))
         elif number == 2:
-            outputs.append(_text(value))
+            outputs.append(as_text(value))
         elif number == 4:
-            kind = _text(value)
+            kind = as_text(value)
         elif number == 5:
-            messages.append(_message(value))
+            messages.append(as_message(value))
         elif number == 7:
-            domain = _text(value)
+            domain = as_text(value)
     if domain or kind not in _SHAPES:
         raise _RefusedError(f"the operator {f'{domain}.{kind}' if domain else kind}")
     settings: dict[str, int | tuple[int, ...] | str] = {}
@@ -231,15 +168,15 @@ def _read_setting(message: memoryview) -> tuple[str, int | tuple[int, ...] | str
     """Return name and value of an onnx.AttributeProto: an integer, integers or a text; nothing else is ours."""
     name, many = "", tuple[int, ...]()
     one: list[int | str] = []
-    for number, value in _fields(message):
+    for number, value in fields(message):
         if number == 1:
-            name = _text(value)
+            name = as_text(value)
         elif number == 3 and isinstance(value, int):
-            one.append(_signed(value))
+            one.append(signed(value))
         elif number == 4:
-            one.append(_text(value))
+            one.append(as_text(value))
         elif number == 8:
-            many = (*many, *_ints(value))
+            many = (*many, *as_ints(value))
         elif number != 20:  # the type, which says it again
             raise _RefusedError(f"a setting {name!r} that is a tensor, a graph or a fraction")
     if len(one) + bool(many) != 1:  # an engine would choose by the type
@@ -251,15 +188,15 @@ def _read_constant(message: memoryview) -> tuple[str, NDArray[np.generic]]:
     """Return name and values of an onnx.TensorProto, which must hold all its bytes itself."""
     shape: Shape = ()
     kind, name, raw = 0, "", memoryview(b"")
-    for number, value in _fields(message):
+    for number, value in fields(message):
         if number == 1:
-            shape = (*shape, *_ints(value))
+            shape = (*shape, *as_ints(value))
         elif number == 2 and isinstance(value, int):
             kind = value
         elif number == 8:
-            name = _text(value)
+            name = as_text(value)
         elif number == 9:
-            raw = _message(value)
+            raw = as_message(value)
         elif number != 12:  # a comment
             raise _RefusedError(f"the constant {name!r} with data outside of the file, or not as raw bytes")
     dtype = _DTYPES.get(kind)

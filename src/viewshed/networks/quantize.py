@@ -81,7 +81,9 @@ def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastG
             side *= 2
         elif node.op_type == "Conv" and graph.constants[node.input[1]].shape[2:] == (1, 1):
             _rewrite_head(graph, node)
-        else:
+        elif node.op_type == "Sigmoid":
+            graph.add("Sigmoid", [x], "probability")
+        elif node.op_type != "Squeeze":
             side = side // 2 if node.op_type == "MaxPool" else side
             _copy_node(graph, node, x)
     used = {name for node in graph.nodes for name in node.input}
@@ -134,18 +136,22 @@ def _rewrite_transposed_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, sid
 
 
 def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
-    """Add what the last convolution 1 × 1 does, and what unfolds its channels to cells."""
+    """Add what the last convolution 1 × 1 does, and what unfolds its channels to cells (N, cells, cells).
+
+    One product for each row of a block gives whole rows of cells: joining rows is faster than moving single cells.
+    """
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
     fold, side = graph.card.shape.fold, graph.side
-    x = graph.add("Transpose", [node.input[0]], f"{name}_last", perm=[0, 2, 3, 1])
-    x = graph.add("MatMul", [x, graph.constant(f"{name}_weight", weight[:, :, 0, 0].T)], f"{name}_sums")
-    shape = graph.constant(f"{name}_rows", np.array([-1, side, side * fold**2]))
-    x = graph.add("Reshape", [x, shape], f"{name}_long")  # to add a bias to long rows is several times as fast
-    x = graph.add("Add", [x, graph.constant(f"{name}_bias", np.tile(bias, side))], f"{name}_all")
-    shape = graph.constant(f"{name}_apart", np.array([-1, side, side, fold, fold]))
-    x = graph.add("Reshape", [x, shape], f"{name}_blocks")
-    x = graph.add("Transpose", [x], f"{name}_moved", perm=[0, 1, 3, 2, 4])
-    shape = graph.constant(f"{name}_together", np.array([-1, 1, side * fold, side * fold]))
+    last = graph.add("Transpose", [node.input[0]], f"{name}_last", perm=[0, 2, 3, 1])
+    one_row = graph.constant(f"{name}_one_row", np.array([-1, 1, side * fold]))
+    rows = []
+    for row, part in enumerate(weight[:, :, 0, 0].reshape(fold, fold, -1)):
+        x = graph.add("MatMul", [last, graph.constant(f"{name}_weight{row}", part.T)], f"{name}_sums{row}")
+        rows.append(graph.add("Reshape", [x, one_row], f"{name}_row{row}"))
+    x = graph.add("Concat", rows, f"{name}_blocks", axis=1)
+    biases = np.tile(bias.reshape(fold, fold), (1, side))
+    x = graph.add("Add", [x, graph.constant(f"{name}_bias", biases)], f"{name}_all")
+    shape = graph.constant(f"{name}_together", np.array([-1, side * fold, side * fold]))
     graph.add("Reshape", [x, shape], name)
 
 
@@ -211,7 +217,7 @@ def _calibrate(graph: ChannelsLastGraph, frames: Iterable[Bytes]) -> dict[str, R
         count += 1
         inputs = graph.card.shown(maps)[None].astype(np.float32) / np.float32(255.0)
         masks = np.concatenate([shape.no_masks(1), shape.masks(1, rng)])
-        for name, values in zip(names, run(inputs, masks, names), strict=True):
+        for name, values in zip(names, run({"inputs": inputs, "masks": masks}, names), strict=True):
             low, high = ranges[name]
             ranges[name] = min(low, float(values.min())), max(high, float(values.max()))
     if count == 0:

@@ -6,16 +6,19 @@
 from __future__ import annotations
 
 import io
+import platform
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from llvmlite import binding
 from numpy.typing import NDArray
 
+from viewshed._extras import needed_for
 from viewshed.networks.card import INT8
+from viewshed.networks.deterministic import without_masks
 from viewshed.networks.inspection import inspect_network
 from viewshed.networks.weights import shipped_content, shipped_names, verify_checksum
 
@@ -113,14 +116,17 @@ _CELLS_AT_ONCE = 1 << 21
 
 Floats = NDArray[np.float32]
 
-Call = Callable[[NDArray[Any], Floats, Sequence[str]], list[Floats]]
-"""From inputs, masks and names of outputs to these."""
+Call = Callable[[Mapping[str, NDArray[Any]], Sequence[str]], list[Floats]]
+"""From inputs by name and names of outputs to these."""
 
 _NO_INT8 = {"openvino": "which computes its masks wrong", "cuda": "which is for networks in float32"}
 
 
 class OnnxRunner:
     """Runs a network that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
+
+    With dropout off the graph that runs has no masks (:mod:`viewshed.networks.deterministic`); the one with masks is
+    made when it is first run.
 
     Args:
         path: the file; its checksum is compared, and what it would run is bounded by its card
@@ -156,24 +162,34 @@ class OnnxRunner:
         return runner
 
     def _start(self, content: bytes, name: str, threads: int | None, engine: str, precision: str) -> None:
-        self._content, self._name, self._alone = content, name, None
+        self._content, self._name, self._threads, self._alone = content, name, threads, None
         verify_checksum(content, name)
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.engine, self.precision = _check_engine(engine, precision), precision
         self.card = inspect_network(content, name)
-        start = _openvino if self.engine == "openvino" else _onnxruntime  # for cuda as well: proves the file sound
-        try:
-            self._call = _with_file_name(start(content, threads, precision), name)
-        except RuntimeError as error:
-            raise ValueError(f"{name} must be a network in ONNX, got another file ({_short(error)})") from error
-        if self.card.precision == INT8 and self.engine != IN_BYTES:
+        if self.card.precision == INT8 and engine != IN_BYTES:
             raise ValueError(
                 f"engine must be {IN_BYTES} for {name}, a network in bytes, got {engine}, {_NO_INT8[engine]}; give the"
                 " network in float32"
             )
-        if self.engine == "cuda":
-            self._call = _cuda(content)
+        deterministic = without_masks(content)
+        if engine == "cuda":
+            self._load(deterministic, "onnxruntime")  # proves the file sound before a graphics card is looked for
+        self._deterministic = self._load(deterministic, engine)
+
+    @cached_property
+    def _with_masks(self) -> Call:
+        """The graph as it is in the file."""
+        return self._load(self._content, self.engine)
+
+    def _load(self, content: bytes, engine: str) -> Call:
+        """Return what runs a graph of this file in an engine."""
+        try:
+            call = _LOADERS[engine](content, self._threads, self.precision)
+        except RuntimeError as error:
+            raise ValueError(f"{self._name} must be a network in ONNX, got another file ({_short(error)})") from error
+        return call if engine == "cuda" else _with_file_name(call, self._name)
 
     def single_threaded(self) -> OnnxRunner | None:
         """Return the same network, each run of it in one thread, for runs in several threads at once.
@@ -184,21 +200,29 @@ class OnnxRunner:
             self._alone = OnnxRunner.of_content(self._content, self._name, 1)
         return self._alone
 
-    def run(self, inputs: NDArray[Any], masks: Floats) -> Floats:
+    def run(self, inputs: NDArray[Any], masks: Floats | None = None) -> Floats:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
         self._check(inputs, masks)
-        step = max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
-        if len(masks) <= step:
-            return self._call(inputs, masks, ["probability"])[0]
-        parts = [slice(start, start + step) for start in range(0, len(masks), step)]
-        shared = len(inputs) == 1
-        return np.concatenate([self.run(inputs if shared else inputs[part], masks[part]) for part in parts])
+        count, step = len(inputs if masks is None else masks), max(_CELLS_AT_ONCE // self.card.grid.cells**2, 1)
+        if count > step:
+            parts = [slice(start, start + step) for start in range(0, count, step)]
+            shared = len(inputs) == 1
+            return np.concatenate([
+                self.run(inputs if shared else inputs[part], None if masks is None else masks[part]) for part in parts
+            ])  # fmt: skip
+        if masks is None:
+            return self._deterministic({"inputs": inputs}, ["probability"])[0]
+        return self._with_masks({"inputs": inputs, "masks": masks}, ["probability"])[0]
 
-    def _check(self, inputs: NDArray[Any], masks: Floats) -> None:
+    def _check(self, inputs: NDArray[Any], masks: Floats | None) -> None:
         card = self.card
         one, dtype = card.input_shape, "uint8" if card.precision == INT8 else "float32"
         if inputs.ndim != 4 or inputs.shape[1:] != one or inputs.dtype != dtype:
             raise ValueError(f"inputs must be {dtype} of shape (N, {', '.join(map(str, one))}), got {_kind(inputs)}")
+        if not len(inputs):
+            raise ValueError("inputs must be at least one, got none")
+        if masks is None:
+            return
         total = sum(card.shape.masked_channels)
         if masks.ndim != 2 or masks.shape[1] != total or not len(masks) or masks.dtype != np.float32:
             raise ValueError(f"masks must be float32 of shape (N, {total}) with N at least 1, got {_kind(masks)}")
@@ -243,9 +267,9 @@ def _check_engine(engine: str, precision: str) -> str:
 def _with_file_name(call: Call, name: str) -> Call:
     """Give whatever an engine raises while a network runs one line that names its file."""
 
-    def run(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
+    def run(inputs: Mapping[str, NDArray[Any]], names: Sequence[str]) -> list[Floats]:
         try:
-            return call(inputs, masks, names)
+            return call(inputs, names)
         except Exception as error:  # engines raise whatever their parts raise
             raise ValueError(f"{name} cannot be run ({_short(error)}); export it again with viewshed train") from error
 
@@ -259,17 +283,29 @@ def _onnxruntime(content: bytes, threads: int | None, precision: str) -> Call:
 def values_of(content: bytes, threads: int | None = None) -> Call:
     """Return what runs a model for any of its outputs; card and checksum are not asked for."""
     session = _session(content, threads)
-    return lambda inputs, masks, names: list(session.run(names, {"inputs": inputs, "masks": masks}))
+    return lambda inputs, names: list(session.run(names, inputs))
 
 
-def may_saturate(features: Mapping[str, bool]) -> bool:
-    """Return whether sums of products of bytes saturate on a processor with these features: an x86 without VNNI.
+def may_saturate(machine: str, cpu_info: str) -> bool:
+    """Return whether sums of products of bytes saturate on a processor: an x86 without VNNI, or not known to have it.
 
-    >>> may_saturate({"avx2": True, "avxvnni": False}), may_saturate({"avx2": True, "avx512vnni": True})
+    Args:
+        machine: kind of processor, of ``platform.machine``.
+        cpu_info: what Linux tells of it in ``/proc/cpuinfo``; empty elsewhere.
+
+    >>> may_saturate("x86_64", "flags: sse2 avx2"), may_saturate("x86_64", "flags: avx2 avx512_vnni")
     (True, False)
+    >>> may_saturate("arm64", "")
+    False
     """
-    x86 = bool(features.get("sse2") or features.get("avx2"))
-    return x86 and not (features.get("avx512vnni") or features.get("avxvnni"))
+    is_x86 = machine.lower() in {"x86_64", "amd64", "i386", "i686"}
+    return is_x86 and not {"avx512_vnni", "avx_vnni"} & set(cpu_info.split())
+
+
+@lru_cache(maxsize=1)
+def _bytes_may_saturate() -> bool:
+    cpu_info = Path("/proc/cpuinfo")
+    return may_saturate(platform.machine(), cpu_info.read_text(encoding="utf-8") if cpu_info.exists() else "")
 
 
 def _session(content: bytes, threads: int | None) -> Any:
@@ -278,7 +314,9 @@ def _session(content: bytes, threads: int | None) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads or 0
     options.log_severity_level = 3
-    if may_saturate(binding.get_host_cpu_features()):
+    # Threads that wait for the next layer, or the next sweep, would take the cores from the rest of the estimate.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if _bytes_may_saturate():
         options.add_session_config_entry("session.x64quantprecision", "1")  # exact, and two to four times as slow
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -286,16 +324,14 @@ def _session(content: bytes, threads: int | None) -> Any:
         raise RuntimeError(_short(error)) from error
 
 
-def _cuda(content: bytes) -> Call:
+def _cuda(content: bytes, threads: int | None, precision: str) -> Call:
     run = cuda_run(content)
-    return lambda inputs, masks, names: run(names, {"inputs": inputs, "masks": masks})
+    return lambda inputs, names: run(names, inputs)
 
 
 def _openvino(content: bytes, threads: int | None, precision: str) -> Call:
-    try:
+    with needed_for("engine openvino"):
         import openvino
-    except ImportError as error:
-        raise ImportError("openvino is not installed; run: pip install 'viewshed[openvino]'") from error
     core = openvino.Core()
     settings: dict[str, Any] = {"INFERENCE_PRECISION_HINT": precision, "PERFORMANCE_HINT": "LATENCY"}
     if threads is not None:
@@ -303,11 +339,19 @@ def _openvino(content: bytes, threads: int | None, precision: str) -> Call:
     model = core.read_model(content)
     request = core.compile_model(model, "CPU", settings).create_infer_request()
 
-    def call(inputs: NDArray[Any], masks: Floats, names: Sequence[str]) -> list[Floats]:
-        outputs = request.infer({"inputs": inputs, "masks": masks})
+    def call(inputs: Mapping[str, NDArray[Any]], names: Sequence[str]) -> list[Floats]:
+        outputs = request.infer(dict(inputs))
         return [outputs[name].copy() for name in names]
 
     return call
+
+
+_LOADERS: dict[str, Callable[[bytes, int | None, str], Call]] = {
+    "onnxruntime": _onnxruntime,
+    "openvino": _openvino,
+    "cuda": _cuda,
+}
+"""What makes a call of a model, by engine."""
 
 
 def _short(error: BaseException) -> str:

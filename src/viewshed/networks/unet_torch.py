@@ -78,10 +78,10 @@ class TorchRunner:
         """None: torch shares its threads among all runs."""
         return
 
-    def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32]) -> NDArray[np.float32]:
+    def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return probabilities (N, cells, cells); see :class:`viewshed.networks.card.Runner`."""
         with self._evaluating():
-            x, m = self._tensor(inputs), self._tensor(masks)
+            x, m = self._tensor(inputs), self._tensor(self.card.shape.no_masks(len(inputs)) if masks is None else masks)
             x = x.expand(len(m), *x.shape[1:]) if len(x) == 1 else x
             prob: NDArray[np.float32] = torch.sigmoid(self._module(x, m))[:, 0].float().cpu().numpy()
             return prob

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from viewshed._numba import BLOCK, atan2, split
+from viewshed import _core
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
-from viewshed.preprocess.ego_vehicle import EGO_BOX_M, EGO_HEIGHTS_M, vehicle_heading
-from viewshed.preprocess.ground import estimate_ground, lattice_nodes
-from viewshed.preprocess.ground_plane import free_plane
+from viewshed.preprocess.ego_vehicle import vehicle_heading
+from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
 from viewshed.sweep import Sweep
@@ -48,11 +45,6 @@ Mask = NDArray[np.bool_]
 
 Floats = NDArray[np.float32]
 
-_NO_MASK = np.zeros(0, np.bool_)
-"""A mask of no returns, for compiled loops."""
-
-_NO_MASK.setflags(write=False)
-
 
 @dataclass(frozen=True, slots=True)
 class Held:
@@ -79,7 +71,7 @@ class LeveledSweep:
         range_m: (M,) float32 horizontal range from the sensor.
         azimuth: (M,) float32 radians in [-π, π), counter-clockwise from forward.
         height_m: (M,) float32 height above local ground.
-        rows: (M,) row of each point in the sweep.
+        rows: (M,) int32 row of each point in the sweep.
         level_from_sensor: the transform used.
         ground: the local ground.
         sensor_id: the rings and the sensor, the sweep's own or identified by its points.
@@ -93,7 +85,7 @@ class LeveledSweep:
     range_m: NDArray[np.float32]
     azimuth: NDArray[np.float32]
     height_m: NDArray[np.float32]
-    rows: NDArray[np.intp]
+    rows: NDArray[np.int32]
     level_from_sensor: Rigid
     ground: HeightMap
     sensor_id: SensorId = UNIDENTIFIED
@@ -116,17 +108,14 @@ class LeveledSweep:
 
         Those of rows of the sweep in ``left_out`` (N,) point straight up and meet nothing: removing them costs copies.
         """
-        mask = _NO_MASK if left_out is None else left_out
-        slope = _slopes(self.points, self.range_m, np.float32(self.sensor_height_m), mask, self.rows)
+        slope = _core.beam_slopes(self.points, self.range_m, self.sensor_height_m, left_out, self.rows)
         return Beams(self.azimuth, slope, self.range_m)
 
     def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
-        mask = np.zeros(grid.shape, np.bool_)
-        x0_m, y0_m, cells_per_m = np.array([*grid.origin_m, 1.0 / grid.cell_m], np.float32)
-        low_m, high_m = np.array(OBSTACLE_HEIGHTS_M, np.float32)
-        _mark_obstacles(self.points, self.height_m, x0_m, y0_m, cells_per_m, low_m, high_m, mask)
-        return mask
+        return _core.obstacle_cells(
+            self.points, self.height_m, *grid.origin_m, 1.0 / grid.cell_m, *OBSTACLE_HEIGHTS_M, grid.cells
+        )
 
 
 def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
@@ -142,13 +131,15 @@ def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     sensor_id = identify_sensor(sweep)
     # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
     image = range_image_by_sensor(sweep.points, sensor_id, range_limits(sweep))
-    isolated, clutter = _isolated_and_clutter(image, len(sweep))
+    isolated = np.zeros(len(sweep), np.bool_) if image is None else image.isolated
+    isolated.setflags(write=False)
     # 3. Attitude and ground, in the sensor's frame; then raise both until the ground below the sensor is at z = 0.
     rotation, ground = _attitude_and_ground(sweep, grid, isolated)
     height_m = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), LEAST_HEIGHT_M)
     ground = ground.raised(height_m)
     level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, height_m]))
     # 4. Level points, with their range, azimuth and height above the ground.
+    clutter = None if image is None else image.clutter
     points, range_m, azimuth, heights_m, rows = _level_points(sweep, clutter, level_from_sensor, ground)
     return LeveledSweep(
         sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground, sensor_id, image
@@ -184,15 +175,6 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
     return max(NULL_RANGE_M, sweep.model.min_range_m), sweep.model.max_range_m
 
 
-def _isolated_and_clutter(image: RangeImage | None, count: int) -> tuple[Mask, Mask]:
-    """Return the masks (N,) of isolated returns and of clutter; that of clutter has no element where there is none."""
-    if image is None:
-        none = np.zeros(count, np.bool_)
-        none.setflags(write=False)
-        return none, _NO_MASK
-    return image.isolated, _NO_MASK if image.clutter is None else image.clutter
-
-
 def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], HeightMap]:
     """Return the rotation (3, 3) from sensor to level, and the ground with the sensor at z = 0."""
     attitude = sweep.known_attitude
@@ -211,12 +193,9 @@ def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[N
 def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> HeightMap:
     """Return the ground over the extent of ``grid``, after a rotation (3, 3)."""
     half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
-    near_m, far_m = np.array(range_limits(sweep), np.float32)
-    lows_m, rise_m = lowest_returns(
-        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), lattice_nodes(half_m),
-        _vehicle_axis(sweep, rotation),
-    )  # fmt: skip
-    return estimate_ground(lows_m, rise_m, half_m, sweep.sensor_height_m)
+    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
+    limits_m, height_m = range_limits(sweep), sweep.sensor_height_m
+    return estimate_ground(sweep.points, isolated, rotation, limits_m, heading, half_m, height_m)
 
 
 def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:
@@ -225,7 +204,7 @@ def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | Non
     if ground.support < TILT_SUPPORT:
         # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
         returns = np.ascontiguousarray(sweep.points[:: max(len(sweep) // 2500, 1)])
-        steep, support = free_plane(returns)
+        steep, support = _core.free_plane(returns)
         if support < TILT_SUPPORT and _share_at_one_height(returns @ steep) < TILT_RETURNS:
             return None
         normal = steep.astype(np.float64)
@@ -247,253 +226,19 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([forward, np.cross(normal, forward), normal])
 
 
-def _vehicle_axis(sweep: Sweep, rotation: NDArray[np.float64]) -> Floats:
-    """Return the axis (2,) of the own vehicle in the level frame: cosine and sine of its heading."""
-    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
-    return np.array([np.cos(heading), np.sin(heading)], np.float32)
-
-
 def _level_points(
-    sweep: Sweep, clutter: Mask, level_from_sensor: Rigid, ground: HeightMap
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
+    sweep: Sweep, clutter: Mask | None, level_from_sensor: Rigid, ground: HeightMap
+) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.int32]]:
     """Return points (M, 3), range, azimuth, height above the ground and row in the sweep (M,) of returns that count."""
-    height_m = level_from_sensor.translation[2]
-    near_m, far_m = np.array(range_limits(sweep), np.float32)
-    has_ego = EGO_HEIGHTS_M[0] <= height_m <= EGO_HEIGHTS_M[1]
-    ego_x_m, ego_y_m = np.array(EGO_BOX_M if has_ego else (0.0, 0.0), np.float32)
-    points, range_m, azimuth, heights_m, rows = _level_columns(
+    columns = _core.level_points(
         sweep.points,
         clutter,
         level_from_sensor.as_matrix()[:3].astype(np.float32),
-        near_m,
-        far_m,
-        ego_x_m,
-        ego_y_m,
-        _vehicle_axis(sweep, level_from_sensor.rotation),
+        *range_limits(sweep),
+        vehicle_heading(sweep.points, level_from_sensor.rotation, sweep.vehicle_yaw),
         ground.heights_m,
-        np.float32(ground.half_extent_m),
+        ground.half_extent_m,
     )
-    for column in (points, range_m, azimuth, heights_m, rows):
+    for column in columns:
         column.setflags(write=False)
-    return points, range_m, azimuth, heights_m, rows
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lowest_returns(
-    points: Any, isolated: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, side: int, axis: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return each node's second-lowest point (side, side, 3), and the height from it up to the highest (side, side).
-
-    The lowest one where it is alone; +inf where a node has none. Points are turned first; isolated ones do not count.
-    """
-    # Of each node the two lowest heights and the points that they are of, and the greatest height.
-    lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
-    highest = np.full(side * side, -np.inf, np.float32)
-    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    nodes, heights = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32)
-    for start in range(0, points.shape[0], BLOCK):
-        count = split(points, start, x, y, z)
-        _nodes(x[:count], y[:count], z[:count], rotation, near_m, far_m, half_m, np.float32(side), axis, nodes, heights)
-        for n in range(count):
-            k = start + n
-            if nodes[n] < 0 or isolated[k]:
-                continue
-            node, low = np.uint32(nodes[n]), heights[n]
-            highest[node] = max(highest[node], low)
-            # Insert into the two lowest. Most points are higher than both.
-            if low <= lowest[node, 1] and _before(points, k, low, origin[node, 1], lowest[node, 1]):
-                rank = 1
-                if _before(points, k, low, origin[node, 0], lowest[node, 0]):
-                    lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
-                    rank = 0
-                lowest[node, rank], origin[node, rank] = low, k
-    return _low_points(points, rotation, lowest, origin, highest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _low_points(
-    points: Any, rotation: Any, lowest: Any, origin: Any, highest: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return the turned low point (side, side, 3) of each node, and the rise (side, side) from it to the highest."""
-    side = int(np.sqrt(highest.shape[0]))
-    lows, rise = np.full((side, side, 3), np.inf, np.float32), np.zeros((side, side), np.float32)
-    for node in range(highest.shape[0]):
-        rank = 1 if np.isfinite(lowest[node, 1]) else 0
-        if np.isfinite(lowest[node, rank]):
-            i, j, k = node // side, node % side, origin[node, rank]
-            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
-            lows[i, j, 0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-            lows[i, j, 1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-            lows[i, j, 2] = lowest[node, rank]
-            rise[i, j] = highest[node] - lowest[node, rank]
-    return lows, rise
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma: no cover - compiled
-    """Whether ``z`` is lower; among equals x and y decide, so that the order of the points does not."""
-    if z != low:
-        return z < low
-    if points[k, 0] != points[other, 0]:
-        return points[k, 0] < points[other, 0]
-    return points[k, 1] < points[other, 1]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(
-    xs: Any,
-    ys: Any,
-    zs: Any,
-    rotation: Any,
-    near_m: Any,
-    far_m: Any,
-    half_m: Any,
-    last: Any,
-    axis: Any,
-    nodes: Any,
-    heights: Any,
-) -> None:  # pragma: no cover - compiled
-    """Find the node (-1 where it is no candidate for ground) and the z of each point of a block.
-
-    No candidates: points outside or out of range, and those that may be the hood or roof of the vehicle below the
-    sensor. Without branches, so that it vectorizes.
-    """
-    nodes_per_m, side = last / (np.float32(2.0) * half_m), np.int32(last)
-    near2, far2 = near_m * near_m, far_m * far_m
-    xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    cos, sin = axis[0], axis[1]
-    hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
-    for k in range(xs.shape[0]):
-        px, py, pz = xs[k], ys[k], zs[k]
-        d2 = px * px + py * py + pz * pz
-        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
-        z = zx * px + zy * py + zz * pz
-        u, v = (x + half_m) * nodes_per_m, (y + half_m) * nodes_per_m
-        hood = (abs(cos * x + sin * y) < hood_x) & (abs(cos * y - sin * x) < hood_y) & (z > hood_z)
-        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
-        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
-        nodes[k] = i * side + j if inside else np.int32(-1)
-        heights[k] = z
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _level_columns(
-    points: Any,
-    clutter: Any,
-    transform: Any,
-    near_m: Any,
-    far_m: Any,
-    ego_x_m: Any,
-    ego_y_m: Any,
-    axis: Any,
-    ground: Any,
-    half_m: Any,
-) -> Any:  # pragma: no cover - compiled
-    """Transform, drop ego and null returns and clutter, and measure: points, range, azimuth, height above ground, rows.
-
-    ``clutter`` is a mask of the points, or has no element where there is none.
-    """
-    count = points.shape[0]
-    out = np.empty((count, 3), np.float32)
-    range_m, azimuth, height = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-    rows, kept = np.empty(count, np.int64), np.empty(BLOCK, np.bool_)
-    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    m = 0
-    for start in range(0, count, BLOCK):
-        size = split(points, start, x, y, z)
-        _transform(x[:size], y[:size], z[:size], transform, near_m, far_m, ego_x_m, ego_y_m, axis, kept)
-        if clutter.shape[0] > 0:
-            for k in range(size):
-                kept[k] &= not clutter[start + k]
-        # Close the gaps in the block: each point is written to where the next kept one belongs.
-        size_kept = 0
-        for k in range(size):
-            x[size_kept], y[size_kept], z[size_kept], rows[m + size_kept] = x[k], y[k], z[k], start + k
-            size_kept += kept[k]
-        _measure(
-            x[:size_kept], y[:size_kept], z[:size_kept], ground.reshape(-1), half_m, range_m[m:], azimuth[m:],
-            height[m:],
-        )  # fmt: skip
-        for k in range(size_kept):
-            out[m + k, 0], out[m + k, 1], out[m + k, 2] = x[k], y[k], z[k]
-        m += size_kept
-    return out[:m], range_m[:m], azimuth[:m], height[:m], rows[:m]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _transform(
-    xs: Any, ys: Any, zs: Any, transform: Any, near_m: Any, far_m: Any, ego_x_m: Any, ego_y_m: Any, axis: Any, kept: Any
-) -> None:  # pragma: no cover - compiled
-    """Turn and raise the points of a block in place, and mark those in range and outside the vehicle below."""
-    near2, far2 = near_m * near_m, far_m * far_m
-    xx, xy, xz = transform[0, 0], transform[0, 1], transform[0, 2]
-    yx, yy, yz = transform[1, 0], transform[1, 1], transform[1, 2]
-    cos, sin = axis[0], axis[1]
-    zx, zy, zz, up = transform[2, 0], transform[2, 1], transform[2, 2], transform[2, 3]
-    for k in range(xs.shape[0]):
-        px, py, pz = xs[k], ys[k], zs[k]
-        d2 = px * px + py * py + pz * pz
-        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
-        ego = (abs(cos * x + sin * y) < ego_x_m) & (abs(cos * y - sin * x) < ego_y_m)
-        kept[k] = (d2 >= near2) & (d2 <= far2) & (not ego)
-        xs[k], ys[k], zs[k] = x, y, zx * px + zy * py + zz * pz + up
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _measure(
-    xs: Any, ys: Any, zs: Any, ground: Any, half_m: Any, range_m: Any, azimuth: Any, height: Any
-) -> None:  # pragma: no cover - compiled
-    """Write range, azimuth and height above the ground (n · n) of each point of a block.
-
-    Positions on the ground's lattice come first, since a loop that looks up does not vectorize.
-    """
-    n = np.int32(np.sqrt(ground.shape[0]))
-    nodes_per_m, last = np.float32(n / (2.0 * half_m)), np.float32(n - 1.001)
-    node, right, below = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    for k in range(xs.shape[0]):
-        x, y = xs[k], ys[k]
-        range_m[k] = np.sqrt(x * x + y * y)
-        azimuth[k] = atan2(y, x)
-    for k in range(xs.shape[0]):
-        u = min(max((xs[k] + half_m) * nodes_per_m - np.float32(0.5), np.float32(0.0)), last)
-        v = min(max((ys[k] + half_m) * nodes_per_m - np.float32(0.5), np.float32(0.0)), last)
-        i, j = np.int32(u), np.int32(v)
-        below[k], right[k] = u - np.float32(i), v - np.float32(j)
-        node[k] = i * n + j
-    for k in range(xs.shape[0]):
-        at, under = np.uint32(node[k]), np.uint32(node[k] + n)
-        low = ground[at] + (ground[at + np.uint32(1)] - ground[at]) * right[k]
-        high = ground[under] + (ground[under + np.uint32(1)] - ground[under]) * right[k]
-        height[k] = zs[k] - low - (high - low) * below[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slopes(
-    points: Any, range_m: Any, sensor_height_m: Any, left_out: Any, rows: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return rise over range (M,) from the sensor to points; +inf for those whose row is ``left_out``.
-
-    ``left_out`` is a mask of the rows, or has no element where there is none.
-    """
-    slope = np.empty(points.shape[0], np.float32)
-    for k in range(points.shape[0]):
-        slope[k] = (points[k, 2] - sensor_height_m) / max(range_m[k], np.float32(1e-3))
-    if left_out.shape[0] > 0:
-        for k in range(points.shape[0]):
-            slope[k] = np.float32(np.inf) if left_out[np.uint64(rows[k])] else slope[k]
-    return slope
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mark_obstacles(
-    points: Any, height: Any, x0_m: Any, y0_m: Any, cells_per_m: Any, low_m: Any, high_m: Any, mask: Any
-) -> None:  # pragma: no cover - compiled
-    """Mark the cells that hold a return between two heights above local ground."""
-    cells = mask.shape[0]
-    for k in range(points.shape[0]):
-        if height[k] > low_m and height[k] < high_m:
-            u, v = (points[k, 0] - x0_m) * cells_per_m, (points[k, 1] - y0_m) * cells_per_m
-            if u >= 0.0 and v >= 0.0 and u < cells and v < cells:
-                mask[int(u), int(v)] = True
+    return columns

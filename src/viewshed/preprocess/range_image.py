@@ -5,10 +5,10 @@ counter-clockwise.
 
 A return is isolated if no neighboring pixel has a similar range (ratio < 1.25). A surface that a beam meets is met by
 some of the beams beside it as well, unless it is thinner than the gaps between them or seen through a hole. So an
-isolated return proves neither a surface nor a free way to it: it may be noise, rain, light of another sensor, or a point
-that somebody put there. Of a sweep in clear air they are about one return in 200. Where they are many, in snow, fog or
-under jamming, chance makes random returns similar: then several of those around a return must confirm it, or it is
-clutter.
+isolated return proves neither a surface nor a free way to it: it may be noise, rain, light of another sensor, or a
+point that somebody put there. Of a sweep in clear air they are about one return in 200. Where they are many, in snow,
+fog or under jamming, chance makes random returns similar: then several of those around a return must confirm it, or it
+is clutter.
 """
 
 from __future__ import annotations

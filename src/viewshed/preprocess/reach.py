@@ -10,21 +10,27 @@ from numpy.typing import NDArray
 from viewshed.sensors import LidarModel
 
 LEAST_REACH_M = 20.0
-"""Least reach of a sensor that no table describes: small rooms do not show how far it sees."""
+"""Least reach of a sensor that no table describes."""
 
 BULK_SHARE, REACH_TIMES = 0.9, 2.5
-"""Without a table the reach is so many times the range within which this share of the supported returns lies."""
+"""What the returns show: so many times the range within which this share of the supported ones lies."""
+
+USUAL_REACH_M = 65.0
+"""How far a sensor sees that nothing is known of: about the median of the training set in the wild."""
 
 
 def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: LidarModel | None = None) -> float:
     """Return up to which range in meters a sensor sees a dark target.
 
-    The table's own reach. Where the sensor is not known, or its table has none: 2.5 times the 90 % quantile of the
-    supported returns, at least 20 m, and within the table's maximum range. On sensors drawn at random that is about as
-    far as they see a target of 10 % reflectivity.
+    The table's own reach. Where the sensor is not known, or its table has none: the geometric mean of what its returns
+    show, counted once, and of the usual reach, counted twice; at least 20 m, and within the table's maximum range.
 
-    In a cloud of 35,000 returns, 150 returns more or fewer are 0.4 %: they would decide on the 99.5 % quantile, and
-    hardly move the 90 % quantile.
+    Returns show 2.5 times the range within which 90 % of the supported ones lie. They tell of the place more than of
+    the sensor: from an embankment whose fields give few returns they show 20 m, from an open field 150 m. The mean is
+    44 m for the one and 86 m for the other.
+
+    In a cloud of 35,000 returns, 150 returns more or fewer are 0.4 %: they would decide on the 99.5 % quantile, hardly
+    move the 90 % quantile, and its cube root a third as much.
 
     Args:
         range_m: (N,) distance of each return from the sensor.
@@ -42,7 +48,8 @@ def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: Lid
     supported = supported[supported <= most_m]
     if len(supported) == 0:
         return min(LEAST_REACH_M, most_m)
-    return float(min(max(LEAST_REACH_M, REACH_TIMES * np.quantile(supported, BULK_SHARE)), most_m))
+    shown_m = REACH_TIMES * np.quantile(supported, BULK_SHARE)
+    return float(min(max(LEAST_REACH_M, np.cbrt(shown_m * USUAL_REACH_M**2)), most_m))
 
 
 def returns_beyond(points: NDArray[np.float32], model: LidarModel | None) -> int:

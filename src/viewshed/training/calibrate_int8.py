@@ -105,10 +105,7 @@ def _check(config: TrainConfig, runner: OnnxRunner) -> None:
 def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample]) -> QuantizationCost:
     scores, differences, flipped = (Scores(), Scores()), [], []
     for frame in frames:
-        probs = [
-            runner.run(runner.card.shown(frame.maps)[None], runner.card.shape.no_masks(1))[0]
-            for runner in (whole, small)
-        ]
+        probs = [runner.run(runner.card.shown(frame.maps)[None])[0] for runner in (whole, small)]
         for score, prob in zip(scores, probs, strict=True):
             score.add(prob[frame.known], frame.visible[frame.known])
         masks = [prob >= np.float32(whole.card.threshold) for prob in probs]

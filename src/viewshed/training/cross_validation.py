@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import viewshed
+from viewshed._extras import needed_for
 from viewshed._files import append_jsonl, is_begun
 from viewshed._page import facts, page, table
 from viewshed.training.config import TrainConfig, current_keys, differing_keys
@@ -249,10 +250,8 @@ def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) 
 
 
 def _optuna() -> Any:
-    try:
+    with needed_for("--sampler optuna"):
         import optuna
-    except ImportError as error:
-        raise ImportError(f"--sampler optuna needs optuna ({error}); pip install 'viewshed[train]'") from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
 

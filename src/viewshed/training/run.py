@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from viewshed._extras import needed_for
 from viewshed.training.config import TrainConfig
 from viewshed.training.data import Fold, check_data, prepare
 from viewshed.training.log import CHECKPOINT, WEIGHTS, Epoch, Machines, OnProgress, Step, best_of
@@ -91,8 +92,6 @@ def train(
 
 def require_torch() -> None:
     """Check that what training needs is installed."""
-    try:
+    with needed_for("training"):
         import lightning  # noqa: F401
         import torch  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"training needs torch and lightning ({error}); pip install 'viewshed[train]'") from error

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
+from viewshed._extras import needed_for
 from viewshed.datasets.archive.columns import BLOBS, TOUCHED, Row, row_of_sample, sample_of_row
 from viewshed.datasets.archive.schema import REPAIR, Footer, Layout, Sensors, ShardFacts, check_version, reading
 from viewshed.datasets.archive.storage import Storage
@@ -41,9 +42,9 @@ def write_shard(store: Storage, name: str, samples: Iterable[Sample]) -> ShardFa
 
 def _encode(first: Sample, rest: Iterable[Sample]) -> tuple[bytes, int]:
     """Return a Parquet file of samples, and how many they are; one is in memory at a time."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    with needed_for("a data set in an archive"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
     sink, layout, sensors, count = pa.BufferOutputStream(), Layout.of(first.truth), Sensors(), 0
     names = (*BLOBS, TOUCHED) if first.tampered is not None else BLOBS
     schema = pa.schema([("about", pa.string()), *((name, pa.binary()) for name in names)])

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
+from viewshed._extras import needed_for
 from viewshed._files import write_atomic
 from viewshed.io._input import one_line
 
@@ -147,8 +148,8 @@ class Storage:
         self.delete(*(name for name in self._listed() if _is_draft(name)))
 
     def _listed(self) -> list[str]:
-        import pyarrow.fs as pafs
-
+        with needed_for("a data set in an archive"):
+            import pyarrow.fs as pafs
         root = _opened(self.uri)[1]
         with _named(self, ""):
             infos = self._files.get_file_info(pafs.FileSelector(root, recursive=True, allow_not_found=True))
@@ -168,8 +169,8 @@ class Storage:
 
 @lru_cache(maxsize=64)
 def _opened(uri: str) -> tuple[pafs.FileSystem, str]:
-    import pyarrow.fs as pafs
-
+    with needed_for("a data set in an archive"):
+        import pyarrow.fs as pafs
     try:
         files, root = pafs.FileSystem.from_uri(uri)
     except (ValueError, OSError) as error:  # pyarrow.ArrowInvalid is a ValueError
@@ -185,8 +186,8 @@ def _is_draft(name: str) -> bool:
 @contextlib.contextmanager
 def _named(store: Storage, name: str) -> Iterator[None]:
     """Give an OSError one line that names the place and, where we know it, the repair; its type and errno stay."""
-    import pyarrow as pa
-
+    with needed_for("a data set in an archive"):
+        import pyarrow as pa
     where = f"{store.place}/{name}" if name else store.place
     try:
         yield

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from viewshed._extras import needed_for
 from viewshed.io._input import open_input
 
 _BYTES_MAX = 4_000_000
@@ -54,10 +55,8 @@ def read_yaml(path: Path) -> Any:
 
 def load_pyyaml() -> Any:
     """Return PyYAML; an ImportError where the extra ``opv2v`` is not installed."""
-    try:
+    with needed_for("reading OPV2V"):
         import yaml
-    except ImportError as error:
-        raise ImportError("OPV2V needs PyYAML: pip install 'viewshed[opv2v]'") from error
     return yaml
 
 

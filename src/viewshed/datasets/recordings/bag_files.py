@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, Protocol
 
+from viewshed._extras import needed_for
 from viewshed.io._input import MAX_RATIO, inside, one_line, unpack_limit
 from viewshed.io.formats import BAG_SUFFIXES
 
@@ -98,7 +99,7 @@ def open_bag(root: Path, path: Path) -> BagFile:
     if path.is_dir():
         return FolderBag(root, path)
     packed = path.name.lower().endswith(_PACKED)
-    stream: BinaryIO = io.BytesIO(_unzstd(path.read_bytes())) if packed else path.open("rb")
+    stream: BinaryIO = io.BytesIO(_unpacked_zstd(path.read_bytes())) if packed else path.open("rb")
     budget = _UnpackBudget.of(path.stat().st_size)
     head = stream.read(16)
     stream.seek(0)
@@ -371,20 +372,47 @@ def _reader_of(content: bytes) -> Read:
 
 def _unpack(packed: bytes, packing: str, size: int, at: int) -> bytes:
     """Return the bytes of a chunk, ``size`` of them and never more."""
-    import pyarrow as pa
-
-    if packing not in {"", "lz4", "zstd", "bz2"}:
+    if packing not in _UNPACKERS:
         raise ValueError(f"has a chunk packed as {packing!r}, which is not read")
     try:
-        if packing == "bz2":
-            content = bz2.BZ2Decompressor().decompress(packed, size + 1)
-        else:
-            content = packed if not packing else pa.Codec(packing).decompress(packed, size, asbytes=True)
-    except (OSError, ValueError, MemoryError) as error:
+        content = _UNPACKERS[packing](packed, size + 1)
+    except (OSError, EOFError, ValueError, MemoryError) as error:
         raise ValueError(f"is damaged: the chunk at byte {at} does not unpack: {error}") from error
     if len(content) != size:
-        raise ValueError(f"is damaged: the chunk at byte {at} unpacks to {len(content)} bytes, not {size}")
-    return bytes(content)
+        length = str(len(content)) if len(content) < size else "more"
+        raise ValueError(f"is damaged: the chunk at byte {at} unpacks to {length} bytes, not {size}")
+    return content
+
+
+def _stored(packed: bytes, limit: int) -> bytes:
+    return packed
+
+
+def _bunzip2(packed: bytes, limit: int) -> bytes:
+    return bz2.BZ2Decompressor().decompress(packed, limit)
+
+
+def _unlz4(packed: bytes, limit: int) -> bytes:
+    with needed_for("reading a bag packed by lz4"):
+        from lz4.frame import LZ4FrameDecompressor
+    try:
+        return bytes(LZ4FrameDecompressor().decompress(packed, limit))
+    except RuntimeError as error:  # all that it raises
+        raise ValueError(str(error)) from error
+
+
+def _unzstd(packed: bytes, limit: int) -> bytes:
+    with needed_for("reading a bag packed by zstd"):
+        import zstandard
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as stream:
+            return bytes(stream.read(limit))
+    except zstandard.ZstdError as error:
+        raise ValueError(str(error)) from error
+
+
+_UNPACKERS = {"": _stored, "bz2": _bunzip2, "lz4": _unlz4, "zstd": _unzstd}
+"""What unpacks a chunk to at most so many bytes, by the name of the packing."""
 
 
 class SqliteBag:
@@ -454,17 +482,15 @@ class SqliteBag:
             row = self._base.execute("SELECT data FROM messages WHERE id = ?", (int(where),)).fetchone()
         if row is None or not isinstance(row[0], bytes):
             raise ValueError(f"is damaged: message {where} is no bytes")
-        return _unzstd(row[0]) if row[0][:4] == _ZSTD_MAGIC else row[0]  # rosbag2 may pack each message
+        return _unpacked_zstd(row[0]) if row[0][:4] == _ZSTD_MAGIC else row[0]  # rosbag2 may pack each message
 
 
-def _unzstd(packed: bytes) -> bytes:
-    import pyarrow as pa
-
+def _unpacked_zstd(packed: bytes) -> bytes:
+    """Return what a file or a message holds, whose unpacked length nobody tells."""
     limit = unpack_limit(len(packed))
     try:
-        with pa.CompressedInputStream(pa.py_buffer(packed), "zstd") as stream:
-            content = bytes(stream.read(limit + 1))
-    except OSError as error:
+        content = _unzstd(packed, limit + 1)
+    except (ValueError, MemoryError) as error:
         raise ValueError(f"is damaged: its zstd content does not unpack: {error}") from error
     if len(content) > limit:
         raise ValueError(f"unpacks to more than {limit} bytes; refused (a file is unpacked with: zstd -d)")

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from viewshed._extras import needed_for
 from viewshed.datasets.recordings.bag_files import BagFile, Message, bags_in, open_bag
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage
 from viewshed.datasets.recordings.tf_tree import WORLDS, TransformBuffer
@@ -36,10 +37,8 @@ _ODOMETRY_CHILD = "base_link"
 @lru_cache(maxsize=2)
 def decoder(encoding: str) -> Callable[[bytes, str], Any]:
     """Return what turns the bytes of a message and the name of its type into an object."""
-    try:
+    with needed_for("reading a bag"):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        raise ImportError("bags need rosbags: pip install 'viewshed[bags]'") from error
     if encoding == "ros1":
         store = get_typestore(Stores.ROS1_NOETIC)
         if TF not in store.types:

@@ -156,11 +156,11 @@ def _trade(job: Job[PaperPlan]) -> JobResult:
 
 def _latency_ms(network: NetworkAlone, sweep: Sweep, repeats: int) -> float:
     """Return the median time of one pass through the network in milliseconds, its input made already."""
-    inputs, masks = network.card.input_of(sweep)[None], network.card.shape.no_masks(1)
+    inputs = network.card.input_of(sweep)[None]
     times = []
     for _ in range(repeats + 1):
         start = time.perf_counter()
-        network.runner.run(inputs, masks)
+        network.runner.run(inputs)
         times.append(1e3 * (time.perf_counter() - start))
     return median(times[1:])
 

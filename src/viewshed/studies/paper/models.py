@@ -88,7 +88,7 @@ class NetworkAlone(ClassicalEstimator):
         checked_history(self, leveled, history)
         inputs, state = self.card.input_of(leveled.sweep), np.zeros(self.grid.shape, np.uint8)
         if self.passes == 1:
-            return FovEstimate(self.grid, self.runner.run(inputs[None], self.card.shape.no_masks(1))[0], state)
+            return FovEstimate(self.grid, self.runner.run(inputs[None])[0], state)
         mean, std = mean_and_std(self.runner, inputs, self.passes, generator(self.seed, "masks"))
         return FovEstimate(self.grid, mean, state, std)
 

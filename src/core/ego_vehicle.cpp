@@ -1,0 +1,133 @@
+#include "ego_vehicle.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <numbers>
+#include <vector>
+
+#include "parallel.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// Returns of hood and trunk: from this horizontal range on, so far below the sensor, and above any ground.
+constexpr float NEAR_M = 1.2f, BELOW_M = 0.05f;
+constexpr int FEWEST = 40;
+
+// Least concentration of the doubled azimuths of these returns: they lie ahead and behind, not all around.
+constexpr double ALONG = 0.4;
+
+// So many of them lie in the turned box, and so many at each of its ends: a car beside lies at one side alone, ...
+constexpr double INSIDE = 0.9, BOTH_ENDS = 0.15;
+
+// ... unless so many returns are nearer still: then the sensor sees the roof that it stands on, ...
+constexpr int ROOF = 200;
+
+// ... and the returns at the one end spread so far across (root mean square): a person beside does not.
+constexpr double WIDE_M = 0.3;
+
+// At most so many returns, of these, are as near but higher: a wall is higher than the sensor, a hood is not.
+constexpr double MOST_ABOVE = 0.2;
+
+// Headings within this of the sensor's x axis are taken as along it.
+constexpr double ALIGNED = 20.0 * std::numbers::pi / 180.0;
+
+// Points of a part that is worth a thread.
+constexpr std::size_t PART = 32768;
+
+// Points (3, BLOCK) in a level frame, and which of them are near.
+struct Block {
+    float x[BLOCK], y[BLOCK], z[BLOCK];
+    std::uint8_t is_near[BLOCK];
+};
+
+// Turn the points of a block and mark those near the sensor and above any ground; return how many there are.
+MULTIVERSION int turn_block(const float* points, std::size_t count, const float* rotation, Block& block) {
+    constexpr float far2 = float(EGO_LENGTH_M * EGO_LENGTH_M), lowest = float(-LEAST_EGO_HEIGHT_M);
+    int near = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float px = points[3 * k], py = points[3 * k + 1], pz = points[3 * k + 2];
+        const float x = rotation[0] * px + rotation[1] * py + rotation[2] * pz;
+        const float y = rotation[3] * px + rotation[4] * py + rotation[5] * pz;
+        const float z = rotation[6] * px + rotation[7] * py + rotation[8] * pz;
+        const bool is_near = (x * x + y * y < far2) & (z > lowest);
+        block.x[k] = x, block.y[k] = y, block.z[k] = z;
+        block.is_near[k] = is_near;
+        near += is_near;
+    }
+    return near;
+}
+
+// What a part of the points has of returns near the sensor: on the roof, higher than a hood, and of hood and trunk.
+struct NearReturns {
+    int roof = 0, above = 0;
+    std::vector<std::array<float, 2>> hood;  // x and y
+};
+
+void collect_near(const Block& block, std::size_t count, NearReturns& found) {
+    for (std::size_t k = 0; k < count; ++k) {
+        if (!block.is_near[k]) continue;
+        const float x = block.x[k], y = block.y[k], z = block.z[k];
+        if (x * x + y * y < NEAR_M * NEAR_M) {
+            found.roof += z < -BELOW_M;
+        } else if (z >= -BELOW_M) {
+            ++found.above;
+        } else {
+            found.hood.push_back({x, y});
+        }
+    }
+}
+
+NearReturns find_near(View2<const float> points, View2<const float> rotation) {
+    const std::size_t parts = count_parts(points.rows, PART);
+    std::vector<NearReturns> found(parts);
+    for_ranges(points.rows, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
+        Block block;
+        for (std::size_t start = begin; start < end; start += BLOCK) {
+            const std::size_t count = std::min(BLOCK, end - start);
+            if (turn_block(points[start], count, rotation.data, block)) collect_near(block, count, found[part]);
+        }
+    });
+    // Together, in the order of the points.
+    for (std::size_t part = 1; part < parts; ++part) {
+        found[0].roof += found[part].roof;
+        found[0].above += found[part].above;
+        found[0].hood.insert(found[0].hood.end(), found[part].hood.begin(), found[part].hood.end());
+    }
+    return std::move(found[0]);
+}
+
+}  // namespace
+
+double vehicle_heading(View2<const float> points, View2<const float> rotation) {
+    // 1. The mean of the doubled azimuths of hood and trunk: cos 2a = (x² - y²) / r², sin 2a = 2 x y / r².
+    const NearReturns near = find_near(points, rotation);
+    const double count = double(near.hood.size());
+    double cosine = 0.0, sine = 0.0;
+    for (const auto [x, y] : near.hood) {
+        const float r2 = x * x + y * y;
+        cosine += double((x * x - y * y) / r2);
+        sine += double(2.0f * x * y / r2);
+    }
+    if (count < FEWEST || std::hypot(cosine, sine) < ALONG * count) return 0.0;
+    const double heading = 0.5 * std::atan2(sine, cosine);
+    if (std::fabs(heading) < ALIGNED) return 0.0;
+    // 2. They must fill a box with that heading, at both of its ends or below a roof.
+    const float cos = float(std::cos(heading)), sin = float(std::sin(heading));
+    int ahead = 0, behind = 0;
+    double across2 = 0.0;
+    for (const auto [x, y] : near.hood) {
+        const float along = cos * x + sin * y, across = cos * y - sin * x;
+        across2 += double(across * across);
+        if (std::fabs(across) < float(EGO_WIDTH_M)) ++(along > 0.0f ? ahead : behind);
+    }
+    const bool is_hood = near.roof >= ROOF && across2 >= WIDE_M * WIDE_M * count;
+    const bool has_ends = is_hood || std::min(ahead, behind) >= BOTH_ENDS * count;
+    const bool is_vehicle = has_ends && ahead + behind >= INSIDE * count && near.above <= MOST_ABOVE * count;
+    return is_vehicle ? heading : 0.0;
+}
+
+}  // namespace viewshed

@@ -1,0 +1,389 @@
+#include "ground_fill.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "parallel.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// Standard deviation where returns lie on the ground.
+constexpr float SEEN_STD_M = 0.05f;
+
+// Doubt of a node's height per meter of its side; the least doubt per meter beyond the last return of a direction.
+constexpr double GROWTH = 0.015;
+constexpr float BEYOND_GROWTH = 0.01f;
+
+// Where the ground before and behind a gap differs by more than twice this, it may be as high as either.
+constexpr float STEP_M = 0.3f;
+
+// Where so large a share of what is seen lies this far below the carrier's plane, the land has a lower level.
+constexpr float LOWER_LEVEL_M = 1.0f;
+constexpr double LOWEST_SHARE = 0.05;
+
+// Beyond the last return of a direction the ground may fall to that level: it is taken half way, by this slope.
+constexpr float FALL = 0.03f;
+
+// Between two returns of a direction ground lies between their heights, to this slope from the nearer one.
+constexpr float GAP_SLOPE = 0.02f;
+
+// Ground this far above or below the carrier's plane is a level of its own, which another direction must confirm.
+constexpr float LEVEL_M = 0.3f;
+
+// It does if its own ground is as high to within this, and this slope across, at about the same range and so many sectors
+// away (13° to 56°): a wedge cannot confirm itself.
+constexpr float CONFIRM_M = 0.4f, CONFIRM_SLOPE = 0.02f;
+constexpr int CONFIRM_FROM = 9, CONFIRM_TO = 40;
+
+// Weight of the carrier's plane where returns show a level that no other direction confirms, and in the nodes below the
+// sensor, which no beam meets.
+constexpr float UNCONFIRMED_WEIGHT = 0.1f, BLIND_WEIGHT = 0.9f;
+
+// Sectors to either side of the turn that profiles repeat: half the width of the nearest node, and the confirming ones.
+constexpr int MARGIN = 96;
+constexpr int WIDTH = SECTORS + 2 * MARGIN;
+
+// Nodes of a part that is worth a thread.
+constexpr std::size_t PART = 8192;
+
+constexpr float NONE = std::numeric_limits<float>::quiet_NaN();
+
+// Known heights over the base by range in nodes and sector (bins, SECTORS), NaN for none; and the base there.
+struct Profiles {
+    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, NONE), base(b * SECTORS) {}
+    std::size_t bins;
+    Buffer<float> seen, base;
+};
+
+// The base is the carrier's plane that levels off.
+void find_base(const Lattice& lattice, const Plane& carrier, View1<float> base) {
+    const std::size_t n = lattice.nodes;
+    for (std::size_t i = 0; i < n; ++i) {
+        const float along = lattice.middle_m[i] * carrier[0];
+        const float *fade = &lattice.fade[i * n], *y = lattice.middle_m.data();
+        for (std::size_t j = 0; j < n; ++j) base[i * n + j] = (along + y[j] * carrier[1]) * fade[j] + carrier[2];
+    }
+}
+
+// Of several nodes in a bin the lowest counts: what lies above it may stand on it.
+Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const float> base,
+                       View1<const bool> known) {
+    Profiles profiles(lattice.bins);
+    for (std::size_t at = 0; at < lattice.size(); ++at) {
+        if (!known[at]) continue;
+        const std::size_t row = std::size_t(lattice.bin[at]) * SECTORS;
+        // A node covers every sector that it lies in.
+        for (int k = lattice.first[at]; k <= lattice.last[at]; ++k) {
+            const std::size_t cell = row + std::size_t(k & (SECTORS - 1));
+            if (profiles.seen[cell] <= above[at]) continue;
+            profiles.seen[cell] = above[at];
+            profiles.base[cell] = base[at];
+        }
+    }
+    return profiles;
+}
+
+// Whether one of the heights of `count` sectors is about as high.
+INLINE bool has_level(const float* seen, int count, float level, float tolerance) {
+    int found = 0;
+    for (int k = 0; k < count; ++k) found |= std::fabs(seen[k] - level) < tolerance;
+    return found != 0;
+}
+
+// Whether ground about as high over the base is seen on a side of sector `at`, at about this range in nodes. Rows of the
+// profiles (bins, WIDTH) repeat MARGIN sectors of the turn on either side.
+MULTIVERSION bool confirms(const float* wide, int bins, int at, float range, float level, float node_m) {
+    const int about = 2 + int(range) / 8;
+    const float across_m = range * node_m * float(CONFIRM_FROM * 2 * 3.14159265358979323846 / SECTORS);
+    const float tolerance = CONFIRM_M + CONFIRM_SLOPE * across_m;
+    const int first = CONFIRM_FROM + int(2 * half_width(range));  // near the sensor a node is as wide as some sectors
+    const int count = CONFIRM_TO - CONFIRM_FROM, last = first + count - 1;
+    for (int b = std::max(int(range) - about, 1); b < std::min(int(range) + about + 1, bins); ++b) {
+        const float* row = wide + std::size_t(b) * WIDTH + MARGIN + at;
+        if (has_level(row - last, count, level, tolerance) || has_level(row + first, count, level, tolerance)) return true;
+    }
+    return false;
+}
+
+void find_unconfirmed(const Lattice& lattice, View1<const float> above, View1<const bool> accepted,
+                      const Profiles& profiles, View1<bool> alone) {
+    Buffer<float> wide(profiles.bins * WIDTH);
+    for (std::size_t b = 0; b < profiles.bins; ++b) {
+        const float* row = &profiles.seen[b * SECTORS];
+        float* out = &wide[b * WIDTH];
+        std::copy_n(row + SECTORS - MARGIN, MARGIN, out);
+        std::copy_n(row, SECTORS, out + MARGIN);
+        std::copy_n(row, MARGIN, out + MARGIN + SECTORS);
+    }
+    for (std::size_t at = 0; at < lattice.size(); ++at) {
+        alone[at] = accepted[at] && std::fabs(above[at]) > LEVEL_M &&
+                    !confirms(wide.data(), int(profiles.bins), int(lattice.azimuth[at]) % SECTORS,
+                              lattice.range_nodes[at], above[at], float(lattice.node_m));
+    }
+}
+
+// Mean, weight in [0, 1] and variance (n, n) of the nodes of one size.
+struct Level {
+    std::size_t n;
+    float *mean, *weight, *variance;
+};
+
+// Average each two by two nodes into the coarse ones, with the variance of all, plus `doubt`.
+MULTIVERSION void pull(const Level& fine, float doubt, const Level& coarse) {
+    const std::size_t n = fine.n, half = coarse.n;
+    for (std::size_t p = 0; p < half; ++p) {
+        float *mean = coarse.mean + p * half, *weight = coarse.weight + p * half, *variance = coarse.variance + p * half;
+        for (std::size_t q = 0; q < half; ++q) mean[q] = weight[q] = variance[q] = 0.0f;
+        for (std::size_t i = 2 * p; i < std::min(2 * p + 2, n); ++i) {
+            const float *w = fine.weight + i * n, *z = fine.mean + i * n, *s = fine.variance + i * n;
+            for (std::size_t q = 0; q < n / 2; ++q) {
+                const float w0 = w[2 * q], w1 = w[2 * q + 1], z0 = z[2 * q], z1 = z[2 * q + 1];
+                weight[q] = weight[q] + w0 + w1;
+                mean[q] = mean[q] + w0 * z0 + w1 * z1;
+                variance[q] = variance[q] + w0 * (s[2 * q] + z0 * z0) + w1 * (s[2 * q + 1] + z1 * z1);
+            }
+            if (n % 2 == 1) {
+                const std::size_t j = n - 1, q = half - 1;
+                weight[q] += w[j];
+                mean[q] += w[j] * z[j];
+                variance[q] += w[j] * (s[j] + z[j] * z[j]);
+            }
+        }
+        for (std::size_t q = 0; q < half; ++q) {
+            const float w = weight[q], per = w > 0.0f ? w : 1.0f;
+            const float m = w > 0.0f ? mean[q] / per : mean[q];
+            const float spread = variance[q] / per - m * m;
+            mean[q] = m;
+            variance[q] = (w > 0.0f ? (spread > 0.0f ? spread : 0.0f) : variance[q]) + doubt;
+            weight[q] = w < 1.0f ? w : 1.0f;
+        }
+    }
+}
+
+// Fill what the weight of each node lacks from the coarse nodes around it, bilinear. Node i lies at i / 2 - 1/4 of them.
+MULTIVERSION void push(const Level& coarse, const Level& fine) {
+    const std::size_t n = fine.n, half = coarse.n, last = half - 1;
+    for (std::size_t i = 0; i < n; ++i) {
+        const float u = std::min(std::max(0.5f * float(i) - 0.25f, 0.0f), float(last));
+        const std::size_t p = std::size_t(u), below = std::min(p + 1, last);
+        const float fu = u - float(p);
+        const float *mp = coarse.mean + p * half, *mb = coarse.mean + below * half;
+        const float *vp = coarse.variance + p * half, *vb = coarse.variance + below * half;
+        float *mean = fine.mean + i * n, *weight = fine.weight + i * n, *variance = fine.variance + i * n;
+        const auto mix = [&](std::size_t j, std::size_t q, std::size_t right, float fv) {
+            const float a = (1.0f - fu) * (1.0f - fv), b = (1.0f - fu) * fv, c = fu * (1.0f - fv), d = fu * fv;
+            const float z = a * mp[q] + b * mp[right] + (c * mb[q] + d * mb[right]);
+            const float s = a * vp[q] + b * vp[right] + (c * vb[q] + d * vb[right]);
+            const float w = weight[j], rest = 1.0f - w;
+            mean[j] = w < 1.0f ? w * mean[j] + rest * z : mean[j];
+            variance[j] = w < 1.0f ? w * variance[j] + rest * s : variance[j];
+        };
+        mix(0, 0, std::min<std::size_t>(1, last), 0.0f);
+        // Two nodes at a time lie between the same two coarse ones.
+        for (std::size_t q = 0; q + 1 < half; ++q) {
+            mix(2 * q + 1, q, q + 1, 0.25f);
+            mix(2 * q + 2 < n ? 2 * q + 2 : 2 * q + 1, q, q + 1, 0.75f);
+        }
+        if (n % 2 == 0 && n > 1) mix(n - 1, last, last, 0.0f);
+    }
+}
+
+// Draw nodes without weight to the mean of the four beside them, to and fro: straight lines between returns.
+//
+// Each node takes two neighbors that are drawn already and two that are not. Nodes on a diagonal do not depend on each other,
+// so that diagonals, as rows of an array, are drawn one after the other by vectors.
+MULTIVERSION void smooth_diagonals(float* mean, const float* lacking, std::size_t n) {
+    const auto draw = [&](std::size_t d) {
+        const std::size_t begin = d > n - 2 ? d - (n - 2) : 1, end = std::min(n - 2, d - 1) + 1;
+        float* here = mean + d * n;
+        const float *before = mean + (d - 1) * n, *after = mean + (d + 1) * n, *lack = lacking + d * n;
+        for (std::size_t i = begin; i < end; ++i) {
+            const float around = 0.25f * (before[i - 1] + after[i + 1] + before[i] + after[i]);
+            here[i] += lack[i] * (around - here[i]);
+        }
+    };
+    for (std::size_t d = 2; d <= 2 * n - 4; ++d) draw(d);
+    for (std::size_t d = 2 * n - 4; d >= 2; --d) draw(d);
+}
+
+void smooth(const Level& level, Buffer<float>& scratch) {
+    const std::size_t n = level.n;
+    if (n < 3) return;
+    constexpr std::size_t BLOCK_ROWS = 16;  // rows at a time, so that their diagonals stay in the nearest memory
+    float *mean = scratch.data(), *lacking = mean + 2 * n * n;
+    for (std::size_t start = 0; start < n; start += BLOCK_ROWS) {
+        const std::size_t end = std::min(start + BLOCK_ROWS, n);
+        for (std::size_t j = 0; j < n; ++j) {
+            for (std::size_t i = start; i < end; ++i) {
+                mean[(i + j) * n + i] = level.mean[i * n + j];
+                lacking[(i + j) * n + i] = 1.0f - level.weight[i * n + j];
+            }
+        }
+    }
+    smooth_diagonals(mean, lacking, n);
+    for (std::size_t start = 1; start < n - 1; start += BLOCK_ROWS) {
+        const std::size_t end = std::min(start + BLOCK_ROWS, n - 1);
+        for (std::size_t j = 1; j < n - 1; ++j) {
+            for (std::size_t i = start; i < end; ++i) level.mean[i * n + j] = mean[(i + j) * n + i];
+        }
+    }
+}
+
+// Fill nodes without weight from the level of nodes twice as large, which is filled first.
+void fill(const Level& level, double node_m, Buffer<float>& scratch) {
+    const std::size_t half = (level.n + 1) / 2;
+    Buffer<float> values(3 * half * half);
+    const Level coarse{half, values.data(), values.data() + half * half, values.data() + 2 * half * half};
+    pull(level, float((GROWTH * node_m) * (GROWTH * node_m)), coarse);
+    if (half > 1) fill(coarse, 2.0 * node_m, scratch);
+    push(coarse, level);
+    smooth(level, scratch);
+}
+
+// How far below the base heights over it show a lower level, 0 for none.
+float find_lower_level(std::vector<float> above_m) {
+    if (above_m.empty()) return 0.0f;
+    const auto k = above_m.begin() + std::ptrdiff_t(LOWEST_SHARE * double(above_m.size()));
+    std::nth_element(above_m.begin(), k, above_m.end());
+    return -*k > LOWER_LEVEL_M ? -*k : 0.0f;
+}
+
+// What is seen nearest before each bin of a sector, and behind it: its height over the base, its bin, and the base.
+struct Gaps {
+    explicit Gaps(std::size_t bins)
+        : near_seen(bins * SECTORS), near_bin(bins * SECTORS), far_seen(bins * SECTORS), far_bin(bins * SECTORS),
+          far_base(bins * SECTORS) {}
+    Buffer<float> near_seen, near_bin, far_seen, far_bin, far_base;  // far_bin is -1 where nothing is seen behind
+};
+
+MULTIVERSION void find_gaps(const Profiles& profiles, Gaps& gaps) {
+    const std::size_t bins = profiles.bins;
+    const float *seen = profiles.seen.data(), *base = profiles.base.data();
+    float *near_seen = gaps.near_seen.data(), *near_bin = gaps.near_bin.data();
+    float *far_seen = gaps.far_seen.data(), *far_bin = gaps.far_bin.data(), *far_base = gaps.far_base.data();
+    for (std::size_t s = 0; s < SECTORS; ++s) {
+        near_seen[s] = seen[s] == seen[s] ? seen[s] : 0.0f;
+        near_bin[s] = 0.0f;
+    }
+    for (std::size_t b = 1; b < bins; ++b) {
+        for (std::size_t at = b * SECTORS; at < (b + 1) * SECTORS; ++at) {
+            near_seen[at] = seen[at] == seen[at] ? seen[at] : near_seen[at - SECTORS];
+            near_bin[at] = seen[at] == seen[at] ? float(b) : near_bin[at - SECTORS];
+        }
+    }
+    for (std::size_t at = (bins - 1) * SECTORS; at < bins * SECTORS; ++at) {
+        far_bin[at] = -1.0f;
+        far_seen[at] = far_base[at] = 0.0f;
+    }
+    for (std::size_t b = bins - 1; b-- > 0;) {
+        for (std::size_t at = b * SECTORS; at < (b + 1) * SECTORS; ++at) {
+            const std::size_t next = at + SECTORS;
+            const bool is_seen = seen[next] == seen[next];
+            far_seen[at] = is_seen ? seen[next] : far_seen[next];
+            far_bin[at] = is_seen ? float(b + 1) : far_bin[next];
+            far_base[at] = is_seen ? base[next] : far_base[next];
+        }
+    }
+}
+
+// Raise the deviation in gaps along the lines of sight, and mend heights there. Behind an edge the ground lies below the beam
+// that passes it, and not far below where that beam meets the ground. Beyond the last return it may lie as it does nearby,
+// or at a level that is `lower` than the base by so much. All z are from the sensor.
+void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> base, View1<const bool> known, float lower,
+                View1<float> heights, View1<float> std) {
+    const auto node_m = float(lattice.node_m);
+    const float growth = BEYOND_GROWTH * node_m;
+    for_ranges(lattice.size(), count_parts(lattice.size(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t at = begin; at < end; ++at) {
+            if (known[at]) continue;
+            const std::size_t sector = std::size_t(lattice.azimuth[at]) % SECTORS;
+            const std::size_t cell = std::size_t(lattice.bin[at]) * SECTORS + sector;
+            const float r = lattice.range_nodes[at], far = gaps.far_bin[cell];
+            if (far < 0.0f) {
+                const float away = r - gaps.near_bin[cell];
+                std[at] = std::max(std[at], growth * away);
+                if (lower > 0.0f) {
+                    const float fall = std::min(0.5f * (heights[at] - base[at] + lower), FALL * node_m * away);
+                    heights[at] -= std::max(fall, 0.0f);
+                    std[at] = std::max(std[at], fall);
+                }
+                continue;
+            }
+            const float before = gaps.near_seen[cell], behind = gaps.far_seen[cell];
+            float high = std::max(before, behind) + base[at];
+            const float low = std::min(before, behind) + base[at];
+            if (behind < before) {
+                const float beam = (behind + gaps.far_base[cell]) * r / (far + 0.5f);
+                high = std::max(std::min(high, beam), low);
+            }
+            const float apart = 0.5f * (high - low);
+            std[at] = std::max(std[at], apart);
+            if (0.5f * std::fabs(before - behind) > STEP_M) {
+                heights[at] = 0.5f * (high + low);
+            } else {
+                // What other directions show does not lead out of what this one shows on both sides.
+                const float slack = SEEN_STD_M + GAP_SLOPE * node_m * std::min(far - r, r - gaps.near_bin[cell]);
+                heights[at] = std::min(std::max(heights[at], low - slack), high + slack);
+            }
+        }
+    });
+}
+
+}  // namespace
+
+void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier,
+                 View1<float> heights_m, View1<float> std_m) {
+    const std::size_t n = lattice.nodes, size = lattice.size();
+    Buffer<float> base(size), above(size), weight(size), variance(size);
+    Buffer<bool> known(size), alone(size);
+    // 1. Accepted heights above the base. No beam meets the ground just below the sensor: there the base counts.
+    find_base(lattice, carrier, base);
+    float nearest_m = std::numeric_limits<float>::infinity();
+    for (std::size_t at = 0; at < size; ++at) {
+        if (accepted[at]) nearest_m = std::min(nearest_m, lattice.range_m[at]);
+        above[at] = accepted[at] ? walked_m[at] - base[at] : 0.0f;
+    }
+    if (std::isinf(nearest_m)) nearest_m = 0.0f;
+    const double node_m = lattice.node_m;
+    const float blind_m = double(nearest_m) >= 2.0 * node_m ? nearest_m + float(0.5 * node_m) : float(2.5 * node_m);
+    for (std::size_t at = 0; at < size; ++at) {
+        weight[at] = accepted[at] ? 1.0f : (lattice.range_m[at] < blind_m ? BLIND_WEIGHT : 0.0f);
+        known[at] = weight[at] > 0.0f;
+    }
+    // 2. The base counts, weakly, also where returns show a level that no other direction confirms. They hold for their own
+    //    nodes.
+    const Profiles profiles = find_profiles(lattice, above, base, known);
+    find_unconfirmed(lattice, above, accepted, profiles, alone);
+    for (std::size_t at = 0; at < size; ++at) {
+        weight[at] = alone[at] ? UNCONFIRMED_WEIGHT : weight[at];
+        heights_m[at] = alone[at] ? 0.0f : above[at];
+        variance[at] = alone[at] ? LEVEL_M * LEVEL_M : SEEN_STD_M * SEEN_STD_M;
+    }
+    // 3. Heights over the base and their variance in between.
+    Buffer<float> scratch(4 * size);
+    fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
+    std::vector<float> confirmed;
+    for (std::size_t at = 0; at < size; ++at) {
+        heights_m[at] = alone[at] ? walked_m[at] : heights_m[at] + base[at];
+        std_m[at] = alone[at] ? SEEN_STD_M : std::sqrt(variance[at]);
+        if (accepted[at] && !alone[at]) confirmed.push_back(above[at]);
+    }
+    // 4. Gaps along the lines of sight.
+    Gaps gaps(profiles.bins);
+    find_gaps(profiles, gaps);
+    doubt_gaps(lattice, gaps, base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
+}
+
+void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
+                             const Plane& carrier, View1<bool> alone) {
+    Buffer<float> base(lattice.size()), above(lattice.size());
+    find_base(lattice, carrier, base);
+    for (std::size_t at = 0; at < lattice.size(); ++at) above[at] = accepted[at] ? walked_m[at] - base[at] : 0.0f;
+    find_unconfirmed(lattice, above, accepted, find_profiles(lattice, above, base, accepted), alone);
+}
+
+}  // namespace viewshed

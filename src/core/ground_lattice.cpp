@@ -1,0 +1,84 @@
+#include "ground_lattice.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+#include <numbers>
+#include <numeric>
+
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// From this range on the slope of the carrier's plane fades, over this distance: land is mostly level.
+constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
+
+// So many lattices are kept.
+constexpr std::size_t KEPT = 4;
+
+Lattice make_lattice(std::size_t n, double half_m) {
+    const double node_m = 2.0 * half_m / double(n), center = double(n) / 2;
+    Lattice made{n, half_m, node_m, std::vector<float>(n), {}, {}, {}, {}, std::size_t(0.75 * double(n)) + 1,
+                 {}, {}, {}, {}, {}};
+    for (std::size_t i = 0; i < n; ++i) made.middle_m[i] = float((double(i) + 0.5) * node_m - half_m);
+
+    // 1. Range of each node, and its place among sectors and bins.
+    for (auto* of_node : {&made.range_m, &made.fade, &made.azimuth, &made.range_nodes}) of_node->resize(n * n);
+    for (auto* of_node : {&made.bin, &made.first, &made.last}) of_node->resize(n * n);
+    for (std::size_t i = 0; i < n; ++i) {
+        for (std::size_t j = 0; j < n; ++j) {
+            const std::size_t at = i * n + j;
+            const float range_m = std::hypot(made.middle_m[i], made.middle_m[j]);
+            const float beyond_m = std::max(range_m - PLANE_M, 0.0f);
+            made.range_m[at] = range_m;
+            made.fade[at] = 1.0f - (beyond_m + TILT_M * std::expm1(-beyond_m / TILT_M)) / range_m;
+            const float u = float(double(i) + 0.5 - center), v = float(double(j) + 0.5 - center);
+            const float azimuth = (std::atan2(v, u) + PI) * float(SECTORS / (2 * std::numbers::pi));
+            const float range = std::sqrt(u * u + v * v);
+            made.azimuth[at] = azimuth;
+            made.range_nodes[at] = range;
+            made.bin[at] = std::int16_t(std::min(int(range), int(made.bins) - 1));
+            made.first[at] = std::int16_t(std::floor(azimuth - half_width(range)));
+            made.last[at] = std::int16_t(std::floor(azimuth + half_width(range)));
+        }
+    }
+
+    // 2. The nearest first; of those as near the first of the lattice.
+    std::vector<double> away(n * n);
+    for (std::size_t at = 0; at < n * n; ++at) {
+        away[at] = std::hypot(double(at / n) - (center - 0.5), double(at % n) - (center - 0.5));
+    }
+    std::vector<std::uint32_t> order(n * n);
+    std::iota(order.begin(), order.end(), 0u);
+    std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return away[a] < away[b]; });
+    for (const std::uint32_t at : order) {
+        made.row.push_back(std::uint16_t(at / n));
+        made.column.push_back(std::uint16_t(at % n));
+    }
+    return made;
+}
+
+}  // namespace
+
+void require_lattice(std::size_t nodes, double half_m) {
+    require(nodes >= 2 && nodes <= 1024, "a lattice must have 2 to 1024 nodes a side");
+    require(half_m >= 0.01 && half_m <= double(MOST_M), "half_m must lie in [0.01, 1e6] m");
+}
+
+void require_bounded(View1<const float> values, const char* rule) {
+    for (const float value : values) require(std::fabs(value) <= MOST_M, rule);
+}
+
+std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m) {
+    static std::mutex mutex;
+    static std::vector<std::shared_ptr<const Lattice>> kept;
+    std::lock_guard lock(mutex);
+    for (const auto& one : kept) {
+        if (one->nodes == nodes && one->half_m == half_m) return one;
+    }
+    if (kept.size() == KEPT) kept.erase(kept.begin());
+    return kept.emplace_back(std::make_shared<const Lattice>(make_lattice(nodes, half_m)));
+}
+
+}  // namespace viewshed

@@ -1,0 +1,212 @@
+#include "held_ground.hpp"
+
+#include <nanobind/stl/array.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "ground_fill.hpp"
+#include "stages.hpp"
+
+namespace viewshed {
+namespace {
+
+// Deviation by which held ground grows for a doubt of the poses' attitudes (0.1°), the farther from the sensor the more.
+constexpr double TILT_STD = 0.002;
+
+// Two sweeps agree on ground that both see if their heights differ by no more than this, and twice their deviations.
+constexpr float AGREE_M = 0.3f;
+
+// They agree around a node if this share does of the nodes at most so many rows and columns away that both see.
+constexpr std::ptrdiff_t AROUND = 3;
+constexpr double AGREEING_SHARE = 0.75;
+
+// Where fewer of all nodes that both see agree than this share, a pose is wrong, and nothing is held.
+constexpr double MOST = 0.5;
+
+constexpr float NONE = std::numeric_limits<float>::infinity();
+
+// Write heights and deviations (n, n) of what an earlier lattice saw on the nodes of the present one. Bilinear between nodes;
+// the deviation is +inf where the nearest one was not seen.
+void move_ground(const SeenGround& before, const HeldPoses& poses, float variance_m2, std::size_t n, float half_m,
+                 View1<float> moved_m, View1<float> moved_std_m) {
+    const std::size_t m = before.heights_m.rows;
+    const auto before_half_m = float(before.half_m);
+    const float node_m = 2.0f * half_m / float(n), nodes_per_m = float(m) / (2.0f * before_half_m);
+    for (std::size_t i = 0; i < n; ++i) {
+        const float x = (float(i) + 0.5f) * node_m - half_m;
+        for (std::size_t j = 0; j < n; ++j) {
+            const float y = (float(j) + 0.5f) * node_m - half_m;
+            const std::size_t at = i * n + j;
+            moved_m[at] = 0.0f;
+            moved_std_m[at] = NONE;
+            const auto& to_x = poses.before_from_now[0];
+            const auto& to_y = poses.before_from_now[1];
+            const float bx = to_x[0] * x + to_x[1] * y + to_x[3], by = to_y[0] * x + to_y[1] * y + to_y[3];
+            const float u = (bx + before_half_m) * nodes_per_m - 0.5f, v = (by + before_half_m) * nodes_per_m - 0.5f;
+            if (!(u >= 0.0f && v >= 0.0f && u < float(m - 1) && v < float(m - 1))) continue;
+            const auto p = std::size_t(u), q = std::size_t(v);
+            const float fu = u - float(p), fv = v - float(q);
+            if (!before.seen(p + (fu >= 0.5f), q + (fv >= 0.5f))) continue;
+            const float a = (1.0f - fu) * (1.0f - fv), b = (1.0f - fu) * fv, c = fu * (1.0f - fv), d = fu * fv;
+            const auto between = [&](View2<const float> of) {
+                return a * of(p, q) + b * of(p, q + 1) + c * of(p + 1, q) + d * of(p + 1, q + 1);
+            };
+            const float z = between(before.heights_m);
+            float s = a * before.std_m(p, q) + b * before.std_m(p, q + 1);
+            s += c * before.std_m(p + 1, q) + d * before.std_m(p + 1, q + 1);
+            const float turned = poses.now_from_before[0] * bx + poses.now_from_before[1] * by +
+                                 poses.now_from_before[2] * z;
+            moved_m[at] = turned + poses.now_from_before[3];
+            moved_std_m[at] = std::sqrt(s * s + variance_m2 + float(TILT_STD * TILT_STD) * (x * x + y * y));
+        }
+    }
+}
+
+// Give each node the label (n, n) of the nearest one at distance 0, by two passes of a chamfer distance (n, n).
+void spread_nearest(std::ptrdiff_t n, View1<float> away, View1<bool> label) {
+    for (const std::ptrdiff_t step : {1, -1}) {
+        for (std::ptrdiff_t a = 0; a < n; ++a) {
+            const std::ptrdiff_t i = step > 0 ? a : n - 1 - a;
+            for (std::ptrdiff_t b = 0; b < n; ++b) {
+                const std::ptrdiff_t j = step > 0 ? b : n - 1 - b;
+                const auto at = std::size_t(i * n + j);
+                // The four neighbors that this pass has visited: one beside it, three in the row before.
+                for (int k = 0; k < 4; ++k) {
+                    const std::ptrdiff_t p = k == 0 ? i : i - step, q = k == 0 ? j - step : j + k - 2;
+                    if (p < 0 || q < 0 || p >= n || q >= n) continue;
+                    const auto near = std::size_t(p * n + q);
+                    const float found = away[near] + (k % 2 == 1 ? 1.4142135f : 1.0f);
+                    if (found < away[at]) {
+                        away[at] = found;
+                        label[at] = label[near];
+                    }
+                }
+            }
+        }
+    }
+}
+
+// Mark the nodes (n, n) that only the earlier sweep saw, where it is surer than the present one and agreed with. The nearest
+// node that both see decides, by the share that agrees of the nodes around it that both see. Returns whether any is marked.
+bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const float> moved_std_m, View1<bool> taken) {
+    const auto n = std::ptrdiff_t(now.heights_m.rows);
+    const auto size = std::size_t(n * n);
+    std::fill_n(taken.data, size, false);
+    const auto is_both = [&](std::size_t at) { return now.seen.data[at] && moved_std_m[at] < NONE; };
+    // Sums over the rectangle from (0, 0): nodes that both see, and those of them that agree.
+    Buffer<std::int32_t> both(std::size_t((n + 1) * (n + 1)), 0), agree(std::size_t((n + 1) * (n + 1)), 0);
+    const auto corner = [n](std::ptrdiff_t i, std::ptrdiff_t j) { return std::size_t(i * (n + 1) + j); };
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        std::int32_t row_both = 0, row_agree = 0;
+        for (std::ptrdiff_t j = 0; j < n; ++j) {
+            const auto at = std::size_t(i * n + j);
+            if (is_both(at)) {
+                ++row_both;
+                const float doubt_m = 2.0f * (now.std_m.data[at] + moved_std_m[at]);
+                row_agree += std::fabs(moved_m[at] - now.heights_m.data[at]) <= AGREE_M + doubt_m;
+            }
+            both[corner(i + 1, j + 1)] = both[corner(i, j + 1)] + row_both;
+            agree[corner(i + 1, j + 1)] = agree[corner(i, j + 1)] + row_agree;
+        }
+    }
+    if (double(agree[corner(n, n)]) < MOST * double(both[corner(n, n)])) return false;  // a pose is wrong
+    // Nodes that both see are at distance 0 and say whether they agree; without any all others may be taken.
+    Buffer<float> away(size, NONE);
+    Buffer<bool> agreed(size, true);
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        const std::ptrdiff_t top = std::max<std::ptrdiff_t>(i - AROUND, 0), bottom = std::min(i + AROUND + 1, n);
+        for (std::ptrdiff_t j = 0; j < n; ++j) {
+            const auto at = std::size_t(i * n + j);
+            if (!is_both(at)) continue;
+            const std::ptrdiff_t left = std::max<std::ptrdiff_t>(j - AROUND, 0), right = std::min(j + AROUND + 1, n);
+            const auto within = [&](const Buffer<std::int32_t>& sums) {
+                return double(sums[corner(bottom, right)] - sums[corner(top, right)] - sums[corner(bottom, left)] +
+                              sums[corner(top, left)]);
+            };
+            away[at] = 0.0f;
+            agreed[at] = within(agree) >= AGREEING_SHARE * within(both);
+        }
+    }
+    spread_nearest(n, away, agreed);
+    bool any = false;
+    for (std::size_t at = 0; at < size; ++at) {
+        taken[at] = agreed[at] && !now.seen.data[at] && moved_std_m[at] < now.std_m.data[at];
+        any |= taken[at];
+    }
+    return any;
+}
+
+}  // namespace
+
+bool hold_ground(const SeenGround& now, const SeenGround& before, const HeldPoses& poses, float variance_m2,
+                 const Plane& carrier, float height_m, View1<float> heights_m, View1<float> std_m, View1<bool> seen) {
+    const std::size_t n = now.heights_m.rows, size = n * n;
+    // 1. What the earlier sweep saw, on the present lattice, and where it is taken.
+    Buffer<float> moved_m(size), moved_std_m(size);
+    Buffer<bool> taken(size);
+    move_ground(before, poses, variance_m2, n, float(now.half_m), moved_m, moved_std_m);
+    if (!find_agreed(now, moved_m, moved_std_m, taken)) return false;
+    // 2. Fill what neither saw from both; heights and plane are then counted from the sensor.
+    Buffer<float> walked_m(size);
+    for (std::size_t at = 0; at < size; ++at) {
+        seen[at] = now.seen.data[at] || taken[at];
+        walked_m[at] = (taken[at] ? moved_m[at] : now.heights_m.data[at]) - height_m;
+    }
+    fill_ground(*lattice_of(n, now.half_m), walked_m, {seen.data, size}, {carrier[0], carrier[1], carrier[2] - height_m}, heights_m,
+                std_m);
+    for (std::size_t at = 0; at < size; ++at) {
+        heights_m[at] += height_m;
+        if (taken[at]) std_m[at] = moved_std_m[at];
+    }
+    return true;
+}
+
+void bind_held_ground(nb::module_& m) {
+    m.def(
+        "held_ground",
+        [](In2<float> heights_m, In2<float> std_m, In2<bool> seen, double half_m, In2<float> before_heights_m,
+           In2<float> before_std_m, In2<bool> before_seen, double before_half_m, In2<float> before_from_now,
+           In1<float> now_from_before, float variance_m2, std::array<float, 3> plane, float height_m) -> nb::object {
+            const auto require_ground = [](const auto& heights, const auto& std, const auto& saw, double half) {
+                const std::size_t n = heights.shape(0);
+                require(heights.shape(1) == n, "heights_m must be (n, n)");
+                require_lattice(n, half);
+                require_bounded(view(heights).flat(), "heights_m must be finite");
+                require(std.shape(0) == n && std.shape(1) == n && saw.shape(0) == n && saw.shape(1) == n,
+                        "std_m and seen must be (n, n) as heights_m");
+            };
+            require_ground(heights_m, std_m, seen, half_m);
+            require_ground(before_heights_m, before_std_m, before_seen, before_half_m);
+            require(before_from_now.shape(0) == 2 && before_from_now.shape(1) == 4 && now_from_before.shape(0) == 4,
+                    "before_from_now must be (2, 4) and now_from_before (4,)");
+            require_bounded(view(before_from_now).flat(), "before_from_now must be finite");
+            require_bounded(view(now_from_before), "now_from_before must be finite");
+            require_bounded({plane.data(), 3}, "plane must be finite");
+            require(std::fabs(height_m) <= MOST_M, "height_m must be finite");
+            HeldPoses poses;
+            std::copy_n(before_from_now.data(), 8, &poses.before_from_now[0][0]);
+            std::copy_n(now_from_before.data(), 4, poses.now_from_before);
+            const std::size_t n = heights_m.shape(0);
+            Buffer<float> out_m(n * n), out_std_m(n * n);
+            Buffer<bool> out_seen(n * n);
+            bool taken = false;
+            {
+                nb::gil_scoped_release unlocked;
+                taken = hold_ground({view(heights_m), view(std_m), view(seen), half_m},
+                                    {view(before_heights_m), view(before_std_m), view(before_seen), before_half_m},
+                                    poses, variance_m2, plane, height_m, out_m, out_std_m, out_seen);
+            }
+            if (!taken) return nb::none();
+            return nb::make_tuple(std::move(out_m).array({n, n}), std::move(out_std_m).array({n, n}),
+                                  std::move(out_seen).array({n, n}));
+        },
+        "heights_m"_a.noconvert(), "std_m"_a.noconvert(), "seen"_a.noconvert(), "half_m"_a,
+        "before_heights_m"_a.noconvert(), "before_std_m"_a.noconvert(), "before_seen"_a.noconvert(), "before_half_m"_a,
+        "before_from_now"_a.noconvert(), "now_from_before"_a.noconvert(), "variance_m2"_a, "plane"_a, "height_m"_a,
+        "Heights, deviations and seen nodes (n, n) of the present ground with what only an earlier sweep saw; None where "
+        "nothing is taken.");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,137 @@
+#include "lowest_returns.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "ego_vehicle.hpp"
+#include "parallel.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+constexpr float NONE = std::numeric_limits<float>::infinity();
+
+// Points of a part that is worth a thread.
+constexpr std::size_t PART = 16384;
+
+// What is asked of all points.
+struct Rule {
+    float rotation[9];
+    float near2, far2, half_m, nodes_per_m, cosine, sine;
+    std::int32_t side;
+};
+
+// Write the node of each point of a block (-1 where it is no candidate for ground) and its z. Candidates lie in the lattice
+// and in range, and are not hood or roof of the vehicle below the sensor. Without branches, so that it becomes vectors.
+MULTIVERSION void place_block(const float* points, const bool* isolated, std::size_t count, const Rule& rule,
+                              std::int32_t* nodes, float* heights) {
+    const float xx = rule.rotation[0], xy = rule.rotation[1], xz = rule.rotation[2];
+    const float yx = rule.rotation[3], yy = rule.rotation[4], yz = rule.rotation[5];
+    const float zx = rule.rotation[6], zy = rule.rotation[7], zz = rule.rotation[8];
+    const float near2 = rule.near2, far2 = rule.far2, half_m = rule.half_m, per_m = rule.nodes_per_m;
+    const float cosine = rule.cosine, sine = rule.sine;
+    const float hood_x = float(EGO_LENGTH_M), hood_y = float(EGO_WIDTH_M), hood_z = -float(LEAST_EGO_HEIGHT_M);
+    const std::int32_t side = rule.side;
+    const float last = float(side);
+    float px[BLOCK], py[BLOCK], pz[BLOCK];
+    std::int32_t out[BLOCK];
+    for (std::size_t k = 0; k < count; ++k) {
+        px[k] = points[3 * k];
+        py[k] = points[3 * k + 1];
+        pz[k] = points[3 * k + 2];
+    }
+    for (std::size_t k = 0; k < count; ++k) out[k] = isolated[k];
+    for (std::size_t k = 0; k < count; ++k) {
+        const float d2 = px[k] * px[k] + py[k] * py[k] + pz[k] * pz[k];
+        const float x = xx * px[k] + xy * py[k] + xz * pz[k], y = yx * px[k] + yy * py[k] + yz * pz[k];
+        const float z = zx * px[k] + zy * py[k] + zz * pz[k];
+        const float u = (x + half_m) * per_m, v = (y + half_m) * per_m;
+        const bool hood = (std::fabs(cosine * x + sine * y) < hood_x) & (std::fabs(cosine * y - sine * x) < hood_y) &
+                          (z > hood_z);
+        const bool inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & !hood &
+                            (out[k] == 0);
+        const auto i = std::int32_t(inside ? u : 0.0f), j = std::int32_t(inside ? v : 0.0f);
+        nodes[k] = inside ? i * side + j : -1;
+        heights[k] = z;
+    }
+}
+
+// The two lowest heights of a node with the points that they are of, and the greatest height.
+struct Lowest {
+    float height[2] = {NONE, NONE}, highest = -NONE;
+    std::int32_t point[2] = {0, 0};
+};
+
+// Whether point k of height z is lower than the other one; among equals x and y decide, so that the order does not.
+INLINE bool is_before(View2<const float> points, std::size_t k, float z, std::int32_t other, float low) {
+    if (z != low) return z < low;
+    if (points(k, 0) != points(std::size_t(other), 0)) return points(k, 0) < points(std::size_t(other), 0);
+    return points(k, 1) < points(std::size_t(other), 1);
+}
+
+// Insert a point into the two lowest.
+void insert(View2<const float> points, std::size_t k, float z, Lowest& lowest) {
+    if (!is_before(points, k, z, lowest.point[1], lowest.height[1])) return;
+    int rank = 1;
+    if (is_before(points, k, z, lowest.point[0], lowest.height[0])) {
+        lowest.height[1] = lowest.height[0];
+        lowest.point[1] = lowest.point[0];
+        rank = 0;
+    }
+    lowest.height[rank] = z;
+    lowest.point[rank] = std::int32_t(k);
+}
+
+}  // namespace
+
+Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2<const float> rotation, float near_m,
+                    float far_m, double heading, float half_m, std::size_t nodes) {
+    const std::size_t count = points.rows;
+    Rule rule{{}, near_m * near_m, far_m * far_m, half_m, float(nodes) / (2.0f * half_m), float(std::cos(heading)),
+              float(std::sin(heading)), std::int32_t(nodes)};
+    std::copy_n(rotation.data, 9, rule.rotation);
+
+    // 1. The node and the z of each point.
+    const std::size_t parts = count_parts(count, PART);
+    Buffer<std::int32_t> node(count);
+    Buffer<float> height(count);
+    for_ranges(count, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t start = begin; start < end; start += BLOCK) {
+            place_block(points[start], &isolated[start], std::min(BLOCK, end - start), rule, &node[start],
+                        &height[start]);
+        }
+    });
+
+    // 2. The lowest of each node; a part takes its own nodes out of all points.
+    Lows lows(nodes);
+    Buffer<Lowest> lowest(nodes * nodes, Lowest{});
+    for_ranges(nodes * nodes, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t k = 0; k < count; ++k) {
+            const std::size_t own = std::size_t(std::uint32_t(node[k])) - begin;  // huge for -1 and for others' nodes
+            if (own >= end - begin) continue;
+            Lowest& here = lowest[begin + own];
+            here.highest = std::max(here.highest, height[k]);
+            // Most points are higher than both.
+            if (height[k] <= here.height[1]) insert(points, k, height[k], here);
+        }
+        for (std::size_t at = begin; at < end; ++at) {
+            const Lowest& here = lowest[at];
+            const int rank = here.height[1] < NONE ? 1 : 0;
+            lows.z_m[at] = here.height[rank];
+            if (here.height[rank] == NONE) continue;
+            const float* p = points[std::size_t(here.point[rank])];
+            const float* turn = rule.rotation;
+            lows.x_m[at] = turn[0] * p[0] + turn[1] * p[1] + turn[2] * p[2];
+            lows.y_m[at] = turn[3] * p[0] + turn[4] * p[1] + turn[5] * p[2];
+            lows.rise_m[at] = here.highest - here.height[rank];
+        }
+    });
+    for (std::size_t at = 0; at < nodes * nodes; ++at) {
+        if (lows.z_m[at] < NONE) lows.some.push_back(std::int32_t(at));
+    }
+    return lows;
+}
+
+}  // namespace viewshed

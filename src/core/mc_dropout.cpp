@@ -1,0 +1,66 @@
+#include "mc_dropout.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "parallel.hpp"
+#include "stages.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// Values of a part that is worth a thread.
+constexpr std::size_t PART = 65536;
+
+// Moments of a block of cells, `stride` values a pass. Sums are of the differences to the first pass, which are small:
+// squares of the values would cancel in float32. Both stay in the nearest memory while the passes stream by.
+MULTIVERSION void find_block_moments(const float* values, std::size_t passes, std::size_t stride, std::size_t count,
+                                     float* mean, float* deviation) {
+    float total[BLOCK], squares[BLOCK];
+    std::fill_n(total, count, 0.0f);
+    std::fill_n(squares, count, 0.0f);
+    for (std::size_t pass = 1; pass < passes; ++pass) {
+        for (std::size_t k = 0; k < count; ++k) {
+            const float difference = values[pass * stride + k] - values[k];
+            total[k] += difference;
+            squares[k] += difference * difference;
+        }
+    }
+    const auto number = float(passes);
+    for (std::size_t k = 0; k < count; ++k) {
+        const float shift = total[k] / number, variance = squares[k] / number - shift * shift;
+        mean[k] = values[k] + shift;
+        deviation[k] = std::sqrt(variance > 0.0f ? variance : 0.0f);
+    }
+}
+
+}  // namespace
+
+void find_moments(View2<const float> probability, View1<float> mean, View1<float> deviation) {
+    const std::size_t cells = probability.columns, passes = probability.rows;
+    for_ranges(cells, count_parts(cells * passes, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t start = begin; start < end; start += BLOCK) {
+            const std::size_t count = std::min(BLOCK, end - start);
+            find_block_moments(&probability.data[start], passes, cells, count, &mean[start], &deviation[start]);
+        }
+    });
+}
+
+// What Python calls: arrays are checked here, whatever hands them in.
+void bind_mc_dropout(nb::module_& m) {
+    m.def(
+        "mean_and_deviation",
+        [](In2<float> probability) {
+            require(probability.shape(0) >= 1, "there must be a pass");
+            Buffer<float> mean(probability.shape(1)), deviation(probability.shape(1));
+            {
+                nb::gil_scoped_release unlocked;
+                find_moments(view(probability), mean, deviation);
+            }
+            return nb::make_tuple(std::move(mean).array(), std::move(deviation).array());
+        },
+        "probability"_a.noconvert(), "Mean and standard deviation (cells,) of probabilities (passes, cells).");
+}
+
+}  // namespace viewshed

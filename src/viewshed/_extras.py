@@ -1,0 +1,42 @@
+"""Packages that only some commands need: they are imported where they are used, and one line names what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+EXTRAS = {
+    "numba": "sim", "scipy": "sim", "matplotlib": "sim",
+    "pyarrow": "data",
+    "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
+    "rosbags": "bags", "lz4": "bags", "zstandard": "bags",
+    "ouster": "packets", "velodyne_decoder": "packets",
+    "openvino": "openvino", "ray": "ray", "yaml": "opv2v",
+}  # fmt: skip
+"""The extra that installs a package, by the name under which Python imports it."""
+
+_DISTRIBUTIONS = {"ouster": "ouster-sdk", "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml"}
+"""What is installed, where that is not the name of the import."""
+
+
+@contextmanager
+def needed_for(task: str) -> Iterator[None]:
+    """Import packages of an extra inside; one that is not installed is an error that names it and the extra.
+
+    Args:
+        task: what needs them, the beginning of the message: ``reading bags``.
+
+    Raises:
+        ImportError: a package is not installed.
+
+    >>> with needed_for("painting"):
+    ...     import numpy
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        install = f"pip install 'viewshed[{EXTRAS[package]}]'"
+        raise ImportError(f"{task} needs {_DISTRIBUTIONS.get(package, package)}: {install}", name=package) from error

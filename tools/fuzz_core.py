@@ -1,0 +1,233 @@
+"""Call the native core with damaged arguments: each call must answer or raise one clear error, and never crash.
+
+    python tools/fuzz_core.py [--seconds S] [--only NAME] [--seed N] [--sanitize]
+
+The arguments are those of real calls: estimates, files, polygons and streams are made once while every function of the
+core is watched. Then, for S seconds a function, some arguments are damaged: other types and shapes, rows left out or
+doubled, values that are not finite, huge, denormal or out of range, all values the same, numbers far too large. A call
+may raise ValueError, TypeError, OverflowError or MemoryError. With --sanitize the core is compiled with checks of
+addresses and of undefined behavior first (into build/sanitize), and the calls run against that.
+
+The exit code is 1 if a call raises anything else or a function of the core was never called; a crash ends the process,
+and the line printed last names function, seed and round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+ALLOWED = (ValueError, TypeError, OverflowError, MemoryError)
+_ODD_FLOATS = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40, 0.0, -0.0, -1.0, 3e9)
+_ODD_WHOLE = (0, 1, -1, 127, 255, -32768, 32767, 2**31 - 1, -(2**31), 2**40, 2**63 - 1)
+_TYPES = (np.float64, np.float32, np.int64, np.int32, np.int16, np.uint8, np.bool_)
+
+Calls = dict[str, list[tuple[tuple[Any, ...], dict[str, Any]]]]
+
+
+def build_sanitized() -> Path:
+    """Compile the core with sanitizers and return the folder that holds it."""
+    folder = ROOT / "build" / "sanitize"
+    options = ("-DVIEWSHED_SANITIZE=ON", f"-DPython_EXECUTABLE={sys.executable}", f"-DVIEWSHED_OUTPUT={folder}")
+    subprocess.run(("cmake", "-S", str(ROOT), "-B", str(folder), *options), check=True, capture_output=True)
+    subprocess.run(("cmake", "--build", str(folder), "--parallel", "2"), check=True, capture_output=True)
+    return folder
+
+
+def run_sanitized() -> int:
+    """Run this tool again, with the sanitized core in place of the other."""
+    folder = build_sanitized()
+    runtime = [
+        subprocess.run(("gcc", f"-print-file-name={name}"), check=True, capture_output=True, text=True).stdout.strip()
+        for name in ("libasan.so", "libubsan.so")
+    ]
+    environment = os.environ | {
+        "LD_PRELOAD": ":".join(runtime),
+        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1",
+        "UBSAN_OPTIONS": "print_stacktrace=1",
+        "VIEWSHED_CORE": str(folder),
+    }
+    given = [each for each in sys.argv[1:] if each != "--sanitize"]
+    return subprocess.run((sys.executable, __file__, *given), env=environment, check=False).returncode
+
+
+def use_core_of(folder: str) -> None:
+    """Let ``viewshed._core`` be the one in a folder."""
+    from importlib.machinery import ExtensionFileLoader
+    from importlib.util import module_from_spec, spec_from_loader
+
+    path = next(Path(folder).glob("_core.*.so"))
+    spec = spec_from_loader("viewshed._core", ExtensionFileLoader("viewshed._core", str(path)))
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules["viewshed._core"] = module
+    spec.loader.exec_module(module)
+
+
+def record_calls() -> Calls:
+    """Return arguments of real calls of each function of the core, at most four of each."""
+    from viewshed import _core
+
+    calls: Calls = {name: [] for name in dir(_core) if not name.startswith("_") and callable(getattr(_core, name))}
+    originals = {name: getattr(_core, name) for name in calls}
+
+    def watched(name: str) -> Callable[..., Any]:
+        def call(*args: Any, **named: Any) -> Any:
+            if len(calls[name]) < 4:
+                calls[name].append((tuple(map(_copied, args)), {key: _copied(value) for key, value in named.items()}))
+            return originals[name](*args, **named)
+
+        return call
+
+    for name in calls:
+        setattr(_core, name, watched(name))
+    try:
+        use_everything()
+    finally:
+        for name, original in originals.items():
+            setattr(_core, name, original)
+    return calls
+
+
+def use_everything() -> None:
+    """Do what calls the functions of the core: threads, files, each estimator, streams, polygons."""
+    import tempfile
+
+    import viewshed
+    from viewshed import _core
+    from viewshed.estimators import ESTIMATORS
+    from viewshed.io import read_sweep, write_sweep
+    from viewshed.preprocess.history import History
+    from viewshed.sensors import lidar_model
+    from viewshed.sim import Box, Scene, cast
+
+    _core.set_threads(_core.threads())
+    _core.least_confirmations(1.0)
+    scene = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
+    sweep = cast(lidar_model("vlp16"), scene, 1.8)
+    rng = np.random.default_rng(0)
+    noisy = sweep.replace(points=sweep.points * rng.uniform(0.5, 2.0, (len(sweep), 1)).astype(np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        for ending in (".bin", ".pcd.bin", ".pcd", ".ply", ".npz"):
+            write_sweep(sweep, Path(folder) / f"sweep{ending}")
+            read_sweep(Path(folder) / f"sweep{ending}", file_frame="carla")
+        packed = np.array([0, 65, 224, 1, 0], np.uint8)  # one literal, then 10 bytes from one byte before
+        _core.unpack_lzf(packed, np.empty(11, np.uint8))
+    bare = viewshed.Sweep(sweep.points)
+    shuffled = viewshed.Sweep(sweep.points[rng.permutation(len(sweep))])
+    for method in ESTIMATORS:
+        for each in (sweep, noisy, bare, shuffled):
+            estimator = viewshed.load_estimator(method)
+            estimate = estimator.estimate(each)
+    del estimate, History
+
+
+def _copied(value: Any) -> Any:
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
+def damaged(value: Any, rng: np.random.Generator) -> Any:
+    """Return an argument of a call, damaged in one way."""
+    if isinstance(value, np.ndarray):
+        return _damaged_array(value, rng)
+    if isinstance(value, bool) or value is None:
+        return rng.choice(np.array([True, False, None, 3], object))
+    if isinstance(value, int):
+        return int(rng.choice(np.array(_ODD_WHOLE, object)))
+    if isinstance(value, float | np.floating):
+        return float(rng.choice(np.array(_ODD_FLOATS)))
+    if isinstance(value, list | tuple) and value:
+        at = int(rng.integers(len(value)))
+        return type(value)([damaged(each, rng) if k == at else each for k, each in enumerate(value)])
+    return value
+
+
+def _damaged_array(value: np.ndarray[Any, Any], rng: np.random.Generator) -> Any:
+    match int(rng.integers(11)):
+        case 0:
+            return value.astype(rng.choice(np.array(_TYPES, object)))
+        case 1:
+            return value[: int(rng.integers(len(value) + 1))].copy() if value.ndim else value
+        case 2:
+            return value[:0].copy() if value.ndim else value
+        case 3:
+            return value[:1].copy() if value.ndim else value
+        case 4:
+            return np.repeat(value, 2, axis=0)
+        case 5:
+            return rng.choice(np.array([value.reshape(-1), value[None], value.T, value[::2], None, 1.0], dtype=object))
+        case 6:
+            return np.full_like(value, value.flat[0] if value.size else 0)
+        case 7:
+            return rng.permutation(value) if value.ndim else value
+        case 8:
+            return np.zeros_like(value)
+        case _:
+            copy = value.copy()
+            if copy.size:
+                at = rng.integers(copy.size, size=int(rng.integers(1, 1 + copy.size)) if rng.random() < 0.5 else 1)
+                odd = _ODD_FLOATS if copy.dtype.kind == "f" else _ODD_WHOLE
+                with np.errstate(all="ignore"):
+                    copy.flat[at] = np.array(rng.choice(np.array(odd, np.float64), at.size)).astype(copy.dtype)
+            return copy
+
+
+def fuzz(name: str, calls: list[tuple[tuple[Any, ...], dict[str, Any]]], seconds: float, seed: int) -> tuple[int, int]:
+    """Call a function with damaged arguments for some seconds; return how many calls answered, and how many raised."""
+    from viewshed import _core
+
+    function = getattr(_core, name)
+    end, answered, refused = time.monotonic() + seconds, 0, 0
+    while time.monotonic() < end:
+        rng = np.random.default_rng([seed, answered + refused])
+        args, named = calls[int(rng.integers(len(calls)))]
+        values = [_copied(each) for each in (*args, *named.values())]
+        for _ in range(int(rng.integers(1, 4))):
+            if values:
+                at = int(rng.integers(len(values)))
+                values[at] = damaged(values[at], rng)
+        sys.stdout.write(f"\r{name} seed {seed} round {answered + refused} ")
+        sys.stdout.flush()
+        try:
+            function(*values[: len(args)], **dict(zip(named, values[len(args) :], strict=True)))
+            answered += 1
+        except ALLOWED:
+            refused += 1
+    return answered, refused
+
+
+def main() -> int:
+    """Fuzz the functions of the core and print a line for each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=30.0, help="so long for each function")
+    parser.add_argument("--only", default="", help="only functions whose name holds this")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sanitize", action="store_true", help="check addresses and undefined behavior")
+    given = parser.parse_args()
+    if given.sanitize:
+        return run_sanitized()
+    if "VIEWSHED_CORE" in os.environ:
+        use_core_of(os.environ["VIEWSHED_CORE"])
+    calls = record_calls()
+    unused = [name for name, made in calls.items() if not made]
+    for name, made in calls.items():
+        if made and given.only in name and name != "set_threads":
+            answered, refused = fuzz(name, made, given.seconds, given.seed)
+            print(f"\r{name}: {answered} calls answered, {refused} refused")
+    if unused:
+        print(f"never called: {', '.join(unused)}; add what calls them to use_everything", file=sys.stderr)
+    return int(bool(unused))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
