@@ -6,12 +6,13 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
 #include <initializer_list>
 #include <memory>
 #include <new>
 #include <stdexcept>
 #include <string>
+
+#include "memory.hpp"
 
 namespace viewshed {
 
@@ -91,7 +92,7 @@ View2<T> view(const InOut2<T>& a) {
     return {a.data(), a.shape(0), a.shape(1)};
 }
 
-// Memory without a value, aligned for vectors; either scratch of a stage or, by `array`, numpy's.
+// Memory without a value, aligned for vectors and used again; either scratch of a stage or, by `array`, numpy's.
 template <typename T>
 class Buffer {
 public:
@@ -116,7 +117,7 @@ public:
     // Give the memory to a numpy array of a shape that holds at most as many values. Needs the interpreter's lock.
     Out<T> array(std::initializer_list<std::size_t> shape) && {
         T* data = data_.release();
-        nb::capsule owner(data, [](void* p) noexcept { std::free(p); });
+        nb::capsule owner(data, [](void* p) noexcept { give_memory(p); });
         return Out<T>(data, shape, owner);
     }
     Out<T> array() && {
@@ -126,13 +127,11 @@ public:
 
 private:
     struct Free {
-        void operator()(T* p) const { std::free(p); }
+        void operator()(T* p) const { give_memory(p); }
     };
     static T* allocate(std::size_t size) {
-        const std::size_t bytes = (size * sizeof(T) + 63) / 64 * 64;
-        void* p = std::aligned_alloc(64, bytes ? bytes : 64);
-        if (p == nullptr) throw std::bad_alloc();
-        return static_cast<T*>(p);
+        if (size > SIZE_MAX / sizeof(T)) throw std::bad_alloc();
+        return static_cast<T*>(take_memory(size * sizeof(T)));
     }
 
     std::size_t size_;

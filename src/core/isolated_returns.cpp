@@ -40,14 +40,17 @@ constexpr std::size_t PART = 8192;
 
 INLINE bool is_between(float value, float low, float high) { return (value > low) & (value < high); }
 
-// Mark the pixels of one ring whose nearest return one of the four beside them confirms: most of all, found by vectors.
+// Write the nearest returns of one ring, negative where one of the four pixels beside confirms them: most of all, found by
+// vectors.
 MULTIVERSION void confirm_ring(const float* below, const float* row, const float* above, std::size_t columns,
-                               bool* confirmed) {
-    confirmed[0] = confirmed[columns - 1] = false;
+                               float* confirmed) {
+    confirmed[0] = row[0];
+    confirmed[columns - 1] = row[columns - 1];
     for (std::size_t c = 1; c + 1 < columns; ++c) {
         const float low = row[c] * DOWN, high = row[c] * UP;
         const bool in_ring = is_between(row[c - 1], low, high) | is_between(row[c + 1], low, high);
-        confirmed[c] = in_ring | is_between(below[c], low, high) | is_between(above[c], low, high);
+        const bool is_confirmed = in_ring | is_between(below[c], low, high) | is_between(above[c], low, high);
+        confirmed[c] = is_confirmed ? -row[c] : row[c];
     }
 }
 
@@ -102,7 +105,7 @@ void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int3
                            View1<bool> isolated, View1<bool> behind) {
     const std::size_t rings = nearest_m2.rows, columns = nearest_m2.columns;
     const Buffer<float> none(columns, NONE);
-    Buffer<bool> confirmed(nearest_m2.size());
+    Buffer<float> confirmed(nearest_m2.size());
     for_ranges(rings, count_parts(nearest_m2.size(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t r = begin; r < end; ++r) {
             confirm_ring(r > 0 ? nearest_m2[r - 1] : none.data(), nearest_m2[r],
@@ -112,14 +115,14 @@ void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int3
     for_ranges(ring.size, count_parts(ring.size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t n = begin; n < end; ++n) {
             isolated[n] = behind[n] = false;
-            if (squared_m2[n] < 0.0f) continue;
+            const float d2 = squared_m2[n];
+            if (d2 < 0.0f) continue;
+            // Most returns are the nearest of a pixel that is confirmed already.
             const int r = ring[n], c = column[n];
-            const bool behind_own = squared_m2[n] > nearest_m2(r, c);
-            // Most returns are the nearest of a pixel that vectors have already confirmed.
-            if ((behind_own || !confirmed[r * columns + c]) &&
-                is_isolated(nearest_m2, r, c, squared_m2[n], silent[c])) {
+            const float nearest = confirmed[std::size_t(r) * columns + std::size_t(c)];
+            if (d2 != -nearest && is_isolated(nearest_m2, r, c, d2, silent[c])) {
                 isolated[n] = true;
-                behind[n] = behind_own;
+                behind[n] = d2 > std::fabs(nearest);
             }
         }
     });

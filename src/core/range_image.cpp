@@ -71,7 +71,52 @@ bool are_rings_full(std::vector<std::int64_t> sizes, std::size_t columns) {
     return median <= FULLEST_RING * double(columns);
 }
 
-// The nearest return of each pixel; points that have none are marked as not used.
+// The pixels of some of the points: how many returns each has, and the least squared distance of those that are used.
+struct Pixels {
+    Pixels(std::size_t size) : counts(size), nearest_m2(size) {
+        std::fill(counts.begin(), counts.end(), std::uint8_t{0});
+        std::fill(nearest_m2.begin(), nearest_m2.end(), std::numeric_limits<float>::infinity());
+    }
+
+    Buffer<std::uint8_t> counts;
+    Buffer<float> nearest_m2;
+};
+
+// Write the column of each point, -1 without a ring, and fill its pixel. first (rings,) is added to its place around the turn;
+// the sum is at most two turns too large, and subtracting them is faster than a division.
+void fill_pixels(const std::int16_t* __restrict ring, const float* __restrict position, const float* __restrict first,
+                 std::size_t begin, std::size_t end, std::int32_t turn, float* __restrict squared_m2,
+                 std::int32_t* __restrict column, std::uint8_t* __restrict counts, float* __restrict nearest_m2) {
+    constexpr float none = std::numeric_limits<float>::infinity();
+    for (std::size_t n = begin; n < end; ++n) {
+        const int r = ring[n];
+        if (r < 0) {
+            column[n] = -1;
+            squared_m2[n] = -1.0f;
+            continue;
+        }
+        auto c = std::int32_t(position[n] + first[r]);
+        c -= c >= turn ? turn : 0;
+        c -= c >= turn ? turn : 0;
+        column[n] = c;
+        const std::size_t pixel = std::size_t(r) * std::size_t(turn) + std::size_t(c);
+        counts[pixel] = std::uint8_t(counts[pixel] + (counts[pixel] < FULL_COUNT));
+        const float d2 = squared_m2[n] < 0.0f ? none : squared_m2[n];
+        nearest_m2[pixel] = std::min(nearest_m2[pixel], d2);
+    }
+}
+
+// Add the pixels of other points.
+MULTIVERSION void add_pixels(const std::uint8_t* counts, const float* nearest_m2, std::size_t size,
+                             std::uint8_t* all_counts, float* all_nearest_m2) {
+    for (std::size_t k = 0; k < size; ++k) {
+        const unsigned sum = unsigned(counts[k]) + all_counts[k];
+        all_counts[k] = std::uint8_t(sum < FULL_COUNT ? sum : FULL_COUNT);
+        all_nearest_m2[k] = nearest_m2[k] < all_nearest_m2[k] ? nearest_m2[k] : all_nearest_m2[k];
+    }
+}
+
+// The nearest return of each pixel, of the points that have one.
 void find_nearest(View1<const std::int16_t> ring, View1<const std::int32_t> column, View1<float> squared_m2,
                   View2<float> nearest_m2) {
     std::fill_n(nearest_m2.data, nearest_m2.size(), std::numeric_limits<float>::infinity());
@@ -88,8 +133,8 @@ void find_nearest(View1<const std::int16_t> ring, View1<const std::int32_t> colu
 RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring, std::size_t columns,
                        std::size_t rings, float near_m, float far_m) {
     const std::size_t count = points.rows, pixels = rings * columns;
-    RangeImage image{rings,           columns,           Buffer<std::int32_t>(count), Buffer<std::uint8_t>(pixels, 0),
-                     Buffer<float>(pixels), Buffer<float>(rings), Buffer<bool>(count),  Buffer<bool>(count),
+    RangeImage image{rings,           columns,             Buffer<std::int32_t>(count), Buffer<std::uint8_t>(0),
+                     Buffer<float>(0), Buffer<float>(rings), Buffer<bool>(count),         Buffer<bool>(count),
                      std::nullopt,    false};
     Buffer<float> position(count), squared_m2(count);
 
@@ -119,23 +164,25 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
     image.has_full_rings = are_rings_full(ring_sizes, columns);
 
     // 2. The pixel of each return. A column reaches half a step to either side of its firing: + 0.5 - phase, and one turn
-    //    so that it is not negative; then back into [0, columns), up to two turns. Subtracting is faster than a division.
+    //    so that it is not negative.
     const auto turn = std::int32_t(columns);
-    for (std::size_t n = 0; n < count; ++n) {
-        std::int32_t c = -1;
-        if (ring[n] >= 0) {
-            c = std::int32_t(position[n] + (float(columns) + 0.5f - image.phase[ring[n]]));
-            c -= c >= turn ? turn : 0;
-            c -= c >= turn ? turn : 0;
-            std::uint8_t& pixel = image.counts[ring[n] * columns + c];
-            pixel = std::uint8_t(pixel + (pixel < FULL_COUNT));
-        }
-        image.column[n] = c;
+    std::vector<Pixels> pixels_of;
+    for (std::size_t part = 0; part < parts; ++part) pixels_of.emplace_back(pixels);
+    Buffer<float> first(rings);
+    for (std::size_t r = 0; r < rings; ++r) first[r] = float(columns) + 0.5f - image.phase[r];
+    for_ranges(count, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
+        fill_pixels(ring.data, position.data(), first.data(), begin, end, turn, squared_m2.data(), image.column.data(),
+                    pixels_of[part].counts.data(), pixels_of[part].nearest_m2.data());
+    });
+    for (std::size_t part = 1; part < parts; ++part) {
+        add_pixels(pixels_of[part].counts.data(), pixels_of[part].nearest_m2.data(), pixels, pixels_of[0].counts.data(),
+                   pixels_of[0].nearest_m2.data());
     }
+    image.counts = std::move(pixels_of[0].counts);
+    image.nearest_m2 = std::move(pixels_of[0].nearest_m2);
 
-    // 3. The nearest return of each pixel, and the isolated returns: no pixel around has a similar range.
+    // 3. The isolated returns: no pixel around has a similar range.
     const auto find_isolated = [&] {
-        find_nearest(ring, image.column, squared_m2, image.nearest_m2.view(rings, columns));
         Buffer<bool> silent(columns);
         find_silent_columns({image.counts.data(), rings, columns}, silent);
         find_isolated_returns(ring, image.column, squared_m2, {image.nearest_m2.data(), rings, columns}, silent,
@@ -150,6 +197,7 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
         find_clutter(ring, image.column, squared_m2, {image.nearest_m2.data(), rings, columns}, image.isolated, near_m,
                      clutter);
         take_out(ring, clutter, image.column, image.counts.view(rings, columns));
+        find_nearest(ring, image.column, squared_m2, image.nearest_m2.view(rings, columns));
         find_isolated();
         for (std::size_t n = 0; n < count; ++n) image.isolated[n] |= clutter[n];
         image.clutter = std::move(clutter);

@@ -1,0 +1,94 @@
+#include "memory.hpp"
+
+#include <array>
+#include <bit>
+#include <cstdint>
+#include <cstdlib>
+#include <mutex>
+#include <new>
+#include <vector>
+
+namespace viewshed {
+namespace {
+
+// Before each block stands its size class; the block itself begins at a multiple of this.
+constexpr std::size_t ALIGNMENT = 64;
+
+// Classes of sizes, four to each power of two from 64 bytes on. Larger blocks go back to the system, and so do those smaller
+// than a page; of the others so many bytes are kept at most.
+constexpr std::size_t CLASSES = 4 * 20;
+constexpr std::size_t LEAST_KEPT = std::size_t{1} << 12, MOST_KEPT = std::size_t{64} << 20;
+
+constexpr std::size_t size_of_class(std::size_t number) {
+    const std::size_t power = std::size_t{ALIGNMENT} << (number / 4);
+    return power + power / 4 * (number % 4);
+}
+
+// The first class that holds so many bytes; CLASSES where none does.
+std::size_t class_of_size(std::size_t bytes) {
+    if (bytes <= ALIGNMENT) return 0;
+    const auto log2 = std::size_t(std::bit_width(bytes - 1)) - 1;
+    for (std::size_t number = 4 * (log2 - 6); number < CLASSES; ++number) {
+        if (size_of_class(number) >= bytes) return number;
+    }
+    return CLASSES;
+}
+
+struct Kept {
+    std::mutex mutex;
+    std::array<std::vector<void*>, CLASSES> blocks;
+    std::size_t bytes = 0;
+};
+
+Kept& kept() {
+    static Kept* const all = new Kept;  // arrays may outlive every destructor
+    return *all;
+}
+
+}  // namespace
+
+void* take_memory(std::size_t bytes) {
+    const std::size_t number = class_of_size(bytes);
+    const std::size_t size = number < CLASSES ? size_of_class(number) : (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+#ifndef VIEWSHED_SANITIZE
+    if (size >= LEAST_KEPT && number < CLASSES) {
+        Kept& all = kept();
+        // Whoever finds it locked, or forked while it was, asks the system.
+        std::unique_lock lock(all.mutex, std::try_to_lock);
+        if (lock && !all.blocks[number].empty()) {
+            void* block = all.blocks[number].back();
+            all.blocks[number].pop_back();
+            all.bytes -= size;
+            return block;
+        }
+    }
+#endif
+    if (size > SIZE_MAX - ALIGNMENT) throw std::bad_alloc();
+    void* begin = std::aligned_alloc(ALIGNMENT, size + ALIGNMENT);
+    if (begin == nullptr) throw std::bad_alloc();
+    *static_cast<std::size_t*>(begin) = number;
+    return static_cast<char*>(begin) + ALIGNMENT;
+}
+
+void give_memory(void* taken) noexcept {
+    if (taken == nullptr) return;
+    void* begin = static_cast<char*>(taken) - ALIGNMENT;
+#ifndef VIEWSHED_SANITIZE
+    const std::size_t number = *static_cast<std::size_t*>(begin);
+    if (number < CLASSES && size_of_class(number) >= LEAST_KEPT) {
+        try {
+            Kept& all = kept();
+            std::unique_lock lock(all.mutex, std::try_to_lock);
+            if (lock && all.bytes + size_of_class(number) <= MOST_KEPT) {
+                all.blocks[number].push_back(taken);
+                all.bytes += size_of_class(number);
+                return;
+            }
+        } catch (...) {  // no room for the list: the block goes back
+        }
+    }
+#endif
+    std::free(begin);
+}
+
+}  // namespace viewshed
