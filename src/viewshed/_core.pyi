@@ -336,6 +336,27 @@ def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float
 
 # polygons.cpp
 
+def rings_of_mask(
+    mask: NDArray[np.bool_], regions: NDArray[np.int32]
+) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32]]: ...
+def cells_inside(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def cells_met(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def best_sectors(
+    ranges: NDArray[np.float64], sectors: int, inner: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]: ...
+def free_ranges(
+    mask: NDArray[np.bool_],
+    x_m: float,
+    y_m: float,
+    cell_m: float,
+    apex_x_m: float,
+    apex_y_m: float,
+    half_m: float,
+    bins: int,
+    is_solid: bool,
+) -> NDArray[np.float64]: ...
+def star_vertices(ranges: NDArray[np.float64], price_m2: float) -> NDArray[np.float64]: ...
+
 # files.cpp
 
 def split_xyzi(rows: NDArray[np.float32], points: NDArray[np.float32], intensity: NDArray[np.float32]) -> None: ...
