@@ -35,6 +35,15 @@ struct Lattice {
 // The lattice of so many nodes a side, from a small cache.
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m);
 
+// Lengths in meters up to this are accepted: no sum or product of them overflows.
+constexpr float MOST_M = 1e6f;
+
+// Raise ValueError unless there are as many nodes as a lattice may have, and its extent is one.
+void require_lattice(std::size_t nodes, double half_m);
+
+// Raise ValueError unless all values lie in [-MOST_M, MOST_M].
+void require_bounded(View1<const float> values, const char* rule);
+
 // Half the width in sectors of a node at a range in nodes.
 inline float half_width(float range_nodes) {
     constexpr float AT_ONE_NODE = float(0.6 * SECTORS / (2 * 3.14159265358979323846));
