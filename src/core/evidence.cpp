@@ -139,7 +139,7 @@ Beams beams_of(const BeamArrays& arrays) {
     return {view(azimuth), view(slope), view(depth_m)};
 }
 
-Ground ground_of(const In2<float>& heights_m, const In2<float>& std_m, float half_extent_m, float sensor_height_m) {
+TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, float half_extent_m, float sensor_height_m) {
     const std::size_t nodes = heights_m.shape(0);
     require(nodes >= 2 && nodes <= 16384 && heights_m.shape(1) == nodes,
             "heights_m must have shape (nodes, nodes), 2 to 16384 of them");
@@ -178,7 +178,7 @@ void bind_evidence(nb::module_& m) {
             require(kinds.size() >= 1 && kinds.size() <= 3, "kinds must be one to three sets of beams");
             std::array<Beams, 3> beams{};
             std::transform(kinds.begin(), kinds.end(), beams.begin(), beams_of);
-            const Ground ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
+            const TargetGround ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
             const std::size_t cells = windows.cells();
             Buffer<float> returns(kinds.size() * cells), aimed(cells);
             {
@@ -208,7 +208,7 @@ void bind_evidence(nb::module_& m) {
            float half_extent_m, float sensor_height_m, float target_height_m,
            const std::array<std::pair<float, float>, 2>& ground_steps, In1<float> table, float threshold, float reach_m) {
             const std::array<Beams, 3> beams{beams_of(kinds[0]), beams_of(kinds[1]), beams_of(kinds[2])};
-            const Ground ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
+            const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const Probabilities probabilities = probabilities_of(table);
             const std::array<float, 2> deviations{ground_steps[0].first, ground_steps[1].first};
             const float lower = ground_steps[0].second, higher = ground_steps[1].second;

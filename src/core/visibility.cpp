@@ -5,7 +5,7 @@
 #include <cstring>
 #include <limits>
 #include <numbers>
-#include <optional>
+#include <utility>
 
 #include "parallel.hpp"
 #include "stages.hpp"
@@ -35,19 +35,6 @@ constexpr float INFINITE = std::numeric_limits<float>::infinity();
 // The slopes of beams that pass a target's foot and its top: rows of a sector's limits, one pair for each ground.
 constexpr std::size_t LIMITS = 6;
 
-// Memory that a thread uses again and again: allocating megabytes anew costs page faults.
-template <typename T>
-class Scratch {
-public:
-    T* of_size(std::size_t size) {
-        if (!buffer_ || buffer_->size() < size) buffer_.emplace(size);
-        return buffer_->data();
-    }
-
-private:
-    std::optional<Buffer<T>> buffer_;
-};
-
 // A beam of a column: its slope, and the last range bin that it reaches, -1 for none.
 struct Beam {
     float slope;
@@ -55,7 +42,7 @@ struct Beam {
 };
 
 // The beams of one kind by column; those above every target lie behind the last one.
-struct Sorted {
+struct SortedKind {
     const Beam* beams;
     const std::uint32_t* first;  // (AZIMUTH_COLUMNS + 1,)
 };
@@ -63,7 +50,7 @@ struct Sorted {
 // What the segments are counted from, and where.
 struct Job {
     const CellWindows* windows;
-    std::array<Sorted, 3> kinds;
+    std::array<SortedKind, 3> kinds;
     const float* limits;  // (GROUND_SECTORS, LIMITS, stride)
     bool shifted;
     Row* rows;
@@ -78,7 +65,7 @@ INLINE float clamped(float at, float last) {
 // 1. Slopes.
 
 // Write the limits (LIMITS, stride) of one sector, and return the steepest slope of a target's top.
-MULTIVERSION float write_limits(const CellWindows& windows, const Ground& ground, float target_height_m,
+MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
                                 const float* deviations, std::size_t sector, float* limits) {
     const double azimuth = (double(sector) + 0.5) * (2 * std::numbers::pi / GROUND_SECTORS) - std::numbers::pi;
     const auto x = float(std::cos(azimuth)), y = float(std::sin(azimuth));
@@ -146,34 +133,33 @@ MULTIVERSION void find_last_bins(const float* slope, const float* depth_m, std::
     }
 }
 
-// Sort the beams of all kinds by column, those up to the slope `highest`. The order within a column does not matter: what
-// is counted are whole numbers.
-struct SortedKinds {
-    Scratch<std::uint16_t> column;
-    Scratch<std::uint32_t> places;
-    Scratch<Beam> beams;
+// The beams of all kinds by column, those up to the slope `highest`. The order within a column does not matter: what is
+// counted are whole numbers.
+struct SortedBeams {
+    std::size_t total, parts;
+    Buffer<Beam> beams;
+    Buffer<std::uint32_t> first;  // (kinds, BUCKETS) where each column begins
 
-    std::array<Sorted, 3> sort(const std::array<Beams, 3>& kinds, float highest, float cell_m, std::size_t bins) {
-        constexpr std::size_t BUCKETS = AZIMUTH_COLUMNS + 1;  // the last one for beams above every target
-        std::array<std::size_t, 4> begin{};
-        for (std::size_t kind = 0; kind < 3; ++kind) begin[kind + 1] = begin[kind] + kinds[kind].azimuth.size;
-        const std::size_t total = begin[3], parts = count_parts(total, PART);
-        std::uint16_t* const columns = column.of_size(total);
-        Beam* const sorted = beams.of_size(total);
-        // Each part counts its share of every kind; then a part's place in a column lies behind those of the parts before.
-        std::uint32_t* const counts = places.of_size((parts + 1) * 3 * BUCKETS);
-        std::uint32_t* const first = counts + parts * 3 * BUCKETS;
+    static constexpr std::size_t BUCKETS = AZIMUTH_COLUMNS + 1;  // the last one for beams above every target
+
+    SortedBeams(const std::array<Beams, 3>& kinds, float highest, float cell_m, std::size_t bins)
+        : total(kinds[0].azimuth.size + kinds[1].azimuth.size + kinds[2].azimuth.size), parts(count_parts(total, PART)),
+          beams(total), first(3 * BUCKETS) {
+        Buffer<std::uint16_t> column(total);
+        Buffer<std::uint32_t> counts(parts * 3 * BUCKETS);
+        // Each part counts its share of every kind; then its place in a column lies behind those of the parts before.
         const auto each_block = [&](std::size_t part, const auto& body) {
-            for (std::size_t kind = 0; kind < 3; ++kind) {
+            std::size_t begin = 0;
+            for (std::size_t kind = 0; kind < 3; begin += kinds[kind].azimuth.size, ++kind) {
                 const std::size_t size = kinds[kind].azimuth.size, end = size * (part + 1) / parts;
                 for (std::size_t n = size * part / parts; n < end; n += BLOCK) {
-                    body(kinds[kind], n, std::min(BLOCK, end - n), columns + begin[kind] + n,
-                         counts + (part * 3 + kind) * BUCKETS);
+                    body(kinds[kind], n, std::min(BLOCK, end - n), &column[begin + n],
+                         &counts[(part * 3 + kind) * BUCKETS]);
                 }
             }
         };
         for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
-            std::fill_n(counts + part * 3 * BUCKETS, 3 * BUCKETS, 0);
+            std::fill_n(&counts[part * 3 * BUCKETS], 3 * BUCKETS, 0);
             each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* count) {
                 find_columns(of.azimuth.data + n, of.slope.data + n, size, highest, at);
                 for (std::size_t k = 0; k < size; ++k) ++count[at[k]];
@@ -183,22 +169,20 @@ struct SortedKinds {
         for (std::size_t bucket = 0; bucket < 3 * BUCKETS; ++bucket) {
             first[bucket] = place;
             for (std::size_t part = 0; part < parts; ++part) {
-                const std::uint32_t count = counts[part * 3 * BUCKETS + bucket];
-                counts[part * 3 * BUCKETS + bucket] = place;
-                place += count;
+                std::uint32_t& count = counts[part * 3 * BUCKETS + bucket];
+                place += std::exchange(count, place);
             }
         }
         for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
             Beam block[BLOCK];
             each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* next) {
                 find_last_bins(of.slope.data + n, of.depth_m.data + n, size, cell_m, float(bins - 1), block);
-                for (std::size_t k = 0; k < size; ++k) sorted[next[at[k]]++] = block[k];
+                for (std::size_t k = 0; k < size; ++k) beams[next[at[k]]++] = block[k];
             });
         });
-        std::array<Sorted, 3> made;
-        for (std::size_t kind = 0; kind < 3; ++kind) made[kind] = {sorted, first + kind * BUCKETS};
-        return made;
     }
+
+    SortedKind kind(std::size_t number) const { return {beams.data(), first.data() + number * BUCKETS}; }
 };
 
 // 3. Sums over columns.
@@ -206,7 +190,7 @@ struct SortedKinds {
 // Count the beams [begin, end) in the range bins that they reach: their slope lies between foot and top, and they ended no
 // nearer. Return how many bins were looked at.
 template <bool SHIFTED>
-INLINE std::size_t count_kind(const Sorted& kind, std::size_t column, const float* __restrict limits, std::size_t stride,
+INLINE std::size_t count_kind(const SortedKind& kind, std::size_t column, const float* __restrict limits, std::size_t stride,
                               std::int32_t* __restrict own, std::int32_t* __restrict lower,
                               std::int32_t* __restrict higher) {
     std::size_t most = 0;
@@ -446,36 +430,33 @@ MULTIVERSION void CellCounts::read(std::size_t first, std::size_t count, float (
     }
 }
 
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const Ground& ground,
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations) {
-    thread_local Scratch<float> limits_scratch;
-    thread_local Scratch<Row> rows_scratch, totals_scratch;
-    thread_local SortedKinds sorted_kinds;
     const std::size_t beams = kinds[0].azimuth.size + kinds[1].azimuth.size + kinds[2].azimuth.size;
     const std::size_t parts = count_parts(beams + windows.cells(), WORTH);
 
     // 1. The slopes of a target's foot and top, by sector and range.
-    float* const limits = limits_scratch.of_size(GROUND_SECTORS * LIMITS * windows.stride);
+    Buffer<float> limits(GROUND_SECTORS * LIMITS * windows.stride);
     std::array<float, GROUND_SECTORS> highest;
     for_ranges(GROUND_SECTORS, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t sector = begin; sector < end; ++sector) {
             highest[sector] = write_limits(windows, ground, target_height_m, deviations ? deviations->data() : nullptr,
-                                           sector, limits + sector * LIMITS * windows.stride);
+                                           sector, &limits[sector * LIMITS * windows.stride]);
         }
     });
     // 2. Beams by column. Those above every target aim at none: by a bin of slope, which is interpolated.
     const float most = *std::max_element(highest.begin(), highest.end()) + 1.0f / PER_SLOPE;
-    const auto sorted = sorted_kinds.sort(kinds, most, windows.cell_m, windows.bins);
+    const SortedBeams sorted(kinds, most, windows.cell_m, windows.bins);
     // 3. Sums over the columns of each segment.
-    Row* const rows = rows_scratch.of_size(windows.rows() + LANES);
-    Row* const totals = totals_scratch.of_size(SEGMENTS * windows.bins);
-    const Job job{&windows, sorted, limits, deviations != nullptr, rows, totals};
+    CellCounts counts{&windows, Buffer<Row>(windows.rows() + LANES), Buffer<Row>(SEGMENTS * windows.bins)};
+    const Job job{&windows, {sorted.kind(0), sorted.kind(1), sorted.kind(2)}, limits.data(), deviations != nullptr,
+                  counts.rows.data(), counts.totals.data()};
     if (parts <= 1) {
         for (std::size_t segment = 0; segment < SEGMENTS; ++segment) sum_segment(job, segment);
     } else {
         run_parts(SEGMENTS, [&](std::size_t segment) { sum_segment(job, segment); });
     }
-    return {&windows, rows, totals};
+    return counts;
 }
 
 void bind_visibility(nb::module_& m) {

@@ -19,7 +19,7 @@ struct Beams {
 
 // The ground on a lattice of nodes × nodes that spans ±half_extent_m, its standard deviation, and the sensor's height. A
 // deviation that is not there (no data) is 0.
-struct Ground {
+struct TargetGround {
     View2<const float> heights_m, std_m;
     float half_extent_m, sensor_height_m;
 };
@@ -72,11 +72,11 @@ public:
     std::vector<Crossing> crossings;             // by cell
 };
 
-// The sums of one sweep at all cells; memory of the thread that asks, which the next count overwrites.
+// The sums of one sweep at all cells.
 struct CellCounts {
     const CellWindows* windows;
-    const Row* rows;    // (windows.rows(),)
-    const Row* totals;  // (SEGMENTS, windows.bins)
+    Buffer<Row> rows;    // (windows.rows(),), and some more to be read in whole blocks
+    Buffer<Row> totals;  // (SEGMENTS, windows.bins)
 
     // Write `count` cells from `first` on, a lane after the other, into (LANES, BLOCK).
     static constexpr std::size_t BLOCK = 512;
@@ -85,7 +85,7 @@ struct CellCounts {
 
 // Count three kinds of beams: measured, inferred, unresolved. With `deviations`, also where the ground lies so many standard
 // deviations higher; else those lanes are 0.
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const Ground& ground,
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations);
 
 }  // namespace viewshed
