@@ -137,6 +137,41 @@ def use_everything() -> None:
             estimator = viewshed.load_estimator(method)
             estimate = estimator.estimate(each)
     del estimate, History
+    _use_features(sweep)
+    _use_polygons(rng)
+
+
+def _use_features(sweep: Any) -> None:
+    """Compute features of a sweep as maps and in blocks, and moments of passes."""
+    from viewshed import CAR, BevGrid
+    from viewshed.networks.features import FEATURES, FeatureContext, feature_maps, fold_maps
+    from viewshed.networks.mc_dropout import mean_and_deviation
+    from viewshed.preprocess.azimuth_bins import Crop
+    from viewshed.preprocess.leveling import level
+
+    grid = BevGrid(32, 32.0)
+    leveled = level(sweep, grid)
+    context = FeatureContext(leveled, grid, CAR, grid.count(leveled.points).clip(0, 255).astype(np.uint8))
+    for fold in (0, 4):
+        feature_maps(tuple(FEATURES), context, fold)
+    for name in FEATURES:
+        feature_maps((name,), context)
+    maps = feature_maps(tuple(FEATURES), context)
+    fold_maps(maps, 2)
+    mean_and_deviation(maps.astype(np.float32))
+    Crop(20.0).any_on(leveled, grid)
+
+
+def _use_polygons(rng: np.random.Generator) -> None:
+    """Make polygons and sectors of a mask."""
+    from viewshed import BevGrid
+    from viewshed.fov.polygons import inner_polygon_of_mask, sectors_of_mask
+
+    grid = BevGrid(24, 12.0)
+    mask = (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < 9.0) & (rng.random(grid.shape) < 0.95)
+    inner_polygon_of_mask(mask, grid, 12)
+    for whole in (True, False):
+        sectors_of_mask(mask, grid, 4, whole_cells=whole)
 
 
 def _copied(value: Any) -> Any:

@@ -75,14 +75,17 @@ void merge(std::vector<double>& total, const std::vector<double>& value, std::in
 // level d + 1 the ancestor at depth d.
 std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& tree, const Order& order,
                                 std::size_t sectors, double inner) {
-    const std::size_t levels = *std::max_element(order.depth.begin(), order.depth.end()) + 2, spend = sectors + 1;
-    const auto state = [&](std::size_t node, std::size_t level) { return (node * levels + level) * spend; };
-    std::vector<bool> taken(ranges.size() * levels * spend);
-    std::vector<std::int16_t> given(ranges.size() * levels * spend, 0);
+    // A node has a state for each level up to its own depth.
+    const std::size_t depths = *std::max_element(order.depth.begin(), order.depth.end()) + 1, spend = sectors + 1;
+    std::vector<std::size_t> begin(ranges.size() + 1, 0);
+    for (std::size_t node = 0; node < ranges.size(); ++node) begin[node + 1] = begin[node] + order.depth[node] + 1;
+    const auto state = [&](std::size_t node, std::size_t level) { return (begin[node] + level) * spend; };
+    std::vector<bool> taken(begin.back() * spend);
+    std::vector<std::int16_t> given(begin.back() * spend, 0);
     // Of the children of the open node at each depth, by level, the best of what is spent on them.
-    std::vector<std::vector<std::vector<double>>> below(
-        levels, std::vector<std::vector<double>>(levels, std::vector<double>(spend, 0.0)));
-    std::vector<double> path(levels), value;
+    std::vector<std::vector<std::vector<double>>> below(depths);
+    for (std::size_t d = 0; d < depths; ++d) below[d].assign(d + 2, std::vector<double>(spend, 0.0));
+    std::vector<double> path(depths + 1), value;
     for (std::size_t n = order.nodes.size(); n-- > 0;) {
         const std::size_t node = order.nodes[n], depth = order.depth[node];
         auto& children = below[depth];
