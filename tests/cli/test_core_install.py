@@ -1,4 +1,4 @@
-"""What works without any extra: estimates, comparisons, pictures and exports of sweeps, and bags with ``bags`` alone."""
+"""What works without any extra: estimates, comparisons, pictures, exports; bags with the extra ``bags`` alone."""
 
 import json
 import subprocess
