@@ -46,7 +46,9 @@ constexpr std::size_t FEWEST_POINTS = 50;
 constexpr double BELOW_AREA = 2.0;
 
 // The next number of a linear congruential sequence (Numerical Recipes' constants).
-INLINE std::uint32_t next(std::uint32_t state) { return state * 1664525u + 1013904223u; }
+INLINE std::uint32_t next(std::uint32_t state) {
+    return state * 1664525u + 1013904223u;
+}
 
 // Points as columns, and the weight of each.
 struct Points3 {
@@ -275,13 +277,12 @@ CarrierPlane carrier_plane(const Lows& lows, double height_m) {
     if (points.size < FEWEST_NODES) return carrier;
     if (!(best_plane(points, height_m, carrier.plane) > 0.0)) return carrier;
     for (int turn = 0; turn < 3; ++turn) carrier.plane = refit(points, carrier.plane);
-    double on = 0.0;
-    float all = 0.0f;
+    double on = 0.0, all = 0.0;
     for (std::size_t k = 0; k < points.size; ++k) {
         on += points.is_on(k, carrier.plane) ? double(points.weight[k]) : 0.0;
-        all += points.weight[k];
+        all += double(points.weight[k]);
     }
-    carrier.support = on / double(all);
+    carrier.support = on / all;
     return carrier;
 }
 

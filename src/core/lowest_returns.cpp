@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "ego_vehicle.hpp"
 #include "parallel.hpp"
 #include "vectors.hpp"
 
@@ -18,9 +19,8 @@ constexpr std::size_t PART = 16384;
 // What is asked of all points.
 struct Rule {
     float rotation[9];
-    float near2, far2, half_m, nodes_per_m;
+    float near2, far2, half_m, nodes_per_m, cosine, sine;
     std::int32_t side;
-    OwnVehicle vehicle;
 };
 
 // Write the node of each point of a block (-1 where it is no candidate for ground) and its z. Candidates lie in the lattice
@@ -31,8 +31,8 @@ MULTIVERSION void place_block(const float* points, const bool* isolated, std::si
     const float yx = rule.rotation[3], yy = rule.rotation[4], yz = rule.rotation[5];
     const float zx = rule.rotation[6], zy = rule.rotation[7], zz = rule.rotation[8];
     const float near2 = rule.near2, far2 = rule.far2, half_m = rule.half_m, per_m = rule.nodes_per_m;
-    const float cosine = rule.vehicle.cosine, sine = rule.vehicle.sine;
-    const float hood_x = rule.vehicle.half_length_m, hood_y = rule.vehicle.half_width_m, hood_z = -rule.vehicle.hood_m;
+    const float cosine = rule.cosine, sine = rule.sine;
+    const float hood_x = float(EGO_LENGTH_M), hood_y = float(EGO_WIDTH_M), hood_z = -float(LEAST_EGO_HEIGHT_M);
     const std::int32_t side = rule.side;
     const float last = float(side);
     float px[BLOCK], py[BLOCK], pz[BLOCK];
@@ -87,9 +87,10 @@ void insert(View2<const float> points, std::size_t k, float z, Lowest& lowest) {
 }  // namespace
 
 Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2<const float> rotation, float near_m,
-                    float far_m, const OwnVehicle& vehicle, float half_m, std::size_t nodes) {
+                    float far_m, double heading, float half_m, std::size_t nodes) {
     const std::size_t count = points.rows;
-    Rule rule{{}, near_m * near_m, far_m * far_m, half_m, float(nodes) / (2.0f * half_m), std::int32_t(nodes), vehicle};
+    Rule rule{{}, near_m * near_m, far_m * far_m, half_m, float(nodes) / (2.0f * half_m), float(std::cos(heading)),
+              float(std::sin(heading)), std::int32_t(nodes)};
     std::copy_n(rotation.data, 9, rule.rotation);
 
     // 1. The node and the z of each point.
