@@ -96,13 +96,14 @@ ReturnsByRing returns_by_ring(const std::vector<std::int16_t>& ring, std::size_t
 template <typename Value>
 std::vector<double> ring_medians(const ReturnsByRing& returns, const Value& value) {
     std::vector<double> medians(returns.starts.size() - 1);
-    std::vector<float> values;
+    std::vector<float> values(returns.size());
     for (std::size_t r = 0; r < medians.size(); ++r) {
-        values.clear();
+        std::size_t count = 0;
         for (std::size_t k = returns.starts[r]; k < returns.starts[r + 1]; ++k) {
-            if (returns.nearness[k] > 0.0f) values.push_back(value(r, returns.slope[k], returns.nearness[k]));
+            values[count] = value(r, returns.slope[k], returns.nearness[k]);
+            count += returns.nearness[k] > 0.0f;
         }
-        medians[r] = lower_median(values.data(), values.size());
+        medians[r] = lower_median(values.data(), count);
     }
     return medians;
 }
