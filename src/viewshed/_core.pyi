@@ -156,9 +156,109 @@ def obstacle_cells(
 
 # no_return.cpp
 
+# grid.cpp
+
+def count_points(
+    points: NDArray[np.float32],
+    rotation: NDArray[np.float32],
+    translation: NDArray[np.float32],
+    *,
+    cells: int,
+    cell_m: float,
+    origin_x_m: float,
+    origin_y_m: float,
+    low_m: float,
+    high_m: float,
+    max_range_m: float,
+    null_range_m: float,
+) -> NDArray[np.int32]: ...
+
+# height_map.cpp
+
+def lattice_positions(
+    xy: NDArray[np.float32], half_extent_m: float, nodes: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]: ...
+def interpolate(
+    heights_m: NDArray[np.float32], node: NDArray[np.int32], down: NDArray[np.float64], right: NDArray[np.float64]
+) -> NDArray[np.float32]: ...
+
 # visibility.cpp
 
+_Beams = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+
+class CellWindows:
+    def __init__(
+        self, range_m: NDArray[np.float32], azimuth: NDArray[np.float32], cell_m: float, width_m: float
+    ) -> None: ...
+
+# evidence.cpp
+
+def poisson_table(min_returns: int) -> NDArray[np.float32]: ...
+def probability_of_visible(counts: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]: ...
+def returns_by_kind(
+    windows: CellWindows,
+    kinds: Sequence[_Beams],
+    heights_m: NDArray[np.float32],
+    half_extent_m: float,
+    sensor_height_m: float,
+    target_height_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def beam_evidence(
+    windows: CellWindows,
+    kinds: tuple[_Beams, _Beams, _Beams],
+    heights_m: NDArray[np.float32],
+    std_m: NDArray[np.float32],
+    *,
+    half_extent_m: float,
+    sensor_height_m: float,
+    target_height_m: float,
+    ground_steps: tuple[tuple[float, float], tuple[float, float]],
+    table: NDArray[np.float32],
+    threshold: float,
+    reach_m: float,
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.bool_],
+]: ...
+def states(
+    measured: NDArray[np.float32],
+    inferred: NDArray[np.float32],
+    aimed: NDArray[np.float32],
+    visible_prob: NDArray[np.float32],
+    within_reach: NDArray[np.bool_],
+    visible: NDArray[np.bool_],
+    denied: NDArray[np.bool_],
+    obstacle: NDArray[np.bool_],
+    *,
+    table: NDArray[np.float32],
+    threshold: float,
+    sure_aim: float,
+) -> NDArray[np.uint8]: ...
+
 # history.cpp
+
+def obstacle_image(
+    clouds: Sequence[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]],
+    least_m: float,
+    sensor_height_m: float,
+) -> NDArray[np.float32]: ...
+def end_at_obstacles(
+    image: NDArray[np.float32], azimuth: NDArray[np.float32], slope: NDArray[np.float32], depth_m: NDArray[np.float32]
+) -> NDArray[np.float32]: ...
+def sight_lines() -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def confirmed_cells(
+    seen: NDArray[np.bool_],
+    earlier_from_now: NDArray[np.float32],
+    origin_x_m: float,
+    origin_y_m: float,
+    cell_m: float,
+    in_view: NDArray[np.float32],
+    whole: NDArray[np.float32],
+) -> NDArray[np.bool_]: ...
 
 # features.cpp
 
@@ -254,6 +354,27 @@ def thin_returns(
 def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
 
 # polygons.cpp
+
+def rings_of_mask(
+    mask: NDArray[np.bool_], regions: NDArray[np.int32]
+) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32]]: ...
+def cells_inside(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def cells_met(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def best_sectors(
+    ranges: NDArray[np.float64], sectors: int, inner: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]: ...
+def free_ranges(
+    mask: NDArray[np.bool_],
+    x_m: float,
+    y_m: float,
+    cell_m: float,
+    apex_x_m: float,
+    apex_y_m: float,
+    half_m: float,
+    bins: int,
+    is_solid: bool,
+) -> NDArray[np.float64]: ...
+def star_vertices(ranges: NDArray[np.float64], price_m2: float) -> NDArray[np.float64]: ...
 
 # files.cpp
 
