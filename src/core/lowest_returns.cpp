@@ -25,7 +25,7 @@ struct Rule {
 
 // Write the node of each point of a block (-1 where it is no candidate for ground) and its z. Candidates lie in the lattice
 // and in range, and are not hood or roof of the vehicle below the sensor. Without branches, so that it becomes vectors.
-MULTIVERSION void place_block(const float* points, const bool* isolated, std::size_t count, const Rule& rule,
+MULTIVERSION void place_block(const float* points, const std::uint8_t* isolated, std::size_t count, const Rule& rule,
                               std::int32_t* nodes, float* heights) {
     const float xx = rule.rotation[0], xy = rule.rotation[1], xz = rule.rotation[2];
     const float yx = rule.rotation[3], yy = rule.rotation[4], yz = rule.rotation[5];
@@ -97,10 +97,10 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
     const std::size_t parts = count_parts(count, PART);
     Buffer<std::int32_t> node(count);
     Buffer<float> height(count);
+    const auto* left_out = reinterpret_cast<const std::uint8_t*>(isolated.data);  // bytes become vectors, bools do not
     for_ranges(count, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t start = begin; start < end; start += BLOCK) {
-            place_block(points[start], &isolated[start], std::min(BLOCK, end - start), rule, &node[start],
-                        &height[start]);
+            place_block(points[start], left_out + start, std::min(BLOCK, end - start), rule, &node[start], &height[start]);
         }
     });
 
@@ -120,6 +120,7 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
             const Lowest& here = lowest[at];
             const int rank = here.height[1] < NONE ? 1 : 0;
             lows.z_m[at] = here.height[rank];
+            lows.x_m[at] = lows.y_m[at] = lows.rise_m[at] = 0.0f;
             if (here.height[rank] == NONE) continue;
             const float* p = points[std::size_t(here.point[rank])];
             const float* turn = rule.rotation;
