@@ -3,6 +3,7 @@
 #include <cmath>
 #include <optional>
 
+#include "mask_regions.hpp"
 #include "mask_rings.hpp"
 #include "sector_polygons.hpp"
 #include "stages.hpp"
@@ -59,6 +60,30 @@ View1<const double> checked_ranges(const In1<double>& ranges) {
 }  // namespace
 
 void bind_polygons(nb::module_& m) {
+    m.def(
+        "label_regions",
+        [](In2<bool> mask, bool diagonal) {
+            const std::size_t rows = mask.shape(0), columns = mask.shape(1);
+            Buffer<std::int32_t> labels(rows * columns);
+            {
+                nb::gil_scoped_release unlocked;
+                label_regions(view(mask), diagonal, labels.view(rows, columns));
+            }
+            return std::move(labels).array({rows, columns});
+        },
+        "mask"_a.noconvert(), "diagonal"_a, "Number (rows, columns) of each cell's connected region, 0 for none.");
+    m.def(
+        "squared_depth",
+        [](In2<bool> mask) {
+            const std::size_t rows = mask.shape(0), columns = mask.shape(1);
+            Buffer<std::int64_t> depth(rows * columns);
+            {
+                nb::gil_scoped_release unlocked;
+                find_squared_depth(view(mask), depth.view(rows, columns));
+            }
+            return std::move(depth).array({rows, columns});
+        },
+        "mask"_a.noconvert(), "Squared distance (rows, columns) to the nearest false cell, in cells.");
     m.def(
         "rings_of_mask",
         [](In2<bool> mask, In2<std::int32_t> regions) {
