@@ -114,7 +114,12 @@ def use_everything() -> None:
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
     from viewshed.io import read_sweep, write_sweep
+    from viewshed.preprocess.beam_matching import match_beams, polar
+    from viewshed.preprocess.elevation_clusters import find_clusters
     from viewshed.preprocess.history import History
+    from viewshed.preprocess.ring_recovery import recover_rings
+    from viewshed.preprocess.sensor_identification import identify_sensor, infer_sensor
+    from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
     from viewshed.sensors import lidar_model
     from viewshed.sim import Box, Scene, cast
 
@@ -132,6 +137,16 @@ def use_everything() -> None:
         _core.unpack_lzf(packed, np.empty(11, np.uint8))
     bare = viewshed.Sweep(sweep.points)
     shuffled = viewshed.Sweep(sweep.points[rng.permutation(len(sweep))])
+    for each in (bare, shuffled, sweep.replace(model=None), shuffled.replace(model=sweep.model)):
+        recover_rings(each)
+        identify_sensor(each)
+        identify_sensor(each.replace(infer_sensor=False))
+        infer_sensor(each.points, each.ring)
+    azimuth, slope, range_m = polar(sweep.points)
+    find_clusters(azimuth, slope, range_m)
+    match_beams(slope, range_m, lidar_model("vlp16"))
+    SensorMotion(np.array([1.0, 0.2, 0.0]), 0.0, 0.5).undo(sweep.points)
+    find_motion(shuffled.points)
     for method in ESTIMATORS:
         for each in (sweep, noisy, bare, shuffled):
             estimator = viewshed.load_estimator(method)

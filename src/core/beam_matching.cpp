@@ -1,6 +1,7 @@
 #include "beam_matching.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <numeric>
@@ -34,11 +35,27 @@ MULTIVERSION void look_at_block(const float* points, std::size_t count, float* a
     for (std::size_t k = 0; k < count; ++k) azimuth[k] = azimuth_of(y[k], x[k]);
 }
 
+// Beams by the slope at which they are seen from far away.
+struct BySlope {
+    std::vector<double> tangent;
+    std::array<std::int16_t, CELLS> first_beam;  // nearest to each of equal cells, from the lowest beam to the highest
+
+    explicit BySlope(const std::vector<double>& elevation) {
+        for (const double angle : elevation) tangent.push_back(std::tan(angle));
+        std::size_t beam = 0;
+        for (std::size_t c = 0; c < CELLS; ++c) {
+            const double t = tangent[0] + (tangent.back() - tangent[0]) * (double(c) + 0.5) / double(CELLS);
+            while (beam + 1 < tangent.size() && std::abs(tangent[beam + 1] - t) < std::abs(tangent[beam] - t)) ++beam;
+            first_beam[c] = std::int16_t(beam);
+        }
+    }
+};
+
 // Match the returns of one chunk; adds to `hits`, and returns how many were tried and how many would be close by chance.
 std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<const float> range_m, const BeamTable& table,
-                                            std::int16_t* ring, std::int64_t* hits) {
+                                            const BySlope& by_slope, std::int16_t* ring, std::int64_t* hits) {
     const std::size_t rings = table.rings();
-    const double *tangent = table.tangent.data(), *origin_m = table.origin_m.data();
+    const double *tangent = by_slope.tangent.data(), *origin_m = table.origin_m.data();
     const double lowest = tangent[0], per_slope = double(CELLS) / std::max(tangent[rings - 1] - lowest, 1e-6);
     std::int64_t tried = 0;
     double chance = 0.0;
@@ -49,7 +66,7 @@ std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<cons
         // 1. The nearest beam: the first guess, then from there while the next one is nearer.
         const double per_m = 1.0 / r;
         const double cell = (t - table.mean_origin_m * per_m - lowest) * per_slope;
-        auto best = std::size_t(table.first_beam[cell > 0.0 ? std::size_t(std::min(cell, double(CELLS) - 1.0)) : 0]);
+        auto best = std::size_t(by_slope.first_beam[cell > 0.0 ? std::size_t(std::min(cell, double(CELLS) - 1.0)) : 0]);
         const auto off = [&](std::size_t beam) { return std::abs(tangent[beam] + origin_m[beam] * per_m - t); };
         double error = off(best);
         while (best > 0) {
@@ -102,22 +119,13 @@ Elevations elevations_of(View2<const float> points, const std::vector<std::uint3
 }
 
 BeamTable::BeamTable(std::vector<double> elevation_, std::vector<double> origin_m_, int columns_)
-    : elevation(std::move(elevation_)), origin_m(std::move(origin_m_)), columns(columns_), first_beam(CELLS) {
+    : elevation(std::move(elevation_)), origin_m(std::move(origin_m_)), gap(elevation.size()), columns(columns_) {
     const std::size_t count = rings();
     mean_origin_m = std::accumulate(origin_m.begin(), origin_m.end(), 0.0) / double(count);
-    tangent.resize(count);
-    gap.resize(count);
     for (std::size_t k = 0; k < count; ++k) {
-        tangent[k] = std::tan(elevation[k]);
         const double below = elevation[k] - (k > 0 ? elevation[k - 1] : -std::numbers::pi);
         const double above = (k + 1 < count ? elevation[k + 1] : std::numbers::pi) - elevation[k];
         gap[k] = std::min(below, above);
-    }
-    std::size_t beam = 0;
-    for (std::size_t c = 0; c < CELLS; ++c) {
-        const double t = tangent[0] + (tangent[count - 1] - tangent[0]) * (double(c) + 0.5) / double(CELLS);
-        while (beam + 1 < count && std::abs(tangent[beam + 1] - t) < std::abs(tangent[beam] - t)) ++beam;
-        first_beam[c] = std::int16_t(beam);
     }
 }
 
@@ -130,6 +138,7 @@ std::size_t BeamTable::nearest_to(double angle) const {
 
 BeamMatch match_beams(View1<const float> slope, View1<const float> range_m, const BeamTable& table) {
     const std::size_t count = slope.size, chunks = (count + CHUNK - 1) / CHUNK, rings = table.rings();
+    const BySlope by_slope(table.elevation);
     BeamMatch match{Buffer<std::int16_t>(count), std::vector<std::int64_t>(rings, 0), 0.0};
     const std::size_t parts = count_parts(count, PART);
     std::vector<std::vector<std::int64_t>> hits(parts, std::vector<std::int64_t>(rings, 0));
@@ -137,7 +146,7 @@ BeamMatch match_beams(View1<const float> slope, View1<const float> range_m, cons
     for_ranges(chunks, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
         for (std::size_t c = begin; c < end; ++c) {
             const std::size_t start = c * CHUNK, size = std::min(CHUNK, count - start);
-            found[c] = match_chunk({slope.data + start, size}, {range_m.data + start, size}, table,
+            found[c] = match_chunk({slope.data + start, size}, {range_m.data + start, size}, table, by_slope,
                                    &match.ring[start], hits[part].data());
         }
     });

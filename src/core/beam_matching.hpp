@@ -29,22 +29,19 @@ struct Elevations {
 };
 Elevations elevations_of(View2<const float> points, const std::vector<std::uint32_t>& rows);
 
-// The beams of a sensor from the lowest to the highest: what a file says of them, and what follows for matching.
-class BeamTable {
-public:
+// The beams of a sensor from the lowest to the highest.
+struct BeamTable {
     // elevation in radians, ascending; origin_m: height of each beam at range 0; columns of a revolution.
     BeamTable(std::vector<double> elevation, std::vector<double> origin_m, int columns);
 
     std::size_t rings() const { return elevation.size(); }
     // The beam nearest to an elevation, the lower of two.
-    std::size_t nearest_to(double elevation) const;
+    std::size_t nearest_to(double angle) const;
 
     std::vector<double> elevation, origin_m;
-    int columns;
+    std::vector<double> gap;  // to the nearer of the two beams beside, in radians
     double mean_origin_m;
-    std::vector<double> tangent;
-    std::vector<double> gap;              // to the nearer of the two beams beside, in radians
-    std::vector<std::int16_t> first_beam;  // nearest to each of equal cells of slope, from the lowest beam to the highest
+    int columns;
 };
 
 // How beams fit: nearest beam of each return (N,), -1 beyond 0.15° and 5 cm; returns close to each beam (rings,); and

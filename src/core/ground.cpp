@@ -113,11 +113,10 @@ private:
         for (std::ptrdiff_t p = i - 1; p <= i + 1; ++p) {
             for (std::ptrdiff_t q = j - 1; q <= j + 1; ++q) {
                 const auto near = std::size_t(p * n_ + q);
-                if (!has(lows_, near)) continue;
                 x[count] = lows_.x_m[near];
                 y[count] = lows_.y_m[near];
                 z[count] = lows_.z_m[near];
-                ++count;
+                count += has(lows_, near);  // the next one takes the place of one that is missing
             }
         }
         // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
@@ -483,6 +482,7 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
         const float* p = points.data() + 3 * at;
         lows.z_m[at] = std::isfinite(p[2]) ? p[2] : std::numeric_limits<float>::infinity();
         lows.rise_m[at] = rise_m.data()[at];
+        lows.x_m[at] = lows.y_m[at] = 0.0f;
         if (!std::isfinite(p[2])) continue;
         require(std::fabs(double(p[0])) <= reach_m && std::fabs(double(p[1])) <= reach_m && std::fabs(p[2]) <= MOST_M,
                 "lows_m must lie on the lattice");

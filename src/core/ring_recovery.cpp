@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -37,6 +38,9 @@ constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
 
 // A smaller change of slope is none: rounding, where a ring was cut in two.
 constexpr double LEAST_STEP = 1e-5;
+
+// About so many returns of a ring, evenly spread, tell its median slope.
+constexpr std::size_t RETURNS_OF_RING = 256;
 
 // Median slopes of rings go from the first to the last in at most this much of the way between these.
 constexpr double MOST_WAY = 1.5;
@@ -157,6 +161,37 @@ Order order_rings(View1<const float> azimuth, View1<const float> slope, float st
     return order;
 }
 
+// The bits of a number as a whole number that is ordered as the numbers are, and back.
+INLINE std::int32_t number_key(std::int32_t bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
+
+// Write the keys of numbers, the greatest for those that are none, and return how many are numbers.
+MULTIVERSION std::size_t order_keys(const float* values, std::size_t count, std::int32_t* key) {
+    std::int32_t known = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const bool is_number = values[k] == values[k];
+        key[k] = is_number ? number_key(std::bit_cast<std::int32_t>(values[k])) : std::numeric_limits<std::int32_t>::max();
+        known += is_number;
+    }
+    return std::size_t(known);
+}
+
+MULTIVERSION void find_bounds(const std::int32_t* key, std::size_t count, std::int64_t& low, std::int64_t& high) {
+    std::int32_t least = std::numeric_limits<std::int32_t>::max(), most = std::numeric_limits<std::int32_t>::min();
+    for (std::size_t k = 0; k < count; ++k) {
+        least = key[k] < least ? key[k] : least;
+        most = key[k] > most ? key[k] : most;
+    }
+    low = least;
+    high = most;
+}
+
+MULTIVERSION std::size_t count_up_to(const std::int32_t* key, std::size_t count, std::int32_t most) {
+    std::int32_t below = 0;
+    for (std::size_t k = 0; k < count; ++k) below += key[k] <= most;
+    return std::size_t(below);
+}
+
+// The median, of an even number the mean of the two in the middle; NaN for none.
 double median_of(std::vector<double> values) {
     if (values.empty()) return NONE;
     const std::size_t half = values.size() / 2;
@@ -165,13 +200,14 @@ double median_of(std::vector<double> values) {
     return (*std::max_element(values.begin(), values.begin() + std::ptrdiff_t(half)) + values[half]) / 2;
 }
 
-// The median slopes (rings,) of ordered rings; NaN for a ring without returns.
+// The median slopes (rings,) of ordered rings, by some of the returns of each.
 std::vector<double> medians_in_order(const Order& order, View1<const float> slope) {
+    const std::size_t step = std::max<std::size_t>(slope.size / order.rings / RETURNS_OF_RING, 1);
     std::vector<std::vector<float>> of_ring(order.rings);
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
         const std::size_t end = k + 1 < order.runs.size() ? order.runs[k + 1].start : slope.size;
         std::vector<float>& values = of_ring[std::size_t(order.runs[k].ring)];
-        values.insert(values.end(), slope.data + order.runs[k].start, slope.data + end);
+        for (std::size_t n = order.runs[k].start; n < end; n += step) values.push_back(slope[n]);
     }
     std::vector<double> medians;
     for (std::vector<float>& values : of_ring) medians.push_back(lower_median(values.data(), values.size()));
@@ -385,12 +421,23 @@ std::pair<Rings, RingSource> find_rings(const Directions& seen, std::optional<Vi
 
 }  // namespace
 
-double lower_median(float* values, std::size_t count) {
-    const std::size_t known = std::size_t(std::remove_if(values, values + count, [](float v) { return v != v; }) - values);
+double lower_median(const float* values, std::size_t count) {
+    std::vector<std::int32_t> key(count);
+    const std::size_t known = order_keys(values, count, key.data());
     if (known == 0) return NONE;
-    float* middle = values + (known - 1) / 2;
-    std::nth_element(values, middle, values + known);
-    return *middle;
+    // Numbers are ordered as their keys: halve the keys between which the median lies, by counting those below.
+    const std::size_t rank = (known - 1) / 2;
+    std::int64_t low = 0, high = 0;
+    find_bounds(key.data(), count, low, high);
+    while (low < high) {
+        const std::int64_t middle = low + (high - low) / 2;
+        if (count_up_to(key.data(), count, std::int32_t(middle)) > rank) {
+            high = middle;
+        } else {
+            low = middle + 1;
+        }
+    }
+    return std::bit_cast<float>(number_key(std::int32_t(low)));
 }
 
 std::optional<Rings> rings_by_order(View1<const float> azimuth, View1<const float> slope) {

@@ -22,8 +22,8 @@ struct Rings {
 // a whole step on the way: the rings whose slope changes less are right.
 std::optional<Rings> rings_by_order(View1<const float> azimuth, View1<const float> slope);
 
-// The lower median of some numbers, which are put in another order; NaN are left out, NaN for none.
-double lower_median(float* values, std::size_t count);
+// The lower median of some numbers; NaN are left out, NaN for none.
+double lower_median(const float* values, std::size_t count);
 
 // The beam and the column of each return; viewshed.preprocess.ring_recovery.RingAssignment says what each is.
 struct RingAssignment {

@@ -96,13 +96,14 @@ ReturnsByRing returns_by_ring(const std::vector<std::int16_t>& ring, std::size_t
 template <typename Value>
 std::vector<double> ring_medians(const ReturnsByRing& returns, const Value& value) {
     std::vector<double> medians(returns.starts.size() - 1);
-    std::vector<float> values;
+    std::vector<float> values(returns.size());
     for (std::size_t r = 0; r < medians.size(); ++r) {
-        values.clear();
+        std::size_t count = 0;
         for (std::size_t k = returns.starts[r]; k < returns.starts[r + 1]; ++k) {
-            if (returns.nearness[k] > 0.0f) values.push_back(value(r, returns.slope[k], returns.nearness[k]));
+            values[count] = value(r, returns.slope[k], returns.nearness[k]);
+            count += returns.nearness[k] > 0.0f;
         }
-        medians[r] = lower_median(values.data(), values.size());
+        medians[r] = lower_median(values.data(), count);
     }
     return medians;
 }
@@ -523,11 +524,16 @@ namespace {
 
 using RingColumn = In1<std::int16_t>;
 
+// Bounds of what is asked: beams of a table, columns of a revolution, and elevations in radians.
+constexpr std::size_t MOST_RINGS = 4096;
+constexpr std::int64_t MOST_COLUMNS = 65'536;
+constexpr double HIGHEST = std::numbers::pi / 2;
+
 // A ring column as the stage sees it: checked, or none.
 std::optional<View1<const std::int16_t>> checked_rings(const std::optional<RingColumn>& ring, std::size_t count) {
     if (!ring) return std::nullopt;
     require(ring->shape(0) == count, "ring must have one row for each point");
-    require_within<std::int16_t>(view(*ring), -1, 4095, "ring");
+    require_within<std::int16_t>(view(*ring), -1, MOST_RINGS - 1, "ring");
     return view(*ring);
 }
 
@@ -548,7 +554,7 @@ Out<T> array_of(const std::vector<T>& values) {
     return std::move(copy).array();
 }
 
-// Slope, range and, where asked, azimuth columns as the stage keeps them.
+// Azimuth, slope and range columns as the stage keeps them.
 Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, const In1<float>& range_m) {
     require(azimuth.shape(0) == slope.shape(0) && range_m.shape(0) == slope.shape(0),
             "azimuth, slope and range_m must be as long");
@@ -559,37 +565,48 @@ Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, c
     return seen;
 }
 
+// The beams of a sensor, checked.
+BeamTable checked_table(View1<const double> elevation, View1<const double> origin_m, std::int64_t columns) {
+    require(elevation.size >= 1 && elevation.size <= MOST_RINGS, "a table must have 1 to 4096 beams");
+    require(origin_m.size == elevation.size, "origin_m must have one value for each beam");
+    require(columns >= 1 && columns <= MOST_COLUMNS, "columns must lie in [1, 65536]");
+    const auto is_wrong = [](double value) { return !std::isfinite(value); };
+    require(std::none_of(elevation.begin(), elevation.end(), is_wrong) &&
+                std::none_of(origin_m.begin(), origin_m.end(), is_wrong),
+            "elevations and origins must be finite");
+    require(std::is_sorted(elevation.begin(), elevation.end()), "elevations must ascend");
+    require(std::abs(elevation[0]) <= HIGHEST && std::abs(elevation[elevation.size - 1]) <= HIGHEST,
+            "elevations must lie within a quarter of a turn");
+    return BeamTable({elevation.begin(), elevation.end()}, {origin_m.begin(), origin_m.end()}, int(columns));
+}
+
+// The beams of several sensors, whose numbers are given, one after the other.
+BeamTables checked_tables(const In1<double>& elevation, const In1<double>& origin_m, const In1<std::int64_t>& rings,
+                          const In1<std::int64_t>& columns) {
+    require(rings.shape(0) == columns.shape(0), "rings and columns must have one value for each table");
+    BeamTables tables;
+    std::size_t start = 0;
+    for (std::size_t k = 0; k < rings.shape(0); ++k) {
+        require(rings(k) >= 1 && std::size_t(rings(k)) <= elevation.shape(0) - start &&
+                    origin_m.shape(0) == elevation.shape(0),
+                "elevation and origin_m must have one value for each beam of the tables");
+        const auto size = std::size_t(rings(k));
+        tables.push_back(
+            checked_table({elevation.data() + start, size}, {origin_m.data() + start, size}, columns(k)));
+        start += size;
+    }
+    return tables;
+}
+
 }  // namespace
 
 // What Python calls: arrays are checked here, whatever hands them in.
 void bind_sensor_id(nb::module_& m) {
-    nb::class_<BeamTable>(m, "BeamTable", "The beams of a sensor, as sensor identification reads them.")
-        .def(
-            "__init__",
-            [](BeamTable* self, In1<double> elevation, In1<double> origin_m, int columns) {
-                const std::size_t rings = elevation.shape(0);
-                require(rings >= 1 && rings <= 4096, "a table must have 1 to 4096 beams");
-                require(origin_m.shape(0) == rings, "origin_m must have one value for each beam");
-                require(columns >= 1, "columns must be positive");
-                const auto up = [](double a, double b) { return !(a <= b); };
-                require(std::adjacent_find(elevation.data(), elevation.data() + rings, up) == elevation.data() + rings,
-                        "elevations must ascend");
-                const auto is_wrong = [](double value) { return !std::isfinite(value); };
-                require(!std::any_of(elevation.data(), elevation.data() + rings, is_wrong) &&
-                            !std::any_of(origin_m.data(), origin_m.data() + rings, is_wrong),
-                        "elevations and origins must be finite");
-                new (self) BeamTable({elevation.data(), elevation.data() + rings},
-                                     {origin_m.data(), origin_m.data() + rings}, columns);
-            },
-            "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "columns"_a);
-    nb::class_<BeamTables>(m, "BeamTables", "The beams of several sensors.")
-        .def("__init__", [](BeamTables* self, nb::list tables) {
-            new (self) BeamTables;
-            for (nb::handle table : tables) self->push_back(nb::cast<const BeamTable&>(table));
-        });
     m.def(
         "identify_by_rings",
-        [](Points points, RingColumn ring, const BeamTables& tables) {
+        [](Points points, RingColumn ring, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
+           In1<std::int64_t> columns) {
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             const auto known = checked_rings(ring, checked_count(points));
             SensorId found;
             {
@@ -598,13 +615,17 @@ void bind_sensor_id(nb::module_& m) {
             }
             return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
         },
-        "points"_a.noconvert(), "ring"_a.noconvert(), "tables"_a,
+        "points"_a.noconvert(), "ring"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(),
         "The ring of each point (N, 3) as the table's beams, or None where they are the known rings (N,), and the "
-        "number of the table that the rings agree with, -1 for none.");
+        "number of the table that the rings agree with, -1 for none. Tables follow each other: elevation (K,) and "
+        "origin_m (K,) of the beams, rings (T,) and columns (T,) of each table.");
     m.def(
         "identify_by_points",
-        [](Points points, const BeamTables& tables) {
+        [](Points points, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
+           In1<std::int64_t> columns) {
             checked_count(points);
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             SensorId found;
             {
                 nb::gil_scoped_release unlocked;
@@ -612,8 +633,8 @@ void bind_sensor_id(nb::module_& m) {
             }
             return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
         },
-        "points"_a.noconvert(), "tables"_a,
-        "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
+        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rings"_a.noconvert(),
+        "columns"_a.noconvert(), "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
     m.def(
         "rings_of_points",
         [](Points points) {
@@ -628,8 +649,9 @@ void bind_sensor_id(nb::module_& m) {
         "points"_a.noconvert(), "The ring of each point (N, 3) by their order or their elevations, or None.");
     m.def(
         "beams_of_sensor",
-        [](Points points, const BeamTable& table) {
+        [](Points points, In1<double> elevation, In1<double> origin_m) {
             checked_count(points);
+            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
             std::optional<Buffer<std::int16_t>> ring;
             {
                 nb::gil_scoped_release unlocked;
@@ -637,10 +659,13 @@ void bind_sensor_id(nb::module_& m) {
             }
             return array_or_none(std::move(ring));
         },
-        "points"_a.noconvert(), "table"_a, "The beam of each point (N, 3) of a sensor that is known, or None.");
+        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "The beam of each point (N, 3) of a sensor that is known, or None.");
     m.def(
         "infer_sensor",
-        [](Points points, std::optional<RingColumn> ring, const BeamTables& tables) {
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
+           In1<std::int64_t> rings, In1<std::int64_t> columns) {
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             const auto known = checked_rings(ring, checked_count(points));
             std::pair<int, double> found;
             {
@@ -649,22 +674,28 @@ void bind_sensor_id(nb::module_& m) {
             }
             return nb::make_tuple(found.first, found.second);
         },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "tables"_a,
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(),
         "The number of the table that explains points (N, 3) best, -1 for none, and its score.");
     m.def(
         "recover_rings",
-        [](Points points, std::optional<RingColumn> ring, const BeamTable* table) {
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
+           std::int64_t columns) {
+            std::optional<BeamTable> table;
+            if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), columns);
             const auto known = checked_rings(ring, checked_count(points));
             std::optional<RingAssignment> made;
             {
                 nb::gil_scoped_release unlocked;
-                made = recover_rings(view(points), known, table);
+                made = recover_rings(view(points), known, table ? &*table : nullptr);
             }
             return nb::make_tuple(std::move(made->ring).array(), std::move(made->column).array(), made->columns,
                                   std::move(made->elevation).array(), made->placed, made->alone, int(made->source));
         },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "table"_a.none(),
-        "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source.");
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "columns"_a,
+        "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source. "
+        "A table of no beams is none.");
     m.def(
         "polar",
         [](Points points) {
@@ -675,12 +706,13 @@ void bind_sensor_id(nb::module_& m) {
         "points"_a.noconvert(), "Azimuth, slope and horizontal range (N,) of points (N, 3).");
     m.def(
         "match_beams",
-        [](In1<float> slope, In1<float> range_m, const BeamTable& table) {
+        [](In1<float> slope, In1<float> range_m, In1<double> elevation, In1<double> origin_m) {
+            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
             require(slope.shape(0) == range_m.shape(0), "slope and range_m must be as long");
             BeamMatch match = match_beams(view(slope), view(range_m), table);
             return nb::make_tuple(std::move(match.ring).array(), array_of(match.hits), match.excess);
         },
-        "slope"_a.noconvert(), "range_m"_a.noconvert(), "table"_a,
+        "slope"_a.noconvert(), "range_m"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "The nearest beam of each return (N,), the returns close to each beam, and their share less chance.");
     m.def(
         "find_clusters",

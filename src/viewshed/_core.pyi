@@ -33,27 +33,46 @@ def pixels_without(
 
 # sensor_id.cpp
 
-class BeamTable:
-    def __init__(self, elevation: NDArray[np.float64], origin_m: NDArray[np.float64], columns: int) -> None: ...
-
-class BeamTables:
-    def __init__(self, tables: list[BeamTable]) -> None: ...
-
 def identify_by_rings(
-    points: NDArray[np.float32], ring: NDArray[np.int16], tables: BeamTables
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
 ) -> tuple[NDArray[np.int16] | None, int]: ...
-def identify_by_points(points: NDArray[np.float32], tables: BeamTables) -> tuple[NDArray[np.int16] | None, int]: ...
+def identify_by_points(
+    points: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> tuple[NDArray[np.int16] | None, int]: ...
 def rings_of_points(points: NDArray[np.float32]) -> NDArray[np.int16] | None: ...
-def beams_of_sensor(points: NDArray[np.float32], table: BeamTable) -> NDArray[np.int16] | None: ...
+def beams_of_sensor(
+    points: NDArray[np.float32], elevation: NDArray[np.float64], origin_m: NDArray[np.float64]
+) -> NDArray[np.int16] | None: ...
 def infer_sensor(
-    points: NDArray[np.float32], ring: NDArray[np.int16] | None, tables: BeamTables
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
 ) -> tuple[int, float]: ...
 def recover_rings(
-    points: NDArray[np.float32], ring: NDArray[np.int16] | None, table: BeamTable | None
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    columns: int,
 ) -> tuple[NDArray[np.int16], NDArray[np.int32], int, NDArray[np.float64], int, int, int]: ...
 def polar(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
 def match_beams(
-    slope: NDArray[np.float32], range_m: NDArray[np.float32], table: BeamTable
+    slope: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
 ) -> tuple[NDArray[np.int16], NDArray[np.int64], float]: ...
 def find_clusters(
     azimuth: NDArray[np.float32], slope: NDArray[np.float32], range_m: NDArray[np.float32]

@@ -360,6 +360,6 @@ def test_rings_stored_one_after_the_other_hold_no_halves_of_two(start: float) ->
     azimuth = (start + (column + 0.5) * (2 * np.pi / columns) + jitter + np.pi) % (2 * np.pi) - np.pi
     slope = np.tan(np.deg2rad(-24.0 + 1.3 * ring)) + 5e-4 * column / columns  # a sensor that is hardly level
     points = 20.0 * np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=-1).reshape(-1, 3)
-    found = recover_rings(Sweep(points))
+    found = recover_rings(Sweep(points.astype(np.float32)))
     assert (found.source, found.rings) == ("file order", rings)
     assert (found.ring == ring.ravel()).mean() > 0.999

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +16,6 @@ Angles = NDArray[np.float32]
 def polar(points: NDArray[np.float32]) -> tuple[Angles, Angles, Angles]:
     """Return azimuth (N,) in [-π, π), slope z / range (N,) and horizontal range (N,) in meters; slope 0 at range 0."""
     return _core.polar(points)
-
-
-@lru_cache(maxsize=64)
-def beam_table(model: LidarModel) -> _core.BeamTable:
-    """Return the beams of a sensor as the core reads them."""
-    return _core.BeamTable(model.elevation, model.origin_m, model.azimuth_columns)
 
 
 class BeamMatch(NamedTuple):
@@ -44,4 +37,4 @@ def match_beams(slope: Angles, range_m: Angles, model: LidarModel) -> BeamMatch:
         range_m: (N,) horizontal range in meters.
         model: the sensor.
     """
-    return BeamMatch(*_core.match_beams(slope, range_m, beam_table(model)))
+    return BeamMatch(*_core.match_beams(slope, range_m, model.elevation, model.origin_m))

@@ -55,5 +55,4 @@ def rings_by_clusters(
     clusters = find_clusters(azimuth, slope, range_m)
     if clusters is None:
         return None
-    table = _core.BeamTable(clusters.elevation, clusters.origin_m, columns=1)
-    return _core.match_beams(slope, range_m, table)[0], clusters
+    return _core.match_beams(slope, range_m, clusters.elevation, clusters.origin_m)[0], clusters

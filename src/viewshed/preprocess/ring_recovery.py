@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.preprocess.beam_matching import beam_table
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -24,6 +23,8 @@ _SOURCES: tuple[Source, ...] = ("file", "file order", "beam table", "elevation c
 
 DEFAULT_COLUMNS = 1024
 """Columns of a revolution where neither the points nor a model tell."""
+
+_NO_BEAMS = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +76,9 @@ def recover_rings(
     [0, 1]
     """
     model = sweep.model if model is None else model
+    table = (_NO_BEAMS, _NO_BEAMS, 0) if model is None else (model.elevation, model.origin_m, model.azimuth_columns)
     ring, column, columns, elevation, placed, alone, source = _core.recover_rings(
-        sweep.points, sweep.ring if known is None else known, None if model is None else beam_table(model)
+        sweep.points, sweep.ring if known is None else known, *table
     )
     return RingAssignment(
         ring=_frozen(ring),

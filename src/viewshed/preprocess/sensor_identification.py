@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.geometry import FloatArray
-from viewshed.preprocess.beam_matching import beam_table
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
 
@@ -44,14 +43,15 @@ def identify_sensor(sweep: Sweep) -> SensorId:
     if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
         return SensorId(sweep.ring, sweep.model)
     if sweep.model is not None:
-        return SensorId(_core.beams_of_sensor(sweep.points, beam_table(sweep.model)), sweep.model)
+        ring = _core.beams_of_sensor(sweep.points, sweep.model.elevation, sweep.model.origin_m)
+        return SensorId(ring, sweep.model)
     if not sweep.infer_sensor:
         return SensorId(_core.rings_of_points(sweep.points), None)
     models, tables = _known_sensors()
     if sweep.ring is None:
-        ring, number = _core.identify_by_points(sweep.points, tables)
+        ring, number = _core.identify_by_points(sweep.points, *tables)
     else:
-        ring, number = _core.identify_by_rings(sweep.points, sweep.ring, tables)
+        ring, number = _core.identify_by_rings(sweep.points, sweep.ring, *tables)
         ring = sweep.ring if ring is None else ring
     return SensorId(ring, models[number] if number >= 0 else None)
 
@@ -74,12 +74,23 @@ def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = Non
     """
     models, tables = _known_sensors()
     own = None if ring is None else np.ascontiguousarray(ring, dtype=np.int16)
-    number, score = _core.infer_sensor(np.ascontiguousarray(points, dtype=np.float32), own, tables)
+    number, score = _core.infer_sensor(np.ascontiguousarray(points, dtype=np.float32), own, *tables)
     return models[number] if number >= 0 else None, score
 
 
+_Tables = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
+
+
 @lru_cache(maxsize=1)
-def _known_sensors() -> tuple[tuple[LidarModel, ...], _core.BeamTables]:
-    """Return the sensors whose beam tables travel with the package, and these tables as the core reads them."""
+def _known_sensors() -> tuple[tuple[LidarModel, ...], _Tables]:
+    """Return the sensors whose beam tables travel with the package, and these tables one after the other.
+
+    Elevation and height of the origin of all beams, then the number of beams and of columns of each table.
+    """
     models = tuple(lidar_model(name) for name in sensor_names())
-    return models, _core.BeamTables([beam_table(model) for model in models])
+    return models, (
+        np.concatenate([model.elevation for model in models]),
+        np.concatenate([model.origin_m for model in models]),
+        np.array([model.rings for model in models], np.int64),
+        np.array([model.azimuth_columns for model in models], np.int64),
+    )

@@ -33,7 +33,8 @@ class SensorMotion:
 
     def undo(self, points: Floats) -> Floats:
         """Return points (N, 3) as the sensor measured them, each in its frame at that time."""
-        return _core.undo_motion(points, *self.way_m, self.seam, self.reference)
+        x_m, y_m, z_m = self.way_m.tolist()
+        return _core.undo_motion(points, x_m, y_m, z_m, self.seam, self.reference)
 
 
 def find_motion(points: Floats) -> SensorMotion | None:
