@@ -49,12 +49,12 @@ Lattice make_lattice(std::size_t n, double half_m) {
     for (std::size_t at = 0; at < n * n; ++at) {
         away[at] = std::hypot(double(at / n) - (center - 0.5), double(at % n) - (center - 0.5));
     }
-    std::vector<std::uint32_t> order(n * n);
+    std::vector<std::uint32_t>& order = made.order;
+    order.resize(n * n);
     std::iota(order.begin(), order.end(), 0u);
     std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return away[a] < away[b]; });
     for (const std::uint32_t at : order) {
-        made.row.push_back(std::uint16_t(at / n));
-        made.column.push_back(std::uint16_t(at % n));
+        made.padded.push_back(std::uint32_t((at / n + 1) * (n + 2) + at % n + 1));
     }
     return made;
 }

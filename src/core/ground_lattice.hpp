@@ -20,7 +20,8 @@ struct Lattice {
     std::vector<float> middle_m;  // (n,) x or y of the nodes' middles
     std::vector<float> range_m;   // (n, n) from the sensor to the node's middle
     std::vector<float> fade;      // (n, n) share of the carrier's slope that is left there
-    std::vector<std::uint16_t> row, column;  // (n, n) of the nodes in the order of their range, the nearest first
+    // (n, n) the nodes in the order of their range, the nearest first, and where they are on a lattice with a border of one.
+    std::vector<std::uint32_t> order, padded;
 
     // Where a node lies among sectors of azimuth and bins of range of one node each.
     std::size_t bins;

@@ -14,7 +14,7 @@ struct Lows {
         : nodes(n), x_m(n * n), y_m(n * n), z_m(n * n), rise_m(n * n) {}
 
     std::size_t nodes;             // n
-    Buffer<float> x_m, y_m, z_m;   // z is +inf where a node has no return; x and y have no value there
+    Buffer<float> x_m, y_m, z_m;   // z is +inf where a node has no return; the others are 0 there
     Buffer<float> rise_m;          // from that point up to the highest return of the node
     std::vector<std::int32_t> some;  // the nodes that have returns, ascending
 };

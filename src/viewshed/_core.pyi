@@ -33,6 +33,55 @@ def pixels_without(
 
 # sensor_id.cpp
 
+def identify_by_rings(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> tuple[NDArray[np.int16] | None, int]: ...
+def identify_by_points(
+    points: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> tuple[NDArray[np.int16] | None, int]: ...
+def rings_of_points(points: NDArray[np.float32]) -> NDArray[np.int16] | None: ...
+def beams_of_sensor(
+    points: NDArray[np.float32], elevation: NDArray[np.float64], origin_m: NDArray[np.float64]
+) -> NDArray[np.int16] | None: ...
+def infer_sensor(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> tuple[int, float]: ...
+def recover_rings(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    columns: int,
+) -> tuple[NDArray[np.int16], NDArray[np.int32], int, NDArray[np.float64], int, int, int]: ...
+def polar(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def match_beams(
+    slope: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+) -> tuple[NDArray[np.int16], NDArray[np.int64], float]: ...
+def find_clusters(
+    azimuth: NDArray[np.float32], slope: NDArray[np.float32], range_m: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None: ...
+def find_motion(points: NDArray[np.float32]) -> tuple[float, float, float, float, float] | None: ...
+def undo_motion(
+    points: NDArray[np.float32], x_m: float, y_m: float, z_m: float, seam: float, reference: float
+) -> NDArray[np.float32]: ...
+
 # ground.cpp
 
 _Ground = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], tuple[float, float, float], float, float]
@@ -106,6 +155,47 @@ def obstacle_cells(
 ) -> NDArray[np.bool_]: ...
 
 # no_return.cpp
+
+JITTER_COLUMNS: int
+
+def beams_by_evidence(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    isolated: NDArray[np.bool_],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    sensor_height_m: float,
+    ground_m: NDArray[np.float32],
+    half_extent_m: float,
+    top_m: float,
+    obstacle_m: float,
+) -> tuple[
+    NDArray[np.float32],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+]: ...
+def no_return_beams(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    fill: bool,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
 
 # grid.cpp
 
@@ -315,6 +405,29 @@ def thin_returns(
 def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
 
 # polygons.cpp
+
+def label_regions(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int32]: ...
+def squared_depth(mask: NDArray[np.bool_]) -> NDArray[np.int64]: ...
+def rings_of_mask(
+    mask: NDArray[np.bool_], regions: NDArray[np.int32]
+) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32]]: ...
+def cells_inside(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def cells_met(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def best_sectors(
+    ranges: NDArray[np.float64], sectors: int, inner: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]: ...
+def free_ranges(
+    mask: NDArray[np.bool_],
+    x_m: float,
+    y_m: float,
+    cell_m: float,
+    apex_x_m: float,
+    apex_y_m: float,
+    half_m: float,
+    bins: int,
+    is_solid: bool,
+) -> NDArray[np.float64]: ...
+def star_vertices(ranges: NDArray[np.float64], price_m2: float) -> NDArray[np.float64]: ...
 
 # files.cpp
 
