@@ -103,7 +103,7 @@ def test_a_box_in_a_world_gets_the_returns_that_were_expected(x: float, y: float
 def test_what_stands_before_a_box_takes_its_beams() -> None:
     before, (_, box) = Box(6.0, 0.0, 0.5, 4.0, 3.0), car_at(12.0, 0.0, 0.0)
     sweep = cast(MODEL, Scene((WALL, before)), HEIGHT_M).replace(sensor_height_m=HEIGHT_M)
-    both = np.concatenate([box, car_at(12.0, 0.0, 0.0)[1] + np.float32([0, 9, 0, 0, 0, 0, 0])])
+    both = np.concatenate([box, car_at(12.0, 9.0, 0.0)[1]])
     hidden, open_ = expected_returns(level(sweep, GRID), both)
     assert hidden == 0
     assert open_ > 60
