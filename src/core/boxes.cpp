@@ -21,6 +21,9 @@ constexpr float NOISE_M = 0.1f;
 // A part of a direction that is smaller is taken for this, so that dividing by it gives a number.
 constexpr float LEAST_PART = 1e-12f;
 
+// No beam is looked at farther away.
+constexpr float FARTHEST_M = 1e30f;
+
 // Boxes of a part that is worth a thread.
 constexpr std::size_t PART = 32;
 
@@ -43,6 +46,30 @@ INLINE void cross_slab(float from, float per_part, float half, float& enters, fl
     const float low = one < other ? one : other, high = one < other ? other : one;
     enters = low > enters ? low : enters;
     leaves = high < leaves ? high : leaves;
+}
+
+// A box seen from the sensor: where the sensor is, from the box's middle and along its sides; half its sizes; its heading.
+struct SeenBox {
+    float from_x, from_y, from_z, half_x, half_y, half_z, cosine, sine;
+};
+
+// Count the beams that meet a box. One that ends in the box met it; without own returns it would have gone on. Else only those
+// that go through it count.
+MULTIVERSION std::int32_t count_meeting(const float* x, const float* y, const float* per_rise, const float* depth_m,
+                                        std::size_t count, const SeenBox& seen, bool leave_out_own) {
+    const SeenBox box = seen;
+    const float entering = leave_out_own ? 1.0f : 0.0f, noise_m = leave_out_own ? -NOISE_M : NOISE_M;
+    std::int32_t meeting = 0;
+    for (std::size_t n = 0; n < count; ++n) {
+        float enters = 0.0f, leaves = FARTHEST_M;
+        cross_slab(box.from_x, inverse(x[n] * box.cosine + y[n] * box.sine), box.half_x, enters, leaves);
+        cross_slab(box.from_y, inverse(y[n] * box.cosine - x[n] * box.sine), box.half_y, enters, leaves);
+        cross_slab(box.from_z, per_rise[n], box.half_z, enters, leaves);
+        const float needed_m = entering * enters + (1.0f - entering) * leaves + noise_m;
+        const bool meets = (enters <= leaves) & (leaves > 0.0f) & (depth_m[n] >= needed_m);
+        meeting += meets ? 1 : 0;
+    }
+    return meeting;
 }
 
 // Beams (B,) sorted by azimuth: horizontal direction, range over rise, and range at which they ended.
@@ -86,40 +113,23 @@ public:
         const bool is_around = std::fabs(box[0] * c + box[1] * s) <= 0.5 * box[3] &&
                                std::fabs(box[1] * c - box[0] * s) <= 0.5 * box[4];
         const std::size_t span = std::size_t((most - least) * PER_RAD) + 4;
-        if (is_around || span >= COLUMNS) return count_within(0, first_[COLUMNS], box, sensor_height_m, leave_out_own);
+        const SeenBox seen{-(box[0] * float(c) + box[1] * float(s)), box[0] * float(s) - box[1] * float(c),
+                           sensor_height_m - box[2], 0.5f * box[3], 0.5f * box[4], 0.5f * box[5], float(c), float(s)};
+        if (is_around || span >= COLUMNS) return count_within(0, first_[COLUMNS], seen, leave_out_own);
         const std::size_t begin = (column_of(middle + least) + COLUMNS - 1) % COLUMNS, end = begin + span;
-        if (end <= COLUMNS) return count_within(first_[begin], first_[end], box, sensor_height_m, leave_out_own);
-        return count_within(first_[begin], first_[COLUMNS], box, sensor_height_m, leave_out_own) +
-               count_within(0, first_[end - COLUMNS], box, sensor_height_m, leave_out_own);
+        if (end <= COLUMNS) return count_within(first_[begin], first_[end], seen, leave_out_own);
+        return count_within(first_[begin], first_[COLUMNS], seen, leave_out_own) +
+               count_within(0, first_[end - COLUMNS], seen, leave_out_own);
     }
 
 private:
-    std::int32_t count_within(std::size_t begin, std::size_t end, const float* box, float sensor_height_m,
-                              bool leave_out_own) const;
+    std::int32_t count_within(std::size_t begin, std::size_t end, const SeenBox& seen, bool leave_out_own) const {
+        return count_meeting(&x_[begin], &y_[begin], &per_rise_[begin], &depth_m_[begin], end - begin, seen, leave_out_own);
+    }
 
     std::vector<std::size_t> first_;  // (COLUMNS + 1,)
     Buffer<float> x_, y_, per_rise_, depth_m_;
 };
-
-MULTIVERSION std::int32_t BeamsByAzimuth::count_within(std::size_t begin, std::size_t end, const float* box,
-                                                       float sensor_height_m, bool leave_out_own) const {
-    const float *x = x_.data(), *y = y_.data(), *per_rise = per_rise_.data(), *depth_m = depth_m_.data();
-    const float c = std::cos(box[6]), s = std::sin(box[6]);
-    // Where the sensor is, seen from the box's middle and along its sides.
-    const float from_x = -(box[0] * c + box[1] * s), from_y = box[0] * s - box[1] * c, from_z = sensor_height_m - box[2];
-    const float half_x = 0.5f * box[3], half_y = 0.5f * box[4], half_z = 0.5f * box[5];
-    // A beam that ends within the box met it; without own returns it would have gone on. Else only those that go through it.
-    std::int32_t count = 0;
-    for (std::size_t n = begin; n < end; ++n) {
-        float enters = 0.0f, leaves = 1e30f;
-        cross_slab(from_x, inverse(x[n] * c + y[n] * s), half_x, enters, leaves);
-        cross_slab(from_y, inverse(y[n] * c - x[n] * s), half_y, enters, leaves);
-        cross_slab(from_z, per_rise[n], half_z, enters, leaves);
-        const float needed_m = leave_out_own ? enters - NOISE_M : leaves + NOISE_M;
-        count += (enters <= leaves) & (leaves > 0.0f) & (depth_m[n] >= needed_m);
-    }
-    return count;
-}
 
 }  // namespace
 
