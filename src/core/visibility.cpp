@@ -321,8 +321,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
             const std::size_t looked_at = count_kind<false>(job.kinds[UNRESOLVED], column, limits, stride,
                                                             &counts[UNRESOLVED * stride], lower, higher);
             most = looked_at > most ? looked_at : most;
-            const std::size_t packed = most > filled ? most : filled;
-            for (std::size_t k = 0; k < packed; k += FOUR) {
+            for (std::size_t k = 0; k < most; k += FOUR) {
                 Four measured, inferred, unresolved, lower_four, higher_four, aimed_four;
                 take_counts(&counts[MEASURED * stride + k], measured);
                 take_counts(&counts[INFERRED * stride + k], inferred);
@@ -346,6 +345,10 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
                     sums[k + b].front += to[b].front;
                     sums[k + b].back += counted * to[b].back;
                 }
+            }
+            for (std::size_t k = most; k < filled; ++k) {
+                added[k].front = Four{};
+                added[k].back[0] = 0.0f;
             }
             filled = most;
             // The sum before each window that begins or ends in this column: that behind the column, less the rest of it.
