@@ -99,7 +99,7 @@ def test_the_table_says_what_the_project_says() -> None:
     extras = {name: _names(wanted) for name, wanted in PROJECT["optional-dependencies"].items()}
     for package, extra in EXTRAS.items():
         assert _DISTRIBUTIONS.get(package, package) in extras[extra], f"{extra} must install {package}"
-    core = _names(PROJECT["dependencies"]) - {"numba"}  # until the loops of estimates are native
+    core = _names(PROJECT["dependencies"])
     assert not core & {_DISTRIBUTIONS.get(package, package) for package in EXTRAS}
 
 
