@@ -21,7 +21,7 @@ constexpr std::size_t PART = 32768;
 
 // Consecutive returns often fall into one bin. They are counted in turn in so many histograms, so that no count waits for
 // the one before.
-constexpr std::size_t HISTOGRAMS = 2;
+constexpr std::size_t HISTOGRAMS = 4;
 
 // One bin more than there are, for returns that are not from ground.
 constexpr std::size_t SECTOR_BINS = SHARE_BINS + 1;
