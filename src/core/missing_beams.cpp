@@ -104,9 +104,11 @@ Turn::Turn(std::size_t columns) : cos(columns), sin(columns) {
     constexpr std::size_t FINE = 64;
     double fine_cos[FINE], fine_sin[FINE];
     const double step = 2 * std::numbers::pi / double(columns);
-    for (std::size_t k = 0; k < FINE; ++k) fine_cos[k] = std::cos(double(k) * step), fine_sin[k] = std::sin(double(k) * step);
+    for (std::size_t k = 0; k < FINE; ++k) {
+        fine_cos[k] = std::cos(double(k) * step), fine_sin[k] = std::sin(double(k) * step);
+    }
     for (std::size_t start = 0; start < columns; start += FINE) {
-        const double co = std::cos(double(start) * step - std::numbers::pi), si = std::sin(double(start) * step - std::numbers::pi);
+        const double azimuth = double(start) * step - std::numbers::pi, co = std::cos(azimuth), si = std::sin(azimuth);
         for (std::size_t k = 0; k < std::min(FINE, columns - start); ++k) {
             cos[start + k] = co * fine_cos[k] - si * fine_sin[k];
             sin[start + k] = si * fine_cos[k] + co * fine_sin[k];

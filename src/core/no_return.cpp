@@ -154,13 +154,16 @@ void find_column_gaps(const DepthImages& images, const std::uint8_t* rings_below
 }
 
 // Write the nearest obstacle among the two pixels beside each beam and the three above it.
-void find_bounds(const DepthImages& images, std::size_t r, std::size_t count, const std::int32_t* column, float* bound_m) {
+void find_bounds(const DepthImages& images, std::size_t r, std::size_t count, const std::int32_t* column,
+                 float* bound_m) {
     const Depth *ring = images.ring(r), *above = r + 1 < images.rings ? images.ring(r + 1) : nullptr;
     const auto columns = std::int32_t(images.columns);
     for (std::size_t k = 0; k < count; ++k) {
         const std::int32_t c = column[k], before = c > 0 ? c - 1 : columns - 1, after = c + 1 < columns ? c + 1 : 0;
         float nearest = std::min(ring[before].obstacle_m, ring[after].obstacle_m);
-        if (above) nearest = std::min({nearest, above[before].obstacle_m, above[c].obstacle_m, above[after].obstacle_m});
+        if (above != nullptr) {
+            nearest = std::min({nearest, above[before].obstacle_m, above[c].obstacle_m, above[after].obstacle_m});
+        }
         bound_m[k] = nearest;
     }
 }
@@ -195,7 +198,9 @@ void find_ground(const PolarGround& polar, std::size_t count, const float* azimu
         const std::size_t sector = ground_sector(azimuth[k]);
         ground_m[k] = meet_ground(polar, sector, slope[k], at);
         // A beam that starts higher looks less steep from the sensor's origin: once more with the slope at that range.
-        if (rise_m != 0.0f && ground_m[k] < NONE) ground_m[k] = meet_ground(polar, sector, slope[k] + rise_m / ground_m[k], at);
+        if (rise_m != 0.0f && ground_m[k] < NONE) {
+            ground_m[k] = meet_ground(polar, sector, slope[k] + rise_m / ground_m[k], at);
+        }
     }
 }
 
@@ -304,8 +309,8 @@ void split_no_return_beams(const DepthImages& images, const RingAims& aims, cons
         }
     }
 
-    // 3. How far each beam went: by its gap; else as far as the ground where few beams return from there, and nothing that
-    //    is not explained lies in the ring below. Upwards, since what explains a beam says something of the one above.
+    // 3. How far each beam went: by its gap; else as far as the ground where few beams return from there, unless nothing
+    //    explains the beam below it. From the lowest ring upwards, since each says something of the one above.
     const Shares share = returning_shares(images.ground_counts, lost[0]);
     const float reach_m = float(BEYOND_REACH * reach_of(images));
     Buffer<std::int32_t> unexplained_at(columns, -2);  // the last ring of each column that nothing explains
@@ -416,7 +421,8 @@ void bind_no_return(nb::module_& m) {
             require_aims(aims, counts.shape(0));
             require(points.shape(0) == count && range_m.shape(0) == count && height_m.shape(0) == count,
                     "points, range_m, height_m and rows must be as long");
-            require(ground_m.shape(1) == nodes && nodes >= 2 && nodes <= 4096, "ground_m must be (n, n), n in [2, 4096]");
+            require(ground_m.shape(1) == nodes, "ground_m must be (n, n)");
+            require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
             require(half_extent_m > 0.0f, "half_extent_m must be positive");
             Buffer<float> slope(count);
             const std::size_t room = counts.shape(0) * counts.shape(1);
@@ -436,7 +442,8 @@ void bind_no_return(nb::module_& m) {
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "rotation"_a.noconvert(), "points"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(),
-        "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
+        "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a,
+        "obstacle_m"_a,
         "Slope (M,) of measured beams; azimuth, slope and depth of inferred beams; and of unresolved ones.");
     m.def(
         "no_return_beams",
@@ -451,8 +458,9 @@ void bind_no_return(nb::module_& m) {
             std::optional<BeamColumns> beams;
             {
                 nb::gil_scoped_release unlocked;
-                beams = no_return_beams(depth_images(pixels, {view(range_m), view(height_m), view(rows)}, NONE, NONE), aims,
-                                        fill);
+                // Neither obstacles nor shares of ground are asked for.
+                const Returns returns{view(range_m), view(height_m), view(rows)};
+                beams = no_return_beams(depth_images(pixels, returns, NONE, NONE), aims, fill);
             }
             return arrays_of(std::move(*beams));
         },

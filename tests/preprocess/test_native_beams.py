@@ -93,7 +93,8 @@ def test_level_points_takes_any_number_of_points(count: int) -> None:
 def test_headings_slopes_and_cells_refuse_arrays_that_do_not_fit() -> None:
     points, column = np.ones((N, 3), np.float32), np.ones(N, np.float32)
     rows, mask = np.arange(N, dtype=np.int32), np.zeros(N, np.bool_)
-    for rotation in (np.eye(3), np.eye(2, dtype=np.float32)):
+    rotations: tuple[Any, ...] = (np.eye(3), np.eye(2, dtype=np.float32))
+    for rotation in rotations:
         with pytest.raises(TypeError):
             _core.vehicle_heading(points, rotation)
     for arguments in (
