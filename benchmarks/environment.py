@@ -60,7 +60,9 @@ def main() -> None:
         "## Size", about, table(["package", "MB"], [[f"`{name}`", f"{size:.0f}"] for name, size in largest]),
         "## First and later starts",
         "One sweep of 35k points, as a HDL-32E measures it; each first start in a home of its own that is empty.",
-        table(["results", "", "seconds, median (least to most)", "target", "of the processor", "peak, MB", "target"], rows),
+        table(
+            ["results", "", "seconds, median (least to most)", "target", "of the processor", "peak, MB", "target"], rows
+        ),
     )  # fmt: skip
     chosen.page.write_text(content, encoding="utf-8")
     print(content)
