@@ -139,9 +139,9 @@ def endurance(version: Version, path: Path, count: int) -> str:
     grown_mb = version.resident_mb() - before_mb
     median, last = 1e3 * np.percentile(times, [50, 99])
     return (
-        f"**{count:,} sweeps in a row** (nuScenes, {line.title}): median {median:.2f} ms, 99th percentile {last:.2f} ms,"
-        f" which is {last / median:.2f} × the median (target ≤ 1.5 ×); the process holds {before_mb:.0f} MB after the"
-        f" first {warm:,} and {grown_mb:+.1f} MB more at the end."
+        f"**{count:,} sweeps in a row** (nuScenes, {line.title}): median {median:.2f} ms, 99th percentile"
+        f" {last:.2f} ms; that is {last / median:.2f} × the median (target ≤ 1.5 ×); the process holds"
+        f" {before_mb:.0f} MB after the first {warm:,} and {grown_mb:+.1f} MB more at the end."
     )
 
 

@@ -153,6 +153,7 @@ def use_everything() -> None:
             estimate = estimator.estimate(each)
     del estimate, History
     _use_features(sweep)
+    _use_ground(sweep)
     _use_polygons(rng)
 
 
@@ -175,6 +176,23 @@ def _use_features(sweep: Any) -> None:
     fold_maps(maps, 2)
     mean_and_deviation(maps.astype(np.float32))
     Crop(20.0).any_on(leveled, grid)
+
+
+def _use_ground(sweep: Any) -> None:
+    """Find the ground by points and by low points, fill it, and hold that of an earlier sweep."""
+    from viewshed import BevGrid, Rigid, _core
+    from viewshed.preprocess.ground import ground_of_lows
+    from viewshed.preprocess.held_ground import hold
+    from viewshed.preprocess.leveling import level
+
+    here, there = (sweep.replace(world_from_sensor=Rigid.from_yaw(0.1 * k, (2.0 * k, 0.0, 0.0))) for k in range(2))
+    grid = BevGrid(32, 32.0)
+    ground = hold(level(there, grid), level(here, grid)).ground
+    _core.fill_ground(ground.heights_m, ground.seen, np.array(ground.plane, np.float32), ground.half_extent_m)
+    _core.free_plane(sweep.points)
+    middles = np.arange(16, dtype=np.float32) - 7.5
+    x, y = np.meshgrid(middles, middles, indexing="ij")
+    ground_of_lows(np.stack([x, y, -1.8 + 0.1 * np.sin(x)], axis=-1), np.abs(0.02 * y), 8.0, None)
 
 
 def _use_polygons(rng: np.random.Generator) -> None:

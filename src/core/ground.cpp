@@ -195,7 +195,7 @@ class Walk {
 public:
     Walk(const Lattice& lattice, const Lows& lows, Patches& patches, const Plane& carrier)
         : height_m(lattice.size()), accepted(lattice.size()), lattice_(lattice), lows_(lows), patches_(patches),
-          n_(std::ptrdiff_t(lattice.nodes)), node_m_(float(lattice.node_m)), carrier_x_(carrier[0]), carrier_y_(carrier[1]),
+          n_(std::ptrdiff_t(lattice.nodes)), node_m_(float(lattice.node_m)), nodes_per_m_(1.0f / node_m_), carrier_x_(carrier[0]), carrier_y_(carrier[1]),
           carrier_z_(carrier[2]), carried_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
 
     // Walk. Nodes that are attached (n, n) are accepted whatever the step; those that are alone (n, n) carry hardly anything
@@ -217,8 +217,8 @@ private:
         float z, slope_x, slope_y, weight, mean_x, mean_y;
     };
 
-    Prediction predict(const Carried* here) const;
-    Carried carry(const Prediction& near) const;
+    INLINE Prediction predict(const Carried* here) const;
+    INLINE Carried carry(const Prediction& near) const;
     Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone);
     Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b);
     bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const;
@@ -232,9 +232,32 @@ private:
     const Lows& lows_;
     Patches& patches_;
     std::ptrdiff_t n_;
-    float node_m_, carrier_x_, carrier_y_, carrier_z_;
+    float node_m_, nodes_per_m_, carrier_x_, carrier_y_, carrier_z_;
     Buffer<Carried> carried_;  // (n + 2, n + 2) with a border of zeros
 };
+
+// Nodes across a corner count half. Height and slopes are linear in what is carried, so that sums over rows and columns of
+// the nine nodes give them all: the node itself holds zeros.
+Walk::Prediction Walk::predict(const Carried* here) const {
+    const Carried *above = here - (n_ + 2), *below = here + (n_ + 2);
+    const Carried before = 0.5f * (above[-1] + above[1]) + above[0], after = 0.5f * (below[-1] + below[1]) + below[0];
+    const Carried across = 0.5f * ((above[-1] - above[1]) + (below[-1] - below[1])) + (here[-1] - here[1]);
+    const Carried sum = before + (here[-1] + here[1]) + after, along = before - after;
+    const float per = sum[3] > 0.0f ? 1.0f / sum[3] : 0.0f, per_m = per * nodes_per_m_;
+    return {(sum[0] + along[1] + across[2]) * per, sum[1] * per_m, sum[2] * per_m, sum[3],
+            along[3] * per * node_m_, across[3] * per * node_m_};
+}
+
+// What is carried on where no ground is met: the slope falls back to the carrier's.
+Walk::Carried Walk::carry(const Prediction& near) const {
+    const float steeper_x = near.slope_x - carrier_x_, steeper_y = near.slope_y - carrier_y_;
+    const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
+    float share = CARRIED_SHARE;
+    if (steeper2 > CARRIED_SLOPE * CARRIED_SLOPE) share *= CARRIED_SLOPE / std::sqrt(steeper2);
+    const float weight = std::max(std::min(CARRIED_WEIGHT / 3.0f * near.weight, CARRIED_WEIGHT), LEAST_WEIGHT);
+    const Carried state{near.z, (carrier_x_ + share * steeper_x) * node_m_, (carrier_y_ + share * steeper_y) * node_m_, 1.0f};
+    return weight * state;
+}
 
 void Walk::walk(const bool* attached, const bool* alone) {
     std::fill_n(accepted.data(), accepted.size(), false);
@@ -253,29 +276,6 @@ void Walk::walk(const bool* attached, const bool* alone) {
             *here = carry(near);
         }
     }
-}
-
-// Nodes across a corner count half. Height and slopes are linear in what is carried, so that sums over rows and columns of
-// the nine nodes give them all: the node itself holds zeros.
-Walk::Prediction Walk::predict(const Carried* here) const {
-    const Carried *above = here - (n_ + 2), *below = here + (n_ + 2);
-    const Carried before = 0.5f * (above[-1] + above[1]) + above[0], after = 0.5f * (below[-1] + below[1]) + below[0];
-    const Carried across = 0.5f * ((above[-1] - above[1]) + (below[-1] - below[1])) + (here[-1] - here[1]);
-    const Carried sum = before + (here[-1] + here[1]) + after, along = before - after;
-    const float per = sum[3] > 0.0f ? 1.0f / sum[3] : 0.0f, per_m = per / node_m_;
-    return {(sum[0] + along[1] + across[2]) * per, sum[1] * per_m, sum[2] * per_m, sum[3],
-            along[3] * per * node_m_, across[3] * per * node_m_};
-}
-
-// What is carried on where no ground is met: the slope falls back to the carrier's.
-Walk::Carried Walk::carry(const Prediction& near) const {
-    const float steeper_x = near.slope_x - carrier_x_, steeper_y = near.slope_y - carrier_y_;
-    const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
-    float share = CARRIED_SHARE;
-    if (steeper2 > CARRIED_SLOPE * CARRIED_SLOPE) share *= CARRIED_SLOPE / std::sqrt(steeper2);
-    const float weight = std::max(CARRIED_WEIGHT * std::min(near.weight / 3.0f, 1.0f), LEAST_WEIGHT);
-    const Carried state{near.z, (carrier_x_ + share * steeper_x) * node_m_, (carrier_y_ + share * steeper_y) * node_m_, 1.0f};
-    return weight * state;
 }
 
 // Accept the low point of a node, or not, and return what the node carries on.

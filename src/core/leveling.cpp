@@ -3,6 +3,7 @@
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <optional>
@@ -83,13 +84,17 @@ MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t s
 // Turn and raise the points of a block, and write them with range, azimuth and height above the ground.
 MULTIVERSION void measure_block(Block& block, std::size_t count, const float* transform, const Ground& ground,
                                 float* points, float* range_m, float* azimuth, float* height_m) {
-    const float* t = transform;
+    // A copy of the numbers: the compiler cannot know that the loops do not write them.
+    std::array<float, 12> t;
+    std::copy_n(transform, 12, t.begin());
     for (std::size_t k = 0; k < count; ++k) {
         const float px = block.x[k], py = block.y[k], pz = block.z[k];
-        const float x = t[0] * px + t[1] * py + t[2] * pz, y = t[4] * px + t[5] * py + t[6] * pz;
-        const float z = t[8] * px + t[9] * py + t[10] * pz + t[11];
-        block.x[k] = x, block.y[k] = y, block.z[k] = z;
-        points[3 * k] = x, points[3 * k + 1] = y, points[3 * k + 2] = z;
+        block.x[k] = t[0] * px + t[1] * py + t[2] * pz;
+        block.y[k] = t[4] * px + t[5] * py + t[6] * pz;
+        block.z[k] = t[8] * px + t[9] * py + t[10] * pz + t[11];
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+        points[3 * k] = block.x[k], points[3 * k + 1] = block.y[k], points[3 * k + 2] = block.z[k];
     }
     for (std::size_t k = 0; k < count; ++k) {
         const float x = block.x[k], y = block.y[k];

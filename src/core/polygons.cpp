@@ -1,6 +1,7 @@
 // Polygons of cells: what Python calls. Arrays are checked here, whatever hands them in.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include "mask_regions.hpp"
@@ -90,6 +91,7 @@ void bind_polygons(nb::module_& m) {
             require_square(mask.shape(0), mask.shape(1));
             require(regions.shape(0) == mask.shape(0) && regions.shape(1) == mask.shape(1),
                     "regions must have the mask's shape");
+            require_within<std::int32_t>(view(regions).flat(), 0, std::numeric_limits<std::int32_t>::max(), "regions");
             std::optional<MaskRings> rings;
             {
                 nb::gil_scoped_release unlocked;

@@ -156,6 +156,47 @@ def obstacle_cells(
 
 # no_return.cpp
 
+JITTER_COLUMNS: int
+
+def beams_by_evidence(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    isolated: NDArray[np.bool_],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    sensor_height_m: float,
+    ground_m: NDArray[np.float32],
+    half_extent_m: float,
+    top_m: float,
+    obstacle_m: float,
+) -> tuple[
+    NDArray[np.float32],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+]: ...
+def no_return_beams(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    fill: bool,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+
 # grid.cpp
 
 def count_points(

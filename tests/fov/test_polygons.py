@@ -338,6 +338,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         ("must be square", lambda: _core.rings_of_mask(mask[:2], regions[:2])),
         ("must be square", lambda: _core.rings_of_mask(mask[:0, :0], regions[:0, :0])),
         ("have the mask's shape", lambda: _core.rings_of_mask(mask, regions[:2])),
+        ("regions must lie in", lambda: _core.rings_of_mask(mask, -regions)),
         (r"must be \(V, 2\)", lambda: _core.cells_inside(np.zeros((4, 3)), begin, 5)),
         ("begin must ascend", lambda: _core.cells_inside(ring, np.array([0, 5]), 5)),
         ("begin must ascend", lambda: _core.cells_met(ring, np.array([0, 3, 1, 4]), 5)),

@@ -23,12 +23,12 @@ CALLS: dict[str, Callable[[Any], Any]] = {
     "identify_by_points": lambda points: _core.identify_by_points(points, *TABLES),
     "identify_by_rings": lambda points: _core.identify_by_rings(points, np.zeros(len(points), np.int16), *TABLES),
     "infer_sensor": lambda points: _core.infer_sensor(points, None, *TABLES),
-    "rings_of_points": lambda points: _core.rings_of_points(points),
+    "rings_of_points": _core.rings_of_points,
     "beams_of_sensor": lambda points: _core.beams_of_sensor(points, *TABLE),
     "recover_rings": lambda points: _core.recover_rings(points, None, np.zeros(0), np.zeros(0), 0),
     "recover_rings by a table": lambda points: _core.recover_rings(points, None, *TABLE, 1800),
     "find_clusters": lambda points: _core.find_clusters(*_core.polar(points)),
-    "find_motion": lambda points: _core.find_motion(points),
+    "find_motion": _core.find_motion,
     "undo_motion": lambda points: _core.undo_motion(points, 1.0, 0.1, 0.0, 0.0, 0.5),
 }
 
@@ -88,7 +88,10 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
         r"columns must lie in \[1, 65536\]",
         lambda: _core.recover_rings(POINTS, RING, *TABLE, 0),
     ),
-    "beams that fall": ("elevations must ascend", lambda: _core.match_beams(COLUMN, COLUMN, TABLE[0][::-1].copy(), TABLE[1])),
+    "beams that fall": (
+        "elevations must ascend",
+        lambda: _core.match_beams(COLUMN, COLUMN, TABLE[0][::-1].copy(), TABLE[1]),
+    ),
     "beams that are no number": (
         "elevations and origins must be finite",
         lambda: _core.match_beams(COLUMN, COLUMN, np.array([0.0, np.nan]), np.zeros(2)),
