@@ -357,8 +357,8 @@ struct OwnRings {
     ShownRings shown() const { return {ring, count, source, sharpness}; }
 };
 
-std::optional<OwnRings> rings_shown_by_order(const Directions& seen) {
-    std::optional<Rings> rings = rings_by_order(seen.azimuth, seen.slope);
+std::optional<OwnRings> rings_shown_by_order(View2<const float> points) {
+    std::optional<Rings> rings = rings_by_order(points);
     if (!rings) return std::nullopt;
     return OwnRings{std::move(rings->ring), rings->count, RingSource::FILE_ORDER};
 }
@@ -402,6 +402,7 @@ struct Identified {
     int table = NO_TABLE;
     double score = 0.0;
     std::optional<OwnRings> rings;
+    std::optional<Directions> seen;  // what the points show, where that had to be looked at
 };
 
 // Whether rings are surely those of an expected table, by the first of the sample.
@@ -416,23 +417,34 @@ Scored table_by_rings(View2<const float> points, const ShownRings& rings, const 
     return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, OF_RINGS), tables);
 }
 
-Identified identify(View2<const float> points, const Directions& seen, std::optional<OwnRings> ordered,
-                    const BeamTables& tables) {
+Identified identify(View2<const float> points, const BeamTables& tables, int expected) {
     Identified found;
-    for (const bool by_order : {true, false}) {
-        std::optional<OwnRings> rings = by_order ? std::move(ordered) : rings_shown_by_clusters(seen);
-        if (!rings) continue;
-        const ShownRings shown = rings->shown();
-        const auto [table, score] = table_by_rings(points, shown, tables);
-        if (table != NO_TABLE) return {table, score, std::move(rings)};
-        found.score = std::max(score, found.score);
-        if (!found.rings) found.rings = std::move(rings);
+    const auto agrees = [&](std::optional<OwnRings>& rings) {
+        const auto [table, score] = table_by_rings(points, rings->shown(), tables);
+        found.score = table == NO_TABLE ? std::max(score, found.score) : score;
+        found.table = table;
+        if (table != NO_TABLE || !found.rings) found.rings = std::move(rings);
+        return table != NO_TABLE;
+    };
+    // 1. The order of the points.
+    std::optional<OwnRings> ordered = rings_shown_by_order(points);
+    if (ordered && expected != NO_TABLE && is_surely(tables[expected], ordered->shown(), points)) {
+        return {expected, SURE, std::move(ordered), std::nullopt};
     }
-    // Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
+    if (ordered && agrees(ordered)) return found;
+    // 2. The elevations at which they gather.
+    found.seen = directions_of(points);
+    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.seen);
+    if (clustered && agrees(clustered)) return found;
+    // 3. Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
     if (!found.rings || (found.rings->shown().are_clusters() && found.rings->sharpness < SHARP)) {
         const Elevations sample = elevations_of(points, sample_rows(points.rows, SAMPLE));
         const auto [table, score] = explaining_table(sample, points.rows, tables);
-        if (!found.rings || score > found.rings->sharpness) return {table, score, std::nullopt};
+        if (!found.rings || score > found.rings->sharpness) {
+            found.table = table;
+            found.score = score;
+            found.rings.reset();
+        }
     }
     return found;
 }
@@ -471,17 +483,12 @@ SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> 
 
 SensorId identify_by_points(View2<const float> points, const BeamTables& tables, int expected) {
     // 1. The rings that the points show, and the table that these agree with.
-    Directions seen = directions_of(points);
-    std::optional<OwnRings> ordered = rings_shown_by_order(seen);
-    if (expected != NO_TABLE && ordered && is_surely(tables[expected], ordered->shown(), points)) {
-        return {std::move(ordered->ring), expected};
-    }
-    Identified found = identify(points, seen, std::move(ordered), tables);
+    Identified found = identify(points, tables, expected);
     // 2. In doubt the sensor moved: look again without the motion that blurred the elevations.
     if (is_doubtful(found)) {
         std::optional<AtRest> at_rest = undo_motion_of(points);
         if (at_rest && at_rest->rings && is_better(*at_rest->rings, found.rings)) {
-            seen = std::move(at_rest->seen);
+            found.seen = std::move(at_rest->seen);
             found.rings = std::move(at_rest->rings);
             const View2<const float> measured{at_rest->measured.data(), points.rows, 3};
             const int table = table_by_rings(measured, found.rings->shown(), tables).first;
@@ -493,26 +500,28 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
         return {found.rings ? std::optional(std::move(found.rings->ring)) : std::nullopt, NO_TABLE};
     }
     const BeamTable& table = tables[found.table];
+    if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
+        return {std::move(found.rings->ring), found.table};
+    }
+    const Directions seen = found.seen ? std::move(*found.seen) : directions_of(points);
     if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(seen, table), found.table};
     auto counted = counted_as_beams(found.rings->shown(), seen.slope.data(), seen.range_m.data(), table);
     return {counted ? std::move(*counted) : std::move(found.rings->ring), found.table};
 }
 
 std::optional<Buffer<std::int16_t>> rings_of_points(View2<const float> points) {
-    const Directions seen = directions_of(points);
-    for (const auto& look : {rings_shown_by_order, rings_shown_by_clusters}) {
-        if (std::optional<OwnRings> rings = look(seen)) return std::move(rings->ring);
-    }
-    return std::nullopt;
+    std::optional<OwnRings> rings = rings_shown_by_order(points);
+    if (!rings) rings = rings_shown_by_clusters(directions_of(points));
+    return rings ? std::optional(std::move(rings->ring)) : std::nullopt;
 }
 
 std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, const BeamTable& table) {
     // 1. The order of the points tells the rings, if they are no more than the sensor has.
-    const Directions seen = directions_of(points);
-    std::optional<OwnRings> ordered = rings_shown_by_order(seen);
+    std::optional<OwnRings> ordered = rings_shown_by_order(points);
     if (ordered && ordered->count <= table.rings()) return std::move(ordered->ring);
     // 2. Else the beams nearest to the returns. Where the table does not explain them sharply, the sensor moved or has a
     //    calibration of its own: then clusters without its motion are counted as the table's beams, if these go together.
+    const Directions seen = directions_of(points);
     BeamMatch match = match_beams(seen.slope, seen.range_m, table);
     std::optional<AtRest> at_rest = match.excess < SHARP ? undo_motion_of(points) : std::nullopt;
     if (at_rest && at_rest->rings) {
@@ -531,8 +540,7 @@ std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, c
 std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring,
                                     const BeamTables& tables) {
     if (ring) return table_by_rings(points, rings_of_file(*ring), tables);
-    const Directions seen = directions_of(points);
-    const Identified found = identify(points, seen, rings_shown_by_order(seen), tables);
+    const Identified found = identify(points, tables, NO_TABLE);
     return {found.table, found.score};
 }
 
