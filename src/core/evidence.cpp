@@ -82,29 +82,33 @@ struct Evidence {
     bool* within_reach;
 };
 
+INLINE void write_returns(const float* __restrict sums, std::size_t size, float* __restrict out) {
+    for (std::size_t n = 0; n < size; ++n) out[n] = sums[n] > 0.0f ? sums[n] : 0.0f;
+}
+
 // Write the evidence of the cells [first, first + size) from their sums (LANES, size).
-MULTIVERSION void judge_block(float (*lanes)[CellCounts::BLOCK], std::size_t first, std::size_t size,
-                              const float* range_m, Probabilities probabilities, const Rule& rule_, const Evidence& to_) {
+MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size_t first, std::size_t size,
+                              const float* range_m, const Probabilities& probabilities_, const Rule& rule_,
+                              const Evidence& to) {
     const Rule rule = rule_;
-    const Evidence to = to_;
-    for (const auto& [lane, out] : {std::pair{int(MEASURED), to.measured}, {int(INFERRED), to.inferred},
-                                    {int(UNRESOLVED), to.unresolved}}) {
-        for (std::size_t n = 0; n < size; ++n) {
-            const float sum = lanes[lane][n];
-            out[first + n] = sum > 0.0f ? sum : 0.0f;
-        }
-    }
-    for (std::size_t n = 0; n < size; ++n) to.aimed[first + n] = lanes[AIMED][n];
+    const Probabilities probabilities = probabilities_;
+    write_returns(lanes[MEASURED], size, to.measured + first);
+    write_returns(lanes[INFERRED], size, to.inferred + first);
+    write_returns(lanes[UNRESOLVED], size, to.unresolved + first);
+    std::copy_n(lanes[AIMED], size, to.aimed + first);
+    const float *__restrict measured = to.measured + first, *__restrict inferred = to.inferred + first;
+    const float *__restrict lower = lanes[LOWER], *__restrict higher = lanes[HIGHER];
+    float* __restrict const visible_prob = to.visible_prob + first;
     for (std::size_t n = 0; n < size; ++n) {
-        const float supported = probabilities.at(to.measured[first + n] + to.inferred[first + n]);
-        const float prob = rule.own * supported + rule.lower * probabilities.at(lanes[LOWER][n]) +
-                           rule.higher * probabilities.at(lanes[HIGHER][n]);
-        const bool within = range_m[first + n] <= rule.reach_m;
+        const float supported = probabilities.at(measured[n] + inferred[n]);
+        const float prob = rule.own * supported + rule.lower * probabilities.at(lower[n]) +
+                           rule.higher * probabilities.at(higher[n]);
         // No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
         const float cut = prob < rule.below_threshold ? prob : rule.below_threshold;
-        to.visible_prob[first + n] = (supported >= rule.threshold) & within ? prob : cut;
-        to.within_reach[first + n] = within;
+        visible_prob[n] = (supported >= rule.threshold) & (range_m[first + n] <= rule.reach_m) ? prob : cut;
     }
+    bool* __restrict const within_reach = to.within_reach + first;
+    for (std::size_t n = 0; n < size; ++n) within_reach[n] = range_m[first + n] <= rule.reach_m;
 }
 
 // What is asked of an estimator's cells.
@@ -184,7 +188,7 @@ void bind_evidence(nb::module_& m) {
             {
                 nb::gil_scoped_release unlocked;
                 const CellCounts counts = count_beams(windows, beams, ground, target_height_m, nullptr);
-                float lanes[LANES_USED][CellCounts::BLOCK];
+                float lanes[LANES][CellCounts::BLOCK];
                 for (std::size_t first = 0; first < cells; first += CellCounts::BLOCK) {
                     const std::size_t size = std::min(CellCounts::BLOCK, cells - first);
                     counts.read(first, size, lanes);
@@ -222,7 +226,7 @@ void bind_evidence(nb::module_& m) {
                 const Evidence evidence{measured.data(), inferred.data(),     unresolved.data(),
                                         aimed.data(),    visible_prob.data(), within_reach.data()};
                 for_ranges(cells, count_parts(cells, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-                    float lanes[LANES_USED][CellCounts::BLOCK];
+                    float lanes[LANES][CellCounts::BLOCK];
                     for (std::size_t first = begin; first < end; first += CellCounts::BLOCK) {
                         const std::size_t size = std::min(CellCounts::BLOCK, end - first);
                         counts.read(first, size, lanes);

@@ -16,6 +16,7 @@ void bind_grid(nb::module_& m);
 void bind_height_map(nb::module_& m);
 void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
+void bind_boxes(nb::module_& m);
 void bind_history(nb::module_& m);
 void bind_features(nb::module_& m);
 void bind_mc_dropout(nb::module_& m);

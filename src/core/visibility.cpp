@@ -64,6 +64,17 @@ INLINE float clamped(float at, float last) {
 
 // 1. Slopes.
 
+// Write the bilinear mean of four nodes around each position of a block.
+INLINE void mix_nodes(const float* __restrict values, std::uint32_t nodes, std::size_t size, const std::int32_t* __restrict at,
+                      const float* __restrict down, const float* __restrict right, float* __restrict out) {
+    for (std::size_t k = 0; k < size; ++k) {
+        const float* const above = values + at[k];
+        const float* const under = above + nodes;
+        const float low = above[0] + right[k] * (above[1] - above[0]), high = under[0] + right[k] * (under[1] - under[0]);
+        out[k] = low + down[k] * (high - low);
+    }
+}
+
 // Write the limits (LIMITS, stride) of one sector, and return the steepest slope of a target's top.
 MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
                                 const float* deviations, std::size_t sector, float* limits) {
@@ -71,44 +82,51 @@ MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& 
     const auto x = float(std::cos(azimuth)), y = float(std::sin(azimuth));
     const auto nodes = std::uint32_t(ground.heights_m.columns);
     const float half_m = ground.half_extent_m, per_m = float(nodes) / (2.0f * half_m), last = float(nodes) - 1.001f;
-    const float *heights_m = ground.heights_m.data, *std_m = ground.std_m.data;
-    const float *range_m = windows.bin_range_m.data(), *per_range = windows.per_range.data();
     const std::size_t bins = windows.bins, stride = windows.stride;
-    const float less = deviations == nullptr ? 0.0f : deviations[0], more = deviations == nullptr ? 0.0f : deviations[1];
-    float highest = -INFINITE;
-    for (std::size_t k = 0; k < bins; ++k) {
+    for (std::size_t start = 0; start < stride; start += BLOCK) {
+        const std::size_t size = std::min(BLOCK, stride - start);
+        const float *range_m = windows.bin_range_m.data() + start, *per_range = windows.per_range.data() + start;
         // The ground and its deviation, bilinear between four nodes.
-        const float u = clamped((x * range_m[k] + half_m) * per_m - 0.5f, last);
-        const float v = clamped((y * range_m[k] + half_m) * per_m - 0.5f, last);
-        const auto i = std::int32_t(u), j = std::int32_t(v);
-        const float down = u - float(i), right = v - float(j);
-        const std::uint32_t at = std::uint32_t(i) * nodes + std::uint32_t(j), under = at + nodes;
-        const float low = heights_m[at] * (1 - right) + heights_m[at + 1] * right;
-        const float high = heights_m[under] * (1 - right) + heights_m[under + 1] * right;
-        const float foot_m = low * (1 - down) + high * down - ground.sensor_height_m;
-        const float low_std = std_m[at] * (1 - right) + std_m[at + 1] * right;
-        const float high_std = std_m[under] * (1 - right) + std_m[under + 1] * right;
-        const float deviation_m = low_std * (1 - down) + high_std * down;
-        // As slopes, at each height of the ground.
-        const float lower_m = foot_m + less * deviation_m, higher_m = foot_m + more * deviation_m;
-        limits[k] = (foot_m - BELOW_GROUND_M) * per_range[k];
-        limits[stride + k] = (foot_m + target_height_m) * per_range[k];
-        limits[2 * stride + k] = (lower_m - BELOW_GROUND_M) * per_range[k];
-        limits[3 * stride + k] = (lower_m + target_height_m) * per_range[k];
-        limits[4 * stride + k] = (higher_m - BELOW_GROUND_M) * per_range[k];
-        limits[5 * stride + k] = (higher_m + target_height_m) * per_range[k];
-    }
-    for (std::size_t row = 1; row < LIMITS; row += 2) {
-        for (std::size_t k = 0; k < bins; ++k) {
-            const float top = limits[row * stride + k];
-            highest = top > highest ? top : highest;
+        std::int32_t at[BLOCK];
+        float down[BLOCK], right[BLOCK], foot_m[BLOCK], deviation_m[BLOCK];
+        for (std::size_t k = 0; k < size; ++k) {
+            const float u = clamped((x * range_m[k] + half_m) * per_m - 0.5f, last);
+            const float v = clamped((y * range_m[k] + half_m) * per_m - 0.5f, last);
+            const auto i = std::int32_t(u), j = std::int32_t(v);
+            at[k] = i * std::int32_t(nodes) + j;
+            down[k] = u - float(i);
+            right[k] = v - float(j);
+        }
+        mix_nodes(ground.heights_m.data, nodes, size, at, down, right, foot_m);
+        for (std::size_t k = 0; k < size; ++k) foot_m[k] -= ground.sensor_height_m;
+        if (deviations != nullptr) mix_nodes(ground.std_m.data, nodes, size, at, down, right, deviation_m);
+        // As slopes: of the ground as it was estimated, of a lower and of a higher one.
+        for (std::size_t pair = 0; pair < LIMITS / 2; ++pair) {
+            float *const foot = limits + 2 * pair * stride + start, *const top = foot + stride;
+            const float shift = pair == 0 || deviations == nullptr ? 0.0f : deviations[pair - 1];
+            for (std::size_t k = 0; k < size; ++k) {
+                const float shifted_m = shift == 0.0f ? foot_m[k] : foot_m[k] + shift * deviation_m[k];
+                foot[k] = (shifted_m - BELOW_GROUND_M) * per_range[k];
+                top[k] = (shifted_m + target_height_m) * per_range[k];
+            }
         }
     }
     // Nothing passes between the foot and the top of the bins that fill the last vector.
     for (std::size_t row = 0; row < LIMITS; ++row) {
         for (std::size_t k = bins; k < stride; ++k) limits[row * stride + k] = row % 2 == 0 ? INFINITE : -INFINITE;
     }
-    return highest;
+    // The largest of each place in a vector, then of these.
+    float most[VECTOR];
+    for (float& one : most) one = -INFINITE;
+    for (std::size_t row = 1; row < LIMITS; row += 2) {
+        for (std::size_t start = 0; start < stride; start += VECTOR) {
+            for (std::size_t k = 0; k < VECTOR; ++k) {
+                const float top = limits[row * stride + start + k];
+                most[k] = top > most[k] ? top : most[k];
+            }
+        }
+    }
+    return *std::max_element(most, most + VECTOR);
 }
 
 // 2. Beams by column.
@@ -212,32 +230,23 @@ INLINE std::size_t count_kind(const SortedKind& kind, std::size_t column, const 
     return most;
 }
 
-// Turn eight rows of eight into their columns.
-INLINE void transpose(Lanes* r) {
-    const Lanes t0 = __builtin_shufflevector(r[0], r[1], 0, 8, 1, 9, 4, 12, 5, 13);
-    const Lanes t1 = __builtin_shufflevector(r[0], r[1], 2, 10, 3, 11, 6, 14, 7, 15);
-    const Lanes t2 = __builtin_shufflevector(r[2], r[3], 0, 8, 1, 9, 4, 12, 5, 13);
-    const Lanes t3 = __builtin_shufflevector(r[2], r[3], 2, 10, 3, 11, 6, 14, 7, 15);
-    const Lanes t4 = __builtin_shufflevector(r[4], r[5], 0, 8, 1, 9, 4, 12, 5, 13);
-    const Lanes t5 = __builtin_shufflevector(r[4], r[5], 2, 10, 3, 11, 6, 14, 7, 15);
-    const Lanes t6 = __builtin_shufflevector(r[6], r[7], 0, 8, 1, 9, 4, 12, 5, 13);
-    const Lanes t7 = __builtin_shufflevector(r[6], r[7], 2, 10, 3, 11, 6, 14, 7, 15);
-    const Lanes s0 = __builtin_shufflevector(t0, t2, 0, 1, 8, 9, 4, 5, 12, 13);
-    const Lanes s1 = __builtin_shufflevector(t0, t2, 2, 3, 10, 11, 6, 7, 14, 15);
-    const Lanes s2 = __builtin_shufflevector(t1, t3, 0, 1, 8, 9, 4, 5, 12, 13);
-    const Lanes s3 = __builtin_shufflevector(t1, t3, 2, 3, 10, 11, 6, 7, 14, 15);
-    const Lanes s4 = __builtin_shufflevector(t4, t6, 0, 1, 8, 9, 4, 5, 12, 13);
-    const Lanes s5 = __builtin_shufflevector(t4, t6, 2, 3, 10, 11, 6, 7, 14, 15);
-    const Lanes s6 = __builtin_shufflevector(t5, t7, 0, 1, 8, 9, 4, 5, 12, 13);
-    const Lanes s7 = __builtin_shufflevector(t5, t7, 2, 3, 10, 11, 6, 7, 14, 15);
-    r[0] = __builtin_shufflevector(s0, s4, 0, 1, 2, 3, 8, 9, 10, 11);
-    r[1] = __builtin_shufflevector(s1, s5, 0, 1, 2, 3, 8, 9, 10, 11);
-    r[2] = __builtin_shufflevector(s2, s6, 0, 1, 2, 3, 8, 9, 10, 11);
-    r[3] = __builtin_shufflevector(s3, s7, 0, 1, 2, 3, 8, 9, 10, 11);
-    r[4] = __builtin_shufflevector(s0, s4, 4, 5, 6, 7, 12, 13, 14, 15);
-    r[5] = __builtin_shufflevector(s1, s5, 4, 5, 6, 7, 12, 13, 14, 15);
-    r[6] = __builtin_shufflevector(s2, s6, 4, 5, 6, 7, 12, 13, 14, 15);
-    r[7] = __builtin_shufflevector(s3, s7, 4, 5, 6, 7, 12, 13, 14, 15);
+// Turn four vectors of four into their columns.
+INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
+    const Four ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5), ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+    const Four cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5), cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+    a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
+    b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
+    c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
+    d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
+}
+
+// Take four counts, and leave none.
+INLINE void take_counts(std::int32_t* counts, Four& taken) {
+    typedef std::int32_t Whole __attribute__((vector_size(sizeof(Four))));
+    Whole whole;
+    std::memcpy(&whole, counts, sizeof(whole));
+    taken = __builtin_convertvector(whole, Four);
+    std::memset(counts, 0, sizeof(whole));
 }
 
 // Write how many beams of the sector, measured or inferred, lie below the edge of each bin of slope.
@@ -269,7 +278,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
     Buffer<Row> sums(stride), added(stride);
     Buffer<std::int32_t> counts(AIMED * stride);
     Buffer<float> aimed(stride);
-    for (std::size_t k = 0; k < stride; ++k) sums[k].lanes = added[k].lanes = Lanes{};
+    for (std::size_t k = 0; k < stride; ++k) sums[k] = added[k] = Row{};
     std::memset(counts.data(), 0, counts.size() * sizeof(std::int32_t));
     for (std::size_t k = bins; k < stride; ++k) aimed[k] = 0.0f;
     std::size_t filled = 0;  // bins of `added` that are not 0
@@ -292,55 +301,74 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
         for (std::size_t k = 0; k < bins; ++k) {
             aimed[k] = beams_below(smooth, limits[stride + k]) - beams_below(smooth, limits[k]);
         }
-        for (std::size_t k = 0; k < bins; ++k) added[k].lanes[AIMED] = aimed[k];
+        for (std::size_t k = 0; k < bins; ++k) added[k].back[1] = aimed[k];
 
         for (std::size_t c = 0; c < SECTOR_COLUMNS; ++c) {
             const std::size_t column = sector * SECTOR_COLUMNS + c;
             // Count the column's beams, then put the lanes of a bin side by side.
             std::int32_t *const lower = &counts[LOWER * stride], *const higher = &counts[HIGHER * stride];
+            const Four counted = {1, 0, 0, 0};  // of HIGHER, AIMED
             std::size_t most = 0;
             for (std::size_t kind = MEASURED; kind <= INFERRED; ++kind) {
+                std::int32_t* const own_counts = &counts[kind * stride];
                 const std::size_t looked_at =
-                    job.shifted
-                        ? count_kind<true>(job.kinds[kind], column, limits, stride, &counts[kind * stride], lower, higher)
-                        : count_kind<false>(job.kinds[kind], column, limits, stride, &counts[kind * stride], lower, higher);
+                    job.shifted ? count_kind<true>(job.kinds[kind], column, limits, stride, own_counts, lower,
+                                                   higher)
+                                : count_kind<false>(job.kinds[kind], column, limits, stride, own_counts,
+                                                    lower, higher);
                 most = looked_at > most ? looked_at : most;
             }
             const std::size_t looked_at = count_kind<false>(job.kinds[UNRESOLVED], column, limits, stride,
                                                             &counts[UNRESOLVED * stride], lower, higher);
             most = looked_at > most ? looked_at : most;
             const std::size_t packed = most > filled ? most : filled;
-            for (std::size_t k = 0; k < packed; k += LANES) {
-                Lanes rows[LANES];
-                for (std::size_t lane = 0; lane < AIMED; ++lane) {
-                    for (std::size_t b = 0; b < LANES; ++b) rows[lane][b] = float(counts[lane * stride + k + b]);
+            for (std::size_t k = 0; k < packed; k += FOUR) {
+                Four measured, inferred, unresolved, lower_four, higher_four, aimed_four;
+                take_counts(&counts[MEASURED * stride + k], measured);
+                take_counts(&counts[INFERRED * stride + k], inferred);
+                take_counts(&counts[UNRESOLVED * stride + k], unresolved);
+                take_counts(lower + k, lower_four);
+                take_counts(higher + k, higher_four);
+                std::memcpy(&aimed_four, &aimed[k], sizeof(Four));
+                transpose(measured, inferred, unresolved, lower_four);
+                Row* const to = &added[k];
+                to[0].front = measured;
+                to[1].front = inferred;
+                to[2].front = unresolved;
+                to[3].front = lower_four;
+                const Four low = __builtin_shufflevector(higher_four, aimed_four, 0, 4, 1, 5);
+                const Four high = __builtin_shufflevector(higher_four, aimed_four, 2, 6, 3, 7), none{};
+                to[0].back = __builtin_shufflevector(low, none, 0, 1, 4, 5);
+                to[1].back = __builtin_shufflevector(low, none, 2, 3, 6, 7);
+                to[2].back = __builtin_shufflevector(high, none, 0, 1, 4, 5);
+                to[3].back = __builtin_shufflevector(high, none, 2, 3, 6, 7);
+                for (std::size_t b = 0; b < FOUR; ++b) {
+                    sums[k + b].front += to[b].front;
+                    sums[k + b].back += counted * to[b].back;
                 }
-                std::memcpy(&rows[AIMED], &aimed[k], sizeof(Lanes));
-                rows[6] = rows[7] = Lanes{};
-                transpose(rows);
-                for (std::size_t b = 0; b < LANES; ++b) added[k + b].lanes = rows[b];
-            }
-            for (std::size_t lane = 0; lane < AIMED; ++lane) {
-                std::memset(&counts[lane * stride], 0, most * sizeof(std::int32_t));
             }
             filled = most;
-            // The sum before each window that begins or ends in this column; beams that aim are spread over the sector.
-            const Lanes scale = {1, 1, 1, 1, 1, 1.0f / SECTOR_COLUMNS, 0, 0};
-            const Lanes offset = {0, 0, 0, 0, 0, float(c) / SECTOR_COLUMNS, 0, 0};
+            // The sum before each window that begins or ends in this column: that behind the column, less the rest of it.
+            // Beams that aim are spread over the sector, and summed behind it.
+            const Four scale = {1, 1.0f / SECTOR_COLUMNS, 0, 0}, offset = {-1, float(c) / SECTOR_COLUMNS, 0, 0};
             for (std::size_t e = windows.first_begin[column]; e < windows.first_begin[column + 1]; ++e) {
                 const CellWindows::End& end = windows.begins[e];
-                job.rows[end.row].lanes = -(sums[end.bin].lanes + (scale * end.part + offset) * added[end.bin].lanes);
+                const Row &sum = sums[end.bin], &more = added[end.bin];
+                Row& row = job.rows[end.row];
+                row.front = (1.0f - end.part) * more.front - sum.front;
+                row.back = -(sum.back + (scale * end.part + offset) * more.back);
             }
             for (std::size_t e = windows.first_end[column]; e < windows.first_end[column + 1]; ++e) {
                 const CellWindows::End& end = windows.ends[e];
-                const Lanes sum = sums[end.bin].lanes + (scale * end.part + offset) * added[end.bin].lanes;
+                const Row &sum = sums[end.bin], &more = added[end.bin];
+                Row& row = job.rows[end.row];
                 // The end of a window that crosses stands apart, since another thread may write its begin.
-                job.rows[end.row].lanes = end.row < windows.cells() ? job.rows[end.row].lanes + sum : sum;
+                const Row before = end.row < windows.cells() ? row : Row{};
+                row.front = before.front + (sum.front - (1.0f - end.part) * more.front);
+                row.back = before.back + (sum.back + (scale * end.part + offset) * more.back);
             }
-            const Lanes counted = {1, 1, 1, 1, 1, 0, 0, 0};
-            for (std::size_t k = 0; k < filled; ++k) sums[k].lanes += counted * added[k].lanes;
         }
-        for (std::size_t k = 0; k < bins; ++k) sums[k].lanes[AIMED] += aimed[k];
+        for (std::size_t k = 0; k < bins; ++k) sums[k].back[1] += aimed[k];
     }
     std::memcpy(static_cast<void*>(job.totals + segment * bins), sums.data(), bins * sizeof(Row));
 }
@@ -411,22 +439,35 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
     }
 }
 
-MULTIVERSION void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const {
-    for (std::size_t n = 0; n < count; n += LANES) {
-        Lanes block[LANES];
-        for (std::size_t b = 0; b < LANES; ++b) block[b] = rows[first + n + b].lanes;
-        transpose(block);
-        for (std::size_t lane = 0; lane < LANES_USED; ++lane) std::memcpy(&lanes[lane][n], &block[lane], sizeof(Lanes));
+void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const {
+    for (std::size_t n = 0; n < count; n += FOUR) {
+        const Row* const of = &rows[first + n];
+        Four one = of[0].front, two = of[1].front, three = of[2].front, four = of[3].front;
+        transpose(one, two, three, four);
+        const Four higher_aimed_low = __builtin_shufflevector(of[0].back, of[1].back, 0, 4, 1, 5);
+        const Four higher_aimed_high = __builtin_shufflevector(of[2].back, of[3].back, 0, 4, 1, 5);
+        const Four higher = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 0, 1, 4, 5);
+        const Four aimed = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 2, 3, 6, 7);
+        std::memcpy(&lanes[MEASURED][n], &one, sizeof(Four));
+        std::memcpy(&lanes[INFERRED][n], &two, sizeof(Four));
+        std::memcpy(&lanes[UNRESOLVED][n], &three, sizeof(Four));
+        std::memcpy(&lanes[LOWER][n], &four, sizeof(Four));
+        std::memcpy(&lanes[HIGHER][n], &higher, sizeof(Four));
+        std::memcpy(&lanes[AIMED][n], &aimed, sizeof(Four));
     }
     // Windows that cross from one segment to another: their ends, and the segments between.
     const auto by_cell = [](const CellWindows::Crossing& a, std::size_t cell) { return a.cell < cell; };
     auto at = std::lower_bound(windows->crossings.begin(), windows->crossings.end(), first, by_cell);
     for (; at != windows->crossings.end() && at->cell < first + count; ++at) {
-        Lanes sum = rows[windows->cells() + std::size_t(at - windows->crossings.begin())].lanes;
+        Row sum = rows[windows->cells() + std::size_t(at - windows->crossings.begin())];
         for (std::uint32_t k = 0; k < at->count; ++k) {
-            sum += totals[(at->first + k) % SEGMENTS * windows->bins + at->bin].lanes;
+            const Row& segment = totals[(at->first + k) % SEGMENTS * windows->bins + at->bin];
+            sum.front += segment.front;
+            sum.back += segment.back;
         }
-        for (std::size_t lane = 0; lane < LANES_USED; ++lane) lanes[lane][at->cell - first] += sum[lane];
+        const std::size_t n = at->cell - first;
+        for (std::size_t lane = 0; lane < FOUR; ++lane) lanes[lane][n] += sum.front[lane];
+        for (std::size_t lane = FOUR; lane < LANES; ++lane) lanes[lane][n] += sum.back[lane - FOUR];
     }
 }
 
@@ -448,9 +489,8 @@ CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& k
     const float most = *std::max_element(highest.begin(), highest.end()) + 1.0f / PER_SLOPE;
     const SortedBeams sorted(kinds, most, windows.cell_m, windows.bins);
     // 3. Sums over the columns of each segment.
-    CellCounts counts{&windows, Buffer<Row>(windows.rows() + LANES), Buffer<Row>(SEGMENTS * windows.bins)};
-    const Job job{&windows, {sorted.kind(0), sorted.kind(1), sorted.kind(2)}, limits.data(), deviations != nullptr,
-                  counts.rows.data(), counts.totals.data()};
+    CellCounts counts{&windows, Buffer<Row>(windows.rows() + FOUR), Buffer<Row>(SEGMENTS * windows.bins)};
+    const Job job{&windows, {sorted.kind(0), sorted.kind(1), sorted.kind(2)}, limits.data(), deviations != nullptr, counts.rows.data(), counts.totals.data()};
     if (parts <= 1) {
         for (std::size_t segment = 0; segment < SEGMENTS; ++segment) sum_segment(job, segment);
     } else {

@@ -24,14 +24,17 @@ struct TargetGround {
     float half_extent_m, sensor_height_m;
 };
 
-// Eight sums side by side, one vector. The target's returns by measured, inferred and unresolved beams; those by the first
-// two where the ground lies lower and higher; and the beams of these two that aim at it, whatever their depth.
-enum Lane { MEASURED, INFERRED, UNRESOLVED, LOWER, HIGHER, AIMED, LANES_USED, LANES = 8 };
-typedef float Lanes __attribute__((vector_size(LANES * sizeof(float))));
+// Sums side by side, a lane each. The target's returns by measured, inferred and unresolved beams; those by the first two
+// where the ground lies lower and higher; and the beams of these two that aim at it, whatever their depth.
+enum Lane { MEASURED, INFERRED, UNRESOLVED, LOWER, HIGHER, AIMED, LANES };
 
-// A row of sums for each cell, and where windows cross from one part of the turn to another, the end apart.
+// Four of them, a vector on every processor.
+constexpr std::size_t FOUR = 4;
+typedef float Four __attribute__((vector_size(FOUR * sizeof(float))));
+
+// The sums of a cell or of a bin: measured to lower; higher, aimed, and two that are not used.
 struct Row {
-    Lanes lanes;
+    Four front, back;
 };
 
 // Columns of azimuth in which beams are counted, and parts of the turn that are summed each by itself, so that threads

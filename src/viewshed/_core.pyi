@@ -282,6 +282,16 @@ def states(
     sure_aim: float,
 ) -> NDArray[np.uint8]: ...
 
+# boxes.cpp
+
+class BeamsByAzimuth:
+    def __init__(
+        self, azimuth: NDArray[np.float32], slope: NDArray[np.float32], depth_m: NDArray[np.float32]
+    ) -> None: ...
+    def expected_returns(
+        self, boxes: NDArray[np.float32], sensor_height_m: float, leave_out_own: bool
+    ) -> NDArray[np.int32]: ...
+
 # history.cpp
 
 def obstacle_image(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
 import numpy as np
@@ -33,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 States = NDArray[np.uint8]
 
+Counts = NDArray[np.int32]
+
 _EVIDENCE: WeakKeyDictionary[
     LeveledSweep | History, dict[tuple[BevGrid, Target, ReferenceType[LeveledSweep]], BeamEvidence]
 ]
@@ -41,6 +43,13 @@ _EVIDENCE = WeakKeyDictionary()
 
 It holds no sweep: that of a history, which holds the sweeps before, would keep those of a whole stream.
 """
+
+
+_SORTED: WeakKeyDictionary[LeveledSweep, _core.BeamsByAzimuth] = WeakKeyDictionary()
+"""The beams of sweeps that are still in use and were asked for boxes."""
+
+TALLEST_BOX_M = 4.0
+"""Beams without a return that pass higher above the ground than this, wherever they go, meet no box."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,6 +170,32 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     for array in arrays:
         array.setflags(write=False)
     return BeamEvidence(grid, target, *arrays)
+
+
+def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:
+    """Return how many beams of a leveled sweep would meet each of K boxes (K,) int32.
+
+    A beam counts if its straight line meets the box and it ended no nearer than there (by 0.1 m, the noise of ranges).
+    Beams with a return end there, those without one where their surroundings say
+    (:func:`viewshed.preprocess.no_return.beams_by_evidence`); where these say nothing, a beam does not count. The
+    beams of a sweep are sorted when they are first asked for.
+
+    Args:
+        leveled: the sweep.
+        boxes: (K, 7) center x, y, z, length, width and height in meters, and yaw in radians, in ``level``.
+        leave_out_own: count as if the returns in a box were not there, so that their beams meet it. Without it a
+            return in a box ends its beam: those that go through all of the box are left.
+
+    Raises:
+        ValueError: the boxes have another shape, are not finite, or have no size.
+    """
+    boxes = np.ascontiguousarray(boxes, np.float32)
+    if boxes.ndim != 2 or boxes.shape[1] != 7:
+        raise ValueError(f"boxes must have shape (K, 7), got {boxes.shape}; give x, y, z, length, width, height, yaw")
+    if leveled not in _SORTED:
+        beams = beams_by_evidence(leveled, TALLEST_BOX_M)
+        _SORTED[leveled] = _core.BeamsByAzimuth(*(beams.measured + beams.inferred).arrays)
+    return _SORTED[leveled].expected_returns(boxes, leveled.sensor_height_m, leave_out_own)
 
 
 def reach_of_sweep(leveled: LeveledSweep) -> float:
