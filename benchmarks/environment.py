@@ -60,7 +60,9 @@ def main() -> None:
         "## Size", about, table(["package", "MB"], [[f"`{name}`", f"{size:.0f}"] for name, size in largest]),
         "## First and later starts",
         "One sweep of 35k points, as a HDL-32E measures it; each first start in a home of its own that is empty.",
-        table(["results", "", "seconds, median (least to most)", "target", "peak, MB", "target"], rows),
+        table(
+            ["results", "", "seconds, median (least to most)", "target", "of the processor", "peak, MB", "target"], rows
+        ),
     )  # fmt: skip
     chosen.page.write_text(content, encoding="utf-8")
     print(content)
@@ -82,7 +84,7 @@ def _row(results: str, when: str, starts: list[Start], target_s: float) -> list[
     seconds, peak = [start.seconds for start in starts], max(start.peak_mb for start in starts)
     return [
         f"`{results}`", when, f"{np.median(seconds):.2f} ({min(seconds):.2f} to {max(seconds):.2f})",
-        f"≤ {target_s:g}", f"{peak:.0f}", f"≤ {PEAK_MB:g}",
+        f"≤ {target_s:g}", f"{np.median([start.processor_s for start in starts]):.2f}", f"{peak:.0f}", f"≤ {PEAK_MB:g}",
     ]  # fmt: skip
 
 

@@ -28,10 +28,12 @@ class Start:
 
     Attributes:
         seconds: on the wall clock.
+        processor_s: of all cores; on a busy machine the steadier figure.
         peak_mb: most memory that it held, in 10⁶ bytes.
     """
 
     seconds: float
+    processor_s: float
     peak_mb: float
 
 
@@ -103,7 +105,7 @@ def estimates_in_empty_homes(
 
 def _started(command: list[str], home: Path) -> Start:
     """Run a command to its end with ``home`` as home and cache, and return what it took."""
-    kept = {name: value for name, value in os.environ.items() if name not in _CACHES}
+    kept = {name: value for name, value in os.environ.items() if name not in _PLACES}
     home_of_all = {"HOME": str(home), "NUMBA_CACHE_DIR": str(home / "numba")}
     begin = time.perf_counter()
     with subprocess.Popen(command, env=kept | home_of_all, stdout=subprocess.DEVNULL) as process:
@@ -111,10 +113,11 @@ def _started(command: list[str], home: Path) -> Start:
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} failed with exit code {process.returncode}")
-    return Start(time.perf_counter() - begin, usage.ru_maxrss * 1024 / 1e6)
+    return Start(time.perf_counter() - begin, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6)
 
 
-_CACHES = {"XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR", "NUMBA_CACHE_DIR"}
+_PLACES = {"XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR", "NUMBA_CACHE_DIR", "PYTHONPATH"}
+"""Variables that name other places of caches and sources."""
 
 
 def first_and_second_demo(folder: Path) -> tuple[float, float]:

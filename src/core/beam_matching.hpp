@@ -1,6 +1,7 @@
 // Returns and beams: azimuth, slope and range of points, and how well the beams of a table explain them.
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "arrays.hpp"
@@ -22,6 +23,12 @@ struct Directions {
 };
 
 Directions directions_of(View2<const float> points);
+
+// The slope of one point, as above.
+inline float slope_of(const float* point) {
+    const float r = std::sqrt(point[0] * point[0] + point[1] * point[1]);
+    return r > 0.0f ? point[2] / r : 0.0f;
+}
 
 // The same of some rows of the points, without their azimuth.
 struct Elevations {

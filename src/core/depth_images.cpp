@@ -19,9 +19,9 @@ constexpr float NONE = std::numeric_limits<float>::infinity();
 // Returns and pixels of a part that is worth a thread.
 constexpr std::size_t PART = 32768;
 
-// Consecutive returns often fall into one bin. They are counted in turn in so many histograms, so that no count waits for
-// the one before.
-constexpr std::size_t HISTOGRAMS = 2;
+// Consecutive returns often fall into one bin. They are counted in turn in so many histograms, so that no count waits
+// for the one before.
+constexpr std::size_t HISTOGRAMS = 4;
 
 // One bin more than there are, for returns that are not from ground.
 constexpr std::size_t SECTOR_BINS = SHARE_BINS + 1;
@@ -40,7 +40,8 @@ struct Part {
 // Write the bin of range in meters of each return, the bin of the shares, and its depth if it is on an obstacle.
 MULTIVERSION void find_bins(const float* range_m, const float* height_m, std::size_t count, float low_m, float steep_m,
                             std::int32_t* meter, std::int32_t* share, float* obstacle_m) {
-    constexpr float per_bin = float(1.0 / SHARE_BIN_M), last_meter = float(REACH_BINS - 1), last = float(SHARE_BINS - 1);
+    constexpr float per_bin = float(1.0 / SHARE_BIN_M);
+    constexpr float last_meter = float(REACH_BINS - 1), last = float(SHARE_BINS - 1);
     for (std::size_t k = 0; k < count; ++k) {
         float d = range_m[k] > 0.0f ? range_m[k] : 0.0f, bin = d * per_bin;
         const bool is_high = height_m[k] > low_m;
@@ -88,7 +89,7 @@ MULTIVERSION void merge_depths(Depth* depths, const Depth* other, std::size_t co
     for (std::size_t k = 0; k < 2 * count; ++k) to[k] = from[k] < to[k] ? from[k] : to[k];
 }
 
-// Take returns out of the counts, of which a full one stays. Most masks are empty: eight elements are looked at at once.
+// Take returns out of the counts, of which a full one stays. Most masks are empty: eight elements are read at once.
 void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<const bool> counted,
                         View1<std::uint8_t> counts) {
     const auto take = [&](std::size_t n) {

@@ -78,6 +78,84 @@ INLINE bool has(const Lows& lows, std::size_t at) {
     return lows.z_m[at] < std::numeric_limits<float>::infinity();
 }
 
+// Planes that are fitted at once, in the lanes of vectors.
+constexpr std::size_t LANES = 8;
+
+// The low points of nine nodes for each lane; those that are missing are not used (0) and lie at 0.
+struct Neighborhoods {
+    float x[9][LANES] = {}, y[9][LANES] = {}, z[9][LANES] = {}, used[9][LANES] = {}, count[LANES] = {};
+
+    // Put a node and those around it into a lane; false if too few of them have low points.
+    bool take(const Lows& lows, std::size_t at, std::ptrdiff_t n, std::size_t lane) {
+        const auto i = std::ptrdiff_t(at) / n, j = std::ptrdiff_t(at) % n;
+        if (i < 1 || j < 1 || i >= n - 1 || j >= n - 1) return false;
+        int found = 0;
+        for (std::size_t k = 0; k < 9; ++k) {
+            const std::size_t near = at + (k / 3) * std::size_t(n) + k % 3 - std::size_t(n) - 1;
+            const bool is_used = has(lows, near);
+            x[k][lane] = lows.x_m[near];
+            y[k][lane] = lows.y_m[near];
+            z[k][lane] = is_used ? lows.z_m[near] : 0.0f;
+            used[k][lane] = is_used ? 1.0f : 0.0f;
+            found += is_used;
+        }
+        count[lane] = float(found);
+        // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
+        return found >= EVEN_NODES;
+    }
+};
+
+// Slopes along x and y of the least-squares plane of each lane, and whether its points lie on it.
+MULTIVERSION void fit_planes(const Neighborhoods& p, bool* fits, float* slope_x, float* slope_y) {
+    float mx[LANES] = {}, my[LANES] = {}, mz[LANES] = {};
+    for (std::size_t k = 0; k < 9; ++k) {
+        for (std::size_t l = 0; l < LANES; ++l) {
+            mx[l] += p.x[k][l];
+            my[l] += p.y[k][l];
+            mz[l] += p.z[k][l];
+        }
+    }
+    for (std::size_t l = 0; l < LANES; ++l) {
+        const float count = p.count[l] > 0.0f ? p.count[l] : 1.0f;
+        mx[l] /= count;
+        my[l] /= count;
+        mz[l] /= count;
+    }
+    double xx[LANES], xy[LANES] = {}, yy[LANES], xz[LANES] = {}, yz[LANES] = {};
+    for (std::size_t l = 0; l < LANES; ++l) xx[l] = yy[l] = 1e-6;
+    for (std::size_t k = 0; k < 9; ++k) {
+        for (std::size_t l = 0; l < LANES; ++l) {
+            const float used = p.used[k][l];
+            const float dx = (p.x[k][l] - mx[l]) * used, dy = (p.y[k][l] - my[l]) * used, dz = (p.z[k][l] - mz[l]) * used;
+            xx[l] += double(dx * dx);
+            xy[l] += double(dx * dy);
+            yy[l] += double(dy * dy);
+            xz[l] += double(dx * dz);
+            yz[l] += double(dy * dz);
+        }
+    }
+    double a[LANES], b[LANES], slope[LANES], worst[LANES] = {};
+    for (std::size_t l = 0; l < LANES; ++l) {
+        const double area = xx[l] * yy[l] - xy[l] * xy[l];
+        a[l] = (xz[l] * yy[l] - yz[l] * xy[l]) / area;
+        b[l] = (yz[l] * xx[l] - xz[l] * xy[l]) / area;
+        slope[l] = std::sqrt(a[l] * a[l] + b[l] * b[l]);
+    }
+    for (std::size_t k = 0; k < 9; ++k) {
+        for (std::size_t l = 0; l < LANES; ++l) {
+            const float used = p.used[k][l];
+            const float dx = (p.x[k][l] - mx[l]) * used, dy = (p.y[k][l] - my[l]) * used, dz = (p.z[k][l] - mz[l]) * used;
+            const double off = std::fabs(double(dz) - a[l] * double(dx) - b[l] * double(dy));
+            worst[l] = off > worst[l] ? off : worst[l];
+        }
+    }
+    for (std::size_t l = 0; l < LANES; ++l) {
+        slope_x[l] = float(a[l]);
+        slope_y[l] = float(b[l]);
+        fits[l] = slope[l] <= STEEPEST && worst[l] <= EVEN_M * (1.0 + slope[l]);
+    }
+}
+
 // Nodes that lie on one plane with their neighbors, the plane's slope along x and y, and how many nodes hang together.
 class Patches {
 public:
@@ -87,7 +165,7 @@ public:
           count_(lows.nodes * lows.nodes, 0) {
         const std::size_t some = lows.some.size();
         for_ranges(some, count_parts(some, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-            for (std::size_t k = begin; k < end; ++k) fit(lows.some[k]);
+            fit(&lows.some[begin], end - begin);
         });
     }
 
@@ -103,56 +181,30 @@ public:
     }
 
 private:
-    void fit(std::int32_t node) {
-        const std::size_t at = std::size_t(node);
-        const std::ptrdiff_t i = node / n_, j = node % n_;
-        slope_x_[at] = slope_y_[at] = 0.0f;
-        if (i < 1 || j < 1 || i >= n_ - 1 || j >= n_ - 1) return;
-        std::array<float, 9> x, y, z;
-        int count = 0;
-        for (std::ptrdiff_t p = i - 1; p <= i + 1; ++p) {
-            for (std::ptrdiff_t q = j - 1; q <= j + 1; ++q) {
-                const auto near = std::size_t(p * n_ + q);
-                x[count] = lows_.x_m[near];
-                y[count] = lows_.y_m[near];
-                z[count] = lows_.z_m[near];
-                count += has(lows_, near);  // the next one takes the place of one that is missing
+    // Fit planes to some of the nodes, LANES at a time.
+    void fit(const std::int32_t* nodes, std::size_t size) {
+        Neighborhoods around;
+        std::array<std::size_t, LANES> of{};
+        std::size_t lanes = 0;
+        const auto finish = [&] {
+            std::array<bool, LANES> fits;
+            std::array<float, LANES> a, b;
+            fit_planes(around, fits.data(), a.data(), b.data());
+            for (std::size_t l = 0; l < lanes; ++l) {
+                even_[of[l]] = fits[l];
+                slope_x_[of[l]] = a[l];
+                slope_y_[of[l]] = b[l];
             }
+            lanes = 0;
+        };
+        for (std::size_t k = 0; k < size; ++k) {
+            const auto at = std::size_t(nodes[k]);
+            slope_x_[at] = slope_y_[at] = 0.0f;
+            if (!around.take(lows_, at, n_, lanes)) continue;
+            of[lanes++] = at;
+            if (lanes == LANES) finish();
         }
-        // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
-        if (count >= EVEN_NODES) fit_plane(at, x.data(), y.data(), z.data(), count);
-    }
-
-    // The least-squares plane of points, and whether they lie on it.
-    void fit_plane(std::size_t at, const float* x, const float* y, const float* z, int count) {
-        float mx = 0.0f, my = 0.0f, mz = 0.0f;
-        for (int k = 0; k < count; ++k) {
-            mx += x[k];
-            my += y[k];
-            mz += z[k];
-        }
-        mx /= float(count);
-        my /= float(count);
-        mz /= float(count);
-        double xx = 1e-6, xy = 0.0, yy = 1e-6, xz = 0.0, yz = 0.0;
-        for (int k = 0; k < count; ++k) {
-            const float dx = x[k] - mx, dy = y[k] - my, dz = z[k] - mz;
-            xx += double(dx * dx);
-            xy += double(dx * dy);
-            yy += double(dy * dy);
-            xz += double(dx * dz);
-            yz += double(dy * dz);
-        }
-        const double area = xx * yy - xy * xy, a = (xz * yy - yz * xy) / area, b = (yz * xx - xz * xy) / area;
-        const double slope = std::sqrt(a * a + b * b);
-        bool fits = !(slope > STEEPEST);
-        for (int k = 0; k < count && fits; ++k) {
-            const double off = double(z[k] - mz) - a * double(x[k] - mx) - b * double(y[k] - my);
-            fits = !(std::fabs(off) > EVEN_M * (1.0 + slope));
-        }
-        even_[at] = fits;
-        slope_x_[at] = float(a);
-        slope_y_[at] = float(b);
+        if (lanes > 0) finish();
     }
 
     void measure(std::size_t first) {

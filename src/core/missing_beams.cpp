@@ -23,7 +23,7 @@ public:
         for (int c = 0; c < columns_ && first_return_ < 0; ++c) first_return_ = counts[c] > 0 ? c : -1;
     }
 
-    void visit(int c, int count) {
+    INLINE void visit(int c, int count) {
         if (c - doubles_at_ > JITTER_COLUMNS) doubles_ = 0;
         if (count > 0) {
             close_gap();
@@ -61,7 +61,7 @@ public:
 
 private:
     // All beams of a gap have the same return after them.
-    void close_gap() {
+    INLINE void close_gap() {
         if (first_in_gap_ >= 0 && first_return_ >= 0) {
             const int after = last_empty_ + 1 < columns_ ? last_empty_ + 1 : columns_ + first_return_;
             for (std::size_t k = std::size_t(first_in_gap_); k < m_; ++k) beams_.after[k] = after;
@@ -79,20 +79,23 @@ private:
 }  // namespace
 
 void find_missing(View1<const std::uint8_t> counts, MissingBeams& beams) {
-    Finder finder(counts, beams);
+    // The pixels that do not hold one return: written down without a branch, but for eight full ones at once.
     const std::size_t columns = counts.size;
-    std::size_t c = 0;
+    Buffer<std::int32_t> others(columns + 1);
+    std::size_t m = 0, c = 0;
+    const auto write_down = [&](std::size_t k) {
+        others[m] = std::int32_t(k);
+        m += counts[k] != 1;
+    };
     for (; c + 8 <= columns; c += 8) {
         std::uint64_t eight;
         std::memcpy(&eight, counts.data + c, 8);
         if (eight == ALL_ONE) continue;
-        for (std::size_t k = c; k < c + 8; ++k) {
-            if (counts[k] != 1) finder.visit(int(k), counts[k]);
-        }
+        for (std::size_t k = c; k < c + 8; ++k) write_down(k);
     }
-    for (; c < columns; ++c) {
-        if (counts[c] != 1) finder.visit(int(c), counts[c]);
-    }
+    for (; c < columns; ++c) write_down(c);
+    Finder finder(counts, beams);
+    for (std::size_t k = 0; k < m; ++k) finder.visit(others[k], counts[std::size_t(others[k])]);
     finder.finish();
 }
 
@@ -101,9 +104,11 @@ Turn::Turn(std::size_t columns) : cos(columns), sin(columns) {
     constexpr std::size_t FINE = 64;
     double fine_cos[FINE], fine_sin[FINE];
     const double step = 2 * std::numbers::pi / double(columns);
-    for (std::size_t k = 0; k < FINE; ++k) fine_cos[k] = std::cos(double(k) * step), fine_sin[k] = std::sin(double(k) * step);
+    for (std::size_t k = 0; k < FINE; ++k) {
+        fine_cos[k] = std::cos(double(k) * step), fine_sin[k] = std::sin(double(k) * step);
+    }
     for (std::size_t start = 0; start < columns; start += FINE) {
-        const double co = std::cos(double(start) * step - std::numbers::pi), si = std::sin(double(start) * step - std::numbers::pi);
+        const double azimuth = double(start) * step - std::numbers::pi, co = std::cos(azimuth), si = std::sin(azimuth);
         for (std::size_t k = 0; k < std::min(FINE, columns - start); ++k) {
             cos[start + k] = co * fine_cos[k] - si * fine_sin[k];
             sin[start + k] = si * fine_cos[k] + co * fine_sin[k];

@@ -11,8 +11,8 @@ namespace viewshed {
 // A point may lie this many columns from the firing that it belongs to.
 constexpr int JITTER_COLUMNS = 4;
 
-// The beams of a ring that did not return, by ascending column. Of the nearest pixel with a return before and after: its
-// column, unwrapped around the circle (the beam's own stands for none). There is room for all columns.
+// The beams of a ring that did not return, by ascending column. Of the nearest pixel with a return before and after:
+// its column, unwrapped around the circle (the beam's own stands for none). There is room for all columns.
 struct MissingBeams {
     explicit MissingBeams(std::size_t columns) : column(columns), before(columns), after(columns) {}
 
@@ -37,8 +37,8 @@ struct Turn {
     Buffer<double> cos, sin;
 };
 
-// Write azimuth and slope in `level` of beams of one ring: by column, the ring's phase in its columns, the tangent of its
-// elevation and the rotation (3, 3) from the sensor.
+// Write azimuth and slope in `level` of beams of one ring: by column, the ring's phase in its columns, the tangent of
+// its elevation and the rotation (3, 3) from the sensor.
 void aim_beams(const Turn& turn, View1<const std::int32_t> column, double phase, double tangent, const double* rotation,
                float* azimuth, float* slope);
 

@@ -32,7 +32,7 @@ constexpr int FILL_COLUMNS = 16;
 constexpr double GAP_M = 1.5, SIMILAR = 1.25;
 
 // The next return below or above in a column is at most so many rings away.
-constexpr int NEIGHBOR_RINGS = 8;
+constexpr std::size_t NEIGHBOR_RINGS = 8;
 
 // Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return.
 constexpr double STEEP = 4.0;
@@ -74,7 +74,7 @@ using Shares = std::array<double, SHARE_BINS>;
 std::size_t share_bin(float range_m) { return std::min(std::size_t(range_m / SHARE_BIN_M), SHARE_BINS - 1); }
 
 // How many rings, from the lowest and at least one, may have a beam below a slope in `level`.
-std::size_t rings_below(double slope, const RingAims& aims) {
+std::size_t count_rings_below(double slope, const RingAims& aims) {
     const double tilt = std::acos(std::clamp(aims.rotation[8], -1.0, 1.0));
     std::size_t rings = aims.elevation.size;
     while (rings > 1 && aims.elevation[rings - 1] - tilt > std::atan(slope)) --rings;
@@ -112,45 +112,58 @@ std::size_t find_ring_gaps(const MissingBeams& missing, View1<const bool> silent
     return m;
 }
 
-// The next ring below (-1) or above (1) with a return in a column; -1 where there is none nearby.
-int next_in_column(View2<const std::uint8_t> counts, int r, std::size_t c, int step) {
-    for (int k = 0; k < NEIGHBOR_RINGS; ++k) {
-        r += step;
-        if (r < 0 || r >= int(counts.rows)) return -1;
-        if (counts(r, c) > 0) return r;
+// Write how many rings below each pixel (rings, columns) the next one with a return lies, 255 for more than that.
+MULTIVERSION void find_rings_below(const std::uint8_t* counts, std::size_t rings, std::size_t columns,
+                                   std::uint8_t* rings_below) {
+    std::fill_n(rings_below, columns, std::uint8_t(255));
+    for (std::size_t r = 1; r < rings; ++r) {
+        const std::uint8_t *row = counts + (r - 1) * columns, *before = rings_below + (r - 1) * columns;
+        std::uint8_t* below = rings_below + r * columns;
+        for (std::size_t c = 0; c < columns; ++c) {
+            const std::uint8_t farther = before[c] < 255 ? std::uint8_t(before[c] + 1) : std::uint8_t(255);
+            below[c] = row[c] > 0 ? std::uint8_t(1) : farther;
+        }
+    }
+}
+
+// The next ring above with a return in a column; -1 where there is none nearby.
+int next_above(View2<const std::uint8_t> counts, std::size_t r, std::size_t c) {
+    for (std::size_t p = r + 1; p < std::min(r + 1 + NEIGHBOR_RINGS, counts.rows); ++p) {
+        if (counts(p, c) > 0) return int(p);
     }
     return -1;
 }
 
 // Lower gap_m to the nearer of the obstacles next below and above in the column, if similar and close.
-void find_column_gaps(const DepthImages& images, const double* tangent, std::size_t r, std::size_t count,
-                      const std::int32_t* column, float* gap_m) {
-    const View2<const std::uint8_t> counts = images.all_counts();
+void find_column_gaps(const DepthImages& images, const std::uint8_t* rings_below, const double* tangent, std::size_t r,
+                      std::size_t count, const std::int32_t* column, float* gap_m) {
     for (std::size_t k = 0; k < count; ++k) {
-        const std::size_t c = std::size_t(column[k]);
+        const std::size_t c = std::size_t(column[k]), below = rings_below[c];
         // Most beams have ground below them: without an obstacle there, none above is looked for.
-        const int low = next_in_column(counts, int(r), c, -1);
-        if (low < 0) continue;
-        const float below_m = images.ring(low)[c].obstacle_m;
+        if (below > NEIGHBOR_RINGS) continue;
+        const float below_m = images.ring(r - below)[c].obstacle_m;
         if (!(below_m < NONE)) continue;
-        const int high = next_in_column(counts, int(r), c, 1);
+        const int high = next_above(images.all_counts(), r, c);
         if (high < 0) continue;
-        const float above_m = images.ring(high)[c].obstacle_m;
+        const float above_m = images.ring(std::size_t(high))[c].obstacle_m;
         const float near = std::min(below_m, above_m), far = std::max(below_m, above_m);
-        if (far < SIMILAR * near && (tangent[high] - tangent[low]) * near < GAP_M) {
+        if (far < SIMILAR * near && (tangent[std::size_t(high)] - tangent[r - below]) * near < GAP_M) {
             gap_m[k] = gap_m[k] < near ? gap_m[k] : near;  // NaN gives way
         }
     }
 }
 
 // Write the nearest obstacle among the two pixels beside each beam and the three above it.
-void find_bounds(const DepthImages& images, std::size_t r, std::size_t count, const std::int32_t* column, float* bound_m) {
+void find_bounds(const DepthImages& images, std::size_t r, std::size_t count, const std::int32_t* column,
+                 float* bound_m) {
     const Depth *ring = images.ring(r), *above = r + 1 < images.rings ? images.ring(r + 1) : nullptr;
     const auto columns = std::int32_t(images.columns);
     for (std::size_t k = 0; k < count; ++k) {
         const std::int32_t c = column[k], before = c > 0 ? c - 1 : columns - 1, after = c + 1 < columns ? c + 1 : 0;
         float nearest = std::min(ring[before].obstacle_m, ring[after].obstacle_m);
-        if (above) nearest = std::min({nearest, above[before].obstacle_m, above[c].obstacle_m, above[after].obstacle_m});
+        if (above != nullptr) {
+            nearest = std::min({nearest, above[before].obstacle_m, above[c].obstacle_m, above[after].obstacle_m});
+        }
         bound_m[k] = nearest;
     }
 }
@@ -185,7 +198,9 @@ void find_ground(const PolarGround& polar, std::size_t count, const float* azimu
         const std::size_t sector = ground_sector(azimuth[k]);
         ground_m[k] = meet_ground(polar, sector, slope[k], at);
         // A beam that starts higher looks less steep from the sensor's origin: once more with the slope at that range.
-        if (rise_m != 0.0f && ground_m[k] < NONE) ground_m[k] = meet_ground(polar, sector, slope[k] + rise_m / ground_m[k], at);
+        if (rise_m != 0.0f && ground_m[k] < NONE) {
+            ground_m[k] = meet_ground(polar, sector, slope[k] + rise_m / ground_m[k], at);
+        }
     }
 }
 
@@ -255,7 +270,7 @@ void split_no_return_beams(const DepthImages& images, const RingAims& aims, cons
     // 1. The ground as the sensor sees it, and the rings with beams that may reach a target.
     PolarGround polar;
     find_polar_ground(ground, sensor_height_m, top_m, polar);
-    const std::size_t rings = rings_below(*std::max_element(polar.top.begin(), polar.top.end()), aims);
+    const std::size_t rings = count_rings_below(*std::max_element(polar.top.begin(), polar.top.end()), aims);
     Buffer<bool> silent(columns);
     find_silent_columns({images.counts.data(), rings, columns}, silent);
     std::vector<double> tangent(images.rings);
@@ -263,6 +278,8 @@ void split_no_return_beams(const DepthImages& images, const RingAims& aims, cons
 
     // 2. In each ring, the missing beams, where they aimed, and what is around them. Rings without returns have none.
     const Turn turn(columns);
+    Buffer<std::uint8_t> rings_below(rings * columns);
+    find_rings_below(images.counts.data(), rings, columns, rings_below.data());
     Candidates beams(rings, columns);
     const std::size_t parts = std::min(count_parts(rings * columns, PART), rings);
     std::vector<ShareCounts> lost(parts, ShareCounts{});
@@ -277,7 +294,7 @@ void split_no_return_beams(const DepthImages& images, const RingAims& aims, cons
             const std::size_t count = find_ring_gaps(missing, silent, images.ring(r), column, gap_m);
             aim_beams(turn, {column, count}, aims.phase[r], tangent[r], aims.rotation, &beams.azimuth[first],
                       &beams.slope[first]);
-            find_column_gaps(images, tangent.data(), r, count, column, gap_m);
+            find_column_gaps(images, &rings_below[first], tangent.data(), r, count, column, gap_m);
             find_bounds(images, r, count, column, bound_m);
             bound_beside_gaps(count, columns, column, gap_m, bound_m);
             find_ground(polar, count, &beams.azimuth[first], &beams.slope[first], float(aims.origin_m[r]),
@@ -292,8 +309,8 @@ void split_no_return_beams(const DepthImages& images, const RingAims& aims, cons
         }
     }
 
-    // 3. How far each beam went: by its gap; else as far as the ground where few beams return from there, and nothing that
-    //    is not explained lies in the ring below. Upwards, since what explains a beam says something of the one above.
+    // 3. How far each beam went: by its gap; else as far as the ground where few beams return from there, unless nothing
+    //    explains the beam below it. From the lowest ring upwards, since each says something of the one above.
     const Shares share = returning_shares(images.ground_counts, lost[0]);
     const float reach_m = float(BEYOND_REACH * reach_of(images));
     Buffer<std::int32_t> unexplained_at(columns, -2);  // the last ring of each column that nothing explains
@@ -404,7 +421,8 @@ void bind_no_return(nb::module_& m) {
             require_aims(aims, counts.shape(0));
             require(points.shape(0) == count && range_m.shape(0) == count && height_m.shape(0) == count,
                     "points, range_m, height_m and rows must be as long");
-            require(ground_m.shape(1) == nodes && nodes >= 2 && nodes <= 4096, "ground_m must be (n, n), n in [2, 4096]");
+            require(ground_m.shape(1) == nodes, "ground_m must be (n, n)");
+            require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
             require(half_extent_m > 0.0f, "half_extent_m must be positive");
             Buffer<float> slope(count);
             const std::size_t room = counts.shape(0) * counts.shape(1);
@@ -424,7 +442,8 @@ void bind_no_return(nb::module_& m) {
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "rotation"_a.noconvert(), "points"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(),
-        "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
+        "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a,
+        "obstacle_m"_a,
         "Slope (M,) of measured beams; azimuth, slope and depth of inferred beams; and of unresolved ones.");
     m.def(
         "no_return_beams",
@@ -439,8 +458,9 @@ void bind_no_return(nb::module_& m) {
             std::optional<BeamColumns> beams;
             {
                 nb::gil_scoped_release unlocked;
-                beams = no_return_beams(depth_images(pixels, {view(range_m), view(height_m), view(rows)}, NONE, NONE), aims,
-                                        fill);
+                // Neither obstacles nor shares of ground are asked for.
+                const Returns returns{view(range_m), view(height_m), view(rows)};
+                beams = no_return_beams(depth_images(pixels, returns, NONE, NONE), aims, fill);
             }
             return arrays_of(std::move(*beams));
         },

@@ -7,7 +7,7 @@
 
 namespace viewshed {
 
-// Where the beams of each ring point: where in its columns it fires, radians above the horizon, and height of their origin.
+// Where the beams of each ring point: where in its columns it fires, radians above the horizon, height of their origin.
 struct RingAims {
     View1<const float> phase;
     View1<const double> elevation, origin_m;
@@ -32,8 +32,8 @@ struct BeamColumns {
 void split_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground, float sensor_height_m,
                            double top_m, float steep_m, BeamColumns& inferred, BeamColumns& unresolved);
 
-// All beams without a return, in rings without any as well: as deep as the nearer of the two returns beside them in the ring
-// within 16 columns, and left out without these; or endless, without `fill`.
+// All beams without a return, in rings without any as well: as deep as the nearer of the two returns beside them in the
+// ring within 16 columns, and left out without these; or endless, without `fill`.
 BeamColumns no_return_beams(const DepthImages& images, const RingAims& aims, bool fill);
 
 }  // namespace viewshed

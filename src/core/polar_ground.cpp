@@ -43,7 +43,8 @@ MULTIVERSION void slopes_at(const Directions& directions, double range_m, const 
     const float* heights = ground.heights_m.data;
     for (std::size_t s = 0; s < GROUND_SECTORS; ++s) {
         const float *at = heights + node[s], *under = at + n;
-        const double low = at[0] * (1 - right[s]) + at[1] * right[s], high = under[0] * (1 - right[s]) + under[1] * right[s];
+        const double low = at[0] * (1 - right[s]) + at[1] * right[s];
+        const double high = under[0] * (1 - right[s]) + under[1] * right[s];
         const float height_m = float(low * (1 - down[s]) + high * down[s]);
         slope[s] = (height_m - sensor_height_m) / float(range_m);
     }

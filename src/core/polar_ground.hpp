@@ -30,8 +30,8 @@ inline std::size_t ground_sector(float azimuth) {
 // Write the ground as seen from a sensor so high, and the tops of targets of height top_m.
 void find_polar_ground(const Ground& ground, float sensor_height_m, double top_m, PolarGround& polar);
 
-// The range at which a beam first meets the ground, between its ranges linearly; +inf where it does not. `at` is the range
-// that answered the beam before, which is beside it: the search begins there.
+// The range at which a beam first meets the ground, between its ranges linearly; +inf where it does not. `at` is the
+// range that answered the beam before, which is beside it: the search begins there.
 float meet_ground(const PolarGround& polar, std::size_t sector, float slope, std::size_t& at);
 
 }  // namespace viewshed

@@ -72,14 +72,21 @@ struct Order {
     double one_way = 0.0;  // share of the wraps at which the slope rises, or falls if these are more
 };
 
-// Mark the steps of a block that may begin a ring, or go back to the one before, and count those against the sense. The
-// angle before the block is given, and replaced by its last one.
-MULTIVERSION std::size_t mark_steps(const float* azimuth, std::size_t count, float start, float sense, float* before,
+// Of the step to a point: it passes the seam, or goes back over it.
+constexpr std::uint8_t WRAPS = 1, GOES_BACK = 2;
+
+// Mark the steps of a block of points (count, 3) that begin a ring, or go back to the one before, and count those against
+// the sense. The angle before the block is given, and replaced by its last one.
+MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float* before,
                                     std::uint8_t* marked) {
-    float angle[BLOCK + 1];
+    float x[BLOCK], y[BLOCK], angle[BLOCK + 1];
+    for (std::size_t k = 0; k < count; ++k) {
+        x[k] = points[3 * k];
+        y[k] = points[3 * k + 1];
+    }
     angle[0] = *before;
     for (std::size_t k = 0; k < count; ++k) {
-        const float a = sense * (azimuth[k] - start);
+        const float a = sense * (azimuth_of(y[k], x[k]) - start);
         angle[k + 1] = a < 0.0f ? a + TURN : a;
     }
     *before = angle[count];
@@ -87,7 +94,7 @@ MULTIVERSION std::size_t mark_steps(const float* azimuth, std::size_t count, flo
     for (std::size_t k = 0; k < count; ++k) {
         const float step = angle[k + 1] - angle[k];
         backward += (step < -BACKWARD) & (step >= -PI);
-        marked[k] = (step < -PI) | (step > TURN - BACK);
+        marked[k] = std::uint8_t((step < -PI ? WRAPS : 0) | (step > TURN - BACK ? GOES_BACK : 0));
     }
     return std::size_t(backward);
 }
@@ -95,20 +102,20 @@ MULTIVERSION std::size_t mark_steps(const float* azimuth, std::size_t count, flo
 // Count rings from the wraps of the azimuth past `start` in a sense; none if steps against it are many.
 //
 // A step back over `start` soon after a wrap takes the wrap back. Stray first and last rings are joined to their neighbor.
-Order order_rings(View1<const float> azimuth, View1<const float> slope, float start, float sense) {
-    const std::size_t count = azimuth.size;
+Order order_rings(View2<const float> points, float start, float sense) {
+    const std::size_t count = points.rows;
     Order order;
     std::size_t backward = 0, last_start = 0;
     std::int32_t wraps = 0, rising = 0, falling = 0;
     std::vector<Run>& runs = order.runs;
     runs.push_back({0, 0});
     // 1. Follow the azimuth; most blocks of eight points hold no wrap.
-    const float first = sense * (azimuth[0] - start);
+    const float first = sense * (azimuth_of(points(0, 1), points(0, 0)) - start);
     float before = first < 0.0f ? first + TURN : first;
     alignas(8) std::uint8_t marked[BLOCK];
     for (std::size_t begin = 0; begin < count; begin += BLOCK) {
         const std::size_t size = std::min(BLOCK, count - begin);
-        backward += mark_steps(azimuth.data + begin, size, start, sense, &before, marked);
+        backward += mark_steps(points[begin], size, start, sense, &before, marked);
         if (double(backward) > MOST_BACKWARD * double(count)) return {};
         std::fill(marked + size, marked + (size + 7) / 8 * 8, std::uint8_t{0});
         for (std::size_t eight = 0; eight < size; eight += 8) {
@@ -116,12 +123,10 @@ Order order_rings(View1<const float> azimuth, View1<const float> slope, float st
             std::memcpy(&any, marked + eight, 8);
             if (any == 0) continue;
             for (std::size_t k = eight; k < eight + 8; ++k) {
-                if (!marked[k]) continue;
+                if (marked[k] == 0) continue;
                 const std::size_t n = begin + k;
-                const float last = sense * (azimuth[n - 1] - start), here = sense * (azimuth[n] - start);
-                const double change = double(slope[n]) - double(slope[n - 1]);
-                const bool wrapped = (here < 0.0f ? here + TURN : here) < (last < 0.0f ? last + TURN : last);
-                if (wrapped) {
+                const double change = double(slope_of(points[n])) - double(slope_of(points[n - 1]));
+                if (marked[k] == WRAPS) {
                     ++wraps;
                     rising += change > LEAST_STEP;
                     falling += change < -LEAST_STEP;
@@ -201,13 +206,13 @@ double median_of(std::vector<double> values) {
 }
 
 // The median slopes (rings,) of ordered rings, by some of the returns of each.
-std::vector<double> medians_in_order(const Order& order, View1<const float> slope) {
-    const std::size_t step = std::max<std::size_t>(slope.size / order.rings / RETURNS_OF_RING, 1);
+std::vector<double> medians_in_order(const Order& order, View2<const float> points) {
+    const std::size_t step = std::max<std::size_t>(points.rows / order.rings / RETURNS_OF_RING, 1);
     std::vector<std::vector<float>> of_ring(order.rings);
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
-        const std::size_t end = k + 1 < order.runs.size() ? order.runs[k + 1].start : slope.size;
+        const std::size_t end = k + 1 < order.runs.size() ? order.runs[k + 1].start : points.rows;
         std::vector<float>& values = of_ring[std::size_t(order.runs[k].ring)];
-        for (std::size_t n = order.runs[k].start; n < end; n += step) values.push_back(slope[n]);
+        for (std::size_t n = order.runs[k].start; n < end; n += step) values.push_back(slope_of(points[n]));
     }
     std::vector<double> medians;
     for (std::vector<float>& values : of_ring) medians.push_back(lower_median(values.data(), values.size()));
@@ -215,12 +220,12 @@ std::vector<double> medians_in_order(const Order& order, View1<const float> slop
 }
 
 // How much the slope changes, in the median run, from a quarter of its returns to three quarters.
-double change_within(const Order& order, View1<const float> slope) {
+double change_within(const Order& order, View2<const float> points) {
     std::vector<double> changes;
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
         const std::size_t start = order.runs[k].start;
-        const std::size_t size = (k + 1 < order.runs.size() ? order.runs[k + 1].start : slope.size) - start;
-        changes.push_back(std::abs(slope[start + size / 4] - slope[start + 3 * size / 4]));
+        const std::size_t size = (k + 1 < order.runs.size() ? order.runs[k + 1].start : points.rows) - start;
+        changes.push_back(std::abs(slope_of(points[start + size / 4]) - slope_of(points[start + 3 * size / 4])));
     }
     return median_of(std::move(changes));
 }
@@ -398,15 +403,15 @@ Buffer<double> median_elevations(const Directions& seen, const Rings& rings, con
 }
 
 // The ring of each return, and what shows them.
-std::pair<Rings, RingSource> find_rings(const Directions& seen, std::optional<View1<const std::int16_t>> known,
-                                        const BeamTable* table) {
+std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& seen,
+                                        std::optional<View1<const std::int16_t>> known, const BeamTable* table) {
     if (known) {
         Rings rings{Buffer<std::int16_t>(known->size), table != nullptr ? table->rings() : 1};
         std::copy(known->begin(), known->end(), rings.ring.data());
         for (const std::int16_t r : *known) rings.count = std::max(rings.count, std::size_t(std::max<int>(r, 0)) + 1);
         return {std::move(rings), RingSource::FILE};
     }
-    std::optional<Rings> ordered = rings_by_order(seen.azimuth, seen.slope);
+    std::optional<Rings> ordered = rings_by_order(points);
     if (ordered && (table == nullptr || ordered->count <= table->rings())) {
         return {std::move(*ordered), RingSource::FILE_ORDER};
     }
@@ -440,15 +445,15 @@ double lower_median(const float* values, std::size_t count) {
     return std::bit_cast<float>(number_key(std::int32_t(low)));
 }
 
-std::optional<Rings> rings_by_order(View1<const float> azimuth, View1<const float> slope) {
-    if (azimuth.size == 0) return std::nullopt;
+std::optional<Rings> rings_by_order(View2<const float> points) {
+    if (points.rows == 0) return std::nullopt;
     std::optional<Rings> best;
     double least = std::numeric_limits<double>::infinity();
     for (const float start : {0.0f, PI}) {
         for (const float sense : {1.0f, -1.0f}) {
-            const Order order = order_rings(azimuth, slope, start, sense);
+            const Order order = order_rings(points, start, sense);
             if (order.rings < FEWEST_RINGS || order.one_way < ONE_WAY_AT_SEAMS) continue;
-            std::vector<double> medians = medians_in_order(order, slope);
+            std::vector<double> medians = medians_in_order(order, points);
             std::erase_if(medians, [](double median) { return !std::isfinite(median); });
             if (medians.size() < 2) continue;
             double way = 0.0, rising = 0.0, falling = 0.0;
@@ -463,9 +468,9 @@ std::optional<Rings> rings_by_order(View1<const float> azimuth, View1<const floa
             const bool one_way = std::max(rising, falling) >= ONE_WAY * double(steps.size());
             // Two sensors one after the other rise twice.
             const bool once = way <= MOST_WAY * std::abs(medians.back() - medians.front());
-            const double change = change_within(order, slope) / median_of(std::move(steps));
+            const double change = change_within(order, points) / median_of(std::move(steps));
             if (change < least && once && one_way) {
-                best = fill_rings(order, azimuth.size, rising > falling);
+                best = fill_rings(order, points.rows, rising > falling);
                 least = change;
                 if (change < LITTLE) return best;
             }
@@ -477,7 +482,7 @@ std::optional<Rings> rings_by_order(View1<const float> azimuth, View1<const floa
 RingAssignment recover_rings(View2<const float> points, std::optional<View1<const std::int16_t>> known,
                              const BeamTable* table) {
     const Directions seen = directions_of(points);
-    auto [rings, source] = find_rings(seen, known, table);
+    auto [rings, source] = find_rings(points, seen, known, table);
     const std::size_t count = points.rows, columns = measure_columns(seen, rings, source, table);
     // The column of each return, and which are alone in their pixel.
     Buffer<std::int32_t> column(count);

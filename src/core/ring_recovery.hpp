@@ -20,7 +20,7 @@ struct Rings {
 //
 // Rings begin behind or before the sensor. Counted from the wrong side each holds halves of two, and its slope changes by
 // a whole step on the way: the rings whose slope changes less are right.
-std::optional<Rings> rings_by_order(View1<const float> azimuth, View1<const float> slope);
+std::optional<Rings> rings_by_order(View2<const float> points);
 
 // The lower median of some numbers; NaN are left out, NaN for none.
 double lower_median(const float* values, std::size_t count);

@@ -23,6 +23,10 @@ constexpr double DEGREE = std::numbers::pi / 180;
 // Returns by which a sensor is identified, and those of them that tell the elevations of rings.
 constexpr std::size_t SAMPLE = 16'384, OF_RINGS = 8192;
 
+// The first of these suffice where so many of them agree with one table: no other has its beams where this one has.
+constexpr std::size_t FIRST_OF_RINGS = 2048;
+constexpr double SURE = 0.9;
+
 // Least share of the returns whose ring must lie where the table has it.
 constexpr double AGREEING = 0.8;
 
@@ -312,14 +316,19 @@ Scored explaining_table(const Elevations& sample, std::size_t count, const BeamT
     return best;
 }
 
-// Rows of a cloud in random order: all of them, or a sample of a larger one.
-std::vector<std::uint32_t> sample_rows(std::size_t count) {
-    return count <= SAMPLE ? shuffled_rows(count) : random_rows(count, SAMPLE);
+// Rows of a cloud in random order: the first of a sample that holds all of a small one.
+std::vector<std::uint32_t> sample_rows(std::size_t count, std::size_t size) {
+    if (count > SAMPLE) return random_rows(count, size);
+    std::vector<std::uint32_t> rows = shuffled_rows(count);
+    rows.resize(std::min(count, size));
+    return rows;
 }
 
-// The returns by ring of the first rows of a sample, whose elevations are given in the order of the rows.
-ReturnsByRing sampled_by_ring(const ShownRings& rings, const std::vector<std::uint32_t>& rows, const Elevations& sample) {
-    std::vector<std::int16_t> ring(std::min(rows.size(), OF_RINGS));
+// A sample of points by ring, up to a size.
+ReturnsByRing sample_by_ring(View2<const float> points, const ShownRings& rings, std::size_t size) {
+    const std::vector<std::uint32_t> rows = sample_rows(points.rows, size);
+    const Elevations sample = elevations_of(points, rows);
+    std::vector<std::int16_t> ring(rows.size());
     for (std::size_t k = 0; k < ring.size(); ++k) ring[k] = rings.ring[rows[k]];
     return returns_by_ring(ring, rings.count, sample.slope.data(), sample.range_m.data());
 }
@@ -348,8 +357,8 @@ struct OwnRings {
     ShownRings shown() const { return {ring, count, source, sharpness}; }
 };
 
-std::optional<OwnRings> rings_shown_by_order(const Directions& seen) {
-    std::optional<Rings> rings = rings_by_order(seen.azimuth, seen.slope);
+std::optional<OwnRings> rings_shown_by_order(View2<const float> points) {
+    std::optional<Rings> rings = rings_by_order(points);
     if (!rings) return std::nullopt;
     return OwnRings{std::move(rings->ring), rings->count, RingSource::FILE_ORDER};
 }
@@ -368,8 +377,9 @@ std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& seen, const 
     return std::move(match.ring);
 }
 
-// What points show once the motion of their sensor is undone, and the rings at whose elevations nearly all gather then.
+// Points (N, 3) as their sensor measured them, once its motion is undone, what they show, and the rings at whose elevations nearly all gather then.
 struct AtRest {
+    Buffer<float> measured;
     Directions seen;
     std::optional<OwnRings> rings;
 };
@@ -379,7 +389,8 @@ std::optional<AtRest> undo_motion_of(View2<const float> points) {
     if (!motion) return std::nullopt;
     Buffer<float> measured(points.size());
     undo_motion(points, *motion, measured.view(points.rows, 3));
-    AtRest at_rest{directions_of({measured.data(), points.rows, 3}), std::nullopt};
+    Directions seen = directions_of({measured.data(), points.rows, 3});
+    AtRest at_rest{std::move(measured), std::move(seen), std::nullopt};
     at_rest.rings = rings_shown_by_clusters(at_rest.seen);
     if (at_rest.rings && at_rest.rings->sharpness < SHARP_AT_REST) at_rest.rings.reset();
     return at_rest;
@@ -391,25 +402,49 @@ struct Identified {
     int table = NO_TABLE;
     double score = 0.0;
     std::optional<OwnRings> rings;
+    std::optional<Directions> seen;  // what the points show, where that had to be looked at
 };
 
-Identified identify(View2<const float> points, const Directions& seen, const BeamTables& tables) {
-    const std::vector<std::uint32_t> rows = sample_rows(points.rows);
-    const Elevations sample = elevations_of(points, rows);
+// Whether rings are surely those of an expected table, by the first of the sample.
+bool is_surely(const BeamTable& table, const ShownRings& rings, View2<const float> points) {
+    return rings.count == table.rings() &&
+           ring_score(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), table) >= SURE;
+}
+
+// The table that rings agree with, and its score.
+Scored table_by_rings(View2<const float> points, const ShownRings& rings, const BeamTables& tables) {
+    const Scored first = agreeing_table(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), tables);
+    return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, OF_RINGS), tables);
+}
+
+Identified identify(View2<const float> points, const BeamTables& tables, int expected) {
     Identified found;
-    for (const auto& look : {rings_shown_by_order, rings_shown_by_clusters}) {
-        std::optional<OwnRings> rings = look(seen);
-        if (!rings) continue;
-        const ShownRings shown = rings->shown();
-        const auto [table, score] = agreeing_table(shown, sampled_by_ring(shown, rows, sample), tables);
-        if (table != NO_TABLE) return {table, score, std::move(rings)};
-        found.score = std::max(score, found.score);
-        if (!found.rings) found.rings = std::move(rings);
+    const auto agrees = [&](std::optional<OwnRings>& rings) {
+        const auto [table, score] = table_by_rings(points, rings->shown(), tables);
+        found.score = table == NO_TABLE ? std::max(score, found.score) : score;
+        found.table = table;
+        if (table != NO_TABLE || !found.rings) found.rings = std::move(rings);
+        return table != NO_TABLE;
+    };
+    // 1. The order of the points.
+    std::optional<OwnRings> ordered = rings_shown_by_order(points);
+    if (ordered && expected != NO_TABLE && is_surely(tables[expected], ordered->shown(), points)) {
+        return {expected, SURE, std::move(ordered), std::nullopt};
     }
-    // Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
+    if (ordered && agrees(ordered)) return found;
+    // 2. The elevations at which they gather.
+    found.seen = directions_of(points);
+    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.seen);
+    if (clustered && agrees(clustered)) return found;
+    // 3. Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
     if (!found.rings || (found.rings->shown().are_clusters() && found.rings->sharpness < SHARP)) {
+        const Elevations sample = elevations_of(points, sample_rows(points.rows, SAMPLE));
         const auto [table, score] = explaining_table(sample, points.rows, tables);
-        if (!found.rings || score > found.rings->sharpness) return {table, score, std::nullopt};
+        if (!found.rings || score > found.rings->sharpness) {
+            found.table = table;
+            found.score = score;
+            found.rings.reset();
+        }
     }
     return found;
 }
@@ -428,14 +463,6 @@ bool is_better(const OwnRings& clusters, const std::optional<OwnRings>& rings) {
     return clusters.sharpness >= rings->sharpness;
 }
 
-// The table that known rings agree with, and its score.
-Scored table_by_rings(View2<const float> points, const ShownRings& rings, const BeamTables& tables) {
-    std::vector<std::uint32_t> rows = sample_rows(points.rows);
-    rows.resize(std::min(rows.size(), OF_RINGS));
-    const Elevations sample = elevations_of(points, rows);
-    return agreeing_table(rings, sampled_by_ring(rings, rows, sample), tables);
-}
-
 ShownRings rings_of_file(View1<const std::int16_t> ring) {
     std::int16_t most = 0;
     for (const std::int16_t r : ring) most = std::max(most, r);
@@ -444,32 +471,27 @@ ShownRings rings_of_file(View1<const std::int16_t> ring) {
 
 }  // namespace
 
-SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables) {
+SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables,
+                           int expected) {
     const ShownRings rings = rings_of_file(ring);
+    if (expected != NO_TABLE && is_surely(tables[expected], rings, points)) return {std::nullopt, expected};
     const auto [table, score] = table_by_rings(points, rings, tables);
     if (table == NO_TABLE || rings.count == tables[table].rings()) return {std::nullopt, table};
     const Directions seen = directions_of(points);
     return {counted_as_beams(rings, seen.slope.data(), seen.range_m.data(), tables[table]), table};
 }
 
-SensorId identify_by_points(View2<const float> points, const BeamTables& tables) {
+SensorId identify_by_points(View2<const float> points, const BeamTables& tables, int expected) {
     // 1. The rings that the points show, and the table that these agree with.
-    Directions seen = directions_of(points);
-    Identified found = identify(points, seen, tables);
+    Identified found = identify(points, tables, expected);
     // 2. In doubt the sensor moved: look again without the motion that blurred the elevations.
     if (is_doubtful(found)) {
         std::optional<AtRest> at_rest = undo_motion_of(points);
         if (at_rest && at_rest->rings && is_better(*at_rest->rings, found.rings)) {
-            seen = std::move(at_rest->seen);
+            found.seen = std::move(at_rest->seen);
             found.rings = std::move(at_rest->rings);
-            Elevations sample;
-            std::vector<std::uint32_t> rows = sample_rows(points.rows);
-            for (const std::uint32_t row : rows) {
-                sample.slope.push_back(seen.slope[row]);
-                sample.range_m.push_back(seen.range_m[row]);
-            }
-            const ShownRings shown = found.rings->shown();
-            const int table = agreeing_table(shown, sampled_by_ring(shown, rows, sample), tables).first;
+            const View2<const float> measured{at_rest->measured.data(), points.rows, 3};
+            const int table = table_by_rings(measured, found.rings->shown(), tables).first;
             if (table != NO_TABLE) found.table = table;
         }
     }
@@ -478,26 +500,28 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables)
         return {found.rings ? std::optional(std::move(found.rings->ring)) : std::nullopt, NO_TABLE};
     }
     const BeamTable& table = tables[found.table];
+    if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
+        return {std::move(found.rings->ring), found.table};
+    }
+    const Directions seen = found.seen ? std::move(*found.seen) : directions_of(points);
     if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(seen, table), found.table};
     auto counted = counted_as_beams(found.rings->shown(), seen.slope.data(), seen.range_m.data(), table);
     return {counted ? std::move(*counted) : std::move(found.rings->ring), found.table};
 }
 
 std::optional<Buffer<std::int16_t>> rings_of_points(View2<const float> points) {
-    const Directions seen = directions_of(points);
-    for (const auto& look : {rings_shown_by_order, rings_shown_by_clusters}) {
-        if (std::optional<OwnRings> rings = look(seen)) return std::move(rings->ring);
-    }
-    return std::nullopt;
+    std::optional<OwnRings> rings = rings_shown_by_order(points);
+    if (!rings) rings = rings_shown_by_clusters(directions_of(points));
+    return rings ? std::optional(std::move(rings->ring)) : std::nullopt;
 }
 
 std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, const BeamTable& table) {
     // 1. The order of the points tells the rings, if they are no more than the sensor has.
-    const Directions seen = directions_of(points);
-    std::optional<OwnRings> ordered = rings_shown_by_order(seen);
+    std::optional<OwnRings> ordered = rings_shown_by_order(points);
     if (ordered && ordered->count <= table.rings()) return std::move(ordered->ring);
     // 2. Else the beams nearest to the returns. Where the table does not explain them sharply, the sensor moved or has a
     //    calibration of its own: then clusters without its motion are counted as the table's beams, if these go together.
+    const Directions seen = directions_of(points);
     BeamMatch match = match_beams(seen.slope, seen.range_m, table);
     std::optional<AtRest> at_rest = match.excess < SHARP ? undo_motion_of(points) : std::nullopt;
     if (at_rest && at_rest->rings) {
@@ -516,7 +540,7 @@ std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, c
 std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring,
                                     const BeamTables& tables) {
     if (ring) return table_by_rings(points, rings_of_file(*ring), tables);
-    const Identified found = identify(points, directions_of(points), tables);
+    const Identified found = identify(points, tables, NO_TABLE);
     return {found.table, found.score};
 }
 
@@ -598,6 +622,10 @@ BeamTables checked_tables(const In1<double>& elevation, const In1<double>& origi
     return tables;
 }
 
+void check_expected(int expected, const BeamTables& tables) {
+    require(expected >= NO_TABLE && expected < int(tables.size()), "expected must be the number of a table, or -1");
+}
+
 }  // namespace
 
 // What Python calls: arrays are checked here, whatever hands them in.
@@ -605,36 +633,38 @@ void bind_sensor_id(nb::module_& m) {
     m.def(
         "identify_by_rings",
         [](Points points, RingColumn ring, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
-           In1<std::int64_t> columns) {
+           In1<std::int64_t> columns, int expected) {
             const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            check_expected(expected, tables);
             const auto known = checked_rings(ring, checked_count(points));
             SensorId found;
             {
                 nb::gil_scoped_release unlocked;
-                found = identify_by_rings(view(points), *known, tables);
+                found = identify_by_rings(view(points), *known, tables, expected);
             }
             return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
         },
         "points"_a.noconvert(), "ring"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-        "rings"_a.noconvert(), "columns"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(), "expected"_a,
         "The ring of each point (N, 3) as the table's beams, or None where they are the known rings (N,), and the "
         "number of the table that the rings agree with, -1 for none. Tables follow each other: elevation (K,) and "
         "origin_m (K,) of the beams, rings (T,) and columns (T,) of each table.");
     m.def(
         "identify_by_points",
         [](Points points, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
-           In1<std::int64_t> columns) {
+           In1<std::int64_t> columns, int expected) {
             checked_count(points);
             const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            check_expected(expected, tables);
             SensorId found;
             {
                 nb::gil_scoped_release unlocked;
-                found = identify_by_points(view(points), tables);
+                found = identify_by_points(view(points), tables, expected);
             }
             return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
         },
         "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rings"_a.noconvert(),
-        "columns"_a.noconvert(), "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
+        "columns"_a.noconvert(), "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
     m.def(
         "rings_of_points",
         [](Points points) {

@@ -18,11 +18,13 @@ struct SensorId {
     int table = NO_TABLE;
 };
 
-// The rings and the table of points (N, 3) whose rings (N,) are known.
-SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables);
+// The rings and the table of points (N, 3) whose rings (N,) are known. A table that is expected is looked at first, on a
+// small sample: where that leaves no doubt, no other is looked at.
+SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables,
+                           int expected = NO_TABLE);
 
-// The rings and the table that bare points (N, 3) show; none where they show none.
-SensorId identify_by_points(View2<const float> points, const BeamTables& tables);
+// The rings and the table that bare points (N, 3) show; none where they show none. The same of an expected table.
+SensorId identify_by_points(View2<const float> points, const BeamTables& tables, int expected = NO_TABLE);
 
 // The rings (N,) that bare points show, by their order or else by their elevations.
 std::optional<Buffer<std::int16_t>> rings_of_points(View2<const float> points);

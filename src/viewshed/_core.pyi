@@ -40,6 +40,7 @@ def identify_by_rings(
     origin_m: NDArray[np.float64],
     rings: NDArray[np.int64],
     columns: NDArray[np.int64],
+    expected: int,
 ) -> tuple[NDArray[np.int16] | None, int]: ...
 def identify_by_points(
     points: NDArray[np.float32],
@@ -47,6 +48,7 @@ def identify_by_points(
     origin_m: NDArray[np.float64],
     rings: NDArray[np.int64],
     columns: NDArray[np.int64],
+    expected: int,
 ) -> tuple[NDArray[np.int16] | None, int]: ...
 def rings_of_points(points: NDArray[np.float32]) -> NDArray[np.int16] | None: ...
 def beams_of_sensor(

@@ -23,7 +23,8 @@ import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -132,21 +133,42 @@ class LocalEngine:
     Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
     ends them, and they end by themselves soon after this process is gone.
 
+    Attributes:
+        workers: number of processes.
+        preload: modules that the work needs. A process that does nothing else imports them while this one goes on, and
+            workers are forked from it. There is one for all engines of a program, which keeps to what the first one
+            was given, and to its environment. Windows cannot fork: workers are spawned there.
+
     Raises:
         ValueError: ``workers`` is below 1.
     """
 
     workers: int | None = None
+    preload: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _check_workers(self.workers)
+        if self._forks and self._size > 1:
+            from multiprocessing import forkserver
+
+            multiprocessing.set_forkserver_preload(list(self.preload))
+            with _without_interrupts():
+                forkserver.ensure_running()
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish, see :class:`Engine`; an OSError if workers cannot start."""
-        workers = cores() if self.workers is None else self.workers
-        if workers == 1:
+        if self._size == 1:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
-        return _Pool(pickle.dumps(work), _Pending(len(jobs))).run(jobs, min(workers, len(jobs)))
+        context = multiprocessing.get_context("forkserver" if self._forks else "spawn")
+        return _Pool(context, pickle.dumps(work), _Pending(len(jobs))).run(jobs, min(self._size, len(jobs)))
+
+    @property
+    def _size(self) -> int:
+        return cores() if self.workers is None else self.workers
+
+    @property
+    def _forks(self) -> bool:
+        return bool(self.preload) and "forkserver" in multiprocessing.get_all_start_methods()
 
 
 def cores() -> int:
@@ -158,7 +180,7 @@ def cores() -> int:
 class _Worker:
     """One process, the pipe to it and the job that it has."""
 
-    process: SpawnProcess
+    process: BaseProcess
     pipe: Connection
     ready: bool = False
     index: int | None = None
@@ -169,6 +191,7 @@ class _Worker:
 class _Pool:
     """The workers of one run, and the jobs that are pending."""
 
+    context: BaseContext
     work: bytes
     pending: _Pending
     workers: list[_Worker] = field(default_factory=list)
@@ -176,7 +199,7 @@ class _Pool:
 
     def run(self, jobs: Sequence[J], size: int) -> Generator[Done[R], None, None]:
         try:
-            self.workers.extend(_start(self.work) for _ in range(size))
+            self.workers.extend(_start(self.context, self.work) for _ in range(size))
             while self.pending or any(worker.index is not None for worker in self.workers):
                 ready = set(wait([worker.pipe for worker in self.workers]))
                 for worker in [worker for worker in self.workers if worker.pipe in ready]:
@@ -223,7 +246,7 @@ class _Pool:
             )
         if worker.index is not None:
             yield from self.pending.lose(worker.index, worker.tries, end)
-        self.workers.append(_start(self.work))
+        self.workers.append(_start(self.context, self.work))
 
 
 def _describe_exit(exitcode: int | None) -> str:
@@ -233,9 +256,8 @@ def _describe_exit(exitcode: int | None) -> str:
     return f"signal {-exitcode}{hint}"
 
 
-def _start(work: bytes) -> _Worker:
+def _start(context: BaseContext, work: bytes) -> _Worker:
     """Start a worker that never hears Ctrl-C: that is for its parent, who ends it."""
-    context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_run_worker, args=(theirs, work), daemon=True)
     with _without_interrupts():

@@ -14,9 +14,6 @@ from viewshed.io.samples import junction_path
 
 recordings: Any = import_module("recording_files")
 
-NEEDED_STILL = {"numba"}
-"""Until the loops of estimates are native."""
-
 OF_BAGS = {package for package, extra in EXTRAS.items() if extra == "bags"}
 
 LABORATORY = ("viewshed.sim", "viewshed.threats", "viewshed.studies", "viewshed.training", "viewshed.datasets.labeling")
@@ -39,7 +36,7 @@ print(json.dumps(sorted(sys.modules)))
 
 def _run(commands: list[list[str]], installed: set[str], folder: Path) -> set[str]:
     """Run commands in a process that has no package of an extra but ``installed``, and return what was imported."""
-    blocked = json.dumps(sorted({*EXTRAS, "mcap"} - NEEDED_STILL - installed))
+    blocked = json.dumps(sorted({*EXTRAS, "mcap"} - installed))
     done = subprocess.run(
         [sys.executable, "-c", RUN, blocked, json.dumps(commands)],
         check=False, capture_output=True, text=True, cwd=folder,
@@ -83,7 +80,7 @@ def test_a_bag_is_read_with_the_extra_bags_alone(packing: str, tmp_path: Path) -
         "for name in ('a.mcap', 'b.bag'): print([sweep.points.shape for sweep in viewshed.open_recording(name)])\n"
         "print(json.dumps(sorted(sys.modules)))"
     )
-    blocked = json.dumps(sorted({*EXTRAS, "mcap"} - NEEDED_STILL - OF_BAGS))
+    blocked = json.dumps(sorted({*EXTRAS, "mcap"} - OF_BAGS))
     done = subprocess.run(
         [sys.executable, "-c", code, blocked], check=False, capture_output=True, text=True, cwd=tmp_path
     )

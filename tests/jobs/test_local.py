@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 from tests.jobs import jobs
 
-from viewshed._jobs import LocalEngine
+from viewshed._jobs import TRIES, LocalEngine
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
+PRELOADS: list[tuple[str, ...]] = [(), ("tests.jobs.jobs",)]
+_PATH = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
 SCRIPT = """
 import signal, sys
 from functools import partial
@@ -26,7 +28,7 @@ from viewshed._jobs import LocalEngine
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 if __name__ == "__main__":
-    for done in LocalEngine(2).run(partial(jobs.process_id, Path(sys.argv[1])), range(9)):
+    for done in LocalEngine(2, tuple(sys.argv[2:])).run(partial(jobs.process_id, Path(sys.argv[1])), range(9)):
         print("one done", flush=True)
 """
 
@@ -55,8 +57,9 @@ def test_one_worker_is_this_process(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="processes are looked up in /proc")
-def test_closing_the_run_ends_the_workers(tmp_path: Path) -> None:
-    run: Any = LocalEngine(2).run(partial(jobs.process_id, tmp_path), range(9))
+@pytest.mark.parametrize("preload", PRELOADS, ids=["spawned", "forked"])
+def test_closing_the_run_ends_the_workers(preload: tuple[str, ...], tmp_path: Path) -> None:
+    run: Any = LocalEngine(2, preload).run(partial(jobs.process_id, tmp_path), range(9))
     first = next(run)
     pids = _workers(tmp_path)
     assert first.result in pids
@@ -67,11 +70,12 @@ def test_closing_the_run_ends_the_workers(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="processes are looked up in /proc")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=["ctrl-c", "terminate", "kill"])
-def test_workers_end_with_the_program(how: signal.Signals, tmp_path: Path) -> None:
+@pytest.mark.parametrize("preload", PRELOADS, ids=["spawned", "forked"])
+def test_workers_end_with_the_program(how: signal.Signals, preload: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(SCRIPT)
     program = subprocess.Popen(
-        [sys.executable, tmp_path / "program.py", tmp_path],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, start_new_session=True,
+        [sys.executable, tmp_path / "program.py", tmp_path, *preload],
+        env={**os.environ, "PYTHONPATH": _PATH}, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert program.stdout is not None
@@ -91,7 +95,16 @@ def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(SCRIPT.replace('if __name__ == "__main__":', "if True:"))
     ended = subprocess.run(
         [sys.executable, tmp_path / "program.py", tmp_path],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": _PATH}, check=False, capture_output=True, text=True,
     )  # fmt: skip
     assert ended.returncode == 1
     assert "a worker process must start, got exit status 1 3 times; call the engine below if __name__" in ended.stderr
+
+
+def test_a_preloaded_worker_that_dies_costs_its_job_alone(tmp_path: Path) -> None:
+    done = list(LocalEngine(2, PRELOADS[1]).run(partial(jobs.kill_own_process, tmp_path, TRIES), range(5)))
+    assert sorted(one.index for one in done) == list(range(5))
+    lost = [one for one in done if one.error is not None]
+    assert [one.error for one in lost] == [
+        f"the worker died {TRIES} times over this job, at last with signal 9 (out of memory?)"
+    ]

@@ -20,8 +20,8 @@ RING = np.zeros(5, np.int16)
 COLUMN = np.zeros(5, np.float32)
 
 CALLS: dict[str, Callable[[Any], Any]] = {
-    "identify_by_points": lambda points: _core.identify_by_points(points, *TABLES),
-    "identify_by_rings": lambda points: _core.identify_by_rings(points, np.zeros(len(points), np.int16), *TABLES),
+    "identify_by_points": lambda points: _core.identify_by_points(points, *TABLES, 0),
+    "identify_by_rings": lambda points: _core.identify_by_rings(points, np.zeros(len(points), np.int16), *TABLES, 0),
     "infer_sensor": lambda points: _core.infer_sensor(points, None, *TABLES),
     "rings_of_points": _core.rings_of_points,
     "beams_of_sensor": lambda points: _core.beams_of_sensor(points, *TABLE),
@@ -58,7 +58,7 @@ def test_points_of_another_kind_are_a_type_error(name: str, points: object) -> N
 BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "rings that are fewer": (
         "ring must have one row for each point",
-        lambda: _core.identify_by_rings(POINTS, RING[:4], *TABLES),
+        lambda: _core.identify_by_rings(POINTS, RING[:4], *TABLES, -1),
     ),
     "a ring too high": (
         r"ring must lie in \[-1, 4095\], got 4096",
@@ -74,15 +74,15 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     ),
     "tables of more beams than there are": (
         "one value for each beam of the tables",
-        lambda: _core.identify_by_points(POINTS, *TABLE, np.array([16, 1]), np.array([1800, 1800])),
+        lambda: _core.identify_by_points(POINTS, *TABLE, np.array([16, 1]), np.array([1800, 1800]), -1),
     ),
     "a table of none": (
         "one value for each beam of the tables",
-        lambda: _core.identify_by_points(POINTS, *TABLE, np.array([0]), np.array([1800])),
+        lambda: _core.identify_by_points(POINTS, *TABLE, np.array([0]), np.array([1800]), -1),
     ),
     "columns that are fewer": (
         "rings and columns must have one value for each table",
-        lambda: _core.identify_by_points(POINTS, *TABLE, np.array([8, 8]), np.array([1800])),
+        lambda: _core.identify_by_points(POINTS, *TABLE, np.array([8, 8]), np.array([1800]), -1),
     ),
     "no columns": (
         r"columns must lie in \[1, 65536\]",
@@ -91,6 +91,10 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "beams that fall": (
         "elevations must ascend",
         lambda: _core.match_beams(COLUMN, COLUMN, TABLE[0][::-1].copy(), TABLE[1]),
+    ),
+    "a table that is none of them": (
+        "expected must be the number of a table, or -1",
+        lambda: _core.identify_by_points(POINTS, *TABLES, 1),
     ),
     "beams that are no number": (
         "elevations and origins must be finite",

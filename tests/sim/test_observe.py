@@ -5,7 +5,7 @@ import pytest
 
 from viewshed import GRIDS
 from viewshed.sim.lidar.weather import CONDITIONS
-from viewshed.sim.observe import Setting, motion_of, observe
+from viewshed.sim.observe import Setting, observe, pose_and_motion
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
 
@@ -48,10 +48,10 @@ def test_weather_changes_the_sweep_and_not_the_truth() -> None:
 def test_motion_is_that_of_the_carrier_and_masts_stand_still() -> None:
     driver, mast = WORLD.agents
     t = next(t for t in np.arange(0.5, 20.0, 0.5) if WORLD.pose_of(driver.carrier or 0, t + 1).translation[0] != 0)
-    motion = motion_of(WORLD, driver, float(t), 0.1)
+    _, motion = pose_and_motion(WORLD, driver, float(t), 0.1)
     moved = (
         WORLD.world_from_sensor(driver, t + 0.05).translation - WORLD.world_from_sensor(driver, t - 0.05).translation
     )
     assert motion.velocity_mps == pytest.approx(tuple(moved / 0.1))
-    assert motion_of(WORLD, mast, 3.0, 0.1).velocity_mps == (0.0, 0.0, 0.0)
-    assert motion_of(WORLD, driver, 3.0, 0.0).period_s == 0.0
+    assert pose_and_motion(WORLD, mast, 3.0, 0.1)[1].velocity_mps == (0.0, 0.0, 0.0)
+    assert pose_and_motion(WORLD, driver, 3.0, 0.0)[1].period_s == 0.0

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 
 dataset_app = typer.Typer(help="Look at a data set.")
+
+_WORKERS_NEED = ("viewshed.datasets.simulated", "pyarrow.parquet")
+
 Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
 
 
@@ -36,7 +39,12 @@ def simulate(
 
     Example: viewshed simulate nuscenes-small --out sweeps
     """
-    from viewshed._jobs import engine_named
+    from viewshed._jobs import LocalEngine, engine_named
+
+    # First of all, so that the workers' imports run beside those of this process.
+    local = engine == "local" and not preview
+    runner = LocalEngine(workers, preload=_WORKERS_NEED) if local else engine_named(engine, workers)
+
     from viewshed.datasets.archive.storage import Storage
     from viewshed.datasets.presets import preset_named
     from viewshed.datasets.simulated import simulate as run
@@ -45,7 +53,7 @@ def simulate(
     if preview:
         _preview(chosen, out)
         return
-    store, runner = Storage.of(out or preset), engine_named(engine, workers)
+    store = Storage.of(out or preset)
     archive, _ = build_with_bar(chosen.name, chosen.sweeps, partial(run, chosen, store, runner))
     typer.echo(_summary(archive))
 

@@ -117,7 +117,7 @@ class Preset:
     @property
     def grid(self) -> BevGrid:
         """The truth's grid."""
-        return BevGrid(self.grid_cells, self.grid_half_extent_m)
+        return _grid(self.grid_cells, self.grid_half_extent_m)
 
     @property
     def agents(self) -> int:
@@ -161,6 +161,12 @@ def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
         counts.append(min(max(share, 1), rest - after))
         rest -= counts[-1]
     return counts
+
+
+@lru_cache(maxsize=4)
+def _grid(cells: int, half_extent_m: float) -> BevGrid:
+    """Return one grid for all that ask: it computes its centers once."""
+    return BevGrid(cells, half_extent_m)
 
 
 @lru_cache(maxsize=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 from viewshed.fov.truth import Truth
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Tampered
+
+if TYPE_CHECKING:
+    from viewshed.threats.attacks.base import Tampered
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,12 @@ So frames can be simulated in any order, on any machine, and a run that was stop
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from enum import IntEnum
 from functools import lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -105,9 +106,14 @@ class ScenePlan:
 
     def _turn(self, purpose: int, step: float, weights: tuple[float, ...]) -> int:
         """Return the scene's turn: the multiples of an irrational number fill [0, 1) evenly (Kronecker, Weyl)."""
-        start = np.random.SeedSequence([self.preset.seed, self.split, 0, 0, 0, purpose]).generate_state(1)[0] / 2**32
-        at = (start + self.number * step) % 1.0 * sum(weights)
-        return min(int(np.searchsorted(np.cumsum(weights), at, side="right")), len(weights) - 1)
+        at = (_start_of(self.preset.seed, self.split, purpose) + self.number * step) % 1.0 * sum(weights)
+        return min(bisect_right(list(accumulate(weights)), at), len(weights) - 1)
+
+
+@lru_cache(maxsize=64)
+def _start_of(seed: int, split: int, purpose: int) -> float:
+    """Return where the turns of a split's scenes begin for one purpose, in [0, 1)."""
+    return float(np.random.SeedSequence([seed, split, 0, 0, 0, purpose]).generate_state(1)[0] / 2**32)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from viewshed.preprocess.ego_vehicle import vehicle_heading
 from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
+from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 OBSTACLE_HEIGHTS_M = (0.3, 3.0)
@@ -118,17 +119,18 @@ class LeveledSweep:
         )
 
 
-def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
+def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
     """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
 
     The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified.
+    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. A sensor that is
+    ``expected``, that of the sweep before, is only looked at first: the result is the same without.
     """
     # 1. Identify the sensor: its beam table, and the ring of each return.
-    sensor_id = identify_sensor(sweep)
+    sensor_id = identify_sensor(sweep, expected)
     # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
     image = range_image_by_sensor(sweep.points, sensor_id, range_limits(sweep))
     isolated = np.zeros(len(sweep), np.bool_) if image is None else image.isolated
@@ -146,15 +148,15 @@ def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     )  # fmt: skip
 
 
-def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid) -> LeveledSweep:
-    """Return ``sweep`` leveled for ``grid``; one that is leveled already is taken as it is.
+def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
+    """Return ``sweep`` leveled for ``grid``, see :func:`level`; one that is leveled already is taken as it is.
 
     Raises:
         TypeError: ``sweep`` is neither.
         ValueError: it was leveled for a smaller grid.
     """
     if isinstance(sweep, Sweep):
-        return level(sweep, grid)
+        return level(sweep, grid, expected)
     if not isinstance(sweep, LeveledSweep):
         raise TypeError(
             f"sweep must be a Sweep or a LeveledSweep, got {type(sweep).__name__}; make one with viewshed.Sweep(points)"

@@ -31,7 +31,7 @@ class SensorId:
 UNIDENTIFIED = SensorId(None, None)
 
 
-def identify_sensor(sweep: Sweep) -> SensorId:
+def identify_sensor(sweep: Sweep, expected: LidarModel | None = None) -> SensorId:
     """Return the sweep's own rings and sensor; where it has none, those that its points show.
 
     Rings come from the order of the points, else from the elevations at which they gather. The sensor is the table that
@@ -39,6 +39,9 @@ def identify_sensor(sweep: Sweep) -> SensorId:
     its beams as well, as those of a moving sensor are. Where no table does, rings come from the elevations at which the
     returns gather once the motion of the sensor is undone. None of this is guessed: a cloud that gathers at no
     elevations has no rings, and rings that agree with no table have no sensor.
+
+    A sensor that is expected, as that of the sweep before in a stream, is looked at first: about 2,000 returns confirm
+    it, or all is done as without. It saves time and changes nothing else.
     """
     if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
         return SensorId(sweep.ring, sweep.model)
@@ -48,10 +51,11 @@ def identify_sensor(sweep: Sweep) -> SensorId:
     if not sweep.infer_sensor:
         return SensorId(_core.rings_of_points(sweep.points), None)
     models, tables = _known_sensors()
+    number = next((k for k, model in enumerate(models) if model is expected), -1)
     if sweep.ring is None:
-        ring, number = _core.identify_by_points(sweep.points, *tables)
+        ring, number = _core.identify_by_points(sweep.points, *tables, number)
     else:
-        ring, number = _core.identify_by_rings(sweep.points, sweep.ring, *tables)
+        ring, number = _core.identify_by_rings(sweep.points, sweep.ring, *tables, number)
         ring = sweep.ring if ring is None else ring
     return SensorId(ring, models[number] if number >= 0 else None)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.truth import Truth
+from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim.lidar.measurement import measure
@@ -71,8 +72,7 @@ def observe(
         model: its sensor, where that is no table by name.
     """
     for_paths, for_noise = seed.spawn(2)
-    pose = world.world_from_sensor(agent, t_s)
-    motion = motion_of(world, agent, t_s, setting.revolution_s)
+    pose, motion = pose_and_motion(world, agent, t_s, setting.revolution_s)
     paths = int(for_paths.generate_state(1)[0])
     scan = cast_world(_snapshot(world, t_s), model or lidar_model(agent.sensor), pose, motion, paths)
     image = measure(
@@ -86,15 +86,18 @@ def observe(
     return Observation(scan, image, *exact_truth(scan, world, setting.grid, agent=agent))
 
 
-def motion_of(world: World, agent: Agent, t_s: float, period_s: float) -> Motion:
-    """Return how an agent's sensor moves within a revolution of ``period_s`` about ``t_s``, by differences over it."""
+def pose_and_motion(world: World, agent: Agent, t_s: float, period_s: float) -> tuple[Rigid, Motion]:
+    """Return where an agent's sensor is at ``t_s``, and how it moves within a revolution of ``period_s`` about that.
+
+    The motion is the difference over the revolution.
+    """
     if period_s == 0.0 or agent.carrier is None:
-        return Motion(period_s=period_s)
-    turns, positions = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s + period_s / 2]))
-    vx, vy, vz = (float(value) for value in (positions[1] - positions[0]) / period_s)
-    turned = turns[1] @ turns[0].T
+        return world.world_from_sensor(agent, t_s), Motion(period_s=period_s)
+    turns, positions = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s, t_s + period_s / 2]))
+    vx, vy, vz = (float(value) for value in (positions[2] - positions[0]) / period_s)
+    turned = turns[2] @ turns[0].T
     yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
-    return Motion((vx, vy, vz), yaw / period_s, period_s)
+    return Rigid(turns[1], positions[1]), Motion((vx, vy, vz), yaw / period_s, period_s)
 
 
 @lru_cache(maxsize=1)

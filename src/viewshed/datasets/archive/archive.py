@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from viewshed.datasets.archive.schema import Layout, Manifest, ShardFacts
 from viewshed.datasets.archive.shard import Shard, damage_of
 from viewshed.datasets.archive.storage import Storage
-from viewshed.datasets.recordings.source import ObjectBox, SweepRef
 from viewshed.datasets.sample import Sample
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import level
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
+
+    from viewshed.datasets.recordings.source import ObjectBox, SweepRef
 
 
 OPEN_SHARDS = 64
@@ -240,6 +240,8 @@ class ArchiveSource:
         self._damage.extend(problem for problem in problems if problem not in self._damage)
         if not rows:
             raise ValueError(problems[0])
+        from viewshed.datasets.recordings.source import SweepRef  # brings all readers of recordings, slow to import
+
         rows.sort(key=lambda row: row[2].get("t_ns") or 0)
         return [
             SweepRef(scene, index, f"{self.archive.store.place}/{name}", about.get("t_ns"), str(about["agent"]),
@@ -315,5 +317,7 @@ def level_from_sensor(sweep: Sweep, grid: BevGrid) -> Rigid:
     """Return the transform to the ``level`` frame: from attitude and height where both are known, else estimated."""
     attitude, height_m = sweep.known_attitude, sweep.sensor_height_m
     if attitude is None or height_m is None:
+        from viewshed.preprocess.leveling import level  # slow to import, and few sweeps need it
+
         return level(sweep, grid).level_from_sensor
     return Rigid(rotation_from_quaternion(attitude), np.array([0.0, 0.0, height_m]))

@@ -7,7 +7,7 @@ it was made from, the rows that the attacker made, and two masks: which rows tho
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,9 @@ from viewshed.geometry import Rigid
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.raycast.scan import Motion
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Tampered, Wedge
+
+if TYPE_CHECKING:
+    from viewshed.threats.attacks.base import Tampered, Wedge
 
 _COLUMNS: dict[str, type[np.generic]] = {
     "intensity": np.float32, "ring": np.int16, "azimuth": np.float32, "time_s": np.float32,
@@ -78,6 +80,8 @@ def sample_of_row(row: Row, footer: Footer) -> Sample:
         about, sensors = json.loads(text), footer.sensors
         measured = _image(about, ranges, intensity, sensors) if points is None else _sweep(about, points, sensors)
         if touched is not None:
+            from viewshed.threats.attacks.base import Tampered  # what simulates and reads clean sweeps needs no attacks
+
             added, removed, wedge = _unpack_touched(about[TOUCHED], touched)
             if "clean" in about and isinstance(measured, Sweep):
                 clean = _image(about["clean"], ranges, intensity, sensors)
@@ -93,6 +97,8 @@ def _unpack_touched(
     about: dict[str, Any], raw: packing.Buffer
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Wedge | None]:
     """Return the rows that an attacker added, those that are gone, and the wedge."""
+    from viewshed.threats.attacks.base import Wedge
+
     rows, wedge = int(about["added"]), about["wedge"]
     masks = packing.unpack_masks(raw, (1, 1, rows + int(about["removed"])))[0, 0]
     return masks[:rows], masks[rows:], None if wedge is None else Wedge(float(wedge[0]), float(wedge[1]))

@@ -73,7 +73,7 @@ def measure_stops(
     :mod:`viewshed.sim.raycast._inputs`, the free paths (DRAWS,), the gloss of materials, and the range from which
     nothing is met. Volumes without gloss have no normal: their cosine is 1.
     """
-    planes, local, count, deep = _planes(ground), np.empty(6), solids.boxes.shape[0], ground.material.shape[1]
+    planes, materials, local, count = _planes(ground), ground.material.reshape(-1), np.empty(6), solids.boxes.shape[0]
     for c in range(depth.shape[0]):
         for k in range(depth.shape[1]):
             i = beam_number(c, k, depth.shape[0])
@@ -83,7 +83,7 @@ def measure_stops(
             t, cos, met, made_of = np.inf, 0.0, -2, 0
             if s >= count:  # a triangle of the ground
                 t, cos = _on_ground(beam, planes, s - count)
-                met, made_of = -1, ground.material[(s - count) // 2 // deep, (s - count) // 2 % deep]
+                met, made_of = -1, materials[(s - count) >> 1]
             elif s >= 0:
                 _into(beam, solids.boxes, s, times[c], local)
                 t, cos = _enter(local, solids.boxes, s, solids.kinds[s], float(nearest.depth[i]))

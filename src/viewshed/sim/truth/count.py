@@ -171,12 +171,20 @@ def reached_and_states(
         pair = (targets[k], targets[min(k + 1, len(targets) - 1)])
         counts = count_targets(lines, grid, ground, pair)
         for target in pair:
-            least = min(target.min_returns, MANY)
             aimed, reaching = counts[target.name]
-            visible = np.where(surface[target.name], SURFACE, FREE)
-            states = np.where(reaching >= least, visible, np.where(aimed >= least, HIDDEN, UNKNOWN))
+            states = states_of(aimed, reaching, surface[target.name], min(target.min_returns, MANY))
             reached[target.name], state[target.name] = reaching.reshape(grid.shape), states.reshape(grid.shape)
     return reached, state
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def states_of(aimed: Any, reaching: Any, surface: Any, least: Any) -> Any:  # pragma: no cover - compiled
+    """Return states (cells²,) uint8 by how many beams aim, how many reach, and whether one stopped on a thing there."""
+    out = np.empty(aimed.size, np.uint8)
+    for n in range(aimed.size):
+        visible, hidden = SURFACE if surface[n] else FREE, HIDDEN if aimed[n] >= least else UNKNOWN
+        out[n] = visible if reaching[n] >= least else hidden
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
