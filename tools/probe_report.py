@@ -20,7 +20,7 @@ from viewshed._page import facts, page, table
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.grid import GRIDS
 from viewshed.sensors import lidar_model
-from viewshed.sim.observe import motion_of
+from viewshed.sim.observe import pose_and_motion
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import AgentPlan
@@ -72,8 +72,8 @@ def settings(world: str, seed: int) -> Iterator[tuple[str, bool, Setting]]:
         )
         made = WORLDS[world](np.random.Generator(np.random.PCG64(seed)), plan)
         agent = made.agents[int(sensor == "roadside")]
-        snapshot, pose = made.snapshot(T_S), made.world_from_sensor(agent, T_S)
-        model, motion = lidar_model(agent.sensor), motion_of(made, agent, T_S, REVOLUTION_S)
+        snapshot, model = made.snapshot(T_S), lidar_model(agent.sensor)
+        pose, motion = pose_and_motion(made, agent, T_S, REVOLUTION_S)
         scan = cast_world(snapshot, model, pose, motion, seed)
         truth, known = exact_truth(scan, made, GRIDS["indoor" if indoor else "road"], agent=agent)
         yield model.name, indoor, Setting(snapshot, scan, seed, truth, known)

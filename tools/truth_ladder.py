@@ -29,7 +29,7 @@ from viewshed.sensors import lidar_model
 from viewshed.sim.assets.shapes import REFLECTIVITY
 from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.weather import CONDITIONS
-from viewshed.sim.observe import motion_of
+from viewshed.sim.observe import pose_and_motion
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
@@ -100,8 +100,7 @@ def shots(name: str, count: int) -> Iterator[Shot]:
         world, frame = world_of(scene), (k // preset.scenes[0] * 7 + k) % scene.frames
         time, number = divmod(frame, preset.agents)
         t_s, agent = (time + 0.5) * preset.interval_s, world.agents[number]
-        pose = world.world_from_sensor(agent, t_s)
-        motion = motion_of(world, agent, t_s, preset.revolution_s)
+        pose, motion = pose_and_motion(world, agent, t_s, preset.revolution_s)
         scan = cast_world(world.snapshot(t_s), lidar_model(agent.sensor), pose, motion, seed=k)
         height = float(pose.translation[2] - world.terrain.at(pose.translation[None])[0])
         yield Shot(scan, world, agent, *exact_truth(scan, world, preset.grid, agent=agent), height)

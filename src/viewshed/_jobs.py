@@ -23,7 +23,6 @@ import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
@@ -31,6 +30,8 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 from viewshed._extras import needed_for
 
 if TYPE_CHECKING:
+    from multiprocessing.context import ForkServerContext, SpawnContext
+
     import ray
 
 
@@ -159,7 +160,7 @@ class LocalEngine:
         """Yield one ``Done`` for every job as they finish, see :class:`Engine`; an OSError if workers cannot start."""
         if self._size == 1:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
-        context = multiprocessing.get_context("forkserver" if self._forks else "spawn")
+        context = multiprocessing.get_context("forkserver") if self._forks else multiprocessing.get_context("spawn")
         return _Pool(context, pickle.dumps(work), _Pending(len(jobs))).run(jobs, min(self._size, len(jobs)))
 
     @property
@@ -191,7 +192,7 @@ class _Worker:
 class _Pool:
     """The workers of one run, and the jobs that are pending."""
 
-    context: BaseContext
+    context: SpawnContext | ForkServerContext
     work: bytes
     pending: _Pending
     workers: list[_Worker] = field(default_factory=list)
@@ -256,7 +257,7 @@ def _describe_exit(exitcode: int | None) -> str:
     return f"signal {-exitcode}{hint}"
 
 
-def _start(context: BaseContext, work: bytes) -> _Worker:
+def _start(context: SpawnContext | ForkServerContext, work: bytes) -> _Worker:
     """Start a worker that never hears Ctrl-C: that is for its parent, who ends it."""
     ours, theirs = context.Pipe()
     process = context.Process(target=_run_worker, args=(theirs, work), daemon=True)

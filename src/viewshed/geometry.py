@@ -17,7 +17,9 @@ FloatArray = NDArray[np.floating[Any]]
 
 _UNIT_TOLERANCE = 1e-3
 
-_UNEVEN = 1e-3 + 1e-5 * np.eye(3)
+_SAME = np.eye(3)
+
+_UNEVEN = 1e-3 + 1e-5 * _SAME
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> NDArray[np.float64]:
@@ -87,7 +89,7 @@ class Rigid:
             raise ValueError(f"a rigid transform must be (3, 3) and (3,), got {rotation.shape} and {translation.shape}")
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise ValueError("a rigid transform must be finite")
-        if (np.abs(rotation @ rotation.T - np.eye(3)) > _UNEVEN).any() or np.linalg.det(rotation) < 0:
+        if (np.abs(rotation @ rotation.T - _SAME) > _UNEVEN).any() or _determinant(rotation.tolist()) < 0:
             raise ValueError("rotation must be orthonormal and right-handed (determinant +1)")
         rotation.setflags(write=False)
         translation.setflags(write=False)
@@ -143,6 +145,12 @@ class Rigid:
         if isinstance(other, Rigid):
             return Rigid(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
         return np.asarray(other, dtype=np.float64) @ self.rotation.T + self.translation
+
+
+def _determinant(rows: list[list[float]]) -> float:
+    """Return the determinant of a matrix (3, 3): of so few numbers Python's own arithmetic is the fastest."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def attitude_of(rotation: ArrayLike) -> NDArray[np.float64]:

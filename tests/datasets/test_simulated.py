@@ -21,7 +21,7 @@ from viewshed.datasets import Archive, Storage
 from viewshed.datasets import simulated as simulation
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.simulated import ScenePlan, jobs_of, simulate_frame, simulate_shard, world_of
-from viewshed.sim.observe import motion_of
+from viewshed.sim.observe import pose_and_motion
 
 pytestmark = pytest.mark.slow
 
@@ -96,7 +96,7 @@ def test_the_motion_is_that_of_the_pose() -> None:
     world = world_of(scene)
     [agent] = world.agents
     for t_s in (1.0, 3.3):
-        motion = motion_of(world, agent, t_s, 0.05)
+        _, motion = pose_and_motion(world, agent, t_s, 0.05)
         before, after = (world.world_from_sensor(agent, t_s + step) for step in (-0.02, 0.02))
         step = (after.translation - before.translation) / 0.04
         assert np.allclose(motion.velocity_mps, step, atol=0.05 + 0.02 * np.linalg.norm(step))

@@ -16,7 +16,7 @@ from viewshed.sim.lidar.firing import firing
 from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS
-from viewshed.sim.observe import motion_of
+from viewshed.sim.observe import pose_and_motion
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.world import AgentPlan
 from viewshed.threats.attacks import Tampered
@@ -71,7 +71,7 @@ def _scenes(number: int, world_name: str, sensor: str, columns: int, period_s: f
         model = replace(lidar_model(agent.sensor), azimuth_columns=columns // (3 if agent.carrier is None else 1))
         images = []
         for time_s in (t_s - 0.5, t_s):
-            pose, motion = world.world_from_sensor(agent, time_s), motion_of(world, agent, time_s, period_s)
+            pose, motion = pose_and_motion(world, agent, time_s, period_s)
             scan = cast_world(world.snapshot(time_s), model, pose, motion, number)
             images.append(measure(scan, CONDITIONS["clear"], rng, t_ns=round(time_s * 1e9), agent=agent.name))
         earlier, image = images

@@ -5,6 +5,7 @@ What surfaces are made of: how much they return, and whether a beam passes throu
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,5 +181,5 @@ KINDS: dict[type, int] = {Box: BOX, Cylinder: CYLINDER, Ellipsoid: ELLIPSOID}
 
 
 def _check(*sizes_m: float) -> None:
-    if not all(np.isfinite(size) and size > 0 for size in sizes_m):
+    if not all(0 < size < math.inf for size in sizes_m):
         raise ValueError(f"sizes must be positive and finite, got {sizes_m}")

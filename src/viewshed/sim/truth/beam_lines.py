@@ -71,10 +71,22 @@ class BeamLines:
         """Return beams with starts and unit directions (C, R, 3) that stop at depths (C, R), in axes turned by yaw."""
         farthest = np.float32(max_range_m)
         lines, azimuth = beam_lines(origin_m, direction, depth_m, np.cos(yaw), np.sin(yaw), farthest)
-        rings, (x, y, z) = depth_m.shape[1], np.moveaxis(origin_m, -1, 0)
+        rings = depth_m.shape[1]
         tiles, starts = sorted_tiles(lines, azimuth, rings)
         in_order = SortedBeams(tiles, starts, slope_bounds(lines[SLOPE], azimuth, rings))
-        return cls(lines, azimuth, in_order, np.float32(np.sqrt((x**2 + y**2).max())), z.min(), z.max(), farthest)
+        offset, lowest, highest = (np.float32(length) for length in extent_of(origin_m))
+        return cls(lines, azimuth, in_order, offset, lowest, highest, farthest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def extent_of(origin: Any) -> Any:  # pragma: no cover - compiled
+    """Return the largest horizontal distance of starts (C, R, 3) from the reference, their least and largest height."""
+    apart2, lowest, highest = np.float32(0.0), np.float32(np.inf), np.float32(-np.inf)
+    for c in range(origin.shape[0]):
+        for k in range(origin.shape[1]):
+            x, y, z = origin[c, k, 0], origin[c, k, 1], origin[c, k, 2]
+            apart2, lowest, highest = max(apart2, x * x + y * y), min(lowest, z), max(highest, z)
+    return np.sqrt(apart2), lowest, highest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

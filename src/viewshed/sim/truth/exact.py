@@ -103,7 +103,8 @@ def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, grid: BevGrid, p
     x, y = grid.centers.reshape(-1, 2)[near].T
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     position = np.stack([c * x - s * y + pose.translation[0], s * x + c * y + pose.translation[1]], axis=-1)
-    position = (position - world_from_thing.translation[:2]) @ Rigid.from_yaw(world_from_thing.yaw).rotation[:2, :2]
+    c, s = np.cos(world_from_thing.yaw), np.sin(world_from_thing.yaw)
+    position = (position - world_from_thing.translation[:2]) @ np.array([[c, -s], [s, c]])
     covered = np.zeros(grid.shape, np.bool_)
     covered.reshape(-1)[near] = ((position >= low) & (position <= high)).all(axis=1)
     return covered
