@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <tuple>
 #include <utility>
 
@@ -111,12 +112,17 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     for (std::size_t n = 0; n < size; ++n) within_reach[n] = range_m[first + n] <= rule.reach_m;
 }
 
-// What is asked of an estimator's cells.
+// The mean from which on a probability is reached; +inf where none is. A mean is compared faster than it is looked up.
+float mean_of(View1<const float> table, float prob) {
+    const float* const first = std::lower_bound(table.begin(), table.end(), prob);
+    return first == table.end() ? std::numeric_limits<float>::infinity() : float(first - table.begin()) / STEPS;
+}
+
+// What is asked of an estimator's cells: enough returns, a sure aim, a probability.
 struct Support {
-    Probabilities probabilities;
     const float *measured, *inferred, *aimed, *visible_prob;
     const bool* within_reach;
-    float threshold, sure_aim;
+    float enough, sure_aim, threshold;
 };
 
 MULTIVERSION void write_states(const Support& support_, const bool* visible, const bool* denied, const bool* obstacle,
@@ -124,12 +130,30 @@ MULTIVERSION void write_states(const Support& support_, const bool* visible, con
     const Support s = support_;
     for (std::size_t n = begin; n < end; ++n) {
         const bool claimed = visible[n] & (s.visible_prob[n] >= s.threshold);
-        const bool aimed = s.probabilities.at(s.aimed[n]) >= s.sure_aim;
-        const bool enough = s.probabilities.at(s.measured[n] + s.inferred[n]) >= s.threshold;
+        const bool aimed = s.aimed[n] >= s.sure_aim;
+        const bool enough = s.measured[n] + s.inferred[n] >= s.enough;
         const bool hidden = denied[n] & aimed & !enough & s.within_reach[n];
         const std::uint8_t seen = obstacle[n] ? SURFACE : FREE, unseen = hidden ? HIDDEN : UNKNOWN;
         state[n] = claimed ? seen : unseen;
     }
+}
+
+// How many cells are claimed, how many of these lie over ground whose height is unsure by more than unsure_m, and how many
+// measured beams alone would not support.
+struct Claims {
+    std::size_t all = 0, over_unsure_ground = 0, inferred = 0;
+};
+
+Claims count_claims(const std::uint8_t* state, const float* measured, const std::int32_t* node, std::size_t cells,
+                    const float* std_m, float unsure_m, float enough) {
+    Claims claims;
+    for (std::size_t n = 0; n < cells; ++n) {
+        if (state[n] != FREE && state[n] != SURFACE) continue;
+        ++claims.all;
+        claims.over_unsure_ground += std_m[node[n]] > unsure_m;
+        claims.inferred += !(measured[n] >= enough);
+    }
+    return claims;
 }
 
 // The beams of one kind as Python hands them in: azimuth, slope, depth_m.
@@ -254,8 +278,10 @@ void bind_evidence(nb::module_& m) {
                         has_shape(visible) && has_shape(denied) && has_shape(obstacle),
                     "all arrays must have one shape (cells, cells)");
             const std::size_t cells = measured.size();
-            const Support support{probabilities_of(table), measured.data(),     inferred.data(), aimed.data(),
-                                  visible_prob.data(),     within_reach.data(), threshold,       sure_aim};
+            const Support support{measured.data(),     inferred.data(),
+                                  aimed.data(),        visible_prob.data(),
+                                  within_reach.data(), mean_of(view(table), threshold),
+                                  mean_of(view(table), sure_aim), threshold};
             Buffer<std::uint8_t> state(cells);
             {
                 nb::gil_scoped_release unlocked;
@@ -269,6 +295,24 @@ void bind_evidence(nb::module_& m) {
         "within_reach"_a.noconvert(), "visible"_a.noconvert(), "denied"_a.noconvert(), "obstacle"_a.noconvert(),
         nb::kw_only(), "table"_a.noconvert(), "threshold"_a, "sure_aim"_a,
         "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
+    m.def(
+        "claims",
+        [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table,
+           float threshold, float unsure_m) {
+            const auto has_shape = [&](const auto& array) {
+                return array.shape(0) == state.shape(0) && array.shape(1) == state.shape(1);
+            };
+            require(has_shape(measured) && has_shape(node), "state, measured and node must have one shape (cells, cells)");
+            require(table.shape(0) > 0, "table must have at least one probability");
+            require_within<std::int32_t>({node.data(), node.size()}, 0, std::int32_t(std_m.size()) - 1, "node");
+            const Claims claims = count_claims(state.data(), measured.data(), node.data(), state.size(), std_m.data(),
+                                               unsure_m, mean_of(view(table), threshold));
+            return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
+        },
+        "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
+        "table"_a.noconvert(), "threshold"_a, "unsure_m"_a,
+        "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
+        "unsure; and how many measured returns alone would not support.");
 }
 
 }  // namespace viewshed

@@ -1,5 +1,6 @@
 // Columns of files: rows of float32, points moved between frames, and the packing of PCD.
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <numbers>
 #include <vector>
@@ -57,6 +58,16 @@ MULTIVERSION std::int32_t split_five(const float* rows, std::size_t count, float
 MULTIVERSION std::int32_t split_five_turned(const float* rows, std::size_t count, float* points, float* intensity,
                                             std::int16_t* ring) {
     return split_five_as<true>(rows, count, points, intensity, ring);
+}
+
+// Whether all values are numbers: the exponent of what is none has all its bits set.
+MULTIVERSION bool are_finite(const float* values, std::size_t count) {
+    std::uint32_t wrong = 0;
+    for (std::size_t n = 0; n < count; ++n) {
+        const std::uint32_t exponent = std::bit_cast<std::uint32_t>(values[n]) & 0x7f800000u;
+        wrong |= exponent == 0x7f800000u;
+    }
+    return wrong == 0;
 }
 
 // Whether rows of 4 or 5 columns read as meters, an intensity and a ring. Rows that are not finite say nothing.
@@ -188,6 +199,13 @@ void bind_files(nb::module_& m) {
         "points"_a.noconvert(), "ring"_a.noconvert(), "half_width"_a,
         "Returns in four narrow sectors, their elevations' standard deviation, and the mean difference of the rings of "
         "neighbors and of any two.");
+    m.def(
+        "all_finite",
+        [](In2<float> values) {
+            nb::gil_scoped_release unlocked;
+            return are_finite(values.data(), values.size());
+        },
+        "values"_a.noconvert(), "Whether all of the values (N, K) are finite.");
     m.def(
         "plausible_rows",
         [](In1<float> rows, std::size_t columns) {

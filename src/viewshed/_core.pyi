@@ -267,6 +267,16 @@ def beam_evidence(
     NDArray[np.float32],
     NDArray[np.bool_],
 ]: ...
+def claims(
+    state: NDArray[np.uint8],
+    measured: NDArray[np.float32],
+    node: NDArray[np.int32],
+    std_m: NDArray[np.float32],
+    *,
+    table: NDArray[np.float32],
+    threshold: float,
+    unsure_m: float,
+) -> tuple[int, int, int]: ...
 def states(
     measured: NDArray[np.float32],
     inferred: NDArray[np.float32],
@@ -444,6 +454,7 @@ def split_xyzir(
 def spread_of_rings(
     points: NDArray[np.float32], ring: NDArray[np.int16], half_width: float
 ) -> tuple[int, float, float, float]: ...
+def all_finite(values: NDArray[np.float32]) -> bool: ...
 def plausible_rows(rows: NDArray[np.float32], columns: int) -> bool: ...
 def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None: ...
 def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int: ...

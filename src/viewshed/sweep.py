@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from viewshed import _core
 from viewshed.geometry import Rigid, attitude_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel
 
@@ -88,7 +89,7 @@ class Sweep:
 
     def __post_init__(self) -> None:
         points = _points(self.points)
-        keep = None if _all_finite(points) else np.isfinite(points).all(axis=1)
+        keep = None if _core.all_finite(points) else np.isfinite(points).all(axis=1)
         if keep is not None:
             _set(self, "dropped_points", self.dropped_points + int((~keep).sum()))
         _set(self, "points", _frozen(points if keep is None else points[keep]))
@@ -189,13 +190,6 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _all_finite(points: NDArray[np.float32]) -> bool:
-    """Return whether every number is finite; the sum of squares tells in one pass unless it overflows."""
-    flat = points.reshape(-1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(np.dot(flat, flat)) or np.isfinite(flat).all())
-
-
 def shape_remedy(shape: tuple[int, ...]) -> str:
     """Return what mends an array of points of a wrong shape, with a semicolon before it; empty where it is not clear.
 
@@ -218,7 +212,7 @@ def _points(value: ArrayLike) -> NDArray[np.float32]:
     if len(array) > MAX_POINTS:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {len(array)}; split it into revolutions")
     with np.errstate(over="ignore"):
-        return array.astype(np.float32, copy=False)
+        return np.ascontiguousarray(array, np.float32)
 
 
 def _column(name: str, value: ArrayLike, count: int, dtype: type[np.generic]) -> NDArray[Any]:

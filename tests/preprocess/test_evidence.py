@@ -14,13 +14,13 @@ from scipy.stats import poisson
 from tests.networks.made import SMALL, card
 from tests.preprocess.test_ground_fill import level_points, rings
 
-from viewshed import CAR, GRIDS, PEDESTRIAN, BevGrid, CellState, Rigid, Sweep
+from viewshed import CAR, GRIDS, PEDESTRIAN, BevGrid, CellState, Rigid, Sweep, _core
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import CLASSICAL, ESTIMATORS
 from viewshed.estimators.unet import LEARNED, UnetEstimator
 from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import AZIMUTH_COLUMNS, Target
+from viewshed.fov.visibility import AZIMUTH_COLUMNS, Target, poisson_table
 from viewshed.networks.card import NetworkCard
 from viewshed.preprocess import evidence as evidence_module
 from viewshed.preprocess.evidence import GROUND_STEPS, BeamEvidence, beam_evidence, reach_of_sweep
@@ -244,14 +244,18 @@ def test_a_probability_is_cut_where_the_beams_support_no_claim() -> None:
             assert cut == np.float32(0.9) if wanted == FREE else threshold - 1e-6 < cut < threshold
 
 
-def test_the_share_of_claims_that_rest_on_inferred_beams() -> None:
+def test_claims_that_rest_on_inferred_beams_or_on_unsure_ground_are_counted() -> None:
     evidence = evidence_by_hand()
-    every = np.ones((4, 4), np.bool_)
-    assert evidence.inferred_share(every) == pytest.approx(2 / 3)  # of the first three cells the second and third
-    first = np.zeros((4, 4), np.bool_)
+    every, none = np.ones((4, 4), np.bool_), np.zeros((4, 4), np.bool_)
+    first = none.copy()
     first[0, 0] = True
-    assert evidence.inferred_share(first) == 0.0
-    assert evidence.inferred_share(~every) == 0.0
+    node = np.arange(16, dtype=np.int32).reshape(4, 4)
+    std_m = np.where(np.arange(16) == 1, 0.6, 0.1).astype(np.float32).reshape(4, 4)
+    for visible, counted in ((every, (3, 1, 2)), (first, (1, 0, 0)), (none, (0, 0, 0))):
+        state = evidence.states(visible, none, none)
+        table = poisson_table(evidence.target.min_returns)
+        counts = _core.claims(state, evidence.measured, node, std_m, table=table, threshold=0.5, unsure_m=0.5)
+        assert counts == counted
 
 
 @dataclass(slots=True)

@@ -34,6 +34,8 @@ UNSURE_M = 0.5
 HeightSource = Literal["given", "estimated", "held", "assumed"]
 """Where a sensor's height is from: the sweep, its returns, earlier sweeps of its stream, or none of them."""
 
+_HEIGHT_SOURCES = get_args(HeightSource)
+
 
 class CellState(IntEnum):
     """What is known of a cell. Visible means FREE or SURFACE; only UNKNOWN says nothing."""
@@ -71,10 +73,8 @@ class Basis:
     reach_m: float
 
     def __post_init__(self) -> None:
-        if self.height_source not in get_args(HeightSource):
-            raise ValueError(
-                f"height_source must be one of {', '.join(get_args(HeightSource))}, got {self.height_source!r}"
-            )
+        if self.height_source not in _HEIGHT_SOURCES:
+            raise ValueError(f"height_source must be one of {', '.join(_HEIGHT_SOURCES)}, got {self.height_source!r}")
         for name in ("ground_support", "unsure_ground_share", "inferred_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fov.estimate import UNSURE_M, Basis, CellState, HeightSource
+from viewshed import _core
+from viewshed.fov.estimate import THRESHOLD, UNSURE_M, Basis, HeightSource
 from viewshed.fov.height_map import positions_of_cells
+from viewshed.fov.visibility import poisson_table
 from viewshed.preprocess.evidence import BeamEvidence, reach_of_sweep
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -17,20 +19,21 @@ def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.ui
     Args:
         leveled: the sweep that it was made from.
         evidence: what the beams of that sweep say.
-        state: (cells, cells) of :class:`CellState`, the estimate's.
+        state: (cells, cells) of :class:`~viewshed.fov.estimate.CellState`, the estimate's.
     """
-    claimed = (state == CellState.FREE) | (state == CellState.SURFACE)
-    count = max(int(claimed.sum()), 1)
-    # The deviation of the ground at the node before each claimed cell.
-    ground = leveled.ground
+    # The ground is asked at the node before each claimed cell.
+    ground, target = leveled.ground, evidence.target
     nodes = positions_of_cells(evidence.grid, ground.half_extent_m, len(ground.std_m)).node
-    std_m = ground.std_m.ravel()[nodes[claimed]]
+    claimed, over_unsure_ground, inferred = _core.claims(
+        state, evidence.measured, nodes, ground.std_m, table=poisson_table(target.min_returns), threshold=THRESHOLD,
+        unsure_m=UNSURE_M,
+    )  # fmt: skip
     return Basis(
         sensor_height_m=leveled.sensor_height_m,
         height_source=_height_source(leveled),
         ground_support=min(ground.support, 1.0),  # a sum of float32 weights can exceed it
-        unsure_ground_share=int((std_m > np.float32(UNSURE_M)).sum()) / count,
-        inferred_share=evidence.inferred_share(claimed),
+        unsure_ground_share=over_unsure_ground / max(claimed, 1),
+        inferred_share=inferred / max(claimed, 1),
         reach_m=reach_of_sweep(leveled),
     )
 

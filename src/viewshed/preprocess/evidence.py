@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.fov.estimate import THRESHOLD, CellState
-from viewshed.fov.visibility import Target, cell_windows, poisson_table, probability_of_visible
+from viewshed.fov.visibility import Target, cell_windows, poisson_table
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.no_return import beams_by_evidence
@@ -127,13 +127,6 @@ class BeamEvidence:
             threshold=THRESHOLD,
             sure_aim=SURE_AIM,
         )
-
-    def inferred_share(self, visible: Mask) -> float:
-        """Return the share of the claimed cells that measured beams alone would not support; 0 without claims."""
-        claimed = visible & self.supports_claim()
-        count = np.count_nonzero(claimed)
-        enough = probability_of_visible(self.measured[claimed], self.target.min_returns) >= np.float32(THRESHOLD)
-        return np.count_nonzero(~enough) / count if count else 0.0
 
 
 def beam_evidence(leveled: LeveledSweep, grid: BevGrid, target: Target, history: History | None = None) -> BeamEvidence:
