@@ -23,7 +23,7 @@ from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import lidar_model
 from viewshed.sim.lidar.measurement import measure
 from viewshed.sim.lidar.weather import CONDITIONS
-from viewshed.sim.observe import motion_of
+from viewshed.sim.observe import pose_and_motion
 from viewshed.sim.raycast.caster import cast_world
 from viewshed.sim.world import AgentPlan
 from viewshed.sim.worlds import WORLDS
@@ -82,7 +82,7 @@ def _drive(kind: str, sensor: str, seed: np.random.SeedSequence) -> tuple[Sweep,
         measure(
             cast_world(
                 world.snapshot(t_s), lidar_model(sensor), world.world_from_sensor(agent, t_s),
-                motion_of(world, agent, t_s, 0.1), seed=int(rng.integers(2**31)),
+                pose_and_motion(world, agent, t_s, 0.1)[1], seed=int(rng.integers(2**31)),
             ),
             CONDITIONS["clear"],
             rng,

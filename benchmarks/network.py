@@ -62,9 +62,11 @@ the first mask, and the half of the last decoder stage that reads stage 1, is co
 
 OUR_TEXT = """\
 The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
-leveled sweep and its beams; int8: the same network in bytes. "Channels alone" begin with a sweep whose attitude is
-known, leveling it included. "Of many sweeps": time per sweep where {many} of them are estimated together, one a core
-with ONNX Runtime (`estimate_all`); the other rows are of one sweep at a time, by all cores. """
+leveled sweep and its beams; int8: the same network in bytes. It was trained without dropout, so that no estimator asks
+it for several passes: its MCD row is the time that {passes} masked passes take, all of them alike. "Channels alone"
+begin with a sweep whose attitude is known, leveling it included. "Of many sweeps": time per sweep where {many} of them
+are estimated together, one a core with ONNX Runtime (`estimate_all`); the other rows are of one sweep at a time, by all
+cores. """
 
 
 def main() -> None:
@@ -268,7 +270,7 @@ def text(
         floor_all=one * every, floor_all_half=half * every,
         ours="" if ours is None else OUR_TEXT.format(
             name=ours.name, channels=ours.shape.channels, gflop=ours.shape.flops(ours.grid.cells) / 1e9,
-            many=MANY_SWEEPS,
+            many=MANY_SWEEPS, passes=PASSES,
         ),
         weights="Weights drawn at random." if weights is None else f"Weights: {card.name}.",
     )  # fmt: skip

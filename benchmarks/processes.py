@@ -6,16 +6,64 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.timing import Job, Timing, interleaved
 
+HOMES, LATER = 5, 3
+"""Empty homes in which a first process is timed, and how many later ones in each."""
+
 VIEWSHED = str(Path(sys.executable).with_name("viewshed"))
 IMPORT = "import viewshed"
 IMPORT_ALL = "import viewshed, use every public name"
-LIBRARIES = "import numpy, numba, matplotlib.figure, typer"
+LIBRARIES = "import numpy, shapely, PIL.ImageFont, typer"
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What a process took.
+
+    Attributes:
+        seconds: on the wall clock.
+        processor_s: of all cores; on a busy machine the steadier figure.
+        peak_mb: most memory that it held, in 10⁶ bytes.
+    """
+
+    seconds: float
+    processor_s: float
+    peak_mb: float
+
+
+@dataclass(frozen=True, slots=True)
+class StartTargets:
+    """Seconds that the first process in an empty home and each later one may take."""
+
+    first_s: float
+    later_s: float
+
+
+IN_AN_EMPTY_HOME = "in an empty home"
+START_TARGETS = {"npz": StartTargets(1.2, 1.0), "png,geojson,npz": StartTargets(2.0, 1.0)}
+"""By what is written of the sweep."""
+
+PEAK_MB = 200.0
+"""Memory that each of them may hold, in 10⁶ bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """Starts of one command.
+
+    Attributes:
+        first: the first one in each of several empty homes.
+        later: the others.
+    """
+
+    first: list[Start]
+    later: list[Start]
 
 
 def imports(rng: np.random.Generator) -> dict[str, Timing]:
@@ -36,6 +84,40 @@ def estimate(sweep: Path, out: Path, rng: np.random.Generator) -> dict[str, Timi
         LIBRARIES: _job(sys.executable, "-c", LIBRARIES),
     }
     return interleaved(jobs, rng)
+
+
+def estimates_in_empty_homes(
+    sweep: Path, folder: Path, results: str, viewshed: str = VIEWSHED, homes: int = HOMES
+) -> Starts:
+    """Return what ``viewshed estimate`` of one sweep takes with its ``results``, first and later in empty homes.
+
+    Nothing that another home or the environment may have cached is found: programs keep their caches in the home.
+    """
+    first, later = list[Start](), list[Start]()
+    for number in range(homes):
+        home = folder / f"home {results} {number}"
+        home.mkdir()
+        command = [viewshed, "estimate", str(sweep), "--results", results, "--out", str(home / "out")]
+        for k in range(1 + LATER):
+            (later if k else first).append(_started(command, home))
+    return Starts(first, later)
+
+
+def _started(command: list[str], home: Path) -> Start:
+    """Run a command to its end with ``home`` as home and cache, and return what it took."""
+    kept = {name: value for name, value in os.environ.items() if name not in _PLACES}
+    home_of_all = {"HOME": str(home), "NUMBA_CACHE_DIR": str(home / "numba")}
+    begin = time.perf_counter()
+    with subprocess.Popen(command, env=kept | home_of_all, stdout=subprocess.DEVNULL) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)} failed with exit code {process.returncode}")
+    return Start(time.perf_counter() - begin, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6)
+
+
+_PLACES = {"XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR", "NUMBA_CACHE_DIR", "PYTHONPATH"}
+"""Variables that name other places of caches and sources."""
 
 
 def first_and_second_demo(folder: Path) -> tuple[float, float]:

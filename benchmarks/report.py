@@ -25,6 +25,7 @@ class Row:
         target: in words, empty where there is none.
         met: whether the target is met, None where there is none.
         others_ms: medians of the alternatives by name.
+        peak_mb: most memory that a process held, in 10⁶ bytes, or None where it is not measured.
     """
 
     step: str
@@ -37,6 +38,7 @@ class Row:
     target: str
     met: bool | None
     others_ms: dict[str, float]
+    peak_mb: float | None = None
 
     def cells(self) -> list[str]:
         """Return the row as text, cell by cell."""
@@ -50,6 +52,7 @@ class Row:
             self.target or "–",
             verdict,
             ratios or "–",
+            "–" if self.peak_mb is None else f"{self.peak_mb:.0f}",
         ]
 
 
@@ -61,6 +64,7 @@ HEAD = [
     "target",
     "",
     "time of the alternatives, as a multiple of ours",
+    "peak, MB",
 ]
 INTRODUCTION = """\
 Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile. The alternatives are
@@ -72,8 +76,8 @@ The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL
 without attitude, height or beam azimuth, so that leveling and the ground, which have a row of their own, are part of
 every estimator's time; rows marked *real* are a nuScenes and a KITTI sweep from the folder
 in `VIEWSHED_REAL_DATA`. The estimators start from points in memory
-and end with probability and state of every cell. Processes are timed on the wall clock, with everything compiled
-before."""
+and end with probability and state of every cell. Processes are timed on the wall clock. **First** is the first
+one in a home that is empty, where nothing is cached; later ones follow in the same home."""
 
 
 def write(rows: Sequence[Row], facts: dict[str, str], page: Path) -> None:

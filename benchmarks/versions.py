@@ -94,6 +94,11 @@ class Version:
             raise RuntimeError(f"{self.name} ended")
         return json.loads(answer)
 
+    def resident_mb(self) -> float:
+        """Return the memory that the process holds."""
+        status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="utf-8")
+        return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+
     def close(self) -> None:
         """End the process."""
         self._process.communicate()
@@ -124,6 +129,22 @@ def row(line: Line, times: Mapping[str, Sequence[float]], names: Sequence[str], 
     return [*cells, *gains, f"≥ {target:g} Hz" if line.in_hz else f"≤ {target:g} ms", "met" if met else "**missed**"]
 
 
+def endurance(version: Version, path: Path, count: int) -> str:
+    """Return a sentence on so many estimates in a row: median, 99th percentile, and how the memory grows."""
+    line = LINES[0]
+    warm = max(count // 20, 1)
+    times = [version.seconds(line, path) or np.nan for _ in range(warm)]
+    before_mb = version.resident_mb()
+    times = [version.seconds(line, path) or np.nan for _ in range(count)]
+    grown_mb = version.resident_mb() - before_mb
+    median, last = 1e3 * np.percentile(times, [50, 99])
+    return (
+        f"**{count:,} sweeps in a row** (nuScenes, {line.title}): median {median:.2f} ms, 99th percentile"
+        f" {last:.2f} ms; that is {last / median:.2f} × the median (target ≤ 1.5 ×); the process holds"
+        f" {before_mb:.0f} MB after the first {warm:,} and {grown_mb:+.1f} MB more at the end."
+    )
+
+
 def _shown(line: Line, median_ms: float) -> str:
     return f"{1e3 / median_ms:.0f} Hz" if line.in_hz else f"{median_ms:.2f} ms"
 
@@ -134,6 +155,7 @@ def main() -> None:
     parser.add_argument("checkouts", nargs="*", help="NAME=CHECKOUT of earlier versions")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "results" / "core_speed.md")
     parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--endurance", type=int, default=10_000, help="so many sweeps in a row in the end; 0 for none")
     parser.add_argument("--only", default="", help="only lines that contain this; no page is written")
     given = parser.parse_args()
     named = {"now": str(ROOT)} | dict(each.split("=", 1) for each in given.checkouts)
@@ -150,12 +172,16 @@ def main() -> None:
             target = line.targets[k] if line.targets else None
             rows.append([line.title, title, *row(line, times, list(named), target)])
             print(" | ".join(rows[-1]), flush=True)
+    told_of_many = endurance(versions[0], next(iter(files.values())), given.endurance) if given.endurance else ""
+    print(told_of_many)
     for version in versions:
         version.close()
     if not given.only:
         header = ["what", "sweep", *named, *(f"gain over {name}" for name in list(named)[1:]), "target", ""]
         told = facts(load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores", rounds=str(given.rounds))
-        given.page.write_text(page("Speed of the core", told, INTRODUCTION, table(header, rows)), encoding="utf-8")
+        given.page.write_text(
+            page("Speed of the core", told, INTRODUCTION, table(header, rows), told_of_many), encoding="utf-8"
+        )
 
 
 INTRODUCTION = """\

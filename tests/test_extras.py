@@ -81,6 +81,9 @@ def test_a_missing_package_is_named_with_its_extra(
 @pytest.mark.parametrize(
     ("package", "words", "said"),
     [
+        ("numba", "simulate ugv --sweeps 2 --out made", "viewshed simulate needs numba: pip install 'viewshed[sim]'"),
+        ("numba", "attack a.npz --attack far_wall --out made",
+         "viewshed attack needs numba: pip install 'viewshed[sim]'"),
         ("scipy", "simulate ugv --sweeps 2 --out made", "viewshed simulate needs scipy: pip install 'viewshed[sim]'"),
         ("matplotlib", "simulate ugv --preview --out a.png",
          "viewshed simulate needs matplotlib: pip install 'viewshed[sim]'"),
@@ -99,12 +102,18 @@ def test_the_table_says_what_the_project_says() -> None:
     extras = {name: _names(wanted) for name, wanted in PROJECT["optional-dependencies"].items()}
     for package, extra in EXTRAS.items():
         assert _DISTRIBUTIONS.get(package, package) in extras[extra], f"{extra} must install {package}"
-    core = _names(PROJECT["dependencies"]) - {"numba"}  # until the loops of estimates are native
+    core = _names(PROJECT["dependencies"])
     assert not core & {_DISTRIBUTIONS.get(package, package) for package in EXTRAS}
 
 
 def _names(wanted: list[str]) -> set[str]:
     return {re.split(r"[\[<>=]", name)[0] for name in wanted}
+
+
+def test_a_public_name_that_needs_the_laboratory_says_so() -> None:
+    code = "import sys; sys.modules['numba'] = None; import viewshed; viewshed.attacks"
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.stderr.endswith("ImportError: viewshed.attacks needs numba: pip install 'viewshed[sim]'\n")
 
 
 def test_a_module_of_no_extra_is_missing_as_python_says() -> None:

@@ -1,12 +1,13 @@
 """Call the native core with damaged arguments: each call must answer or raise one clear error, and never crash.
 
-    python tools/fuzz_core.py [--seconds S] [--only NAME] [--seed N] [--sanitize]
+    python tools/fuzz_core.py [--seconds S] [--only NAME] [--seed N] [--sanitize] [--tests FILE …]
 
 The arguments are those of real calls: estimates, files, polygons and streams are made once while every function of the
 core is watched. Then, for S seconds a function, some arguments are damaged: other types and shapes, rows left out or
 doubled, values that are not finite, huge, denormal or out of range, all values the same, numbers far too large. A call
 may raise ValueError, TypeError, OverflowError or MemoryError. With --sanitize the core is compiled with checks of
-addresses and of undefined behavior first (into build/sanitize), and the calls run against that.
+addresses and of undefined behavior first (into build/sanitize), and the calls run against that; with --tests these
+tests run against it beforehand.
 
 The exit code is 1 if a call raises anything else or a function of the core was never called; a crash ends the process,
 and the line printed last names function, seed and round.
@@ -43,8 +44,8 @@ def build_sanitized() -> Path:
     return folder
 
 
-def run_sanitized() -> int:
-    """Run this tool again, with the sanitized core in place of the other."""
+def run_sanitized(tests: list[str]) -> int:
+    """Run some tests, and then this tool again, with the sanitized core in place of the other."""
     folder = build_sanitized()
     runtime = [
         subprocess.run(("gcc", f"-print-file-name={name}"), check=True, capture_output=True, text=True).stdout.strip()
@@ -52,11 +53,17 @@ def run_sanitized() -> int:
     ]
     environment = os.environ | {
         "LD_PRELOAD": ":".join(runtime),
-        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1",
+        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:alloc_dealloc_mismatch=0",
         "UBSAN_OPTIONS": "print_stacktrace=1",
         "VIEWSHED_CORE": str(folder),
     }
-    given = [each for each in sys.argv[1:] if each != "--sanitize"]
+    if tests:
+        command = (sys.executable, "-m", "pytest", "-n0", "-q", "-p", "fuzz_core", *tests)
+        there = environment | {"PYTHONPATH": str(Path(__file__).parent)}
+        code = subprocess.run(command, cwd=ROOT, env=there, check=False).returncode
+        if code:
+            return code
+    given = [each for each in sys.argv[1:] if each != "--sanitize" and each not in ("--tests", *tests)]
     return subprocess.run((sys.executable, __file__, *given), env=environment, check=False).returncode
 
 
@@ -107,7 +114,12 @@ def use_everything() -> None:
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
     from viewshed.io import read_sweep, write_sweep
+    from viewshed.preprocess.beam_matching import match_beams, polar
+    from viewshed.preprocess.elevation_clusters import find_clusters
     from viewshed.preprocess.history import History
+    from viewshed.preprocess.ring_recovery import recover_rings
+    from viewshed.preprocess.sensor_identification import identify_sensor, infer_sensor
+    from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
     from viewshed.sensors import lidar_model
     from viewshed.sim import Box, Scene, cast
 
@@ -125,11 +137,74 @@ def use_everything() -> None:
         _core.unpack_lzf(packed, np.empty(11, np.uint8))
     bare = viewshed.Sweep(sweep.points)
     shuffled = viewshed.Sweep(sweep.points[rng.permutation(len(sweep))])
+    for each in (bare, shuffled, sweep.replace(model=None), shuffled.replace(model=sweep.model)):
+        recover_rings(each)
+        identify_sensor(each)
+        identify_sensor(each.replace(infer_sensor=False))
+        infer_sensor(each.points, each.ring)
+    azimuth, slope, range_m = polar(sweep.points)
+    find_clusters(azimuth, slope, range_m)
+    match_beams(slope, range_m, lidar_model("vlp16"))
+    SensorMotion(np.array([1.0, 0.2, 0.0]), 0.0, 0.5).undo(sweep.points)
+    find_motion(shuffled.points)
     for method in ESTIMATORS:
         for each in (sweep, noisy, bare, shuffled):
             estimator = viewshed.load_estimator(method)
             estimate = estimator.estimate(each)
     del estimate, History
+    _use_features(sweep)
+    _use_ground(sweep)
+    _use_polygons(rng)
+
+
+def _use_features(sweep: Any) -> None:
+    """Compute features of a sweep as maps and in blocks, and moments of passes."""
+    from viewshed import CAR, BevGrid
+    from viewshed.networks.features import FEATURES, FeatureContext, feature_maps, fold_maps
+    from viewshed.networks.mc_dropout import mean_and_deviation
+    from viewshed.preprocess.azimuth_bins import Crop
+    from viewshed.preprocess.leveling import level
+
+    grid = BevGrid(32, 32.0)
+    leveled = level(sweep, grid)
+    context = FeatureContext(leveled, grid, CAR, grid.count(leveled.points).clip(0, 255).astype(np.uint8))
+    for fold in (0, 4):
+        feature_maps(tuple(FEATURES), context, fold)
+    for name in FEATURES:
+        feature_maps((name,), context)
+    maps = feature_maps(tuple(FEATURES), context)
+    fold_maps(maps, 2)
+    mean_and_deviation(maps.astype(np.float32))
+    Crop(20.0).any_on(leveled, grid)
+
+
+def _use_ground(sweep: Any) -> None:
+    """Find the ground by points and by low points, fill it, and hold that of an earlier sweep."""
+    from viewshed import BevGrid, Rigid, _core
+    from viewshed.preprocess.ground import ground_of_lows
+    from viewshed.preprocess.held_ground import hold
+    from viewshed.preprocess.leveling import level
+
+    here, there = (sweep.replace(world_from_sensor=Rigid.from_yaw(0.1 * k, (2.0 * k, 0.0, 0.0))) for k in range(2))
+    grid = BevGrid(32, 32.0)
+    ground = hold(level(there, grid), level(here, grid)).ground
+    _core.fill_ground(ground.heights_m, ground.seen, np.array(ground.plane, np.float32), ground.half_extent_m)
+    _core.free_plane(sweep.points)
+    middles = np.arange(16, dtype=np.float32) - 7.5
+    x, y = np.meshgrid(middles, middles, indexing="ij")
+    ground_of_lows(np.stack([x, y, -1.8 + 0.1 * np.sin(x)], axis=-1), np.abs(0.02 * y), 8.0, None)
+
+
+def _use_polygons(rng: np.random.Generator) -> None:
+    """Make polygons and sectors of a mask."""
+    from viewshed import BevGrid
+    from viewshed.fov.polygons import inner_polygon_of_mask, sectors_of_mask
+
+    grid = BevGrid(24, 12.0)
+    mask = (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < 9.0) & (rng.random(grid.shape) < 0.95)
+    inner_polygon_of_mask(mask, grid, 12)
+    for whole in (True, False):
+        sectors_of_mask(mask, grid, 4, whole_cells=whole)
 
 
 def _copied(value: Any) -> Any:
@@ -213,11 +288,10 @@ def main() -> int:
     parser.add_argument("--only", default="", help="only functions whose name holds this")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sanitize", action="store_true", help="check addresses and undefined behavior")
+    parser.add_argument("--tests", nargs="*", default=[], help="with --sanitize: tests to run first")
     given = parser.parse_args()
     if given.sanitize:
-        return run_sanitized()
-    if "VIEWSHED_CORE" in os.environ:
-        use_core_of(os.environ["VIEWSHED_CORE"])
+        return run_sanitized(given.tests)
     calls = record_calls()
     unused = [name for name, made in calls.items() if not made]
     for name, made in calls.items():
@@ -228,6 +302,9 @@ def main() -> int:
         print(f"never called: {', '.join(unused)}; add what calls them to use_everything", file=sys.stderr)
     return int(bool(unused))
 
+
+if "VIEWSHED_CORE" in os.environ:  # also where pytest loads this as a plugin
+    use_core_of(os.environ["VIEWSHED_CORE"])
 
 if __name__ == "__main__":
     sys.exit(main())

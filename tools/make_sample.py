@@ -1,27 +1,49 @@
-"""Make the embedded sample: ``python tools/make_sample.py``. The same seed gives the same bytes."""
+"""Make the embedded sample and its truth: ``python tools/make_sample.py``. The same seed gives the same bytes."""
 
+import io
 import sys
 from dataclasses import replace
 
 import numpy as np
 
+from viewshed._files import write_atomic
+from viewshed.fov.visibility import CAR
+from viewshed.grid import GRIDS
 from viewshed.io import write_sweep
-from viewshed.io.samples import junction_path
-from viewshed.sensors import lidar_model
+from viewshed.io.samples import junction_path, junction_truth_path
+from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import cast, junction
+from viewshed.sim.scene import scan_of
+from viewshed.sim.truth.exact import exact_truth
 
 SEED = 20
 HEIGHT_M = 1.84
 
 
-def main() -> None:
-    """Cast the junction and write it into the package."""
+def sample_model() -> LidarModel:
+    """Return the HDL-32E of the sample, which fires half a column later than the table says."""
     model = lidar_model("hdl32e")
-    between_columns = replace(model, azimuth_offset=model.azimuth_offset + model.azimuth_step / 2)
-    sweep = cast(between_columns, junction(), HEIGHT_M, rng=np.random.default_rng(SEED))
+    return replace(model, azimuth_offset=model.azimuth_offset + model.azimuth_step / 2)
+
+
+def truth_content() -> bytes:
+    """Return the NPZ of the sample's truth for a car on the grid ``road``: returns, states, and where it is known."""
+    scan = scan_of(sample_model(), junction(), HEIGHT_M)
+    truth, known = exact_truth(scan, junction().world(), GRIDS["road"], (CAR,))
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, expected_returns=truth.expected_returns["car"], state=truth.state["car"], known=known)
+    return buffer.getvalue()
+
+
+def main() -> None:
+    """Cast the junction, and write it and its truth into the package."""
+    sweep = cast(sample_model(), junction(), HEIGHT_M, rng=np.random.default_rng(SEED))
     rounded = sweep.replace(points=sweep.points.round(3), intensity=np.zeros(len(sweep), np.float32))
     write_sweep(rounded, junction_path())
-    sys.stdout.write(f"{junction_path().name}: {len(sweep)} points, {junction_path().stat().st_size} bytes\n")
+    write_atomic(junction_truth_path(), truth_content())
+    for path in (junction_path(), junction_truth_path()):
+        sys.stdout.write(f"{path.name}: {path.stat().st_size} bytes\n")
+    sys.stdout.write(f"{len(sweep)} points\n")
 
 
 if __name__ == "__main__":

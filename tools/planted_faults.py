@@ -35,6 +35,7 @@ _BROKEN = re.compile(r"\b(?:NameError|UnboundLocalError|AttributeError|ImportErr
 
 
 _NATIVE = (".cpp", ".hpp")
+_NO_DEFINITION = r"(namespace|using|struct|class|enum|template|public|private)\b"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +135,7 @@ def _native_definitions(lines: list[str]) -> Iterator[tuple[str, int, int]]:
     while at < len(lines):
         first = at
         at += 1
-        if not re.match(r"\w", lines[first]) or re.match(r"namespace|using|struct|class|enum|template", lines[first]):
+        if not re.match(r"\w", lines[first]) or re.match(_NO_DEFINITION, lines[first]):
             continue
         # A statement or a signature may go on over several lines.
         while not re.search(r"[;{]\s*(?://.*)?$", lines[at - 1]) and at < len(lines):

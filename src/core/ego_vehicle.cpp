@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <numbers>
 #include <vector>
 
@@ -44,21 +45,22 @@ struct Block {
     std::uint8_t is_near[BLOCK];
 };
 
-// Turn the points of a block and mark those near the sensor and above any ground; return how many there are.
-MULTIVERSION int turn_block(const float* points, std::size_t count, const float* rotation, Block& block) {
+// Turn the points of a block and mark those near the sensor and above any ground.
+MULTIVERSION void turn_block(const float* points, std::size_t count, const float* rotation, Block& block) {
     constexpr float far2 = float(EGO_LENGTH_M * EGO_LENGTH_M), lowest = float(-LEAST_EGO_HEIGHT_M);
-    int near = 0;
+    // A copy of the numbers: the compiler cannot know that the loops do not write them.
+    std::array<float, 9> r;
+    std::copy_n(rotation, 9, r.begin());
     for (std::size_t k = 0; k < count; ++k) {
         const float px = points[3 * k], py = points[3 * k + 1], pz = points[3 * k + 2];
-        const float x = rotation[0] * px + rotation[1] * py + rotation[2] * pz;
-        const float y = rotation[3] * px + rotation[4] * py + rotation[5] * pz;
-        const float z = rotation[6] * px + rotation[7] * py + rotation[8] * pz;
-        const bool is_near = (x * x + y * y < far2) & (z > lowest);
-        block.x[k] = x, block.y[k] = y, block.z[k] = z;
-        block.is_near[k] = is_near;
-        near += is_near;
+        block.x[k] = r[0] * px + r[1] * py + r[2] * pz;
+        block.y[k] = r[3] * px + r[4] * py + r[5] * pz;
+        block.z[k] = r[6] * px + r[7] * py + r[8] * pz;
     }
-    return near;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float r2 = block.x[k] * block.x[k] + block.y[k] * block.y[k];
+        block.is_near[k] = (r2 < far2) & (block.z[k] > lowest);
+    }
 }
 
 // What a part of the points has of returns near the sensor: on the roof, higher than a hood, and of hood and trunk.
@@ -68,15 +70,21 @@ struct NearReturns {
 };
 
 void collect_near(const Block& block, std::size_t count, NearReturns& found) {
-    for (std::size_t k = 0; k < count; ++k) {
-        if (!block.is_near[k]) continue;
-        const float x = block.x[k], y = block.y[k], z = block.z[k];
-        if (x * x + y * y < NEAR_M * NEAR_M) {
-            found.roof += z < -BELOW_M;
-        } else if (z >= -BELOW_M) {
-            ++found.above;
-        } else {
-            found.hood.push_back({x, y});
+    // Most blocks have none, or few: eight marks are looked at at once.
+    for (std::size_t start = 0; start < count; start += 8) {
+        std::uint64_t eight;
+        std::memcpy(&eight, block.is_near + start, 8);
+        if (eight == 0) continue;
+        for (std::size_t k = start; k < std::min(start + 8, count); ++k) {
+            if (!block.is_near[k]) continue;
+            const float x = block.x[k], y = block.y[k], z = block.z[k];
+            if (x * x + y * y < NEAR_M * NEAR_M) {
+                found.roof += z < -BELOW_M;
+            } else if (z >= -BELOW_M) {
+                ++found.above;
+            } else {
+                found.hood.push_back({x, y});
+            }
         }
     }
 }
@@ -85,10 +93,11 @@ NearReturns find_near(View2<const float> points, View2<const float> rotation) {
     const std::size_t parts = count_parts(points.rows, PART);
     std::vector<NearReturns> found(parts);
     for_ranges(points.rows, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
-        Block block;
+        Block block{};
         for (std::size_t start = begin; start < end; start += BLOCK) {
             const std::size_t count = std::min(BLOCK, end - start);
-            if (turn_block(points[start], count, rotation.data, block)) collect_near(block, count, found[part]);
+            turn_block(points[start], count, rotation.data, block);
+            collect_near(block, count, found[part]);
         }
     });
     // Together, in the order of the points.

@@ -41,7 +41,7 @@ INLINE std::int32_t split_five_as(const float* rows, std::size_t count, float* p
         points[3 * n + 1] = quarter_turn ? -row[0] : row[1];
         points[3 * n + 2] = row[2];
         intensity[n] = row[3];
-        const float value = row[4], fits = (value >= -32768.0f) & (value <= 32767.0f) ? value : 0.0f;
+        const float value = row[4], fits = ((value >= -32768.0f) & (value <= 32767.0f)) ? value : 0.0f;
         const auto whole = std::int16_t(std::int32_t(fits));
         ring[n] = whole;
         bad += float(whole) != value;

@@ -58,8 +58,7 @@ constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
 
 // Where no ground is met so much of the slope and of the weight is carried on, and a slope that differs by at most so much
 // from that of the carrier's plane.
-constexpr float CARRIED_SHARE = 0.9f;
-constexpr double CARRIED_SLOPE = 0.15, CARRIED_WEIGHT = 0.8, LEAST_WEIGHT = 0.05;
+constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, LEAST_WEIGHT = 0.05f;
 
 // Weight in the walk of a level that no other direction confirms.
 constexpr float ALONE_WEIGHT = 0.01f;
@@ -69,12 +68,93 @@ constexpr float BURIED_M = 0.3f;
 
 // Returns are attached to ground at most so many nodes beside them, if two nodes of it are about as high.
 constexpr std::ptrdiff_t BESIDE_NODES = 2;
-constexpr double BESIDE_M = 0.12, BESIDE_SLOPE = 0.03;
+constexpr int BESIDE_COUNT = 2;
+constexpr float BESIDE_M = 0.12f, BESIDE_SLOPE = 0.03f;
 
 // Nodes with returns of a part that is worth a thread.
 constexpr std::size_t PART = 1024;
 
-INLINE bool has(const Lows& lows, std::size_t at) { return lows.z_m[at] < std::numeric_limits<float>::infinity(); }
+INLINE bool has(const Lows& lows, std::size_t at) {
+    return lows.z_m[at] < std::numeric_limits<float>::infinity();
+}
+
+// Planes that are fitted at once, in the lanes of vectors.
+constexpr std::size_t LANES = 8;
+
+// The low points of nine nodes for each lane; those that are missing are not used (0) and lie at 0.
+struct Neighborhoods {
+    float x[9][LANES] = {}, y[9][LANES] = {}, z[9][LANES] = {}, used[9][LANES] = {}, count[LANES] = {};
+
+    // Put a node and those around it into a lane; false if too few of them have low points.
+    bool take(const Lows& lows, std::size_t at, std::ptrdiff_t n, std::size_t lane) {
+        const auto i = std::ptrdiff_t(at) / n, j = std::ptrdiff_t(at) % n;
+        if (i < 1 || j < 1 || i >= n - 1 || j >= n - 1) return false;
+        int found = 0;
+        for (std::size_t k = 0; k < 9; ++k) {
+            const std::size_t near = at + (k / 3) * std::size_t(n) + k % 3 - std::size_t(n) - 1;
+            const bool is_used = has(lows, near);
+            x[k][lane] = lows.x_m[near];
+            y[k][lane] = lows.y_m[near];
+            z[k][lane] = is_used ? lows.z_m[near] : 0.0f;
+            used[k][lane] = is_used ? 1.0f : 0.0f;
+            found += is_used;
+        }
+        count[lane] = float(found);
+        // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
+        return found >= EVEN_NODES;
+    }
+};
+
+// Slopes along x and y of the least-squares plane of each lane, and whether its points lie on it.
+MULTIVERSION void fit_planes(const Neighborhoods& p, bool* fits, float* slope_x, float* slope_y) {
+    float mx[LANES] = {}, my[LANES] = {}, mz[LANES] = {};
+    for (std::size_t k = 0; k < 9; ++k) {
+        for (std::size_t l = 0; l < LANES; ++l) {
+            mx[l] += p.x[k][l];
+            my[l] += p.y[k][l];
+            mz[l] += p.z[k][l];
+        }
+    }
+    for (std::size_t l = 0; l < LANES; ++l) {
+        const float count = p.count[l] > 0.0f ? p.count[l] : 1.0f;
+        mx[l] /= count;
+        my[l] /= count;
+        mz[l] /= count;
+    }
+    double xx[LANES], xy[LANES] = {}, yy[LANES], xz[LANES] = {}, yz[LANES] = {};
+    for (std::size_t l = 0; l < LANES; ++l) xx[l] = yy[l] = 1e-6;
+    for (std::size_t k = 0; k < 9; ++k) {
+        for (std::size_t l = 0; l < LANES; ++l) {
+            const float used = p.used[k][l];
+            const float dx = (p.x[k][l] - mx[l]) * used, dy = (p.y[k][l] - my[l]) * used, dz = (p.z[k][l] - mz[l]) * used;
+            xx[l] += double(dx * dx);
+            xy[l] += double(dx * dy);
+            yy[l] += double(dy * dy);
+            xz[l] += double(dx * dz);
+            yz[l] += double(dy * dz);
+        }
+    }
+    double a[LANES], b[LANES], slope[LANES], worst[LANES] = {};
+    for (std::size_t l = 0; l < LANES; ++l) {
+        const double area = xx[l] * yy[l] - xy[l] * xy[l];
+        a[l] = (xz[l] * yy[l] - yz[l] * xy[l]) / area;
+        b[l] = (yz[l] * xx[l] - xz[l] * xy[l]) / area;
+        slope[l] = std::sqrt(a[l] * a[l] + b[l] * b[l]);
+    }
+    for (std::size_t k = 0; k < 9; ++k) {
+        for (std::size_t l = 0; l < LANES; ++l) {
+            const float used = p.used[k][l];
+            const float dx = (p.x[k][l] - mx[l]) * used, dy = (p.y[k][l] - my[l]) * used, dz = (p.z[k][l] - mz[l]) * used;
+            const double off = std::fabs(double(dz) - a[l] * double(dx) - b[l] * double(dy));
+            worst[l] = off > worst[l] ? off : worst[l];
+        }
+    }
+    for (std::size_t l = 0; l < LANES; ++l) {
+        slope_x[l] = float(a[l]);
+        slope_y[l] = float(b[l]);
+        fits[l] = slope[l] <= STEEPEST && worst[l] <= EVEN_M * (1.0 + slope[l]);
+    }
+}
 
 // Nodes that lie on one plane with their neighbors, the plane's slope along x and y, and how many nodes hang together.
 class Patches {
@@ -85,7 +165,7 @@ public:
           count_(lows.nodes * lows.nodes, 0) {
         const std::size_t some = lows.some.size();
         for_ranges(some, count_parts(some, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-            for (std::size_t k = begin; k < end; ++k) fit(lows.some[k]);
+            fit(&lows.some[begin], end - begin);
         });
     }
 
@@ -101,57 +181,30 @@ public:
     }
 
 private:
-    void fit(std::int32_t node) {
-        const std::size_t at = std::size_t(node);
-        const std::ptrdiff_t i = node / n_, j = node % n_;
-        slope_x_[at] = slope_y_[at] = 0.0f;
-        if (i < 1 || j < 1 || i >= n_ - 1 || j >= n_ - 1) return;
-        std::array<float, 9> x, y, z;
-        int count = 0;
-        for (std::ptrdiff_t p = i - 1; p <= i + 1; ++p) {
-            for (std::ptrdiff_t q = j - 1; q <= j + 1; ++q) {
-                const auto near = std::size_t(p * n_ + q);
-                if (!has(lows_, near)) continue;
-                x[count] = lows_.x_m[near];
-                y[count] = lows_.y_m[near];
-                z[count] = lows_.z_m[near];
-                ++count;
+    // Fit planes to some of the nodes, LANES at a time.
+    void fit(const std::int32_t* nodes, std::size_t size) {
+        Neighborhoods around;
+        std::array<std::size_t, LANES> of{};
+        std::size_t lanes = 0;
+        const auto finish = [&] {
+            std::array<bool, LANES> fits;
+            std::array<float, LANES> a, b;
+            fit_planes(around, fits.data(), a.data(), b.data());
+            for (std::size_t l = 0; l < lanes; ++l) {
+                even_[of[l]] = fits[l];
+                slope_x_[of[l]] = a[l];
+                slope_y_[of[l]] = b[l];
             }
+            lanes = 0;
+        };
+        for (std::size_t k = 0; k < size; ++k) {
+            const auto at = std::size_t(nodes[k]);
+            slope_x_[at] = slope_y_[at] = 0.0f;
+            if (!around.take(lows_, at, n_, lanes)) continue;
+            of[lanes++] = at;
+            if (lanes == LANES) finish();
         }
-        // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
-        if (count >= EVEN_NODES) fit_plane(at, x.data(), y.data(), z.data(), count);
-    }
-
-    // The least-squares plane of points, and whether they lie on it.
-    void fit_plane(std::size_t at, const float* x, const float* y, const float* z, int count) {
-        float mx = 0.0f, my = 0.0f, mz = 0.0f;
-        for (int k = 0; k < count; ++k) {
-            mx += x[k];
-            my += y[k];
-            mz += z[k];
-        }
-        mx /= float(count);
-        my /= float(count);
-        mz /= float(count);
-        double xx = 1e-6, xy = 0.0, yy = 1e-6, xz = 0.0, yz = 0.0;
-        for (int k = 0; k < count; ++k) {
-            const float dx = x[k] - mx, dy = y[k] - my, dz = z[k] - mz;
-            xx += double(dx * dx);
-            xy += double(dx * dy);
-            yy += double(dy * dy);
-            xz += double(dx * dz);
-            yz += double(dy * dz);
-        }
-        const double area = xx * yy - xy * xy, a = (xz * yy - yz * xy) / area, b = (yz * xx - xz * xy) / area;
-        const double slope = std::sqrt(a * a + b * b);
-        bool fits = !(slope > STEEPEST);
-        for (int k = 0; k < count && fits; ++k) {
-            const double off = double(z[k] - mz) - a * double(x[k] - mx) - b * double(y[k] - my);
-            fits = !(std::fabs(off) > EVEN_M * (1.0 + slope));
-        }
-        even_[at] = fits;
-        slope_x_[at] = float(a);
-        slope_y_[at] = float(b);
+        if (lanes > 0) finish();
     }
 
     void measure(std::size_t first) {
@@ -188,233 +241,230 @@ private:
     Buffer<std::int32_t> count_;  // 0 where it is not measured
 };
 
-// Heights (n, n) as the walk carries them outwards from the sensor, and the nodes whose low points it accepts (n, n).
+// Heights (n, n) as the walk carries them outwards from the sensor, and the nodes whose low points it accepts (n, n); of the
+// other nodes heights have no value.
 class Walk {
 public:
     Walk(const Lattice& lattice, const Lows& lows, Patches& patches, const Plane& carrier)
-        : lattice_(lattice), lows_(lows), patches_(patches), carrier_(carrier), n_(std::ptrdiff_t(lattice.nodes)),
-          node_m_(float(lattice.node_m)), height_m(lattice.size()), accepted(lattice.size()),
-          state_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
+        : height_m(lattice.size()), accepted(lattice.size()), lattice_(lattice), lows_(lows), patches_(patches),
+          n_(std::ptrdiff_t(lattice.nodes)), node_m_(float(lattice.node_m)), nodes_per_m_(1.0f / node_m_), carrier_x_(carrier[0]), carrier_y_(carrier[1]),
+          carrier_z_(carrier[2]), carried_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
 
     // Walk. Nodes that are attached (n, n) are accepted whatever the step; those that are alone (n, n) carry hardly anything
     // on.
-    void walk(const bool* attached, const bool* alone) {
-        std::fill_n(accepted.data(), accepted.size(), false);
-        std::fill_n(state_.data(), state_.size(), State{});
-        for (std::size_t k = 0; k < lattice_.size(); ++k) {
-            visit(lattice_.row[k], lattice_.column[k], attached, alone);
-        }
-    }
+    void walk(const bool* attached, const bool* alone);
 
-private:
-    const Lattice& lattice_;
-    const Lows& lows_;
-    Patches& patches_;
-    Plane carrier_;
-    std::ptrdiff_t n_;
-    float node_m_;
-
-public:
     Buffer<float> height_m;
     Buffer<bool> accepted;
 
 private:
     enum class Kind { refused, followed, patch, below };
 
-    // What a node carries on; weight 0 before it is visited.
-    struct State {
-        float height, slope_x, slope_y, weight;
+    // What a node carries on, each times its weight: height, rise per node along x and along y, and the weight alone; zeros
+    // before it is visited.
+    using Carried = float __attribute__((vector_size(16)));
+
+    // Height, slopes and weight that the nodes nearer to the sensor predict for one, and from how far on average.
+    struct Prediction {
+        float z, slope_x, slope_y, weight, mean_x, mean_y;
     };
 
-    // What the nodes nearer to the sensor carry to one: weight, height, slope and mean step (x, y).
-    struct Carried {
-        float total = 0.0f, z = 0.0f, sx = 0.0f, sy = 0.0f, mx = 0.0f, my = 0.0f;
-    };
-
-    // States have a border of nodes without weight.
-    std::size_t padded(std::ptrdiff_t i, std::ptrdiff_t j) const { return std::size_t((i + 1) * (n_ + 2) + j + 1); }
+    INLINE Prediction predict(const Carried* here) const;
+    INLINE Carried carry(const Prediction& near) const;
+    Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone);
+    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b);
+    bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const;
+    bool is_buried(std::size_t at) const;
+    bool meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const;
 
     // x or y of a row's middle.
     double middle(std::ptrdiff_t i) const { return (double(i) + 0.5 - double(n_) / 2) * double(node_m_); }
 
-    Carried carried(std::ptrdiff_t i, std::ptrdiff_t j) const {
-        Carried sum;
-        for (std::ptrdiff_t p = -1; p <= 1; ++p) {
-            for (std::ptrdiff_t q = -1; q <= 1; ++q) {
-                const State& near = state_[padded(i + p, j + q)];
-                const float w = near.weight * (p != 0 && q != 0 ? 0.5f : 1.0f);
-                const float dx = float(-p) * node_m_, dy = float(-q) * node_m_;
-                sum.z += w * (near.height + near.slope_x * dx + near.slope_y * dy);
-                sum.sx += w * near.slope_x;
-                sum.sy += w * near.slope_y;
-                sum.mx += w * dx;
-                sum.my += w * dy;
-                sum.total += w;
-            }
-        }
-        const float per = sum.total > 0.0f ? 1.0f / sum.total : 0.0f;
-        sum.z *= per;
-        sum.sx *= per;
-        sum.sy *= per;
-        sum.mx *= per;
-        sum.my *= per;
-        return sum;
-    }
-
-    void visit(std::ptrdiff_t i, std::ptrdiff_t j, const bool* attached, const bool* alone) {
-        const auto at = std::size_t(i * n_ + j);
-        State& state = state_[padded(i, j)];
-        // 1. Height and slope as the nodes nearer to the sensor predict them; the carrier's plane where there are none.
-        Carried near = carried(i, j);
-        const double x = middle(i), y = middle(j);
-        double z = double(near.z);
-        if (near.total == 0.0f) {
-            z = double(carrier_[0]) * x + double(carrier_[1]) * y + double(carrier_[2]);
-            near = {0.0f, 0.0f, carrier_[0], carrier_[1], node_m_, 0.0f};
-        }
-        const double support = std::min(double(near.total) / 3.0, 1.0);
-        // 2. How far the low point lies above that, and what it is.
-        Kind kind = Kind::refused;
-        if (has(lows_, at)) {
-            const double dx = double(lows_.x_m[at]) - x, dy = double(lows_.y_m[at]) - y, low = double(lows_.z_m[at]);
-            const double step = low - z - double(near.sx) * dx - double(near.sy) * dy;
-            const bool even = patches_.is_even(at);
-            const float a = patches_.slope_x(at), b = patches_.slope_y(at);
-            kind = attached != nullptr && attached[at] ? (even ? Kind::patch : Kind::below)
-                                                       : kind_of(i, j, step, support, even, a, b);
-            // 3. Patches are taken as they are, with their slope if they break with the prediction; small steps in part.
-            if (kind == Kind::patch || (kind == Kind::below && even)) {
-                state.height = float(low - double(a) * dx - double(b) * dy);
-                const bool breaks = kind == Kind::below || std::fabs(step) >= EVEN_STEP_M;
-                state.slope_x = breaks ? a : 0.5f * (near.sx + a);
-                state.slope_y = breaks ? b : 0.5f * (near.sy + b);
-            } else if (kind == Kind::below) {
-                state.height = float(low - double(near.sx) * dx - double(near.sy) * dy);
-                state.slope_x = 0.5f * near.sx;
-                state.slope_y = 0.5f * near.sy;
-            } else if (kind == Kind::followed) {
-                const double my = double(near.my), side = double(node_m_);
-                const double length2 = double(near.mx * near.mx) + my * my + 0.25 * side * side;
-                state.height = float(z + FOLLOWED * step);
-                state.slope_x = float(double(near.sx) + FOLLOWED_SLOPE * step * double(near.mx) / length2);
-                state.slope_y = float(double(near.sy) + FOLLOWED_SLOPE * step * my / length2);
-            }
-        }
-        if (kind == Kind::refused) {
-            const float steeper_x = near.sx - carrier_[0], steeper_y = near.sy - carrier_[1];
-            const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
-            float share = CARRIED_SHARE;
-            if (double(steeper2) > CARRIED_SLOPE * CARRIED_SLOPE) share *= float(CARRIED_SLOPE) / std::sqrt(steeper2);
-            state.height = float(z);
-            state.slope_x = carrier_[0] + share * steeper_x;
-            state.slope_y = carrier_[1] + share * steeper_y;
-            state.weight = float(std::max(CARRIED_WEIGHT * support, LEAST_WEIGHT));
-        } else {
-            state.weight = 1.0f;
-            accepted[at] = true;
-        }
-        if (alone != nullptr && alone[at]) state.weight = ALONE_WEIGHT;
-        height_m[at] = state.height;
-    }
-
-    // What a low point is to the walk, so far above what is predicted.
-    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b) {
-        const auto at = std::size_t(i * n_ + j);
-        if (!std::isfinite(step)) return Kind::refused;
-        const bool flat = double(lows_.rise_m[at]) < double(float(FLAT_M));
-        const bool gentle = even && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
-        const double small = STEP_M + (flat ? FLAT_STEP * std::min(double(node_m_), FLAT_NODE_M) : 0.0) +
-                             DOUBT_STEP_M * (1.0 - support);
-        if (gentle && std::fabs(step) < EVEN_STEP_M) return Kind::patch;
-        if (std::fabs(step) < small) return Kind::followed;
-        if (step < 0.0) {
-            // Nothing but ground lies below ground.
-            const bool is_floor = even || (flat ? agrees(i, j) : step < -LOWER_M);
-            return is_floor && !is_buried(at) ? Kind::below : Kind::refused;
-        }
-        const bool is_level = gentle && patches_.area_m2(at) >= LEVEL_M2;
-        const bool is_slope = !is_level && even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
-        return is_level || is_slope ? Kind::patch : Kind::refused;
-    }
-
-    // Whether the low points of two of the eight nodes around (i, j) are about as high as its own.
-    bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const {
-        const float own = lows_.z_m[std::size_t(i * n_ + j)];
-        int count = 0;
-        for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 1, 0); p < std::min(i + 2, n_); ++p) {
-            for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 1, 0); q < std::min(j + 2, n_); ++q) {
-                count += std::fabs(lows_.z_m[std::size_t(p * n_ + q)] - own) < AGREE_M;
-            }
-        }
-        return count > 2;
-    }
-
-    // Whether the beam to a low point would pass below accepted ground on its way.
-    bool is_buried(std::size_t at) const {
-        const float center = 0.5f * float(n_), u = lows_.x_m[at] / node_m_, v = lows_.y_m[at] / node_m_;
-        const float z = lows_.z_m[at];
-        const int steps = int(std::max(std::fabs(u), std::fabs(v)));
-        for (int k = 1; k < steps; ++k) {
-            const float share = 1.0f - float(k) / float(steps);
-            const auto p = std::ptrdiff_t(center + share * u), q = std::ptrdiff_t(center + share * v);
-            const auto on_way = std::size_t(p * n_ + q);
-            if (accepted[on_way] && share * z < height_m[on_way] - BURIED_M) return true;
-        }
-        return false;
-    }
-
-    // Whether the plane through a low point of slope (a, b) meets accepted ground within two nodes.
-    bool meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const {
-        const auto at = std::size_t(i * n_ + j);
-        const double low_x = double(lows_.x_m[at]), low_y = double(lows_.y_m[at]), low = double(lows_.z_m[at]);
-        const double tolerance = FOOT_M + FOOT_SLOPE * double(std::sqrt(a * a + b * b));
-        for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 2, 0); p < std::min(i + 3, n_); ++p) {
-            for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 2, 0); q < std::min(j + 3, n_); ++q) {
-                const auto near = std::size_t(p * n_ + q);
-                if (!accepted[near]) continue;
-                const double rise = double(a) * (middle(p) - low_x) + double(b) * (middle(q) - low_y);
-                if (std::fabs(low + rise - double(height_m[near])) < tolerance) return true;
-            }
-        }
-        return false;
-    }
-
-    Buffer<State> state_;
+    const Lattice& lattice_;
+    const Lows& lows_;
+    Patches& patches_;
+    std::ptrdiff_t n_;
+    float node_m_, nodes_per_m_, carrier_x_, carrier_y_, carrier_z_;
+    Buffer<Carried> carried_;  // (n + 2, n + 2) with a border of zeros
 };
 
-// Accept low points that go on beside accepted ones (n, n), until nothing changes. A ring that goes on behind a hole or a car
-// lies beside the ring before them, whatever the walk carried there.
+// Nodes across a corner count half. Height and slopes are linear in what is carried, so that sums over rows and columns of
+// the nine nodes give them all: the node itself holds zeros.
+Walk::Prediction Walk::predict(const Carried* here) const {
+    const Carried *above = here - (n_ + 2), *below = here + (n_ + 2);
+    const Carried before = 0.5f * (above[-1] + above[1]) + above[0], after = 0.5f * (below[-1] + below[1]) + below[0];
+    const Carried across = 0.5f * ((above[-1] - above[1]) + (below[-1] - below[1])) + (here[-1] - here[1]);
+    const Carried sum = before + (here[-1] + here[1]) + after, along = before - after;
+    const float per = sum[3] > 0.0f ? 1.0f / sum[3] : 0.0f, per_m = per * nodes_per_m_;
+    return {(sum[0] + along[1] + across[2]) * per, sum[1] * per_m, sum[2] * per_m, sum[3],
+            along[3] * per * node_m_, across[3] * per * node_m_};
+}
+
+// What is carried on where no ground is met: the slope falls back to the carrier's.
+Walk::Carried Walk::carry(const Prediction& near) const {
+    const float steeper_x = near.slope_x - carrier_x_, steeper_y = near.slope_y - carrier_y_;
+    const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
+    float share = CARRIED_SHARE;
+    if (steeper2 > CARRIED_SLOPE * CARRIED_SLOPE) share *= CARRIED_SLOPE / std::sqrt(steeper2);
+    const float weight = std::max(std::min(CARRIED_WEIGHT / 3.0f * near.weight, CARRIED_WEIGHT), LEAST_WEIGHT);
+    const Carried state{near.z, (carrier_x_ + share * steeper_x) * node_m_, (carrier_y_ + share * steeper_y) * node_m_, 1.0f};
+    return weight * state;
+}
+
+void Walk::walk(const bool* attached, const bool* alone) {
+    std::fill_n(accepted.data(), accepted.size(), false);
+    std::fill_n(carried_.data(), carried_.size(), Carried{});
+    // Where no more low points come, nothing need be carried.
+    std::size_t left = lows_.some.size();
+    for (std::size_t k = 0; left > 0; ++k) {
+        const std::size_t at = lattice_.order[k];
+        Carried* here = &carried_[lattice_.padded[k]];
+        Prediction near = predict(here);
+        if (k == 0) near = {carrier_z_, carrier_x_, carrier_y_, 0.0f, node_m_, 0.0f};
+        if (has(lows_, at)) {
+            *here = visit(at, near, attached, alone);
+            --left;
+        } else {
+            *here = carry(near);
+        }
+    }
+}
+
+// Accept the low point of a node, or not, and return what the node carries on.
+Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone) {
+    const auto i = std::ptrdiff_t(at) / n_, j = std::ptrdiff_t(at) % n_;
+    // 1. How far the low point lies above the prediction, and what it is.
+    const double dx = double(lows_.x_m[at]) - middle(i), dy = double(lows_.y_m[at]) - middle(j);
+    const double low = double(lows_.z_m[at]), z = double(near.z);
+    const double step = low - z - double(near.slope_x) * dx - double(near.slope_y) * dy;
+    const bool even = patches_.is_even(at);
+    const float a = patches_.slope_x(at), b = patches_.slope_y(at);
+    Kind kind = even ? Kind::patch : Kind::below;
+    if (attached == nullptr || !attached[at]) kind = kind_of(i, j, step, std::min(double(near.weight) / 3.0, 1.0), even, a, b);
+    if (kind == Kind::refused) return carry(near);
+    // 2. Patches are taken as they are, with their slope if they break with the prediction; small steps in part.
+    double height, slope_x, slope_y;
+    if (kind == Kind::followed) {
+        const double mx = double(near.mean_x), my = double(near.mean_y), side = double(node_m_);
+        const double length2 = mx * mx + my * my + 0.25 * side * side;
+        height = z + FOLLOWED * step;
+        slope_x = double(near.slope_x) + FOLLOWED_SLOPE * step * mx / length2;
+        slope_y = double(near.slope_y) + FOLLOWED_SLOPE * step * my / length2;
+    } else if (even) {
+        const bool breaks = kind == Kind::below || std::fabs(step) >= EVEN_STEP_M;
+        height = low - double(a) * dx - double(b) * dy;
+        slope_x = double(breaks ? a : 0.5f * (near.slope_x + a));
+        slope_y = double(breaks ? b : 0.5f * (near.slope_y + b));
+    } else {
+        height = low - double(near.slope_x) * dx - double(near.slope_y) * dy;
+        slope_x = double(0.5f * near.slope_x);
+        slope_y = double(0.5f * near.slope_y);
+    }
+    height_m[at] = float(height);
+    accepted[at] = true;
+    const Carried state{float(height), float(slope_x) * node_m_, float(slope_y) * node_m_, 1.0f};
+    return alone != nullptr && alone[at] ? ALONE_WEIGHT * state : state;
+}
+
+// What a low point is to the walk, so far above what is predicted.
+Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b) {
+    const auto at = std::size_t(i * n_ + j);
+    if (!std::isfinite(step)) return Kind::refused;
+    const bool flat = double(lows_.rise_m[at]) < double(float(FLAT_M));
+    const bool gentle = even && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
+    const double small = STEP_M + (flat ? FLAT_STEP * std::min(double(node_m_), FLAT_NODE_M) : 0.0) +
+                         DOUBT_STEP_M * (1.0 - support);
+    if (gentle && std::fabs(step) < EVEN_STEP_M) return Kind::patch;
+    if (std::fabs(step) < small) return Kind::followed;
+    if (step < 0.0) {
+        // Nothing but ground lies below ground.
+        const bool is_floor = even || (flat ? agrees(i, j) : step < -LOWER_M);
+        return is_floor && !is_buried(at) ? Kind::below : Kind::refused;
+    }
+    const bool is_level = gentle && patches_.area_m2(at) >= LEVEL_M2;
+    const bool is_slope = !is_level && even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
+    return is_level || is_slope ? Kind::patch : Kind::refused;
+}
+
+// Whether the low points of two of the eight nodes around (i, j) are about as high as its own.
+bool Walk::agrees(std::ptrdiff_t i, std::ptrdiff_t j) const {
+    const float own = lows_.z_m[std::size_t(i * n_ + j)];
+    int count = 0;
+    for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 1, 0); p < std::min(i + 2, n_); ++p) {
+        for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 1, 0); q < std::min(j + 2, n_); ++q) {
+            count += std::fabs(lows_.z_m[std::size_t(p * n_ + q)] - own) < AGREE_M;
+        }
+    }
+    return count > 2;
+}
+
+// Whether the beam to a low point would pass below accepted ground on its way.
+bool Walk::is_buried(std::size_t at) const {
+    const float center = 0.5f * float(n_), u = lows_.x_m[at] / node_m_, v = lows_.y_m[at] / node_m_;
+    const float z = lows_.z_m[at];
+    const int steps = int(std::max(std::fabs(u), std::fabs(v)));
+    for (int k = 1; k < steps; ++k) {
+        const float share = 1.0f - float(k) / float(steps);
+        const auto p = std::ptrdiff_t(center + share * u), q = std::ptrdiff_t(center + share * v);
+        const auto on_way = std::size_t(p * n_ + q);
+        if (accepted[on_way] && share * z < height_m[on_way] - BURIED_M) return true;
+    }
+    return false;
+}
+
+// Whether the plane through a low point of slope (a, b) meets accepted ground within two nodes.
+bool Walk::meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const {
+    const auto at = std::size_t(i * n_ + j);
+    const double low_x = double(lows_.x_m[at]), low_y = double(lows_.y_m[at]), low = double(lows_.z_m[at]);
+    const double tolerance = FOOT_M + FOOT_SLOPE * double(std::sqrt(a * a + b * b));
+    for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - 2, 0); p < std::min(i + 3, n_); ++p) {
+        for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - 2, 0); q < std::min(j + 3, n_); ++q) {
+            const auto near = std::size_t(p * n_ + q);
+            if (!accepted[near]) continue;
+            const double rise = double(a) * (middle(p) - low_x) + double(b) * (middle(q) - low_y);
+            if (std::fabs(low + rise - double(height_m[near])) < tolerance) return true;
+        }
+    }
+    return false;
+}
+
+// Whether the low point of one node goes on from that of another.
+INLINE bool goes_on(const Lows& lows, std::size_t from, std::size_t to) {
+    const float dx = lows.x_m[to] - lows.x_m[from], dy = lows.y_m[to] - lows.y_m[from];
+    return std::fabs(lows.z_m[to] - lows.z_m[from]) < BESIDE_M + BESIDE_SLOPE * std::sqrt(dx * dx + dy * dy);
+}
+
+// Call body(near) for each node at most BESIDE_NODES rows and columns from one.
+template <typename Body>
+INLINE void for_beside(std::ptrdiff_t n, std::size_t at, const Body& body) {
+    const auto i = std::ptrdiff_t(at) / n, j = std::ptrdiff_t(at) % n;
+    const auto left = std::max<std::ptrdiff_t>(j - BESIDE_NODES, 0), right = std::min(j + BESIDE_NODES + 1, n);
+    for (auto p = std::max<std::ptrdiff_t>(i - BESIDE_NODES, 0); p < std::min(i + BESIDE_NODES + 1, n); ++p) {
+        for (auto q = left; q < right; ++q) body(std::size_t(p * n + q));
+    }
+}
+
+// Accept low points that go on beside two accepted ones (n, n), until nothing changes. A ring that goes on behind a hole or a
+// car lies beside the ring before them, whatever the walk carried there.
 void attach(const Lows& lows, View1<bool> accepted) {
     const auto n = std::ptrdiff_t(lows.nodes);
-    std::vector<std::int32_t> waiting, again;
-    for (const std::int32_t at : lows.some) {
-        if (!accepted[std::size_t(at)]) waiting.push_back(at);
+    std::vector<std::size_t> found;
+    Buffer<std::uint8_t> count(accepted.size);
+    for (const std::int32_t node : lows.some) {
+        const auto at = std::size_t(node);
+        if (accepted[at]) continue;
+        int beside = 0;
+        for_beside(n, at, [&](std::size_t near) { beside += accepted[near] && goes_on(lows, near, at); });
+        count[at] = std::uint8_t(beside);
+        if (beside >= BESIDE_COUNT) found.push_back(at);
     }
-    for (bool changed = true; changed;) {
-        changed = false;
-        again.clear();
-        for (const std::int32_t node : waiting) {
-            const auto at = std::size_t(node);
-            const std::ptrdiff_t i = node / n, j = node % n;
-            int count = 0;
-            for (std::ptrdiff_t p = std::max<std::ptrdiff_t>(i - BESIDE_NODES, 0);
-                 p < std::min(i + BESIDE_NODES + 1, n); ++p) {
-                for (std::ptrdiff_t q = std::max<std::ptrdiff_t>(j - BESIDE_NODES, 0);
-                     q < std::min(j + BESIDE_NODES + 1, n); ++q) {
-                    const auto near = std::size_t(p * n + q);
-                    if (!accepted[near]) continue;
-                    const float away = std::hypot(lows.x_m[near] - lows.x_m[at], lows.y_m[near] - lows.y_m[at]);
-                    count += double(std::fabs(lows.z_m[near] - lows.z_m[at])) < BESIDE_M + BESIDE_SLOPE * double(away);
-                }
-            }
-            if (count >= 2) {
-                accepted[at] = changed = true;
-            } else {
-                again.push_back(node);
-            }
-        }
-        std::swap(waiting, again);
-        std::reverse(waiting.begin(), waiting.end());  // to and fro
+    for (std::size_t k = 0; k < found.size(); ++k) {
+        const std::size_t at = found[k];
+        accepted[at] = true;
+        for_beside(n, at, [&](std::size_t near) {
+            if (accepted[near] || !has(lows, near) || !goes_on(lows, at, near)) return;
+            if (++count[near] == BESIDE_COUNT) found.push_back(near);
+        });
     }
 }
 
@@ -435,7 +485,7 @@ double lowest_m(const Lows& lows) {
 Ground estimate_ground(const Lattice& lattice, const Lows& lows, double height_m) {
     const std::size_t n = lattice.nodes, size = lattice.size();
     Ground ground{Buffer<float>(size), Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
-                  std::numeric_limits<float>::quiet_NaN()};
+                  std::numeric_limits<double>::quiet_NaN()};
     // Walk, attach what goes on beside the ground, and walk again from there, past levels that one sector alone shows.
     Patches patches(lows, float(lattice.node_m));
     Walk walk(lattice, lows, patches, ground.carrier.plane);
@@ -451,7 +501,7 @@ Ground estimate_ground(const Lattice& lattice, const Lows& lows, double height_m
     const bool is_known = std::isfinite(height_m);
     const bool is_own = double(ground.heights_m[(n / 2) * n + n / 2]) > -MIN_HEIGHT_M;
     if (ground.carrier.support < MIN_SUPPORT || (!is_known && is_own)) {
-        ground.level_m = -float(is_known ? height_m : lowest_m(lows));
+        ground.level_m = -(is_known ? height_m : lowest_m(lows));
     }
     return ground;
 }
@@ -466,14 +516,9 @@ nb::tuple as_tuple(Ground& ground, std::size_t n) {
                           ground.level_m);
 }
 
-void require_lattice(std::size_t nodes, double half_m) {
-    require(nodes >= 2 && nodes <= 4096, "a lattice must have 2 to 4096 nodes a side");
-    require(std::isfinite(half_m) && half_m > 0.0, "half_m must be a positive number of meters");
-}
-
 Plane plane_of(const In1<float>& plane) {
     require(plane.shape(0) == 3, "plane must be (a, b, c)");
-    for (int k = 0; k < 3; ++k) require(std::isfinite(plane.data()[k]), "plane must be finite");
+    require_bounded(view(plane), "plane must be finite");
     return {plane.data()[0], plane.data()[1], plane.data()[2]};
 }
 
@@ -484,12 +529,15 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
     require(rise_m.shape(0) == n && rise_m.shape(1) == n, "rise_m must be (n, n) as lows_m");
     require_lattice(n, half_m);
     Lows lows(n);
+    const double reach_m = half_m * (1.0 + 0.5 / double(n));  // rounding may lead out of the outermost nodes
     for (std::size_t at = 0; at < n * n; ++at) {
         const float* p = points.data() + 3 * at;
         lows.z_m[at] = std::isfinite(p[2]) ? p[2] : std::numeric_limits<float>::infinity();
         lows.rise_m[at] = rise_m.data()[at];
+        lows.x_m[at] = lows.y_m[at] = 0.0f;
         if (!std::isfinite(p[2])) continue;
-        require(std::fabs(double(p[0])) <= half_m && std::fabs(double(p[1])) <= half_m, "lows_m must lie on the lattice");
+        require(std::fabs(double(p[0])) <= reach_m && std::fabs(double(p[1])) <= reach_m && std::fabs(p[2]) <= MOST_M,
+                "lows_m must lie on the lattice");
         lows.x_m[at] = p[0];
         lows.y_m[at] = p[1];
         lows.some.push_back(std::int32_t(at));
@@ -504,25 +552,25 @@ void bind_ground(nb::module_& m) {
     m.def(
         "ground",
         [](Points points, In1<bool> isolated, In2<float> rotation, float near_m, float far_m,
-           std::array<float, 2> heading, std::array<float, 2> own_box_m, float hood_m, double half_m, std::size_t nodes,
-           double height_m) {
+           double heading, double half_m, std::size_t nodes, double height_m) {
             require(isolated.shape(0) == points.shape(0), "isolated must have one row for each point");
             require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
             require(rotation.shape(0) == 3 && rotation.shape(1) == 3, "rotation must be (3, 3)");
+            require_bounded(view(rotation).flat(), "rotation must be finite");
+            require(far_m <= MOST_M, "far_m must be at most 1e6 m");
             require_lattice(nodes, half_m);
-            const OwnVehicle vehicle{heading[0], heading[1], own_box_m[0], own_box_m[1], hood_m};
             std::optional<Ground> found;
             {
                 nb::gil_scoped_release unlocked;
                 const auto lattice = lattice_of(nodes, half_m);
-                const Lows lows = lowest_returns(view(points), view(isolated), view(rotation), near_m, far_m, vehicle,
+                const Lows lows = lowest_returns(view(points), view(isolated), view(rotation), near_m, far_m, heading,
                                                  float(half_m), nodes);
                 found = estimate_ground(*lattice, lows, height_m);
             }
             return as_tuple(*found, nodes);
         },
         "points"_a.noconvert(), "isolated"_a.noconvert(), "rotation"_a.noconvert(), "near_m"_a, "far_m"_a, "heading"_a,
-        "own_box_m"_a, "hood_m"_a, "half_m"_a, "nodes"_a, "height_m"_a,
+        "half_m"_a, "nodes"_a, "height_m"_a,
         "Heights, deviations, seen nodes (nodes, nodes), plane, support, and level (or NaN) of the ground below points "
         "(N, 3), isolated (N,) ones left out, after rotation (3, 3); the sensor's height may be NaN.");
     m.def(
@@ -546,6 +594,9 @@ void bind_ground(nb::module_& m) {
                     "walked_m and accepted must be (n, n)");
             require_lattice(n, half_m);
             const Plane carrier = plane_of(plane);
+            for (std::size_t at = 0; at < n * n; ++at) {
+                require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MOST_M, "walked_m must be finite");
+            }
             Buffer<float> heights_m(n * n), std_m(n * n);
             {
                 nb::gil_scoped_release unlocked;

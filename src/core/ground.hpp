@@ -14,7 +14,7 @@ struct Ground {
     Buffer<bool> seen;    // the height rests on returns
     CarrierPlane carrier;
     // NaN, or where the ground is not seen the z at which to take it as level.
-    float level_m;
+    double level_m;
 };
 
 // The ground by a low point of each node; the sensor's height is known or NaN.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <vector>
 
@@ -43,10 +44,6 @@ constexpr int CONFIRM_FROM = 9, CONFIRM_TO = 40;
 // sensor, which no beam meets.
 constexpr float UNCONFIRMED_WEIGHT = 0.1f, BLIND_WEIGHT = 0.9f;
 
-// Sectors to either side of the turn that profiles repeat: half the width of the nearest node, and the confirming ones.
-constexpr int MARGIN = 96;
-constexpr int WIDTH = SECTORS + 2 * MARGIN;
-
 // Nodes of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
@@ -59,22 +56,47 @@ struct Profiles {
     Buffer<float> seen, base;
 };
 
-// The base is the carrier's plane that levels off.
-void find_base(const Lattice& lattice, const Plane& carrier, View1<float> base) {
-    const std::size_t n = lattice.nodes;
-    for (std::size_t i = 0; i < n; ++i) {
-        const float along = lattice.middle_m[i] * carrier[0];
-        const float *fade = &lattice.fade[i * n], *y = lattice.middle_m.data();
-        for (std::size_t j = 0; j < n; ++j) base[i * n + j] = (along + y[j] * carrier[1]) * fade[j] + carrier[2];
+// Call body(at) for each node that is marked. Most are not: eight are looked at together.
+template <typename Body>
+INLINE void for_marked(View1<const bool> marked, const Body& body) {
+    constexpr std::size_t STEP = 8;
+    for (std::size_t start = 0; start < marked.size; start += STEP) {
+        const std::size_t end = std::min(start + STEP, marked.size);
+        std::uint64_t any = 0;
+        std::memcpy(&any, marked.data + start, end - start);
+        if (any == 0) continue;
+        for (std::size_t at = start; at < end; ++at) {
+            if (marked[at]) body(at);
+        }
     }
 }
+
+// Write the base (n, n), which is the carrier's plane that levels off.
+MULTIVERSION void find_base(const float* middle_m, const float* fade, std::size_t n, const Plane& carrier, float* base) {
+    const float a = carrier[0], b = carrier[1], c = carrier[2];
+    for (std::size_t i = 0; i < n; ++i) {
+        const float along = middle_m[i] * a;
+        const float* faded = fade + i * n;
+        float* row = base + i * n;
+        for (std::size_t j = 0; j < n; ++j) row[j] = (along + middle_m[j] * b) * faded[j] + c;
+    }
+}
+
+// The base, and accepted heights above it, else 0.
+struct OverBase {
+    OverBase(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier)
+        : base(lattice.size()), above(lattice.size(), 0.0f) {
+        find_base(lattice.middle_m.data(), lattice.fade.data(), lattice.nodes, carrier, base.data());
+        for_marked(accepted, [&](std::size_t at) { above[at] = walked_m[at] - base[at]; });
+    }
+    Buffer<float> base, above;
+};
 
 // Of several nodes in a bin the lowest counts: what lies above it may stand on it.
 Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const float> base,
                        View1<const bool> known) {
     Profiles profiles(lattice.bins);
-    for (std::size_t at = 0; at < lattice.size(); ++at) {
-        if (!known[at]) continue;
+    for_marked(known, [&](std::size_t at) {
         const std::size_t row = std::size_t(lattice.bin[at]) * SECTORS;
         // A node covers every sector that it lies in.
         for (int k = lattice.first[at]; k <= lattice.last[at]; ++k) {
@@ -83,7 +105,7 @@ Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<c
             profiles.seen[cell] = above[at];
             profiles.base[cell] = base[at];
         }
-    }
+    });
     return profiles;
 }
 
@@ -94,36 +116,36 @@ INLINE bool has_level(const float* seen, int count, float level, float tolerance
     return found != 0;
 }
 
-// Whether ground about as high over the base is seen on a side of sector `at`, at about this range in nodes. Rows of the
-// profiles (bins, WIDTH) repeat MARGIN sectors of the turn on either side.
-MULTIVERSION bool confirms(const float* wide, int bins, int at, float range, float level, float node_m) {
+// Whether one of the heights of `count` sectors from `first` on around the turn is about as high.
+INLINE bool has_level_around(const float* row, int first, int count, float level, float tolerance) {
+    first &= SECTORS - 1;
+    const int before_end = std::min(count, SECTORS - first);
+    return has_level(row + first, before_end, level, tolerance) || has_level(row, count - before_end, level, tolerance);
+}
+
+// Whether ground about as high over the base is seen (bins, SECTORS) on a side of sector `at`, at about this range in nodes.
+MULTIVERSION bool confirms(const float* seen, int bins, int at, float range, float level, float node_m) {
     const int about = 2 + int(range) / 8;
     const float across_m = range * node_m * float(CONFIRM_FROM * 2 * 3.14159265358979323846 / SECTORS);
     const float tolerance = CONFIRM_M + CONFIRM_SLOPE * across_m;
     const int first = CONFIRM_FROM + int(2 * half_width(range));  // near the sensor a node is as wide as some sectors
     const int count = CONFIRM_TO - CONFIRM_FROM, last = first + count - 1;
     for (int b = std::max(int(range) - about, 1); b < std::min(int(range) + about + 1, bins); ++b) {
-        const float* row = wide + std::size_t(b) * WIDTH + MARGIN + at;
-        if (has_level(row - last, count, level, tolerance) || has_level(row + first, count, level, tolerance)) return true;
+        const float* row = seen + std::size_t(b) * SECTORS;
+        if (has_level_around(row, at - last, count, level, tolerance)) return true;
+        if (has_level_around(row, at + first, count, level, tolerance)) return true;
     }
     return false;
 }
 
 void find_unconfirmed(const Lattice& lattice, View1<const float> above, View1<const bool> accepted,
                       const Profiles& profiles, View1<bool> alone) {
-    Buffer<float> wide(profiles.bins * WIDTH);
-    for (std::size_t b = 0; b < profiles.bins; ++b) {
-        const float* row = &profiles.seen[b * SECTORS];
-        float* out = &wide[b * WIDTH];
-        std::copy_n(row + SECTORS - MARGIN, MARGIN, out);
-        std::copy_n(row, SECTORS, out + MARGIN);
-        std::copy_n(row, MARGIN, out + MARGIN + SECTORS);
-    }
-    for (std::size_t at = 0; at < lattice.size(); ++at) {
-        alone[at] = accepted[at] && std::fabs(above[at]) > LEVEL_M &&
-                    !confirms(wide.data(), int(profiles.bins), int(lattice.azimuth[at]) % SECTORS,
+    std::fill_n(alone.data, alone.size, false);
+    for_marked(accepted, [&](std::size_t at) {
+        alone[at] = std::fabs(above[at]) > LEVEL_M &&
+                    !confirms(profiles.seen.data(), int(profiles.bins), int(lattice.azimuth[at]),
                               lattice.range_nodes[at], above[at], float(lattice.node_m));
-    }
+    });
 }
 
 // Mean, weight in [0, 1] and variance (n, n) of the nodes of one size.
@@ -164,31 +186,31 @@ MULTIVERSION void pull(const Level& fine, float doubt, const Level& coarse) {
     }
 }
 
-// Fill what the weight of each node lacks from the coarse nodes around it, bilinear. Node i lies at i / 2 - 1/4 of them.
-MULTIVERSION void push(const Level& coarse, const Level& fine) {
-    const std::size_t n = fine.n, half = coarse.n, last = half - 1;
+// Values of a row of fine nodes between two rows of coarse ones, bilinear. Node i lies at i / 2 - 1/4 of them: between rows,
+// and then between columns, by quarters.
+INLINE void mix_rows(const float* near, const float* far, std::size_t half, float* between, float* mixed) {
+    for (std::size_t q = 0; q < half; ++q) between[q + 1] = 0.75f * near[q] + 0.25f * far[q];
+    between[0] = between[1];
+    between[half + 1] = between[half];
+    for (std::size_t q = 0; q < half; ++q) {
+        mixed[2 * q] = 0.25f * between[q] + 0.75f * between[q + 1];
+        mixed[2 * q + 1] = 0.75f * between[q + 1] + 0.25f * between[q + 2];
+    }
+}
+
+// Fill what the weight of each node lacks from the coarse nodes around it. scratch holds 3 (n + 2) numbers.
+MULTIVERSION void push(const Level& coarse, const Level& fine, float* scratch) {
+    const std::size_t n = fine.n, half = coarse.n;
+    float *between = scratch, *mean_around = between + n + 2, *variance_around = mean_around + n + 2;
     for (std::size_t i = 0; i < n; ++i) {
-        const float u = std::min(std::max(0.5f * float(i) - 0.25f, 0.0f), float(last));
-        const std::size_t p = std::size_t(u), below = std::min(p + 1, last);
-        const float fu = u - float(p);
-        const float *mp = coarse.mean + p * half, *mb = coarse.mean + below * half;
-        const float *vp = coarse.variance + p * half, *vb = coarse.variance + below * half;
+        const std::size_t near = i / 2, far = i % 2 == 0 ? near - (near > 0) : near + (near + 1 < half);
+        mix_rows(coarse.mean + near * half, coarse.mean + far * half, half, between, mean_around);
+        mix_rows(coarse.variance + near * half, coarse.variance + far * half, half, between, variance_around);
         float *mean = fine.mean + i * n, *weight = fine.weight + i * n, *variance = fine.variance + i * n;
-        const auto mix = [&](std::size_t j, std::size_t q, std::size_t right, float fv) {
-            const float a = (1.0f - fu) * (1.0f - fv), b = (1.0f - fu) * fv, c = fu * (1.0f - fv), d = fu * fv;
-            const float z = a * mp[q] + b * mp[right] + (c * mb[q] + d * mb[right]);
-            const float s = a * vp[q] + b * vp[right] + (c * vb[q] + d * vb[right]);
-            const float w = weight[j], rest = 1.0f - w;
-            mean[j] = w < 1.0f ? w * mean[j] + rest * z : mean[j];
-            variance[j] = w < 1.0f ? w * variance[j] + rest * s : variance[j];
-        };
-        mix(0, 0, std::min<std::size_t>(1, last), 0.0f);
-        // Two nodes at a time lie between the same two coarse ones.
-        for (std::size_t q = 0; q + 1 < half; ++q) {
-            mix(2 * q + 1, q, q + 1, 0.25f);
-            mix(2 * q + 2 < n ? 2 * q + 2 : 2 * q + 1, q, q + 1, 0.75f);
+        for (std::size_t j = 0; j < n; ++j) mean[j] = weight[j] * mean[j] + (1.0f - weight[j]) * mean_around[j];
+        for (std::size_t j = 0; j < n; ++j) {
+            variance[j] = weight[j] * variance[j] + (1.0f - weight[j]) * variance_around[j];
         }
-        if (n % 2 == 0 && n > 1) mix(n - 1, last, last, 0.0f);
     }
 }
 
@@ -240,7 +262,7 @@ void fill(const Level& level, double node_m, Buffer<float>& scratch) {
     const Level coarse{half, values.data(), values.data() + half * half, values.data() + 2 * half * half};
     pull(level, float((GROWTH * node_m) * (GROWTH * node_m)), coarse);
     if (half > 1) fill(coarse, 2.0 * node_m, scratch);
-    push(coarse, level);
+    push(coarse, level, scratch.data());
     smooth(level, scratch);
 }
 
@@ -333,57 +355,72 @@ void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> bas
     });
 }
 
+// Write weights and which nodes are known: accepted, or so near to the sensor that no beam meets them.
+MULTIVERSION void weigh(const std::uint8_t* accepted, const float* range_m, std::size_t size, float blind_m,
+                        float* weight, std::uint8_t* known) {
+    for (std::size_t at = 0; at < size; ++at) {
+        weight[at] = accepted[at] != 0 ? 1.0f : (range_m[at] < blind_m ? BLIND_WEIGHT : 0.0f);
+    }
+    for (std::size_t at = 0; at < size; ++at) known[at] = weight[at] > 0.0f ? 1 : 0;
+}
+
+// Turn heights over the base into heights, and variances into deviations.
+MULTIVERSION void add_base(const float* base, const float* variance, std::size_t size, float* heights_m, float* std_m) {
+    for (std::size_t at = 0; at < size; ++at) heights_m[at] += base[at];
+    for (std::size_t at = 0; at < size; ++at) std_m[at] = std::sqrt(variance[at]);
+}
+
 }  // namespace
 
 void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier,
                  View1<float> heights_m, View1<float> std_m) {
     const std::size_t n = lattice.nodes, size = lattice.size();
-    Buffer<float> base(size), above(size), weight(size), variance(size);
+    Buffer<float> weight(size), variance(size);
     Buffer<bool> known(size), alone(size);
     // 1. Accepted heights above the base. No beam meets the ground just below the sensor: there the base counts.
-    find_base(lattice, carrier, base);
+    const OverBase over(lattice, walked_m, accepted, carrier);
     float nearest_m = std::numeric_limits<float>::infinity();
-    for (std::size_t at = 0; at < size; ++at) {
-        if (accepted[at]) nearest_m = std::min(nearest_m, lattice.range_m[at]);
-        above[at] = accepted[at] ? walked_m[at] - base[at] : 0.0f;
-    }
+    for_marked(accepted, [&](std::size_t at) { nearest_m = std::min(nearest_m, lattice.range_m[at]); });
     if (std::isinf(nearest_m)) nearest_m = 0.0f;
     const double node_m = lattice.node_m;
     const float blind_m = double(nearest_m) >= 2.0 * node_m ? nearest_m + float(0.5 * node_m) : float(2.5 * node_m);
-    for (std::size_t at = 0; at < size; ++at) {
-        weight[at] = accepted[at] ? 1.0f : (lattice.range_m[at] < blind_m ? BLIND_WEIGHT : 0.0f);
-        known[at] = weight[at] > 0.0f;
-    }
+    weigh(reinterpret_cast<const std::uint8_t*>(accepted.data), lattice.range_m.data(), size, blind_m, weight.data(),
+          reinterpret_cast<std::uint8_t*>(known.data()));
     // 2. The base counts, weakly, also where returns show a level that no other direction confirms. They hold for their own
     //    nodes.
-    const Profiles profiles = find_profiles(lattice, above, base, known);
-    find_unconfirmed(lattice, above, accepted, profiles, alone);
-    for (std::size_t at = 0; at < size; ++at) {
-        weight[at] = alone[at] ? UNCONFIRMED_WEIGHT : weight[at];
-        heights_m[at] = alone[at] ? 0.0f : above[at];
-        variance[at] = alone[at] ? LEVEL_M * LEVEL_M : SEEN_STD_M * SEEN_STD_M;
-    }
+    const Profiles profiles = find_profiles(lattice, over.above, over.base, known);
+    find_unconfirmed(lattice, over.above, accepted, profiles, alone);
+    std::copy_n(over.above.data(), size, heights_m.data);
+    std::fill_n(variance.data(), size, SEEN_STD_M * SEEN_STD_M);
+    for_marked(alone, [&](std::size_t at) {
+        weight[at] = UNCONFIRMED_WEIGHT;
+        heights_m[at] = 0.0f;
+        variance[at] = LEVEL_M * LEVEL_M;
+    });
     // 3. Heights over the base and their variance in between.
-    Buffer<float> scratch(4 * size);
+    Buffer<float> scratch(4 * size + 3 * (n + 2));
     fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
+    add_base(over.base.data(), variance.data(), size, heights_m.data, std_m.data);
     std::vector<float> confirmed;
-    for (std::size_t at = 0; at < size; ++at) {
-        heights_m[at] = alone[at] ? walked_m[at] : heights_m[at] + base[at];
-        std_m[at] = alone[at] ? SEEN_STD_M : std::sqrt(variance[at]);
-        if (accepted[at] && !alone[at]) confirmed.push_back(above[at]);
-    }
+    confirmed.reserve(size);
+    for_marked(accepted, [&](std::size_t at) {
+        if (!alone[at]) {
+            confirmed.push_back(over.above[at]);
+            return;
+        }
+        heights_m[at] = walked_m[at];
+        std_m[at] = SEEN_STD_M;
+    });
     // 4. Gaps along the lines of sight.
     Gaps gaps(profiles.bins);
     find_gaps(profiles, gaps);
-    doubt_gaps(lattice, gaps, base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
+    doubt_gaps(lattice, gaps, over.base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
 }
 
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
                              const Plane& carrier, View1<bool> alone) {
-    Buffer<float> base(lattice.size()), above(lattice.size());
-    find_base(lattice, carrier, base);
-    for (std::size_t at = 0; at < lattice.size(); ++at) above[at] = accepted[at] ? walked_m[at] - base[at] : 0.0f;
-    find_unconfirmed(lattice, above, accepted, find_profiles(lattice, above, base, accepted), alone);
+    const OverBase over(lattice, walked_m, accepted, carrier);
+    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), alone);
 }
 
 }  // namespace viewshed

@@ -49,17 +49,26 @@ Lattice make_lattice(std::size_t n, double half_m) {
     for (std::size_t at = 0; at < n * n; ++at) {
         away[at] = std::hypot(double(at / n) - (center - 0.5), double(at % n) - (center - 0.5));
     }
-    std::vector<std::uint32_t> order(n * n);
+    std::vector<std::uint32_t>& order = made.order;
+    order.resize(n * n);
     std::iota(order.begin(), order.end(), 0u);
     std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return away[a] < away[b]; });
     for (const std::uint32_t at : order) {
-        made.row.push_back(std::uint16_t(at / n));
-        made.column.push_back(std::uint16_t(at % n));
+        made.padded.push_back(std::uint32_t((at / n + 1) * (n + 2) + at % n + 1));
     }
     return made;
 }
 
 }  // namespace
+
+void require_lattice(std::size_t nodes, double half_m) {
+    require(nodes >= 2 && nodes <= 1024, "a lattice must have 2 to 1024 nodes a side");
+    require(half_m >= 0.01 && half_m <= double(MOST_M), "half_m must lie in [0.01, 1e6] m");
+}
+
+void require_bounded(View1<const float> values, const char* rule) {
+    for (const float value : values) require(std::fabs(value) <= MOST_M, rule);
+}
 
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m) {
     static std::mutex mutex;

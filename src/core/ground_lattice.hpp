@@ -20,7 +20,8 @@ struct Lattice {
     std::vector<float> middle_m;  // (n,) x or y of the nodes' middles
     std::vector<float> range_m;   // (n, n) from the sensor to the node's middle
     std::vector<float> fade;      // (n, n) share of the carrier's slope that is left there
-    std::vector<std::uint16_t> row, column;  // (n, n) of the nodes in the order of their range, the nearest first
+    // (n, n) the nodes in the order of their range, the nearest first, and where they are on a lattice with a border of one.
+    std::vector<std::uint32_t> order, padded;
 
     // Where a node lies among sectors of azimuth and bins of range of one node each.
     std::size_t bins;
@@ -34,6 +35,15 @@ struct Lattice {
 
 // The lattice of so many nodes a side, from a small cache.
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m);
+
+// Lengths in meters up to this are accepted: no sum or product of them overflows.
+constexpr float MOST_M = 1e6f;
+
+// Raise ValueError unless there are as many nodes as a lattice may have, and its extent is one.
+void require_lattice(std::size_t nodes, double half_m);
+
+// Raise ValueError unless all values lie in [-MOST_M, MOST_M].
+void require_bounded(View1<const float> values, const char* rule);
 
 // Half the width in sectors of a node at a range in nodes.
 inline float half_width(float range_nodes) {

@@ -1,7 +1,6 @@
 #include "ground_plane.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <numbers>
@@ -46,7 +45,9 @@ constexpr std::size_t FEWEST_POINTS = 50;
 constexpr double BELOW_AREA = 2.0;
 
 // The next number of a linear congruential sequence (Numerical Recipes' constants).
-INLINE std::uint32_t next(std::uint32_t state) { return state * 1664525u + 1013904223u; }
+INLINE std::uint32_t next(std::uint32_t state) {
+    return state * 1664525u + 1013904223u;
+}
 
 // Points as columns, and the weight of each.
 struct Points3 {
@@ -60,13 +61,21 @@ struct Points3 {
     }
 };
 
+// The sector of a point, by the arctangent of the library, which is asked only where the faster one might be wrong.
+int sector_of(float x, float y) {
+    constexpr float PER_RAD = float(CARRIER_SECTORS / (2 * std::numbers::pi)), NEAR_BORDER = 1e-3f;
+    float at = (azimuth_of(y, x) + PI) * PER_RAD;
+    const float beyond = at - std::floor(at);
+    if (beyond < NEAR_BORDER || beyond > 1.0f - NEAR_BORDER) at = (std::atan2(y, x) + PI) * PER_RAD;
+    return int(at) % CARRIER_SECTORS;
+}
+
 // The low points within NEAR_M of the sensor. A point's weight falls with the number of nearer ones in its sector.
 Points3 near_points(const Lows& lows) {
     Points3 near(lows.some.size());
-    // A key for each point: its sector, then its squared distance, then its place.
-    std::vector<std::pair<std::uint64_t, std::uint32_t>> keys;
-    keys.reserve(near.size);
-    const float per_rad = float(CARRIER_SECTORS / (2 * std::numbers::pi));
+    Buffer<float> square_m2(near.size);
+    Buffer<std::uint8_t> sector(near.size);
+    std::array<std::uint32_t, CARRIER_SECTORS + 1> begin{};
     std::size_t count = 0;
     for (const std::int32_t node : lows.some) {
         const float x = lows.x_m[node], y = lows.y_m[node], d2 = x * x + y * y;
@@ -74,17 +83,29 @@ Points3 near_points(const Lows& lows) {
         near.x[count] = x;
         near.y[count] = y;
         near.z[count] = lows.z_m[node];
-        const auto sector = std::uint64_t((std::atan2(y, x) + PI) * per_rad) % CARRIER_SECTORS;
-        keys.emplace_back(sector << 32 | std::bit_cast<std::uint32_t>(d2), std::uint32_t(count));
+        square_m2[count] = d2;
+        sector[count] = std::uint8_t(sector_of(x, y));
+        ++begin[sector[count] + 1u];
         ++count;
     }
     near.size = count;
-    std::sort(keys.begin(), keys.end());
-    double nearer = 0;
-    for (std::size_t k = 0; k < count; ++k) {
-        nearer = k > 0 && keys[k].first >> 32 == keys[k - 1].first >> 32 ? nearer + 1 : 0;
-        const double share = 1.0 / (1.0 + nearer / CARRIER_NODES);
-        near.weight[keys[k].second] = float(share * share);
+    // Points by sector, and in each the nearest first; of those as near the first. A sector has few: they are inserted.
+    std::partial_sum(begin.begin(), begin.end(), begin.begin());
+    std::array<std::uint32_t, CARRIER_SECTORS> end;
+    std::copy_n(begin.begin(), CARRIER_SECTORS, end.begin());
+    Buffer<std::uint32_t> sorted(count);
+    for (std::uint32_t k = 0; k < count; ++k) {
+        std::uint32_t place = end[sector[k]]++;
+        for (; place > begin[sector[k]] && square_m2[sorted[place - 1]] > square_m2[k]; --place) {
+            sorted[place] = sorted[place - 1];
+        }
+        sorted[place] = k;
+    }
+    for (std::size_t s = 0; s < CARRIER_SECTORS; ++s) {
+        for (std::uint32_t k = begin[s]; k < end[s]; ++k) {
+            const double nearer = double(k - begin[s]), share = 1.0 / (1.0 + nearer / CARRIER_NODES);
+            near.weight[sorted[k]] = float(share * share);
+        }
     }
     return near;
 }
@@ -275,13 +296,12 @@ CarrierPlane carrier_plane(const Lows& lows, double height_m) {
     if (points.size < FEWEST_NODES) return carrier;
     if (!(best_plane(points, height_m, carrier.plane) > 0.0)) return carrier;
     for (int turn = 0; turn < 3; ++turn) carrier.plane = refit(points, carrier.plane);
-    double on = 0.0;
-    float all = 0.0f;
+    double on = 0.0, all = 0.0;
     for (std::size_t k = 0; k < points.size; ++k) {
         on += points.is_on(k, carrier.plane) ? double(points.weight[k]) : 0.0;
-        all += points.weight[k];
+        all += double(points.weight[k]);
     }
-    carrier.support = on / double(all);
+    carrier.support = on / all;
     return carrier;
 }
 

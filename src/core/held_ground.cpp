@@ -171,15 +171,20 @@ void bind_held_ground(nb::module_& m) {
            In1<float> now_from_before, float variance_m2, std::array<float, 3> plane, float height_m) -> nb::object {
             const auto require_ground = [](const auto& heights, const auto& std, const auto& saw, double half) {
                 const std::size_t n = heights.shape(0);
-                require(n >= 2 && n <= 4096 && heights.shape(1) == n, "heights_m must be (n, n), 2 to 4096 nodes a side");
+                require(heights.shape(1) == n, "heights_m must be (n, n)");
+                require_lattice(n, half);
+                require_bounded(view(heights).flat(), "heights_m must be finite");
                 require(std.shape(0) == n && std.shape(1) == n && saw.shape(0) == n && saw.shape(1) == n,
                         "std_m and seen must be (n, n) as heights_m");
-                require(std::isfinite(half) && half > 0.0, "half_m must be a positive number of meters");
             };
             require_ground(heights_m, std_m, seen, half_m);
             require_ground(before_heights_m, before_std_m, before_seen, before_half_m);
             require(before_from_now.shape(0) == 2 && before_from_now.shape(1) == 4 && now_from_before.shape(0) == 4,
                     "before_from_now must be (2, 4) and now_from_before (4,)");
+            require_bounded(view(before_from_now).flat(), "before_from_now must be finite");
+            require_bounded(view(now_from_before), "now_from_before must be finite");
+            require_bounded({plane.data(), 3}, "plane must be finite");
+            require(std::fabs(height_m) <= MOST_M, "height_m must be finite");
             HeldPoses poses;
             std::copy_n(before_from_now.data(), 8, &poses.before_from_now[0][0]);
             std::copy_n(now_from_before.data(), 4, poses.now_from_before);

@@ -1,8 +1,271 @@
-// What earlier sweeps saw.
+// What earlier sweeps saw: obstacles by direction from where the sensor is now, and which cells a sweep confirms.
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <tuple>
+#include <vector>
+
 #include "stages.hpp"
+#include "vectors.hpp"
 
 namespace viewshed {
+namespace {
 
-void bind_history(nb::module_&) {}
+// Rows by rise over range from the least to the greatest at which obstacles are remembered, 0.4° each; azimuth columns.
+constexpr std::size_t ROWS = 160, COLUMNS = 720;
+constexpr double LEAST_SLOPE = -0.75, MOST_SLOPE = 0.35;
+
+// Lines of sight are looked along in every so many rows and columns.
+constexpr std::size_t SIGHT_STEP = 2;
+
+// Obstacle pixels of similar depth at most so many rows or columns (8° or 2°) apart belong to one obstacle.
+constexpr int GAP_ROWS = 20, GAP_COLUMNS = 4;
+constexpr float SIMILAR = 1.25f;
+
+// Such a gap is closed where something farther was seen in it if it is narrower than this: seen from elsewhere.
+constexpr double SEEN_THROUGH_M = 1.0;
+
+// The map of obstacles, a square about the sensor: one stands where two sweeps saw it in the same or in neighboring cells.
+constexpr float MAP_CELL_M = 0.5f;
+constexpr std::int32_t MAP_CELLS = 512;
+
+// In the map: no sweep, and more than one; a single sweep stands by its number, from 1.
+constexpr std::int32_t NOBODY = 0, SEVERAL = -1;
+
+// Obstacles nearer than this are not remembered: too near for a direction, and often the vehicle itself.
+constexpr float NEAREST_M = 1.0f;
+
+// A line of sight is open if more than this share of a target is in view past what is remembered.
+constexpr float LEAST_VIEW = 0.15f;
+
+constexpr float NONE = std::numeric_limits<float>::infinity();
+
+struct Point {
+    float x, y, z;
+};
+
+// The returns (M,) of a sweep that are higher above the ground than `least_m`, moved by a transform (3, 4).
+std::vector<Point> obstacle_points(View2<const float> points, View1<const float> height_m, View2<const float> transform,
+                                   float least_m) {
+    std::vector<Point> moved;
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        if (!(height_m[n] > least_m)) continue;
+        const float *p = points[n], *x = transform[0], *y = transform[1], *z = transform[2];
+        moved.push_back({x[0] * p[0] + x[1] * p[1] + x[2] * p[2] + x[3], y[0] * p[0] + y[1] * p[1] + y[2] * p[2] + y[3],
+                         z[0] * p[0] + z[1] * p[1] + z[2] * p[2] + z[3]});
+    }
+    return moved;
+}
+
+// The cell of a point in the map, at least one from the edge; -1 outside.
+std::int32_t map_cell(float x, float y) {
+    const float u = std::floor(x * (1.0f / MAP_CELL_M)) + MAP_CELLS / 2;
+    const float v = std::floor(y * (1.0f / MAP_CELL_M)) + MAP_CELLS / 2;
+    const bool inside = u >= 1 && v >= 1 && u < MAP_CELLS - 1 && v < MAP_CELLS - 1;
+    return inside ? std::int32_t(u) * MAP_CELLS + std::int32_t(v) : -1;
+}
+
+// The pixel of a direction in the image, -1 outside.
+INLINE std::int32_t pixel_of(float azimuth, float slope) {
+    const float row = (slope - float(LEAST_SLOPE)) * float(ROWS / (MOST_SLOPE - LEAST_SLOPE));
+    float column = (azimuth + PI) * float(COLUMNS / (2 * std::numbers::pi));
+    column = column > 0.0f ? column : 0.0f;
+    column = column < float(COLUMNS - 1) ? column : float(COLUMNS - 1);
+    const bool inside = (row >= 0.0f) & (row < float(ROWS));
+    return inside ? std::int32_t(row) * std::int32_t(COLUMNS) + std::int32_t(column) : -1;
+}
+
+// Enter a sweep's number in the cells of its obstacles; SEVERAL where another's is.
+void mark_cells(const std::vector<Point>& points, std::int32_t number, std::vector<std::int32_t>& seen_by) {
+    for (const Point& p : points) {
+        const std::int32_t cell = map_cell(p.x, p.y);
+        if (cell < 0) continue;
+        const bool is_free = seen_by[cell] == NOBODY || seen_by[cell] == number;
+        seen_by[cell] = is_free ? number : SEVERAL;
+    }
+}
+
+// Lower the image to a sweep's obstacles that another one saw as well. `own` is the sweep's number; NOBODY lets its own marks
+// count and so takes them all.
+void draw_obstacles(const std::vector<Point>& points, float sensor_height_m, const std::vector<std::int32_t>& seen_by,
+                    std::int32_t own, View2<float> image) {
+    for (const Point& p : points) {
+        const float range_m = std::sqrt(p.x * p.x + p.y * p.y);
+        const std::int32_t cell = map_cell(p.x, p.y);
+        if (cell < 0 || range_m < NEAREST_M) continue;
+        // Is there a mark of another sweep in the cell or in one of its eight neighbors?
+        bool confirmed = false;
+        for (const std::int32_t row : {cell - MAP_CELLS, cell, cell + MAP_CELLS}) {
+            for (const std::int32_t at : {row - 1, row, row + 1}) {
+                confirmed |= (seen_by[at] != NOBODY) & (seen_by[at] != own);
+            }
+        }
+        if (!confirmed) continue;
+        const std::int32_t pixel = pixel_of(azimuth_of(p.y, p.x), (p.z - sensor_height_m) / range_m);
+        if (pixel >= 0) image.data[pixel] = std::min(image.data[pixel], range_m);
+    }
+}
+
+// Fill gaps of at most `gap` steps between pixels of a line with similar depths, as those between rings are. A line is
+// `size` pixels, `step` apart. Pixels of something farther in a gap were seen from elsewhere. They are filled as well where
+// the gap is narrow: of fewer than `narrow` steps at a meter.
+void fill_gaps(float* line, int size, std::size_t step, int gap, float narrow) {
+    for (int at = 0; at < size; ++at) {
+        const float depth = line[at * step];
+        if (depth == NONE) continue;
+        // Back to the nearest pixel that is no farther: of the same obstacle, or the gap is none of its own.
+        int before = at - 1;
+        bool seen_through = false;
+        while (before >= 0 && at - before <= gap && line[before * step] >= depth * SIMILAR) {
+            seen_through |= line[before * step] < NONE;
+            --before;
+        }
+        if (before < 0 || at - before <= 1 || at - before > gap || depth >= line[before * step] * SIMILAR) continue;
+        const float fill = std::max(depth, line[before * step]);
+        if (!seen_through || float(at - before) * fill < narrow) {
+            for (int between = before + 1; between < at; ++between) line[between * step] = fill;
+        }
+    }
+}
+
+// Close the gaps between the rings and between the columns of one obstacle.
+void close_gaps(View2<float> image) {
+    constexpr double ROW_STEP = (MOST_SLOPE - LEAST_SLOPE) / ROWS, COLUMN_STEP = 2 * std::numbers::pi / COLUMNS;
+    for (std::size_t c = 0; c < COLUMNS; ++c) {
+        fill_gaps(image[0] + c, int(ROWS), COLUMNS, GAP_ROWS, float(SEEN_THROUGH_M / ROW_STEP));
+    }
+    for (std::size_t r = 0; r < ROWS; ++r) {
+        fill_gaps(image[r], int(COLUMNS), 1, GAP_COLUMNS, float(SEEN_THROUGH_M / COLUMN_STEP));
+    }
+}
+
+// The horizontal range of the nearest obstacle by slope and azimuth, NONE where there is none: what two sweeps saw in one
+// place of the map, or what the only sweep saw.
+void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_height_m, View2<float> image) {
+    // 1. Which sweeps saw an obstacle in each cell of the map?
+    std::vector<std::int32_t> seen_by(std::size_t(MAP_CELLS) * MAP_CELLS, NOBODY);
+    for (std::size_t k = 0; k < sweeps.size(); ++k) mark_cells(sweeps[k], std::int32_t(k) + 1, seen_by);
+    // 2. What another sweep saw there as well; of a single sweep everything.
+    std::fill_n(image.data, image.size(), NONE);
+    for (std::size_t k = 0; k < sweeps.size(); ++k) {
+        const std::int32_t own = sweeps.size() > 1 ? std::int32_t(k) + 1 : NOBODY;
+        draw_obstacles(sweeps[k], sensor_height_m, seen_by, own, image);
+    }
+    close_gaps(image);
+}
+
+// Write the depth of each beam, no deeper than the obstacle in its direction.
+MULTIVERSION void end_at_obstacles(const float* image, const float* azimuth, const float* slope, const float* depth_m,
+                                   std::size_t size, float* out) {
+    for (std::size_t n = 0; n < size; ++n) {
+        const std::int32_t pixel = pixel_of(azimuth[n], slope[n]);
+        const float obstacle_m = pixel >= 0 ? image[pixel] : NONE;
+        out[n] = obstacle_m < depth_m[n] ? obstacle_m : depth_m[n];
+    }
+}
+
+// Mark the cells that an earlier sweep saw, as a mask (cells, cells) of its own frame says, and to which enough of the line
+// of sight is open. `earlier_from_now` (2, 3) maps x, y, 1.
+void confirm_cells(View2<const bool> seen, View2<const float> earlier_from_now, const float* origin_m, float cell_m,
+                   const float* open, const float* whole, bool* confirmed) {
+    const std::size_t cells = seen.rows;
+    const float per_m = 1.0f / cell_m, side = float(cells);
+    const float *to_x = earlier_from_now[0], *to_y = earlier_from_now[1];
+    for (std::size_t i = 0; i < cells; ++i) {
+        const float x = origin_m[0] + (float(i) + 0.5f) * cell_m;
+        for (std::size_t j = 0; j < cells; ++j) {
+            const float y = origin_m[1] + (float(j) + 0.5f) * cell_m;
+            const float u = (to_x[0] * x + to_x[1] * y + to_x[2] - origin_m[0]) * per_m;
+            const float v = (to_y[0] * x + to_y[1] * y + to_y[2] - origin_m[1]) * per_m;
+            const bool there = u >= 0 && v >= 0 && u < side && v < side && seen(std::size_t(u), std::size_t(v));
+            const std::size_t n = i * cells + j;
+            confirmed[n] = there && open[n] > LEAST_VIEW * whole[n];
+        }
+    }
+}
+
+// The returns of a sweep as Python hands them in: points, height_m, and the transform (3, 4) to the sensor now.
+using Cloud = std::tuple<Points, In1<float>, In2<float>>;
+
+}  // namespace
+
+void bind_history(nb::module_& m) {
+    m.def(
+        "obstacle_image",
+        [](const std::vector<Cloud>& clouds, float least_m, float sensor_height_m) {
+            for (const auto& [points, height_m, transform] : clouds) {
+                require(height_m.shape(0) == points.shape(0), "height_m must have one value for each point");
+                require(transform.shape(0) == 3 && transform.shape(1) == 4, "transform must have shape (3, 4)");
+            }
+            Buffer<float> image(ROWS * COLUMNS);
+            {
+                nb::gil_scoped_release unlocked;
+                std::vector<std::vector<Point>> sweeps;
+                for (const auto& [points, height_m, transform] : clouds) {
+                    sweeps.push_back(obstacle_points(view(points), view(height_m), view(transform), least_m));
+                }
+                draw_image(sweeps, sensor_height_m, image.view(ROWS, COLUMNS));
+            }
+            return std::move(image).array({ROWS, COLUMNS});
+        },
+        "clouds"_a.noconvert(), "least_m"_a, "sensor_height_m"_a,
+        "Range (rows, columns) of the nearest obstacle by slope and azimuth; +inf for none. Of sweeps (points, height_m, "
+        "transform), each with returns higher than least_m.");
+    m.def(
+        "end_at_obstacles",
+        [](In2<float> image, In1<float> azimuth, In1<float> slope, In1<float> depth_m) {
+            const std::size_t size = azimuth.shape(0);
+            require(image.shape(0) == ROWS && image.shape(1) == COLUMNS, "image must be one of obstacle_image");
+            require(slope.shape(0) == size && depth_m.shape(0) == size, "azimuth, slope and depth_m must be as long");
+            Buffer<float> out(size);
+            end_at_obstacles(image.data(), azimuth.data(), slope.data(), depth_m.data(), size, out.data());
+            return std::move(out).array();
+        },
+        "image"_a.noconvert(), "azimuth"_a.noconvert(), "slope"_a.noconvert(), "depth_m"_a.noconvert(),
+        "Depth (B,) of beams, none deeper than the obstacle of an image in its direction.");
+    m.def(
+        "sight_lines",
+        []() {
+            const std::size_t rows = ROWS / SIGHT_STEP, columns = COLUMNS / SIGHT_STEP;
+            Buffer<float> azimuth(rows * columns), slope(rows * columns);
+            for (std::size_t r = 0; r < rows; ++r) {
+                for (std::size_t c = 0; c < columns; ++c) {
+                    azimuth[r * columns + c] =
+                        float((double(c * SIGHT_STEP) + 0.5) * (2 * std::numbers::pi / COLUMNS) - std::numbers::pi);
+                    slope[r * columns + c] =
+                        float(LEAST_SLOPE + (double(r * SIGHT_STEP) + 0.5) * ((MOST_SLOPE - LEAST_SLOPE) / ROWS));
+                }
+            }
+            return nb::make_tuple(std::move(azimuth).array(), std::move(slope).array());
+        },
+        "Azimuth and slope (L,) of lines of sight in every other row and column of the image of obstacles.");
+    m.def(
+        "confirmed_cells",
+        [](In2<bool> seen, In2<float> earlier_from_now, double origin_x_m, double origin_y_m, double cell_m,
+           In2<float> open, In2<float> whole) {
+            const std::size_t cells = seen.shape(0);
+            for (const auto& [rows, columns] : {std::array{seen.shape(0), seen.shape(1)},
+                                                {open.shape(0), open.shape(1)},
+                                                {whole.shape(0), whole.shape(1)}}) {
+                require(rows == cells && columns == cells, "seen, in_view and whole must have one shape (cells, cells)");
+            }
+            require(earlier_from_now.shape(0) == 2 && earlier_from_now.shape(1) == 3,
+                    "earlier_from_now must have shape (2, 3)");
+            require(cell_m > 0, "cell_m must be positive");
+            Buffer<bool> confirmed(cells * cells);
+            const float origin_m[2] = {float(origin_x_m), float(origin_y_m)};
+            confirm_cells(view(seen), view(earlier_from_now), origin_m, float(cell_m), open.data(), whole.data(),
+                          confirmed.data());
+            return std::move(confirmed).array({cells, cells});
+        },
+        "seen"_a.noconvert(), "earlier_from_now"_a.noconvert(), "origin_x_m"_a, "origin_y_m"_a, "cell_m"_a,
+        "in_view"_a.noconvert(), "whole"_a.noconvert(),
+        "Cells (cells, cells) that an earlier sweep saw, and to which enough of the whole view is open.");
+}
 
 }  // namespace viewshed

@@ -3,6 +3,7 @@
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <optional>
@@ -55,8 +56,8 @@ MULTIVERSION int mark_kept(const float* points, const bool* clutter, std::size_t
 }
 
 // Gather the points of a block that are kept, and their rows.
-std::size_t gather_kept(const float* points, const std::uint8_t* kept, std::size_t count, std::size_t start, Block& block,
-                        std::int32_t* rows) {
+void gather_kept(const float* points, const std::uint8_t* kept, std::size_t count, std::size_t start, Block& block,
+                 std::int32_t* rows) {
     // Close the gaps: each point is written to where the next kept one belongs.
     std::size_t m = 0;
     std::int32_t at[BLOCK];
@@ -69,11 +70,11 @@ std::size_t gather_kept(const float* points, const std::uint8_t* kept, std::size
         block.x[k] = point[0], block.y[k] = point[1], block.z[k] = point[2];
         rows[k] = std::int32_t(start) + at[k];
     }
-    return m;
 }
 
 // Take the points of a block where all are kept.
-MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t start, Block& block, std::int32_t* rows) {
+MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t start, Block& block,
+                           std::int32_t* rows) {
     for (std::size_t k = 0; k < count; ++k) {
         block.x[k] = points[3 * k], block.y[k] = points[3 * k + 1], block.z[k] = points[3 * k + 2];
         rows[k] = std::int32_t(start + k);
@@ -83,13 +84,17 @@ MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t s
 // Turn and raise the points of a block, and write them with range, azimuth and height above the ground.
 MULTIVERSION void measure_block(Block& block, std::size_t count, const float* transform, const Ground& ground,
                                 float* points, float* range_m, float* azimuth, float* height_m) {
-    const float* t = transform;
+    // A copy of the numbers: the compiler cannot know that the loops do not write them.
+    std::array<float, 12> t;
+    std::copy_n(transform, 12, t.begin());
     for (std::size_t k = 0; k < count; ++k) {
         const float px = block.x[k], py = block.y[k], pz = block.z[k];
-        const float x = t[0] * px + t[1] * py + t[2] * pz, y = t[4] * px + t[5] * py + t[6] * pz;
-        const float z = t[8] * px + t[9] * py + t[10] * pz + t[11];
-        block.x[k] = x, block.y[k] = y, block.z[k] = z;
-        points[3 * k] = x, points[3 * k + 1] = y, points[3 * k + 2] = z;
+        block.x[k] = t[0] * px + t[1] * py + t[2] * pz;
+        block.y[k] = t[4] * px + t[5] * py + t[6] * pz;
+        block.z[k] = t[8] * px + t[9] * py + t[10] * pz + t[11];
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+        points[3 * k] = block.x[k], points[3 * k + 1] = block.y[k], points[3 * k + 2] = block.z[k];
     }
     for (std::size_t k = 0; k < count; ++k) {
         const float x = block.x[k], y = block.y[k];
@@ -160,8 +165,8 @@ LevelPoints level_points(View2<const float> points, View1<const bool> clutter, V
     for_ranges(blocks, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t b = begin; b < end; ++b) {
             const std::size_t start = b * BLOCK, size = std::min(BLOCK, count - start);
-            first[b + 1] = std::size_t(mark_kept(points[start], clutter.size ? &clutter[start] : nullptr, size, transform,
-                                                 limits, &kept[start]));
+            const bool* mask = clutter.size ? &clutter[start] : nullptr;
+            first[b + 1] = std::size_t(mark_kept(points[start], mask, size, transform, limits, &kept[start]));
         }
     });
     for (std::size_t b = 0; b < blocks; ++b) first[b + 1] += first[b];
@@ -218,7 +223,8 @@ void bind_leveling(nb::module_& m) {
            double heading, In2<float> ground_m, float half_extent_m) {
             const std::size_t nodes = ground_m.shape(0);
             require(!clutter || clutter->shape(0) == points.shape(0), "clutter must be as long as points");
-            require(ground_m.shape(1) == nodes && nodes >= 2 && nodes <= 4096, "ground_m must be (n, n), n in [2, 4096]");
+            require(ground_m.shape(1) == nodes, "ground_m must be (n, n)");
+            require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
             require(half_extent_m > 0.0f, "half_extent_m must be positive");
             require(std::isfinite(heading), "heading must be finite");
             require(points.shape(0) < std::numeric_limits<std::int32_t>::max(), "points must be fewer than 2^31");
@@ -234,8 +240,8 @@ void bind_leveling(nb::module_& m) {
                                   std::move(level.azimuth).array(), std::move(level.height_m).array(),
                                   std::move(level.rows).array());
         },
-        "points"_a.noconvert(), "clutter"_a.noconvert().none(), "level_from_sensor"_a.noconvert(), "near_m"_a, "far_m"_a,
-        "heading"_a, "ground_m"_a.noconvert(), "half_extent_m"_a,
+        "points"_a.noconvert(), "clutter"_a.noconvert().none(), "level_from_sensor"_a.noconvert(), "near_m"_a,
+        "far_m"_a, "heading"_a, "ground_m"_a.noconvert(), "half_extent_m"_a,
         "Level points (M, 3), range, azimuth, height above the ground and row (M,) of the points (N, 3) that count.");
     m.def(
         "beam_slopes",

@@ -5,8 +5,7 @@
 
 namespace viewshed {
 
-// The M returns that count, in the sweep's order; viewshed.preprocess.leveling.LeveledSweep says what each is. Columns have
-// room for all N.
+// The M returns that count, in the sweep's order; viewshed.preprocess.leveling.LeveledSweep says what each is.
 struct LevelPoints {
     std::size_t count;
     Buffer<float> points;  // (M, 3)
@@ -21,12 +20,12 @@ struct Ground {
 };
 
 // Turn and raise points (N, 3) by level_from_sensor (3, 4), and measure those that count: within [near_m, far_m] of the
-// sensor, not clutter (N,) if there is a mask of it, and not in the box of a vehicle with this heading below the sensor.
+// sensor, not clutter (N,) if there is a mask of it, not in the box of a vehicle with this heading below the sensor.
 LevelPoints level_points(View2<const float> points, View1<const bool> clutter, View2<const float> level_from_sensor,
                          float near_m, float far_m, double heading, const Ground& ground);
 
-// Write the rise over range (M,) from the sensor to level points (M, 3), +inf for those whose row is left_out (N,); without
-// any element nothing is left out.
+// Write the rise over range (M,) from the sensor to level points (M, 3), +inf for those whose row is left_out (N,);
+// without any element nothing is left out.
 void beam_slopes(View2<const float> points, View1<const float> range_m, float sensor_height_m,
                  View1<const bool> left_out, View1<const std::int32_t> rows, View1<float> slope);
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "ego_vehicle.hpp"
 #include "parallel.hpp"
 #include "vectors.hpp"
 
@@ -18,21 +19,20 @@ constexpr std::size_t PART = 16384;
 // What is asked of all points.
 struct Rule {
     float rotation[9];
-    float near2, far2, half_m, nodes_per_m;
+    float near2, far2, half_m, nodes_per_m, cosine, sine;
     std::int32_t side;
-    OwnVehicle vehicle;
 };
 
 // Write the node of each point of a block (-1 where it is no candidate for ground) and its z. Candidates lie in the lattice
 // and in range, and are not hood or roof of the vehicle below the sensor. Without branches, so that it becomes vectors.
-MULTIVERSION void place_block(const float* points, const bool* isolated, std::size_t count, const Rule& rule,
+MULTIVERSION void place_block(const float* points, const std::uint8_t* isolated, std::size_t count, const Rule& rule,
                               std::int32_t* nodes, float* heights) {
     const float xx = rule.rotation[0], xy = rule.rotation[1], xz = rule.rotation[2];
     const float yx = rule.rotation[3], yy = rule.rotation[4], yz = rule.rotation[5];
     const float zx = rule.rotation[6], zy = rule.rotation[7], zz = rule.rotation[8];
     const float near2 = rule.near2, far2 = rule.far2, half_m = rule.half_m, per_m = rule.nodes_per_m;
-    const float cosine = rule.vehicle.cosine, sine = rule.vehicle.sine;
-    const float hood_x = rule.vehicle.half_length_m, hood_y = rule.vehicle.half_width_m, hood_z = -rule.vehicle.hood_m;
+    const float cosine = rule.cosine, sine = rule.sine;
+    const float hood_x = float(EGO_LENGTH_M), hood_y = float(EGO_WIDTH_M), hood_z = -float(LEAST_EGO_HEIGHT_M);
     const std::int32_t side = rule.side;
     const float last = float(side);
     float px[BLOCK], py[BLOCK], pz[BLOCK];
@@ -58,9 +58,14 @@ MULTIVERSION void place_block(const float* points, const bool* isolated, std::si
     }
 }
 
-// The two lowest heights of a node with the points that they are of, and the greatest height.
+// The two lowest heights of a node, and the greatest.
+struct Heights {
+    float lowest = NONE, second = NONE, highest = -NONE;
+};
+
+// The two lowest points of a node.
 struct Lowest {
-    float height[2] = {NONE, NONE}, highest = -NONE;
+    float height[2] = {NONE, NONE};
     std::int32_t point[2] = {0, 0};
 };
 
@@ -69,6 +74,25 @@ INLINE bool is_before(View2<const float> points, std::size_t k, float z, std::in
     if (z != low) return z < low;
     if (points(k, 0) != points(std::size_t(other), 0)) return points(k, 0) < points(std::size_t(other), 0);
     return points(k, 1) < points(std::size_t(other), 1);
+}
+
+// Find the heights of the nodes from `first` on. Points beside each other lie in the same node, and each would wait for the one
+// before; so points of four places of the sweep are taken by turns.
+void find_heights(View1<const std::int32_t> node, const float* height, std::size_t first, View1<Heights> heights) {
+    constexpr std::size_t PLACES = 4;
+    const auto add = [&](std::size_t k) {
+        const std::size_t own = std::size_t(std::uint32_t(node[k])) - first;  // huge for -1 and for others' nodes
+        if (own >= heights.size) return;
+        Heights& here = heights[own];
+        here.second = std::min(here.second, std::max(here.lowest, height[k]));
+        here.lowest = std::min(here.lowest, height[k]);
+        here.highest = std::max(here.highest, height[k]);
+    };
+    const std::size_t part = node.size / PLACES;
+    for (std::size_t k = 0; k < part; ++k) {
+        for (std::size_t place = 0; place < PLACES; ++place) add(place * part + k);
+    }
+    for (std::size_t k = PLACES * part; k < node.size; ++k) add(k);
 }
 
 // Insert a point into the two lowest.
@@ -87,49 +111,54 @@ void insert(View2<const float> points, std::size_t k, float z, Lowest& lowest) {
 }  // namespace
 
 Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2<const float> rotation, float near_m,
-                    float far_m, const OwnVehicle& vehicle, float half_m, std::size_t nodes) {
+                    float far_m, double heading, float half_m, std::size_t nodes) {
     const std::size_t count = points.rows;
-    Rule rule{{}, near_m * near_m, far_m * far_m, half_m, float(nodes) / (2.0f * half_m), std::int32_t(nodes), vehicle};
+    Rule rule{{}, near_m * near_m, far_m * far_m, half_m, float(nodes) / (2.0f * half_m), float(std::cos(heading)),
+              float(std::sin(heading)), std::int32_t(nodes)};
     std::copy_n(rotation.data, 9, rule.rotation);
 
     // 1. The node and the z of each point.
     const std::size_t parts = count_parts(count, PART);
     Buffer<std::int32_t> node(count);
     Buffer<float> height(count);
+    const auto* left_out = reinterpret_cast<const std::uint8_t*>(isolated.data);  // bytes become vectors, bools do not
     for_ranges(count, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t start = begin; start < end; start += BLOCK) {
-            place_block(points[start], &isolated[start], std::min(BLOCK, end - start), rule, &node[start],
-                        &height[start]);
+            place_block(points[start], left_out + start, std::min(BLOCK, end - start), rule, &node[start], &height[start]);
         }
     });
 
-    // 2. The lowest of each node; a part takes its own nodes out of all points.
+    // 2. The lowest heights of each node, and then the points that they are of: few points are as low. A part takes its own
+    //    nodes out of all points.
     Lows lows(nodes);
-    Buffer<Lowest> lowest(nodes * nodes, Lowest{});
     for_ranges(nodes * nodes, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        Buffer<Heights> heights(end - begin, Heights{});
+        find_heights({node.data(), count}, height.data(), begin, heights);
+        Buffer<Lowest> lowest(end - begin, Lowest{});
         for (std::size_t k = 0; k < count; ++k) {
-            const std::size_t own = std::size_t(std::uint32_t(node[k])) - begin;  // huge for -1 and for others' nodes
-            if (own >= end - begin) continue;
-            Lowest& here = lowest[begin + own];
-            here.highest = std::max(here.highest, height[k]);
-            // Most points are higher than both.
-            if (height[k] <= here.height[1]) insert(points, k, height[k], here);
+            const std::size_t own = std::size_t(std::uint32_t(node[k])) - begin;
+            if (own < end - begin && height[k] <= heights[own].second) insert(points, k, height[k], lowest[own]);
         }
         for (std::size_t at = begin; at < end; ++at) {
-            const Lowest& here = lowest[at];
+            const Lowest& here = lowest[at - begin];
             const int rank = here.height[1] < NONE ? 1 : 0;
             lows.z_m[at] = here.height[rank];
+            lows.x_m[at] = lows.y_m[at] = lows.rise_m[at] = 0.0f;
             if (here.height[rank] == NONE) continue;
             const float* p = points[std::size_t(here.point[rank])];
             const float* turn = rule.rotation;
             lows.x_m[at] = turn[0] * p[0] + turn[1] * p[1] + turn[2] * p[2];
             lows.y_m[at] = turn[3] * p[0] + turn[4] * p[1] + turn[5] * p[2];
-            lows.rise_m[at] = here.highest - here.height[rank];
+            lows.rise_m[at] = heights[at - begin].highest - here.height[rank];
         }
     });
+    lows.some.resize(nodes * nodes);
+    std::size_t some = 0;
     for (std::size_t at = 0; at < nodes * nodes; ++at) {
-        if (lows.z_m[at] < NONE) lows.some.push_back(std::int32_t(at));
+        lows.some[some] = std::int32_t(at);
+        some += lows.z_m[at] < NONE;
     }
+    lows.some.resize(some);
     return lows;
 }
 

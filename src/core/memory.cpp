@@ -21,7 +21,7 @@ constexpr std::size_t LEAST_KEPT = std::size_t{1} << 12, MOST_KEPT = std::size_t
 
 constexpr std::size_t size_of_class(std::size_t number) {
     const std::size_t power = std::size_t{ALIGNMENT} << (number / 4);
-    return power + power / 4 * (number % 4);
+    return (power + power / 4 * (number % 4) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
 // The first class that holds so many bytes; CLASSES where none does.
@@ -40,7 +40,7 @@ struct Kept {
     std::size_t bytes = 0;
 };
 
-Kept& kept() {
+[[maybe_unused]] Kept& kept() {
     static Kept* const all = new Kept;  // arrays may outlive every destructor
     return *all;
 }

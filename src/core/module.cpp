@@ -13,7 +13,11 @@ NB_MODULE(_core, m) {
     viewshed::bind_ground(m);
     viewshed::bind_leveling(m);
     viewshed::bind_no_return(m);
+    viewshed::bind_grid(m);
+    viewshed::bind_height_map(m);
     viewshed::bind_visibility(m);
+    viewshed::bind_evidence(m);
+    viewshed::bind_boxes(m);
     viewshed::bind_history(m);
     viewshed::bind_features(m);
     viewshed::bind_mc_dropout(m);

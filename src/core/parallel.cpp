@@ -10,7 +10,6 @@
 #include <memory>
 #include <mutex>
 #include <thread>
-#include <vector>
 
 namespace viewshed {
 namespace {
@@ -28,78 +27,74 @@ std::size_t threads_at_first() {
 
 std::atomic<std::size_t> thread_count{threads_at_first()};
 
-// Helpers that wait for a job; each takes its next part until none is left.
+// Parts to be done. Whoever comes takes the next one; who comes late finds none left and touches nothing else.
+struct Job {
+    const std::function<void(std::size_t)>* part;
+    std::size_t parts;
+    std::atomic<std::size_t> next{0}, done{0};
+    std::mutex mutex{};
+    std::exception_ptr error{};
+
+    void take_parts() {
+        for (std::size_t k = next.fetch_add(1); k < parts; k = next.fetch_add(1)) {
+            try {
+                (*part)(k);
+            } catch (...) {
+                std::lock_guard lock(mutex);
+                error = std::current_exception();
+            }
+            done.fetch_add(1, std::memory_order_release);
+        }
+    }
+};
+
+// Threads that wait for a job. The one that asks works as well, and waits in the end only for parts that others have begun: a
+// helper that the processor has no time for is not missed.
 class Helpers {
 public:
-    explicit Helpers(std::size_t count) {
-        for (std::size_t k = 0; k < count; ++k) threads_.emplace_back([this] { help(); });
-        for (std::thread& thread : threads_) thread.detach();
+    explicit Helpers(std::size_t count) : count_(count) {
+        for (std::size_t k = 0; k < count; ++k) std::thread([this] { help(); }).detach();
     }
 
-    std::size_t count() const { return threads_.size(); }
+    std::size_t count() const { return count_; }
 
     void run(std::size_t parts, const std::function<void(std::size_t)>& part) {
+        const auto job = std::make_shared<Job>(&part, parts);
         {
             std::lock_guard lock(mutex_);
-            part_ = &part;
-            parts_ = parts;
-            next_.store(0);
-            error_ = nullptr;
-            is_open_ = true;
-            job_.fetch_add(1, std::memory_order_release);
+            job_ = job;
+            number_.fetch_add(1, std::memory_order_release);
         }
         wake_.notify_all();
-        take_parts();
-        {
-            std::lock_guard lock(mutex_);
-            is_open_ = false;  // who is still asleep has nothing left to do and is not waited for
-        }
-        while (busy_.load(std::memory_order_acquire) > 0) std::this_thread::yield();
-        if (error_) std::rethrow_exception(error_);
+        job->take_parts();
+        while (job->done.load(std::memory_order_acquire) < parts) std::this_thread::yield();
+        if (job->error) std::rethrow_exception(job->error);
     }
 
 private:
-    void take_parts() {
-        for (std::size_t k = next_.fetch_add(1); k < parts_; k = next_.fetch_add(1)) {
-            try {
-                (*part_)(k);
-            } catch (...) {
-                std::lock_guard lock(mutex_);
-                error_ = std::current_exception();
-            }
-        }
-    }
-
     void help() {
-        for (std::size_t done = 0;;) {
-            for (int look = 0; look < LOOKS && job_.load(std::memory_order_acquire) == done; ++look) {
+        for (std::size_t seen = 0;;) {
+            for (int look = 0; look < LOOKS && number_.load(std::memory_order_acquire) == seen; ++look) {
 #if defined(__x86_64__)
                 __builtin_ia32_pause();
 #endif
             }
-            if (job_.load(std::memory_order_acquire) == done) {
-                std::unique_lock lock(mutex_);
-                wake_.wait(lock, [&] { return job_.load(std::memory_order_acquire) != done; });
-            }
+            std::shared_ptr<Job> job;
             {
-                std::lock_guard lock(mutex_);
-                done = job_.load(std::memory_order_relaxed);
-                if (!is_open_) continue;
-                busy_.fetch_add(1, std::memory_order_relaxed);
+                std::unique_lock lock(mutex_);
+                wake_.wait(lock, [&] { return number_.load(std::memory_order_acquire) != seen; });
+                seen = number_.load(std::memory_order_acquire);
+                job = job_;
             }
-            take_parts();
-            busy_.fetch_sub(1, std::memory_order_release);
+            job->take_parts();
         }
     }
 
-    std::vector<std::thread> threads_;
+    const std::size_t count_;
     std::mutex mutex_;
     std::condition_variable wake_;
-    std::atomic<std::size_t> job_{0}, next_{0}, busy_{0};
-    const std::function<void(std::size_t)>* part_ = nullptr;
-    std::size_t parts_ = 0;
-    bool is_open_ = false;  // the last job has parts that nobody has taken yet, perhaps
-    std::exception_ptr error_;
+    std::atomic<std::size_t> number_{0};  // of the job
+    std::shared_ptr<Job> job_;
 };
 
 std::mutex one_job_at_a_time;

@@ -40,7 +40,7 @@ MULTIVERSION void place_block(const float* points, std::size_t count, float per_
         x[k] = points[3 * k];
         y[k] = points[3 * k + 1];
         const float z = points[3 * k + 2], d2 = x[k] * x[k] + y[k] * y[k] + z * z;
-        squared_m2[k] = (d2 >= near2) & (d2 <= far2) ? d2 : -1.0f;
+        squared_m2[k] = ((d2 >= near2) & (d2 <= far2)) ? d2 : -1.0f;
     }
     for (std::size_t k = 0; k < count; ++k) {
         const float columns = (azimuth_of(y[k], x[k]) + PI) * per_rad;

@@ -32,15 +32,27 @@ MULTIVERSION void find_slices(const float* azimuth, std::size_t count, std::size
     for (std::size_t n = 0; n < count; ++n) slice[n] = std::int16_t(azimuth_bin(azimuth[n], per_rad, last));
 }
 
+// The values (slices,) with `reach` more on either side, around the circle; at most as many as there are.
+std::vector<float> with_ends(const float* values, std::size_t slices, std::size_t reach) {
+    std::vector<float> around(values + slices - reach, values + slices);
+    around.insert(around.end(), values, values + slices);
+    around.insert(around.end(), values, values + reach);
+    return around;
+}
+
+MULTIVERSION void raise_to(const float* values, std::size_t count, float* maxima) {
+    for (std::size_t s = 0; s < count; ++s) maxima[s] = maxima[s] < values[s] ? values[s] : maxima[s];
+}
+
+MULTIVERSION void lower_to(const float* values, std::size_t count, float* minima) {
+    for (std::size_t s = 0; s < count; ++s) minima[s] = values[s] < minima[s] ? values[s] : minima[s];
+}
+
 // The greatest of the values up to `reach` slices away, around the circle.
-MULTIVERSION void find_sliding_maxima(const float* values, std::size_t slices, std::size_t reach, float* maxima) {
-    std::vector<float> around(slices + 2 * reach);
-    for (std::size_t k = 0; k < around.size(); ++k) around[k] = values[(k + slices - reach % slices) % slices];
-    const float* shifted = around.data();
-    for (std::size_t s = 0; s < slices; ++s) maxima[s] = shifted[s];
-    for (std::size_t offset = 1; offset <= 2 * reach; ++offset) {
-        for (std::size_t s = 0; s < slices; ++s) maxima[s] = std::max(maxima[s], shifted[s + offset]);
-    }
+void find_sliding_maxima(const float* values, std::size_t slices, std::size_t reach, float* maxima) {
+    const std::vector<float> around = with_ends(values, slices, reach);
+    std::copy_n(around.data(), slices, maxima);
+    for (std::size_t offset = 1; offset <= 2 * reach; ++offset) raise_to(around.data() + offset, slices, maxima);
 }
 
 // The greatest range r in float32 with r - margin_m <= reached_m in double; -1 where nothing was reached.
@@ -54,11 +66,12 @@ float limit_of(float reached_m, double margin_m) {
     return limit_m;
 }
 
-MULTIVERSION void sort_cells(const float* range_m, const std::int16_t* slice, std::size_t count, const float* inner_m,
-                             const float* outer_m, std::uint8_t* state) {
+// What is compared becomes vectors, what is looked up does not.
+MULTIVERSION void compare(const float* range_m, const float* inner_m, const float* outer_m, std::size_t count,
+                          std::uint8_t* state) {
     for (std::size_t k = 0; k < count; ++k) {
-        const bool inner = range_m[k] <= inner_m[slice[k]], outer = range_m[k] <= outer_m[slice[k]];
-        state[k] = inner ? VISIBLE : (outer ? IN_DOUBT : HIDDEN);
+        const int inner = range_m[k] <= inner_m[k] ? 1 : 0, outer = range_m[k] <= outer_m[k] ? 1 : 0;
+        state[k] = std::uint8_t(inner * VISIBLE + (outer & ~inner) * IN_DOUBT);
     }
 }
 
@@ -127,20 +140,18 @@ void trace_windows(View1<const float> azimuth, View1<const float> range_m, std::
         float* far = &farthest_m[part * slices];
         for (std::size_t n = begin; n < end; ++n) far[slice[n]] = std::max(far[slice[n]], range_m[n]);
     });
-    for (std::size_t k = slices; k < farthest_m.size(); ++k) {
-        farthest_m[k % slices] = std::max(farthest_m[k % slices], farthest_m[k]);
-    }
+    for (std::size_t part = 1; part < parts; ++part) raise_to(&farthest_m[part * slices], slices, farthest_m.data());
     // 2. Every return of the inner slices of a window lies within it, and none beyond the outer ones does.
     Buffer<float> inner_m(slices), outer_m(slices);
     find_sliding_maxima(farthest_m.data(), slices, whole - 1, inner_m.data());
     find_sliding_maxima(farthest_m.data(), slices, whole + END_SLICES - 1, outer_m.data());
     // 3. Of the other returns only those matter that lie farther than the inner ones of a window at whose end they are.
     Buffer<float> least_m(slices, std::numeric_limits<float>::infinity());
-    for (std::size_t offset = whole; offset < whole + END_SLICES; ++offset) {
-        for (std::size_t s = 0; s < slices; ++s) {
-            const float before_m = inner_m[(s + slices - offset) % slices], after_m = inner_m[(s + offset) % slices];
-            least_m[s] = std::min({least_m[s], before_m, after_m});
-        }
+    const std::size_t reach = whole + END_SLICES - 1;
+    const std::vector<float> around_m = with_ends(inner_m.data(), slices, reach);
+    for (std::size_t offset = whole; offset <= reach; ++offset) {
+        lower_to(&around_m[reach - offset], slices, least_m.data());
+        lower_to(&around_m[reach + offset], slices, least_m.data());
     }
     const Candidates candidates = find_candidates(azimuth, range_m, slice, least_m);
     // 4. Decide cells by whole slices where they agree, and by candidates where they do not.
@@ -148,9 +159,12 @@ void trace_windows(View1<const float> azimuth, View1<const float> range_m, std::
     for (std::size_t s = 0; s < slices; ++s) outer_m[s] = limit_of(outer_m[s], margin_m);
     for_ranges(visible.size, count_parts(visible.size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         std::uint8_t state[BLOCK];
+        float inner_of[BLOCK], outer_of[BLOCK];
         for (std::size_t start = begin; start < end; start += BLOCK) {
             const std::size_t size = std::min(BLOCK, end - start);
-            sort_cells(&cells.range_m[start], &cells.slice[start], size, inner_m.data(), outer_m.data(), state);
+            for (std::size_t k = 0; k < size; ++k) inner_of[k] = inner_m[std::size_t(cells.slice[start + k])];
+            for (std::size_t k = 0; k < size; ++k) outer_of[k] = outer_m[std::size_t(cells.slice[start + k])];
+            compare(&cells.range_m[start], inner_of, outer_of, size, state);
             for (std::size_t k = 0; k < size; ++k) {
                 const std::size_t cell = start + k;
                 visible[cell] = state[k] == VISIBLE;

@@ -1,8 +1,521 @@
-// How many beams would return from a target in each cell.
+#include "visibility.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <numbers>
+#include <utility>
+
+#include "parallel.hpp"
 #include "stages.hpp"
+#include "vectors.hpp"
 
 namespace viewshed {
+namespace {
 
-void bind_visibility(nb::module_&) {}
+// Beams may pass so far below the ground: the tolerance of a measured ground.
+constexpr float BELOW_GROUND_M = 0.3f;
+
+// Beams that aim at a target are counted by slope, in so many bins from -limit to limit.
+constexpr std::size_t SLOPE_BINS = 512;
+constexpr float SLOPE_LIMIT = 1.0f, PER_SLOPE = float(SLOPE_BINS / (2 * SLOPE_LIMIT));
+
+// Range bins are counted in whole vectors of this many.
+constexpr std::size_t VECTOR = 16;
+
+// A cell farther than so many of its sides has no bins.
+constexpr double MOST_BINS = 1e6;
+
+// Beams of a part that is worth a thread; beams and cells of a sweep that is.
+constexpr std::size_t PART = 8192, WORTH = 32768;
+
+constexpr float INFINITE = std::numeric_limits<float>::infinity();
+
+// The slopes of beams that pass a target's foot and its top: rows of a sector's limits, one pair for each ground.
+constexpr std::size_t LIMITS = 6;
+
+// A beam of a column: its slope, and the last range bin that it reaches, -1 for none.
+struct Beam {
+    float slope;
+    std::int32_t last;
+};
+
+// The beams of one kind by column; those above every target lie behind the last one.
+struct SortedKind {
+    const Beam* beams;
+    const std::uint32_t* first;  // (AZIMUTH_COLUMNS + 1,)
+};
+
+// What the segments are counted from, and where.
+struct Job {
+    const CellWindows* windows;
+    std::array<SortedKind, 3> kinds;
+    const float* limits;  // (GROUND_SECTORS, LIMITS, stride)
+    bool shifted;
+    Row* rows;
+    Row* totals;
+};
+
+INLINE float clamped(float at, float last) {
+    at = at > 0.0f ? at : 0.0f;
+    return at < last ? at : last;
+}
+
+// 1. Slopes.
+
+// Write the bilinear mean of four nodes around each position of a block.
+INLINE void mix_nodes(const float* __restrict values, std::uint32_t nodes, std::size_t size, const std::int32_t* __restrict at,
+                      const float* __restrict down, const float* __restrict right, float* __restrict out) {
+    for (std::size_t k = 0; k < size; ++k) {
+        const float* const above = values + at[k];
+        const float* const under = above + nodes;
+        const float low = above[0] + right[k] * (above[1] - above[0]), high = under[0] + right[k] * (under[1] - under[0]);
+        out[k] = low + down[k] * (high - low);
+    }
+}
+
+// Write the limits (LIMITS, stride) of one sector, and return the steepest slope of a target's top.
+MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
+                                const float* deviations, std::size_t sector, float* limits) {
+    const double azimuth = (double(sector) + 0.5) * (2 * std::numbers::pi / GROUND_SECTORS) - std::numbers::pi;
+    const auto x = float(std::cos(azimuth)), y = float(std::sin(azimuth));
+    const auto nodes = std::uint32_t(ground.heights_m.columns);
+    const float half_m = ground.half_extent_m, per_m = float(nodes) / (2.0f * half_m), last = float(nodes) - 1.001f;
+    const std::size_t bins = windows.bins, stride = windows.stride;
+    for (std::size_t start = 0; start < stride; start += BLOCK) {
+        const std::size_t size = std::min(BLOCK, stride - start);
+        const float *range_m = windows.bin_range_m.data() + start, *per_range = windows.per_range.data() + start;
+        // The ground and its deviation, bilinear between four nodes.
+        std::int32_t at[BLOCK];
+        float down[BLOCK], right[BLOCK], foot_m[BLOCK], deviation_m[BLOCK];
+        for (std::size_t k = 0; k < size; ++k) {
+            const float u = clamped((x * range_m[k] + half_m) * per_m - 0.5f, last);
+            const float v = clamped((y * range_m[k] + half_m) * per_m - 0.5f, last);
+            const auto i = std::int32_t(u), j = std::int32_t(v);
+            at[k] = i * std::int32_t(nodes) + j;
+            down[k] = u - float(i);
+            right[k] = v - float(j);
+        }
+        mix_nodes(ground.heights_m.data, nodes, size, at, down, right, foot_m);
+        for (std::size_t k = 0; k < size; ++k) foot_m[k] -= ground.sensor_height_m;
+        if (deviations != nullptr) mix_nodes(ground.std_m.data, nodes, size, at, down, right, deviation_m);
+        // As slopes: of the ground as it was estimated, of a lower and of a higher one.
+        for (std::size_t pair = 0; pair < LIMITS / 2; ++pair) {
+            float *const foot = limits + 2 * pair * stride + start, *const top = foot + stride;
+            const float shift = pair == 0 || deviations == nullptr ? 0.0f : deviations[pair - 1];
+            for (std::size_t k = 0; k < size; ++k) {
+                const float shifted_m = shift == 0.0f ? foot_m[k] : foot_m[k] + shift * deviation_m[k];
+                foot[k] = (shifted_m - BELOW_GROUND_M) * per_range[k];
+                top[k] = (shifted_m + target_height_m) * per_range[k];
+            }
+        }
+    }
+    // Nothing passes between the foot and the top of the bins that fill the last vector.
+    for (std::size_t row = 0; row < LIMITS; ++row) {
+        for (std::size_t k = bins; k < stride; ++k) limits[row * stride + k] = row % 2 == 0 ? INFINITE : -INFINITE;
+    }
+    // The largest of each place in a vector, then of these.
+    float most[VECTOR];
+    for (float& one : most) one = -INFINITE;
+    for (std::size_t row = 1; row < LIMITS; row += 2) {
+        for (std::size_t start = 0; start < stride; start += VECTOR) {
+            for (std::size_t k = 0; k < VECTOR; ++k) {
+                const float top = limits[row * stride + start + k];
+                most[k] = top > most[k] ? top : most[k];
+            }
+        }
+    }
+    return *std::max_element(most, most + VECTOR);
+}
+
+// 2. Beams by column.
+
+// Write the column of each beam of a block, AZIMUTH_COLUMNS for one above `highest`.
+MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::size_t count, float highest,
+                               std::uint16_t* column) {
+    constexpr float PER_RAD = float(AZIMUTH_COLUMNS / (2 * std::numbers::pi));
+    for (std::size_t n = 0; n < count; ++n) {
+        const auto at = std::int32_t(clamped((azimuth[n] + PI) * PER_RAD, float(AZIMUTH_COLUMNS - 1)));
+        column[n] = std::uint16_t(slope[n] <= highest ? at : std::int32_t(AZIMUTH_COLUMNS));
+    }
+}
+
+// Write slope and last bin of each beam of a block. A beam reaches a cell if its depth does, less one cell.
+MULTIVERSION void find_last_bins(const float* slope, const float* depth_m, std::size_t count, float cell_m, float farthest,
+                                 Beam* beams) {
+    for (std::size_t n = 0; n < count; ++n) {
+        float bin = depth_m[n] / cell_m + 0.5f;
+        bin = bin > -1.0f ? bin : -1.0f;
+        beams[n] = {slope[n], std::int32_t(bin < farthest ? bin : farthest)};
+    }
+}
+
+// The beams of all kinds by column, those up to the slope `highest`. The order within a column does not matter: what is
+// counted are whole numbers.
+struct SortedBeams {
+    std::size_t total, parts;
+    Buffer<Beam> beams;
+    Buffer<std::uint32_t> first;  // (kinds, BUCKETS) where each column begins
+
+    static constexpr std::size_t BUCKETS = AZIMUTH_COLUMNS + 1;  // the last one for beams above every target
+
+    SortedBeams(const std::array<Beams, 3>& kinds, float highest, float cell_m, std::size_t bins)
+        : total(kinds[0].azimuth.size + kinds[1].azimuth.size + kinds[2].azimuth.size), parts(count_parts(total, PART)),
+          beams(total), first(3 * BUCKETS) {
+        Buffer<std::uint16_t> column(total);
+        Buffer<std::uint32_t> counts(parts * 3 * BUCKETS);
+        // Each part counts its share of every kind; then its place in a column lies behind those of the parts before.
+        const auto each_block = [&](std::size_t part, const auto& body) {
+            std::size_t begin = 0;
+            for (std::size_t kind = 0; kind < 3; begin += kinds[kind].azimuth.size, ++kind) {
+                const std::size_t size = kinds[kind].azimuth.size, end = size * (part + 1) / parts;
+                for (std::size_t n = size * part / parts; n < end; n += BLOCK) {
+                    body(kinds[kind], n, std::min(BLOCK, end - n), &column[begin + n],
+                         &counts[(part * 3 + kind) * BUCKETS]);
+                }
+            }
+        };
+        for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
+            std::fill_n(&counts[part * 3 * BUCKETS], 3 * BUCKETS, 0);
+            each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* count) {
+                find_columns(of.azimuth.data + n, of.slope.data + n, size, highest, at);
+                for (std::size_t k = 0; k < size; ++k) ++count[at[k]];
+            });
+        });
+        std::uint32_t place = 0;
+        for (std::size_t bucket = 0; bucket < 3 * BUCKETS; ++bucket) {
+            first[bucket] = place;
+            for (std::size_t part = 0; part < parts; ++part) {
+                std::uint32_t& count = counts[part * 3 * BUCKETS + bucket];
+                place += std::exchange(count, place);
+            }
+        }
+        for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
+            Beam block[BLOCK];
+            each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* next) {
+                find_last_bins(of.slope.data + n, of.depth_m.data + n, size, cell_m, float(bins - 1), block);
+                for (std::size_t k = 0; k < size; ++k) beams[next[at[k]]++] = block[k];
+            });
+        });
+    }
+
+    SortedKind kind(std::size_t number) const { return {beams.data(), first.data() + number * BUCKETS}; }
+};
+
+// 3. Sums over columns.
+
+// Count the beams [begin, end) in the range bins that they reach: their slope lies between foot and top, and they ended no
+// nearer. Return how many bins were looked at.
+template <bool SHIFTED>
+INLINE std::size_t count_kind(const SortedKind& kind, std::size_t column, const float* __restrict limits, std::size_t stride,
+                              std::int32_t* __restrict own, std::int32_t* __restrict lower,
+                              std::int32_t* __restrict higher) {
+    std::size_t most = 0;
+    for (std::uint32_t n = kind.first[column]; n < kind.first[column + 1]; ++n) {
+        const float s = kind.beams[n].slope;
+        const std::int32_t last = kind.beams[n].last;
+        // Whole vectors: the bins beyond the last one are masked.
+        const std::size_t whole = std::size_t(last + std::int32_t(VECTOR)) / VECTOR * VECTOR;
+        for (std::size_t k = 0; k < whole; ++k) {
+            const bool reaches = std::int32_t(k) <= last;
+            own[k] += (s >= limits[k]) & (s <= limits[stride + k]) & reaches;
+            if constexpr (SHIFTED) {
+                lower[k] += (s >= limits[2 * stride + k]) & (s <= limits[3 * stride + k]) & reaches;
+                higher[k] += (s >= limits[4 * stride + k]) & (s <= limits[5 * stride + k]) & reaches;
+            }
+        }
+        most = whole > most ? whole : most;
+    }
+    return most;
+}
+
+// Turn four vectors of four into their columns.
+INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
+    const Four ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5), ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+    const Four cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5), cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+    a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
+    b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
+    c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
+    d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
+}
+
+// Take four counts, and leave none.
+INLINE void take_counts(std::int32_t* counts, Four& taken) {
+    typedef std::int32_t Whole __attribute__((vector_size(sizeof(Four))));
+    Whole whole;
+    std::memcpy(&whole, counts, sizeof(whole));
+    taken = __builtin_convertvector(whole, Four);
+    std::memset(counts, 0, sizeof(whole));
+}
+
+// Write how many beams of the sector, measured or inferred, lie below the edge of each bin of slope.
+INLINE void count_slopes(const Job& job, std::size_t sector, std::uint32_t* below) {
+    for (std::size_t q = 0; q <= SLOPE_BINS; ++q) below[q] = 0;
+    for (std::size_t kind = 0; kind < 2; ++kind) {
+        const std::uint32_t* first = job.kinds[kind].first + sector * SECTOR_COLUMNS;
+        for (std::uint32_t n = first[0]; n < first[SECTOR_COLUMNS]; ++n) {
+            const float q = (job.kinds[kind].beams[n].slope + SLOPE_LIMIT) * PER_SLOPE;
+            if (q >= 0.0f && q < float(SLOPE_BINS)) ++below[std::size_t(q) + 1];
+        }
+    }
+    for (std::size_t q = 0; q < SLOPE_BINS; ++q) below[q + 1] += below[q];
+}
+
+// The beams below a slope, linearly between the edges of two bins.
+INLINE float beams_below(const float* below, float slope) {
+    const float at = clamped((slope + SLOPE_LIMIT) * PER_SLOPE, float(SLOPE_BINS) - 0.001f);
+    const auto q = std::int32_t(at);
+    return below[q] + (at - float(q)) * (below[q + 1] - below[q]);
+}
+
+// Sum the beams of one segment over its columns, bin by bin, and write the sum before each end of a window there.
+MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
+    const CellWindows& windows = *job.windows;
+    const std::size_t bins = windows.bins, stride = windows.stride;
+    constexpr std::size_t SECTORS = SEGMENT_COLUMNS / SECTOR_COLUMNS;
+    // The sums over the columns before (stride,), what the column at hand adds to them, and the same lane by lane.
+    Buffer<Row> sums(stride), added(stride);
+    Buffer<std::int32_t> counts(AIMED * stride);
+    Buffer<float> aimed(stride);
+    for (std::size_t k = 0; k < stride; ++k) sums[k] = added[k] = Row{};
+    std::memset(counts.data(), 0, counts.size() * sizeof(std::int32_t));
+    for (std::size_t k = bins; k < stride; ++k) aimed[k] = 0.0f;
+    std::size_t filled = 0;  // bins of `added` that are not 0
+    // The beams below each slope, in the sector before, the sector itself, and the one behind it.
+    std::uint32_t below[3][SLOPE_BINS + 1];
+    float smooth[SLOPE_BINS + 1];
+    const std::size_t first_sector = segment * SECTORS;
+    count_slopes(job, (first_sector + GROUND_SECTORS - 1) % GROUND_SECTORS, below[0]);
+    count_slopes(job, first_sector, below[1]);
+
+    for (std::size_t step = 0; step < SECTORS; ++step) {
+        const std::size_t sector = first_sector + step;
+        const float* const limits = job.limits + sector * LIMITS * stride;
+        // Beams that aim at a target in each bin: those below its top, less those below its foot. A sector weighs 1/2 and
+        // its neighbors 1/4, since firings do not divide evenly among sectors; each of its columns has an equal share.
+        const std::uint32_t *before = below[step % 3], *own = below[(step + 1) % 3];
+        std::uint32_t* const after = below[(step + 2) % 3];
+        count_slopes(job, (sector + 1) % GROUND_SECTORS, after);
+        for (std::size_t q = 0; q <= SLOPE_BINS; ++q) smooth[q] = 0.25f * float(2 * own[q] + before[q] + after[q]);
+        for (std::size_t k = 0; k < bins; ++k) {
+            aimed[k] = beams_below(smooth, limits[stride + k]) - beams_below(smooth, limits[k]);
+        }
+        for (std::size_t k = 0; k < bins; ++k) added[k].back[1] = aimed[k];
+
+        for (std::size_t c = 0; c < SECTOR_COLUMNS; ++c) {
+            const std::size_t column = sector * SECTOR_COLUMNS + c;
+            // Count the column's beams, then put the lanes of a bin side by side.
+            std::int32_t *const lower = &counts[LOWER * stride], *const higher = &counts[HIGHER * stride];
+            const Four counted = {1, 0, 0, 0};  // of HIGHER, AIMED
+            std::size_t most = 0;
+            for (std::size_t kind = MEASURED; kind <= INFERRED; ++kind) {
+                std::int32_t* const own_counts = &counts[kind * stride];
+                const std::size_t looked_at =
+                    job.shifted ? count_kind<true>(job.kinds[kind], column, limits, stride, own_counts, lower,
+                                                   higher)
+                                : count_kind<false>(job.kinds[kind], column, limits, stride, own_counts,
+                                                    lower, higher);
+                most = looked_at > most ? looked_at : most;
+            }
+            const std::size_t looked_at = count_kind<false>(job.kinds[UNRESOLVED], column, limits, stride,
+                                                            &counts[UNRESOLVED * stride], lower, higher);
+            most = looked_at > most ? looked_at : most;
+            const std::size_t packed = most > filled ? most : filled;
+            for (std::size_t k = 0; k < packed; k += FOUR) {
+                Four measured, inferred, unresolved, lower_four, higher_four, aimed_four;
+                take_counts(&counts[MEASURED * stride + k], measured);
+                take_counts(&counts[INFERRED * stride + k], inferred);
+                take_counts(&counts[UNRESOLVED * stride + k], unresolved);
+                take_counts(lower + k, lower_four);
+                take_counts(higher + k, higher_four);
+                std::memcpy(&aimed_four, &aimed[k], sizeof(Four));
+                transpose(measured, inferred, unresolved, lower_four);
+                Row* const to = &added[k];
+                to[0].front = measured;
+                to[1].front = inferred;
+                to[2].front = unresolved;
+                to[3].front = lower_four;
+                const Four low = __builtin_shufflevector(higher_four, aimed_four, 0, 4, 1, 5);
+                const Four high = __builtin_shufflevector(higher_four, aimed_four, 2, 6, 3, 7), none{};
+                to[0].back = __builtin_shufflevector(low, none, 0, 1, 4, 5);
+                to[1].back = __builtin_shufflevector(low, none, 2, 3, 6, 7);
+                to[2].back = __builtin_shufflevector(high, none, 0, 1, 4, 5);
+                to[3].back = __builtin_shufflevector(high, none, 2, 3, 6, 7);
+                for (std::size_t b = 0; b < FOUR; ++b) {
+                    sums[k + b].front += to[b].front;
+                    sums[k + b].back += counted * to[b].back;
+                }
+            }
+            filled = most;
+            // The sum before each window that begins or ends in this column: that behind the column, less the rest of it.
+            // Beams that aim are spread over the sector, and summed behind it.
+            const Four scale = {1, 1.0f / SECTOR_COLUMNS, 0, 0}, offset = {-1, float(c) / SECTOR_COLUMNS, 0, 0};
+            for (std::size_t e = windows.first_begin[column]; e < windows.first_begin[column + 1]; ++e) {
+                const CellWindows::End& end = windows.begins[e];
+                const Row &sum = sums[end.bin], &more = added[end.bin];
+                Row& row = job.rows[end.row];
+                row.front = (1.0f - end.part) * more.front - sum.front;
+                row.back = -(sum.back + (scale * end.part + offset) * more.back);
+            }
+            for (std::size_t e = windows.first_end[column]; e < windows.first_end[column + 1]; ++e) {
+                const CellWindows::End& end = windows.ends[e];
+                const Row &sum = sums[end.bin], &more = added[end.bin];
+                Row& row = job.rows[end.row];
+                // The end of a window that crosses stands apart, since another thread may write its begin.
+                const Row before = end.row < windows.cells() ? row : Row{};
+                row.front = before.front + (sum.front - (1.0f - end.part) * more.front);
+                row.back = before.back + (sum.back + (scale * end.part + offset) * more.back);
+            }
+        }
+        for (std::size_t k = 0; k < bins; ++k) sums[k].back[1] += aimed[k];
+    }
+    std::memcpy(static_cast<void*>(job.totals + segment * bins), sums.data(), bins * sizeof(Row));
+}
+
+}  // namespace
+
+CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, double cell_m_, double width_m)
+    : grid_rows(range.rows), grid_columns(range.columns), cell_m(float(cell_m_)),
+      cell_range_m(range.data, range.data + range.size()) {
+    const View1<const float> range_m = range.flat(), azimuth = azimuth_.flat();
+    constexpr double PER_RAD = AZIMUTH_COLUMNS / (2 * std::numbers::pi);
+    float farthest_m = 0.0f;
+    for (const float r : cell_range_m) farthest_m = std::max(farthest_m, r);
+    require(double(farthest_m) / cell_m_ < MOST_BINS, "cells must lie within a million sides of a cell");
+    bins = std::size_t(std::ceil(double(farthest_m) / cell_m_)) + 1;
+    stride = (bins + VECTOR - 1) / VECTOR * VECTOR;
+    // The middles of the range bins, and half of the target's width there, in columns.
+    std::vector<double> half(bins);
+    for (std::size_t k = 0; k < stride; ++k) {
+        const double middle_m = (double(k) + 0.5) * cell_m_;
+        bin_range_m.push_back(float(middle_m));
+        per_range.push_back(float(1.0 / middle_m));
+        if (k < bins) half[k] = std::atan2(width_m / 2, middle_m) * PER_RAD;
+    }
+    // Both ends of each window, in columns from the first turn on.
+    struct Placed {
+        std::uint32_t cell, bin;
+        std::uint32_t column[2];
+        std::int32_t segment[2];
+        float part[2];
+    };
+    std::vector<Placed> placed(cells());
+    first_begin.assign(AZIMUTH_COLUMNS + 1, 0);
+    first_end.assign(AZIMUTH_COLUMNS + 1, 0);
+    for (std::uint32_t n = 0; n < cells(); ++n) {
+        Placed& at = placed[n];
+        at.cell = n;
+        at.bin = std::uint32_t(std::min(range_m[n] / cell_m, float(bins - 1)));
+        const double center = (double(azimuth[n]) + std::numbers::pi) * PER_RAD;
+        for (int side = 0; side < 2; ++side) {
+            const double edge = center + (side == 0 ? -half[at.bin] : half[at.bin]);
+            const double turn = std::floor(edge / AZIMUTH_COLUMNS), within = edge - turn * AZIMUTH_COLUMNS;
+            at.column[side] = std::min(std::uint32_t(within), std::uint32_t(AZIMUTH_COLUMNS - 1));
+            at.part[side] = float(within - at.column[side]);
+            at.segment[side] = std::int32_t(turn) * std::int32_t(SEGMENTS) +
+                               std::int32_t(at.column[side] / SEGMENT_COLUMNS);
+        }
+        ++first_begin[at.column[0] + 1];
+        ++first_end[at.column[1] + 1];
+    }
+    for (std::size_t c = 0; c < AZIMUTH_COLUMNS; ++c) {
+        first_begin[c + 1] += first_begin[c];
+        first_end[c + 1] += first_end[c];
+    }
+    // By column; in a column by cell.
+    begins.resize(cells());
+    ends.resize(cells());
+    std::vector<std::uint32_t> next_begin = first_begin, next_end = first_end;
+    for (const Placed& at : placed) {
+        std::uint32_t end_row = at.cell;
+        if (at.segment[0] != at.segment[1]) {
+            end_row = std::uint32_t(rows());
+            const auto first = std::uint32_t(at.segment[0] + std::int32_t(SEGMENTS)) % std::uint32_t(SEGMENTS);
+            crossings.push_back({at.cell, at.bin, first, std::uint32_t(at.segment[1] - at.segment[0])});
+        }
+        begins[next_begin[at.column[0]]++] = {at.cell, at.bin, at.part[0]};
+        ends[next_end[at.column[1]]++] = {end_row, at.bin, at.part[1]};
+    }
+}
+
+void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const {
+    for (std::size_t n = 0; n < count; n += FOUR) {
+        const Row* const of = &rows[first + n];
+        Four one = of[0].front, two = of[1].front, three = of[2].front, four = of[3].front;
+        transpose(one, two, three, four);
+        const Four higher_aimed_low = __builtin_shufflevector(of[0].back, of[1].back, 0, 4, 1, 5);
+        const Four higher_aimed_high = __builtin_shufflevector(of[2].back, of[3].back, 0, 4, 1, 5);
+        const Four higher = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 0, 1, 4, 5);
+        const Four aimed = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 2, 3, 6, 7);
+        std::memcpy(&lanes[MEASURED][n], &one, sizeof(Four));
+        std::memcpy(&lanes[INFERRED][n], &two, sizeof(Four));
+        std::memcpy(&lanes[UNRESOLVED][n], &three, sizeof(Four));
+        std::memcpy(&lanes[LOWER][n], &four, sizeof(Four));
+        std::memcpy(&lanes[HIGHER][n], &higher, sizeof(Four));
+        std::memcpy(&lanes[AIMED][n], &aimed, sizeof(Four));
+    }
+    // Windows that cross from one segment to another: their ends, and the segments between.
+    const auto by_cell = [](const CellWindows::Crossing& a, std::size_t cell) { return a.cell < cell; };
+    auto at = std::lower_bound(windows->crossings.begin(), windows->crossings.end(), first, by_cell);
+    for (; at != windows->crossings.end() && at->cell < first + count; ++at) {
+        Row sum = rows[windows->cells() + std::size_t(at - windows->crossings.begin())];
+        for (std::uint32_t k = 0; k < at->count; ++k) {
+            const Row& segment = totals[(at->first + k) % SEGMENTS * windows->bins + at->bin];
+            sum.front += segment.front;
+            sum.back += segment.back;
+        }
+        const std::size_t n = at->cell - first;
+        for (std::size_t lane = 0; lane < FOUR; ++lane) lanes[lane][n] += sum.front[lane];
+        for (std::size_t lane = FOUR; lane < LANES; ++lane) lanes[lane][n] += sum.back[lane - FOUR];
+    }
+}
+
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
+                       float target_height_m, const std::array<float, 2>* deviations) {
+    const std::size_t beams = kinds[0].azimuth.size + kinds[1].azimuth.size + kinds[2].azimuth.size;
+    const std::size_t parts = count_parts(beams + windows.cells(), WORTH);
+
+    // 1. The slopes of a target's foot and top, by sector and range.
+    Buffer<float> limits(GROUND_SECTORS * LIMITS * windows.stride);
+    std::array<float, GROUND_SECTORS> highest;
+    for_ranges(GROUND_SECTORS, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t sector = begin; sector < end; ++sector) {
+            highest[sector] = write_limits(windows, ground, target_height_m, deviations ? deviations->data() : nullptr,
+                                           sector, &limits[sector * LIMITS * windows.stride]);
+        }
+    });
+    // 2. Beams by column. Those above every target aim at none: by a bin of slope, which is interpolated.
+    const float most = *std::max_element(highest.begin(), highest.end()) + 1.0f / PER_SLOPE;
+    const SortedBeams sorted(kinds, most, windows.cell_m, windows.bins);
+    // 3. Sums over the columns of each segment.
+    CellCounts counts{&windows, Buffer<Row>(windows.rows() + FOUR), Buffer<Row>(SEGMENTS * windows.bins)};
+    const Job job{&windows, {sorted.kind(0), sorted.kind(1), sorted.kind(2)}, limits.data(), deviations != nullptr, counts.rows.data(), counts.totals.data()};
+    if (parts <= 1) {
+        for (std::size_t segment = 0; segment < SEGMENTS; ++segment) sum_segment(job, segment);
+    } else {
+        run_parts(SEGMENTS, [&](std::size_t segment) { sum_segment(job, segment); });
+    }
+    return counts;
+}
+
+void bind_visibility(nb::module_& m) {
+    nb::class_<CellWindows>(m, "CellWindows", "The windows of azimuth of a target in each cell of a grid.")
+        .def(
+            "__init__",
+            [](CellWindows* self, In2<float> range_m, In2<float> azimuth, double cell_m, double width_m) {
+                require(range_m.shape(0) == azimuth.shape(0) && range_m.shape(1) == azimuth.shape(1),
+                        "range_m and azimuth must have one shape (cells, cells)");
+                require(range_m.size() < (1u << 28), "cells must be fewer than 2^28");
+                require(std::isfinite(cell_m) && cell_m > 0, "cell_m must be positive and finite");
+                require(std::isfinite(width_m) && width_m > 0, "width_m must be positive and finite");
+                for (std::size_t n = 0; n < range_m.size(); ++n) {
+                    require(range_m.data()[n] >= 0 && range_m.data()[n] < INFINITE, "range_m must be finite, not negative");
+                    require(std::fabs(azimuth.data()[n]) < 4.0f, "azimuth must lie in [-pi, pi]");
+                }
+                new (self) CellWindows(view(range_m), view(azimuth), cell_m, width_m);
+            },
+            "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "cell_m"_a, "width_m"_a);
+}
 
 }  // namespace viewshed

@@ -33,7 +33,94 @@ def pixels_without(
 
 # sensor_id.cpp
 
+def identify_by_rings(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    expected: int,
+) -> tuple[NDArray[np.int16] | None, int]: ...
+def identify_by_points(
+    points: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    expected: int,
+) -> tuple[NDArray[np.int16] | None, int]: ...
+def rings_of_points(points: NDArray[np.float32]) -> NDArray[np.int16] | None: ...
+def beams_of_sensor(
+    points: NDArray[np.float32], elevation: NDArray[np.float64], origin_m: NDArray[np.float64]
+) -> NDArray[np.int16] | None: ...
+def infer_sensor(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rings: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> tuple[int, float]: ...
+def recover_rings(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    columns: int,
+) -> tuple[NDArray[np.int16], NDArray[np.int32], int, NDArray[np.float64], int, int, int]: ...
+def polar(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def match_beams(
+    slope: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+) -> tuple[NDArray[np.int16], NDArray[np.int64], float]: ...
+def find_clusters(
+    azimuth: NDArray[np.float32], slope: NDArray[np.float32], range_m: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None: ...
+def find_motion(points: NDArray[np.float32]) -> tuple[float, float, float, float, float] | None: ...
+def undo_motion(
+    points: NDArray[np.float32], x_m: float, y_m: float, z_m: float, seam: float, reference: float
+) -> NDArray[np.float32]: ...
+
 # ground.cpp
+
+_Ground = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], tuple[float, float, float], float, float]
+
+def ground(
+    points: NDArray[np.float32],
+    isolated: NDArray[np.bool_],
+    rotation: NDArray[np.float32],
+    near_m: float,
+    far_m: float,
+    heading: float,
+    half_m: float,
+    nodes: int,
+    height_m: float,
+) -> _Ground: ...
+def ground_of_lows(
+    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_m: float, height_m: float
+) -> _Ground: ...
+def fill_ground(
+    walked_m: NDArray[np.float32], accepted: NDArray[np.bool_], plane: NDArray[np.float32], half_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def free_plane(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]: ...
+def held_ground(
+    heights_m: NDArray[np.float32],
+    std_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+    before_heights_m: NDArray[np.float32],
+    before_std_m: NDArray[np.float32],
+    before_seen: NDArray[np.bool_],
+    before_half_m: float,
+    before_from_now: NDArray[np.float32],
+    now_from_before: NDArray[np.float32],
+    variance_m2: float,
+    plane: tuple[float, float, float],
+    height_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]] | None: ...
 
 # leveling.cpp
 
@@ -71,9 +158,160 @@ def obstacle_cells(
 
 # no_return.cpp
 
+JITTER_COLUMNS: int
+
+def beams_by_evidence(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    isolated: NDArray[np.bool_],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    points: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    sensor_height_m: float,
+    ground_m: NDArray[np.float32],
+    half_extent_m: float,
+    top_m: float,
+    obstacle_m: float,
+) -> tuple[
+    NDArray[np.float32],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+]: ...
+def no_return_beams(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    fill: bool,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+
+# grid.cpp
+
+def count_points(
+    points: NDArray[np.float32],
+    rotation: NDArray[np.float32],
+    translation: NDArray[np.float32],
+    *,
+    cells: int,
+    cell_m: float,
+    origin_x_m: float,
+    origin_y_m: float,
+    low_m: float,
+    high_m: float,
+    max_range_m: float,
+    null_range_m: float,
+) -> NDArray[np.int32]: ...
+
+# height_map.cpp
+
+def lattice_positions(
+    xy: NDArray[np.float32], half_extent_m: float, nodes: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]: ...
+def interpolate(
+    heights_m: NDArray[np.float32], node: NDArray[np.int32], down: NDArray[np.float64], right: NDArray[np.float64]
+) -> NDArray[np.float32]: ...
+
 # visibility.cpp
 
+_Beams = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+
+class CellWindows:
+    def __init__(
+        self, range_m: NDArray[np.float32], azimuth: NDArray[np.float32], cell_m: float, width_m: float
+    ) -> None: ...
+
+# evidence.cpp
+
+def poisson_table(min_returns: int) -> NDArray[np.float32]: ...
+def probability_of_visible(counts: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]: ...
+def returns_by_kind(
+    windows: CellWindows,
+    kinds: Sequence[_Beams],
+    heights_m: NDArray[np.float32],
+    half_extent_m: float,
+    sensor_height_m: float,
+    target_height_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def beam_evidence(
+    windows: CellWindows,
+    kinds: tuple[_Beams, _Beams, _Beams],
+    heights_m: NDArray[np.float32],
+    std_m: NDArray[np.float32],
+    *,
+    half_extent_m: float,
+    sensor_height_m: float,
+    target_height_m: float,
+    ground_steps: tuple[tuple[float, float], tuple[float, float]],
+    table: NDArray[np.float32],
+    threshold: float,
+    reach_m: float,
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.bool_],
+]: ...
+def states(
+    measured: NDArray[np.float32],
+    inferred: NDArray[np.float32],
+    aimed: NDArray[np.float32],
+    visible_prob: NDArray[np.float32],
+    within_reach: NDArray[np.bool_],
+    visible: NDArray[np.bool_],
+    denied: NDArray[np.bool_],
+    obstacle: NDArray[np.bool_],
+    *,
+    table: NDArray[np.float32],
+    threshold: float,
+    sure_aim: float,
+) -> NDArray[np.uint8]: ...
+
+# boxes.cpp
+
+class BeamsByAzimuth:
+    def __init__(
+        self, azimuth: NDArray[np.float32], slope: NDArray[np.float32], depth_m: NDArray[np.float32]
+    ) -> None: ...
+    def expected_returns(
+        self, boxes: NDArray[np.float32], sensor_height_m: float, leave_out_own: bool
+    ) -> NDArray[np.int32]: ...
+
 # history.cpp
+
+def obstacle_image(
+    clouds: Sequence[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]],
+    least_m: float,
+    sensor_height_m: float,
+) -> NDArray[np.float32]: ...
+def end_at_obstacles(
+    image: NDArray[np.float32], azimuth: NDArray[np.float32], slope: NDArray[np.float32], depth_m: NDArray[np.float32]
+) -> NDArray[np.float32]: ...
+def sight_lines() -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def confirmed_cells(
+    seen: NDArray[np.bool_],
+    earlier_from_now: NDArray[np.float32],
+    origin_x_m: float,
+    origin_y_m: float,
+    cell_m: float,
+    in_view: NDArray[np.float32],
+    whole: NDArray[np.float32],
+) -> NDArray[np.bool_]: ...
 
 # features.cpp
 
@@ -169,6 +407,29 @@ def thin_returns(
 def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
 
 # polygons.cpp
+
+def label_regions(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int32]: ...
+def squared_depth(mask: NDArray[np.bool_]) -> NDArray[np.int64]: ...
+def rings_of_mask(
+    mask: NDArray[np.bool_], regions: NDArray[np.int32]
+) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32]]: ...
+def cells_inside(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def cells_met(points: NDArray[np.float64], begin: NDArray[np.int64], cells: int) -> NDArray[np.bool_]: ...
+def best_sectors(
+    ranges: NDArray[np.float64], sectors: int, inner: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]: ...
+def free_ranges(
+    mask: NDArray[np.bool_],
+    x_m: float,
+    y_m: float,
+    cell_m: float,
+    apex_x_m: float,
+    apex_y_m: float,
+    half_m: float,
+    bins: int,
+    is_solid: bool,
+) -> NDArray[np.float64]: ...
+def star_vertices(ranges: NDArray[np.float64], price_m2: float) -> NDArray[np.float64]: ...
 
 # files.cpp
 

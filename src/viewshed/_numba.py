@@ -1,13 +1,10 @@
 """A fast arctangent for compiled loops.
 
 Blocks of points by columns: compiled loops use vectors only on contiguous numbers, and short ones stay at hand.
-
-Memory that arrays give back stays with the process, so that the next sweep need not ask for it page by page.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -46,16 +43,3 @@ def split(points: Any, start: int, x: Any, y: Any, z: Any) -> Any:  # pragma: no
     for k in range(count):
         x[k], y[k], z[k] = points[start + k, 0], points[start + k, 1], points[start + k, 2]
     return count
-
-
-_LARGEST = (32 << 20) - (64 << 10)
-"""The GNU allocator keeps up to twice what one array of at most 32 MiB gave back; it begins with 128 KiB."""
-
-
-@lru_cache(maxsize=1)
-def keep_freed_memory() -> None:
-    """Raise what the allocator keeps of freed memory to 64 MiB: one large array comes and goes, untouched.
-
-    Without it each sweep of 100,000 points and more pays for about 1,500 fresh pages. Other allocators do not care.
-    """
-    np.empty(_LARGEST, np.uint8)

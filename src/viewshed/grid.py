@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from viewshed._numba import BLOCK, split
+from viewshed import _core
 from viewshed.geometry import FloatArray, Rigid
 
 MAX_CELLS = 4096
@@ -103,84 +101,19 @@ class BevGrid:
         1
         """
         transform = Rigid.identity() if level_from_sensor is None else level_from_sensor
-        counts = np.zeros(self.shape, np.int32)
-        x0_m, y0_m, cells_per_m, side = np.array([*self.origin_m, 1.0 / self.cell_m, self.cells], np.float32)
-        low_m, high_m, max2, null2 = np.array([*height_m, min(max_range_m, 1e18) ** 2, null_range_m**2], np.float32)
-        _count(
-            np.ascontiguousarray(points, dtype=np.float32),
-            transform.rotation.astype(np.float32),
+        return _core.count_points(
+            np.ascontiguousarray(np.asarray(points)[:, :3], np.float32),
+            transform.rotation.astype(np.float32, order="C"),
             transform.translation.astype(np.float32),
-            x0_m, y0_m, cells_per_m, side, low_m, high_m, max2, null2, counts,
-        )  # fmt: skip
-        return counts
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _count(
-    points: Any,
-    rotation: Any,
-    translation: Any,
-    x0_m: Any,
-    y0_m: Any,
-    cells_per_m: Any,
-    side: Any,
-    low_m: Any,
-    high_m: Any,
-    max2: Any,
-    null2: Any,
-    counts: Any,
-) -> None:  # pragma: no cover - compiled
-    """Find each point's cell in blocks, in a loop without branches that vectorizes, then count.
-
-    Args: the corner (x0_m, y0_m) of the grid and its cells a meter and a side; least and greatest z in ``level``, the
-    square of the greatest horizontal range there, and of the least range from the origin of ``points``.
-    """
-    flat = counts.reshape(-1)
-    px, py, pz = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    cells = np.empty(BLOCK, np.int32)
-    for start in range(0, points.shape[0], BLOCK):
-        count = split(points, start, px, py, pz)
-        _cells(
-            px[:count], py[:count], pz[:count], rotation, translation, x0_m, y0_m, cells_per_m, side, low_m, high_m,
-            max2, null2, cells,
-        )  # fmt: skip
-        for k in range(count):
-            if cells[k] >= 0:
-                flat[np.uint32(cells[k])] += 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cells(
-    xs: Any,
-    ys: Any,
-    zs: Any,
-    rotation: Any,
-    translation: Any,
-    x0_m: Any,
-    y0_m: Any,
-    cells_per_m: Any,
-    last: Any,
-    low_m: Any,
-    high_m: Any,
-    max2: Any,
-    null2: Any,
-    cells: Any,
-) -> None:  # pragma: no cover - compiled
-    """Write the flat cell of each point of a block, -1 where it does not count."""
-    xx, xy, xz, x_off = rotation[0, 0], rotation[0, 1], rotation[0, 2], translation[0]
-    yx, yy, yz, y_off = rotation[1, 0], rotation[1, 1], rotation[1, 2], translation[1]
-    zx, zy, zz, z_off = rotation[2, 0], rotation[2, 1], rotation[2, 2], translation[2]
-    side = np.int32(last)
-    for k in range(xs.shape[0]):
-        px, py, pz = xs[k], ys[k], zs[k]
-        x = xx * px + xy * py + xz * pz + x_off
-        y = yx * px + yy * py + yz * pz + y_off
-        z = zx * px + zy * py + zz * pz + z_off
-        u, v = (x - x0_m) * cells_per_m, (y - y0_m) * cells_per_m
-        inside = (u >= 0) & (v >= 0) & (u < last) & (v < last) & (z >= low_m) & (z <= high_m)
-        inside &= (x * x + y * y <= max2) & (px * px + py * py + pz * pz >= null2)
-        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
-        cells[k] = i * side + j if inside else np.int32(-1)
+            cells=self.cells,
+            cell_m=self.cell_m,
+            origin_x_m=self.origin_m[0],
+            origin_y_m=self.origin_m[1],
+            low_m=height_m[0],
+            high_m=height_m[1],
+            max_range_m=max_range_m,
+            null_range_m=null_range_m,
+        )
 
 
 GRIDS: dict[str, BevGrid] = {

@@ -139,7 +139,7 @@ def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: S
 def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> bytes:
     """Return a PNG with one small picture of ``side`` pixels for each panel, ``across`` in a row."""
     down = -(-max(len(panels), 1) // across)
-    page = Canvas.blank(across * (side + 6) + 6, down * (side + 32) + 40)
+    page = Canvas.blank(across * (side + 6) + 6, down * (side + 32) + 52)
     for k, panel in enumerate(panels):
         row, column = divmod(k, across)
         left, top = 6 + column * (side + 6), 30 + row * (side + 32)
@@ -255,7 +255,7 @@ def _scale_bar(canvas: Canvas, side_m: float) -> None:
     """Draw a bar of a round length in the lower right corner."""
     pixels, points = canvas.width, 8.0 if canvas.width > 300 else 6.0
     length_m = _round_length(side_m / 4)
-    length, pad, letters = length_m / side_m * pixels, 0.012 * pixels, 1.6 * points
+    length, pad, letters = length_m / side_m * pixels, max(0.012 * pixels, 4.0), 1.6 * points
     right = bottom = 0.97 * pixels
     canvas.veil((right - length - pad, bottom - letters - 2 * pad, right + pad, bottom + pad))
     canvas.rectangle((right - length, bottom - 1.5, right, bottom + 1.5), BLACK)
@@ -304,9 +304,12 @@ def _table(
 
 
 def _legend(page: Canvas, columns: int, shares: dict[CellState, str] | None = None) -> None:
-    """Draw what the colors of the states mean at the foot of the page, in the middle."""
-    points = 9.0 if columns == 2 else 8.0
+    """Draw what the colors of the states mean at the foot of the page; on narrow pages in two columns."""
     entries = [(state, (shares or {}).get(state, "") + words) for state, words in WORDS.items()]
+    widest = max(text_width(words, 8.0) for _, words in entries)
+    if columns * (widest + 52) > page.width:
+        columns = 2
+    points = 9.0 if columns == 2 and 2 * (widest * 9 / 8 + 52) < page.width else 8.0 if page.width > 640 else 6.5
     down = -(-len(entries) // columns)
     across = [entries[k * down : (k + 1) * down] for k in range(columns)]
     widths = [30 + max(text_width(words, points) for _, words in column) for column in across]

@@ -10,7 +10,7 @@ from viewshed.cli import main
 from viewshed.io.export import read_npz
 from viewshed.io.samples import junction_path
 from viewshed.preprocess.sensor_identification import SensorId, identify_sensor
-from viewshed.sensors import lidar_model
+from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sim import cast, junction
 from viewshed.sweep import Sweep
 
@@ -28,9 +28,9 @@ def identified(monkeypatch: pytest.MonkeyPatch, sweep_file: Path) -> list[int]:
     """The sizes of the sweeps whose sensor was identified, which leveling does once."""
     sizes: list[int] = []
 
-    def counting(sweep: Sweep) -> SensorId:
+    def counting(sweep: Sweep, expected: LidarModel | None = None) -> SensorId:
         sizes.append(len(sweep))
-        return identify_sensor(sweep)
+        return identify_sensor(sweep, expected)
 
     monkeypatch.setattr("viewshed.preprocess.leveling.identify_sensor", counting)
     return sizes

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -5,12 +7,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
+from viewshed import _core
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import (
     CAR,
     PEDESTRIAN,
     Beams,
     Target,
+    cell_windows,
     expected_returns,
     probability_of_visible,
     returns_by_kind,
@@ -150,3 +154,111 @@ def test_a_beam_reaches_cells_up_to_one_cell_beyond_its_end() -> None:
     assert returns[reached] > 50
     assert returns[beyond] == 0
     assert min(aimed[reached], aimed[beyond]) > 50
+
+
+# The core refuses what it cannot count, and answers whatever the numbers are.
+
+TABLE = _core.poisson_table(5)
+FLAT = np.zeros((8, 8), np.float32)
+
+
+def _evidence(kinds: Any, heights_m: Any = FLAT, std_m: Any = FLAT, table: Any = TABLE, half_m: float = 20.0) -> Any:
+    return _core.beam_evidence(
+        cell_windows(GRID, 1.8), kinds, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
+        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), table=table, threshold=0.5, reach_m=60.0,
+    )  # fmt: skip
+
+
+def _kinds(seed: int, *counts: int) -> Any:
+    return tuple(_random_beams(np.random.default_rng(seed + k), count).arrays for k, count in enumerate(counts))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "match"),
+    [
+        ({"kinds": _kinds(0, 5, 5)}, TypeError, "incompatible"),
+        ({"kinds": tuple((a, b, c[:3]) for a, b, c in _kinds(0, 5, 5, 5))}, ValueError, "must have one shape"),
+        ({"kinds": tuple((a.astype(float), b, c) for a, b, c in _kinds(0, 5, 5, 5))}, TypeError, "incompatible"),
+        ({"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()}, ValueError, "heights_m must have shape"),
+        ({"heights_m": FLAT[:4].copy()}, ValueError, "heights_m must have shape"),
+        ({"heights_m": FLAT.astype(np.float64)}, TypeError, "incompatible"),
+        ({"heights_m": np.zeros((8, 16), np.float32)[:, ::2]}, TypeError, "incompatible"),
+        ({"std_m": FLAT[:7, :7].copy()}, ValueError, "std_m must have the shape of heights_m"),
+        ({"table": TABLE[:0]}, ValueError, "table must have"),
+        ({"half_m": float("nan")}, ValueError, "half_extent_m must be positive"),
+    ],
+)  # fmt: skip
+def test_evidence_of_other_arrays_is_refused(change: dict[str, Any], error: type[Exception], match: str) -> None:
+    with pytest.raises(error, match=match):
+        _evidence(**{"kinds": _kinds(0, 5, 5, 5), **change})
+
+
+def test_windows_of_other_arrays_are_refused() -> None:
+    cells = np.ones((4, 4), np.float32)
+    for range_m, azimuth, match in (
+        (cells, cells[:3], "one shape"), (-cells, cells, "range_m must be finite"),
+        (cells * np.float32(np.nan), cells, "range_m must be finite"), (cells, 9 * cells, "azimuth must lie in"),
+        (cells * np.float32(1e9), cells, "within a million sides"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=match):
+            _core.CellWindows(range_m, azimuth, 0.5, 1.8)
+    with pytest.raises(ValueError, match="cell_m must be positive"):
+        _core.CellWindows(cells, cells, 0.0, 1.8)
+
+
+@pytest.mark.parametrize("counts", [(0, 0, 0), (1, 0, 0), (0, 0, 1), (40_000, 9000, 20_000)])
+def test_any_number_of_beams_is_counted_the_same_by_one_thread_and_by_two(counts: tuple[int, int, int]) -> None:
+    before, found = _core.threads(), []
+    try:
+        for threads in (1, 2, 4):
+            _core.set_threads(threads)
+            found.append(_evidence(_kinds(7, *counts)))
+    finally:
+        _core.set_threads(before)
+    for others in found[1:]:
+        assert all(np.array_equal(one, other) for one, other in zip(found[0], others, strict=True))
+    assert (found[0][0].sum() > 0) == (counts[0] > 0)
+
+
+def test_beams_that_are_no_numbers_count_nowhere_and_all_in_one_column_count_there() -> None:
+    odd = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-42], np.float32)
+    mixed = tuple(array.ravel() for array in np.meshgrid(odd, odd, odd))
+    returns, *_ = _evidence((mixed, mixed, mixed))
+    assert np.isfinite(returns).all()
+    assert not _evidence((tuple(np.full(9, np.nan, np.float32) for _ in range(3)),) * 3)[0].any()
+    one = np.full(100_000, 0.3, np.float32), np.full(100_000, -0.15, np.float32), np.full(100_000, 12.0, np.float32)
+    inside = tuple(GRID.index(10.5 * np.array([np.cos(0.3), np.sin(0.3)]))[0])
+    assert _evidence((one, one, one))[0][inside] == pytest.approx(100_000, rel=0.01)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_evidence_is_that_of_each_kind_and_height_counted_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kinds = [_random_beams(rng, count) for count in (3000, 500, 800)]
+    heights_m, std_m = rng.uniform(-0.3, 0.3, (8, 8)).astype(np.float32), rng.uniform(0, 0.4, (8, 8)).astype(np.float32)
+    ground = HeightMap(heights_m, 20.0, np.ones((8, 8), np.bool_), std_m=std_m)
+    found = _evidence(tuple(beams.arrays for beams in kinds), heights_m, std_m)
+    for one, beams in zip(found, kinds, strict=False):
+        assert np.abs(one - expected_returns(beams, 1.8, ground, GRID, CAR)[0]).max() < 1e-3
+    both = kinds[0] + kinds[1]
+    counted = [expected_returns(both, 1.8, ground.shifted(deviations), GRID, CAR) for deviations in (0.0, -1.22, 1.22)]
+    assert np.abs(found[3] - counted[0][1]).max() < 1e-3
+    enough, lower, higher = (probability_of_visible(returns, 5) for returns, _ in counted)
+    prob = 0.4 * enough + 0.3 * lower + 0.3 * higher
+    wanted = np.where(enough >= 0.5, prob, np.minimum(prob, 0.5))
+    # A beam may pass just at the edge of a target, and probabilities are told apart by steps of 1/32 of a return.
+    assert (np.abs(found[4] - wanted) > 0.01).mean() < 0.01
+
+
+def test_lattices_of_other_shapes_are_refused() -> None:
+    one = np.zeros(1)
+    with pytest.raises(ValueError, match="node must lie in"):
+        _core.interpolate(FLAT, np.array([55], np.int32), one, one)
+    with pytest.raises(ValueError, match="must be as long"):
+        _core.interpolate(FLAT, np.zeros(2, np.int32), one, one)
+    with pytest.raises(ValueError, match="2 to 16384 nodes"):
+        _core.lattice_positions(np.zeros((1, 2), np.float32), 1.0, 1)
+    with pytest.raises(ValueError, match="two columns"):
+        _core.lattice_positions(np.zeros((1, 1), np.float32), 1.0, 8)
+    assert HeightMap(FLAT, 8.0, FLAT > 0).at(np.array([[np.nan, 1e30], [-np.inf, 3.0]])).tolist() == [0.0, 0.0]

@@ -10,11 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed import GRIDS, Sweep
+from viewshed import GRIDS, Sweep, _core
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
-from viewshed.preprocess.ground_fill import BEYOND_GROWTH, PLANE_M, SEEN_STD_M, TILT_M, fill_ground
 from viewshed.preprocess.leveling import LeveledSweep, level
+
+# Of src/core/ground_fill.cpp and src/core/ground_lattice.cpp.
+SEEN_STD_M, BEYOND_GROWTH, PLANE_M, TILT_M = 0.05, 0.01, 30.0, 20.0
 
 ROAD = GRIDS["road"]
 HEIGHT_M = 1.8
@@ -153,8 +155,8 @@ LEVEL = np.array([0.0, 0.0, -HEIGHT_M], np.float32)
 
 def filled(heights_m: NDArray[np.float64], accepted: NDArray[np.bool_], plane: NDArray[np.float32] = LEVEL) -> Any:
     """Heights and their deviation (n, n) on nodes of 1 m; those that are not accepted hold nonsense."""
-    walked_m = np.where(accepted, heights_m, 99.0).astype(np.float32)
-    return fill_ground(walked_m, np.ascontiguousarray(accepted), plane, HALF_M)
+    walked_m = np.ascontiguousarray(np.where(accepted, heights_m, 99.0), dtype=np.float32)
+    return _core.fill_ground(walked_m, np.ascontiguousarray(accepted), plane, HALF_M)
 
 
 def smooth_land(seed: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:

@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed import BevGrid, Sweep
+from viewshed import BevGrid, Sweep, _core
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator, where_confirmed
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import CAR, PEDESTRIAN
+from viewshed.fov.visibility import CAR, PEDESTRIAN, Beams
 from viewshed.geometry import Rigid
 from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.evidence import beam_evidence
-from viewshed.preprocess.history import GAP_ROWS, History, _fill_gaps, _pixel, history_of
+from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -141,8 +141,8 @@ def remembered(earlier: Sequence[LeveledSweep], x: float, y: float, z: float) ->
     """The remembered range in the direction of a point."""
     past = History.of(returns_at(), earlier)
     assert past is not None
-    row, column = _pixel(np.float32(np.arctan2(y, x)), np.float32((z - HEIGHT_M) / np.hypot(x, y)))
-    return float(past.obstacles()[row, column])
+    direction = np.array([np.arctan2(y, x)], np.float32), np.array([(z - HEIGHT_M) / np.hypot(x, y)], np.float32)
+    return float(past.within(Beams(*direction, np.full(1, np.inf, np.float32))).depth_m[0])
 
 
 @pytest.mark.parametrize("sweeps", [33, 65, 300])
@@ -297,28 +297,77 @@ def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
     assert not any(estimator.buffer._kept.values())
 
 
+def image_of(*pixels: tuple[int, int, float]) -> NDArray[np.float32]:
+    """The image that one sweep leaves of obstacles at a row, a column and a range: 160 rows from -0.75 to 0.35."""
+    row, column, range_m = np.array(pixels).T
+    azimuth, slope = (column + 0.5) * (2 * np.pi / 720) - np.pi, (row + 0.5) * (1.1 / 160) - 0.75
+    points = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), HEIGHT_M + slope * range_m])
+    cloud = points.astype(np.float32), np.ones(len(points), np.float32), np.eye(3, 4, dtype=np.float32)
+    return _core.obstacle_image([cloud], 0.3, HEIGHT_M)
+
+
 def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
-    image = np.full((160, 720), np.inf, np.float32)
-    image[[40, 45, 100], 7] = 10.0, 11.0, 11.0
-    image[[40, 45], 9] = 10.0, 30.0
-    _fill_gaps(image, GAP_ROWS, np.float32(1.25), np.float32(0.0))
-    assert (image[41:45, 7] == 11.0).all()
-    assert np.isinf(image[46:100, 7]).all()
-    assert np.isinf(image[41:45, 9]).all()
+    image = image_of((40, 7, 10.0), (45, 7, 11.0), (100, 7, 11.0), (40, 107, 10.0), (45, 107, 30.0))
+    assert image[[40, 45, 100], 7] == pytest.approx([10.0, 11.0, 11.0])
+    assert image[41:45, 7] == pytest.approx(11.0)
     assert np.isfinite(image).sum() == 9
 
 
+def test_the_columns_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
+    image = image_of((40, 7, 10.0), (40, 11, 11.0), (40, 16, 11.0), (90, 7, 10.0), (90, 11, 30.0))
+    assert image[40, 8:11] == pytest.approx(11.0)
+    assert np.isfinite(image).sum() == 8
+
+
 def test_a_narrow_gap_is_closed_where_something_farther_was_seen_in_it() -> None:
-    image = np.full((160, 720), np.inf, np.float32)
-    image[[40, 42, 45], 7] = 10.0, 30.0, 11.0  # the farther pixel was seen from elsewhere
-    image[[40, 42, 45], 9] = 20.0, 60.0, 20.0  # twice as far, so the gap is twice as wide
-    image[[40, 42, 45], 11] = 10.0, 5.0, 11.0  # something nearer has an end of its own
-    _fill_gaps(image, GAP_ROWS, np.float32(1.25), np.float32(60.0))
-    assert image[40:46, 7].tolist() == [10.0, 11.0, 11.0, 11.0, 11.0, 11.0]
-    assert image[[40, 42, 45], 9].tolist() == [20.0, 60.0, 20.0]
-    assert image[[40, 42, 45], 11].tolist() == [10.0, 5.0, 11.0]
+    """A meter is 145 rows wide at a range of one meter: 13 rows at 11 m, 7 rows at 20 m."""
+    image = image_of(
+        (40, 7, 10.0), (42, 7, 30.0), (45, 7, 11.0),  # the farther pixel was seen from elsewhere
+        (40, 107, 20.0), (42, 107, 60.0), (48, 107, 20.0),  # the gap is more than a meter wide
+        (40, 207, 10.0), (42, 207, 5.0), (45, 207, 11.0),  # something nearer has an end of its own
+    )  # fmt: skip
+    assert image[40:46, 7] == pytest.approx([10.0, 11.0, 11.0, 11.0, 11.0, 11.0])
+    assert image[[40, 42, 48], 107] == pytest.approx([20.0, 60.0, 20.0])
+    assert image[[40, 42, 45], 207] == pytest.approx([10.0, 5.0, 11.0])
     assert np.isfinite(image).sum() == 6 + 3 + 3
 
 
 def test_without_sweeps_nothing_is_confirmed() -> None:
     assert History(returns_at(), (), ()).confirmations(GRID, CAR).sum() == 0
+
+
+CLOUD = np.zeros((4, 3), np.float32), np.ones(4, np.float32), np.eye(3, 4, dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "error"),
+    [
+        ((CLOUD[0][:, :2].copy(), CLOUD[1], CLOUD[2]), TypeError),
+        ((CLOUD[0].astype(np.float64), CLOUD[1], CLOUD[2]), TypeError),
+        ((CLOUD[0], CLOUD[1][:3], CLOUD[2]), ValueError),
+        ((CLOUD[0], CLOUD[1], np.eye(4, dtype=np.float32)), ValueError),
+    ],
+)
+def test_clouds_of_another_kind_are_refused(
+    cloud: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]], error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        _core.obstacle_image([cloud], 0.3, HEIGHT_M)
+
+
+def test_obstacles_that_are_no_numbers_or_far_away_leave_no_image() -> None:
+    odd = np.array([[np.nan, 1, 1], [np.inf, 0, 1], [1e30, 1, 1], [5, 5, np.nan], [0, 0, 1]], np.float32)
+    image = _core.obstacle_image([(odd, np.ones(5, np.float32), CLOUD[2])], 0.3, HEIGHT_M)
+    assert np.isinf(image).all()
+    assert np.isinf(_core.obstacle_image([], 0.3, HEIGHT_M)).all()
+
+
+def test_images_and_masks_of_another_shape_are_refused() -> None:
+    beam = np.zeros(1, np.float32)
+    with pytest.raises(ValueError, match="image must be one of obstacle_image"):
+        _core.end_at_obstacles(np.zeros((3, 3), np.float32), beam, beam, beam)
+    with pytest.raises(ValueError, match="must be as long"):
+        _core.end_at_obstacles(image_of((40, 7, 10.0)), beam, beam, np.zeros(2, np.float32))
+    cells, seen = np.ones((4, 4), np.float32), np.ones((4, 4), np.bool_)
+    with pytest.raises(ValueError, match="must have one shape"):
+        _core.confirmed_cells(seen, np.eye(2, 3, dtype=np.float32), 0.0, 0.0, 1.0, cells, cells[:3])

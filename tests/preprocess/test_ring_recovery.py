@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment, recover_rings, rings_by_order
+from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment, recover_rings
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed.sweep import Sweep
@@ -359,7 +359,7 @@ def test_rings_stored_one_after_the_other_hold_no_halves_of_two(start: float) ->
     jitter = 0.02 * ((ring % 3 == 0) & (column == columns - 2))
     azimuth = (start + (column + 0.5) * (2 * np.pi / columns) + jitter + np.pi) % (2 * np.pi) - np.pi
     slope = np.tan(np.deg2rad(-24.0 + 1.3 * ring)) + 5e-4 * column / columns  # a sensor that is hardly level
-    found = rings_by_order(azimuth.ravel().astype(np.float32), slope.ravel().astype(np.float32))
-    assert found is not None
-    assert found.max() == rings - 1
-    assert (found == ring.ravel()).mean() > 0.999
+    points = 20.0 * np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=-1).reshape(-1, 3)
+    found = recover_rings(Sweep(points.astype(np.float32)))
+    assert (found.source, found.rings) == ("file order", rings)
+    assert (found.ring == ring.ravel()).mean() > 0.999

@@ -145,7 +145,7 @@ def complain(line: str) -> None:
 
 def is_data_set(place: str) -> bool:
     """Return whether a place is a data set of ours: a URI, or a folder with a manifest."""
-    from viewshed.datasets.archive.archive import is_archive
+    from viewshed.datasets.archive.schema import is_archive
 
     return "://" in place or is_archive(Path(place))
 

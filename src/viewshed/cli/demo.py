@@ -1,4 +1,4 @@
-"""``viewshed demo``: a simulated junction, what its sensor saw, and what it could have seen."""
+"""``viewshed demo``: a road junction, what its sensor saw, and what it could have seen."""
 
 from __future__ import annotations
 
@@ -13,60 +13,45 @@ from viewshed.cli._outputs import Run
 
 if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
-    from viewshed.grid import BevGrid
-    from viewshed.sim.observe import Observation
 
 
-SEED, TIME_S = 20, 5.0
+def demo(out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("demo")) -> None:
+    """Estimate what the sensor of the embedded sample sees, and compare with the exact truth.
 
-
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Of the junction and all in it.", min=0)] = SEED,
-) -> None:
-    """Simulate a junction, estimate what a sensor in it sees, and compare with the exact truth.
-
-    Writes demo.png (the estimate), demo_truth.png (estimate and truth side by side), GeoJSON and NPZ.
+    Writes demo.png (the estimate), demo_truth.png (estimate and truth side by side), GeoJSON and NPZ. The sample is a
+    simulated junction; ``viewshed simulate`` makes others.
 
     Example: viewshed demo --out demo
     """
     from viewshed._files import write_atomic
+    from viewshed.io import read_sweep
+    from viewshed.io.samples import junction_path
 
     out.mkdir(parents=True, exist_ok=True)
-    grid = options.parse_grid("road")
-    estimator = NetworkOptions().estimator(None, grid, "car")
-    seen = _junction(seed, grid)
-    sweep = seen.image.sweep()
-    estimate, summary = Run(estimator, estimator.threshold, out).one(sweep, "demo")
+    estimator = NetworkOptions().estimator(None, options.parse_grid("road"), "car")
+    estimate, summary = Run(estimator, estimator.threshold, out).one(read_sweep(junction_path()), "demo")
     typer.echo(summary)
-    picture, line = _beside_truth(estimate, seen)
+    picture, line = _beside_truth(estimate)
     write_atomic(out / "demo_truth.png", picture)
     typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")
     typer.echo(f"Look at {(out / 'demo.png').resolve()}")
 
 
-def _junction(seed: int, grid: BevGrid) -> Observation:
-    import numpy as np
-
-    from viewshed.sim.observe import Setting, observe
-    from viewshed.sim.world import AgentPlan
-    from viewshed.sim.worlds import WORLDS
-
-    world = WORLDS["junction"](np.random.default_rng(seed), AgentPlan())
-    return observe(world, world.agents[0], TIME_S, Setting(grid), np.random.SeedSequence(seed))
-
-
-def _beside_truth(estimate: FovEstimate, seen: Observation) -> tuple[bytes, str]:
+def _beside_truth(estimate: FovEstimate) -> tuple[bytes, str]:
     """Return a PNG of estimate and truth, and precision and recall of the estimate in one line."""
     import numpy as np
 
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.io.samples import junction_truth
     from viewshed.metrics import ConfusionCounts
     from viewshed.plot import Panel, comparison
 
-    name, true = estimate.target.name, seen.truth.visible(estimate.target)
-    exact = FovEstimate(estimate.grid, true.astype(np.float32), seen.truth.state[name], method="exact truth")
-    counts = ConfusionCounts.of(estimate.visible(), true, seen.known, estimate.grid.cell_area_m2)
+    truth, known = junction_truth()
+    true = truth.visible(estimate.target)
+    exact = FovEstimate(
+        truth.grid, true.astype(np.float32), truth.state[estimate.target.name], method="exact truth"
+    )  # fmt: skip
+    counts = ConfusionCounts.of(estimate.visible(), true, known, estimate.grid.cell_area_m2)
     scores = [f"{value:.3f}" for value in (counts.precision, counts.recall, counts.f1)]
     panels = [Panel(estimate, estimate.method), Panel(exact, "exact truth")]
     rows = [

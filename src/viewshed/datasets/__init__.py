@@ -1,13 +1,23 @@
-"""Data sets: samples with truth, in archives of Parquet files."""
+"""Data sets: samples with truth, in archives of Parquet files; recordings of others."""
 
 from __future__ import annotations
 
-from viewshed.datasets.archive.archive import Archive
-from viewshed.datasets.archive.build import ArchiveWriter, write_archive
-from viewshed.datasets.archive.schema import SCHEMA_VERSION, Manifest, ShardFacts
-from viewshed.datasets.archive.shard import write_shard
-from viewshed.datasets.archive.storage import Storage
-from viewshed.datasets.sample import Sample
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from viewshed.datasets.archive.archive import Archive
+    from viewshed.datasets.archive.build import ArchiveWriter, write_archive
+    from viewshed.datasets.archive.schema import SCHEMA_VERSION, Manifest, ShardFacts
+    from viewshed.datasets.archive.shard import write_shard
+    from viewshed.datasets.archive.storage import Storage
+    from viewshed.datasets.sample import Sample
+
+_HOMES = {
+    "SCHEMA_VERSION": "archive.schema", "Archive": "archive.archive", "ArchiveWriter": "archive.build",
+    "Manifest": "archive.schema", "Sample": "sample", "ShardFacts": "archive.schema", "Storage": "archive.storage",
+    "write_archive": "archive.build", "write_shard": "archive.shard",
+}  # fmt: skip
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -20,3 +30,10 @@ __all__ = [
     "write_archive",
     "write_shard",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is first used: a recording is read without what archives and truth need."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'viewshed.datasets' has no attribute {name!r}")
+    return getattr(import_module(f"viewshed.datasets.{_HOMES[name]}"), name)

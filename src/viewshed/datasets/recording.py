@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from viewshed.datasets.archive.archive import ArchiveSource, is_archive
+from viewshed.datasets.archive.schema import is_archive
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import SweepSource, each_sweep
 from viewshed.io import read_sweeps
@@ -58,4 +58,8 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
 
 def open_sweep_source(place: Path) -> SweepSource:
     """Return an archive of ours or somebody else's recording, scene by scene; errors as :func:`open_recording`."""
-    return ArchiveSource.open(place) if is_archive(place) else open_source(place)
+    if not is_archive(place):
+        return open_source(place)
+    from viewshed.datasets.archive.archive import ArchiveSource  # its sweeps are computed as the simulator does
+
+    return ArchiveSource.open(place)

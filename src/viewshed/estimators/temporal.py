@@ -154,7 +154,7 @@ class TemporalEstimator:
         """Yield the estimate of each sweep of a stream, with the history that this estimator keeps."""
         if history or require_confirmation:
             raise ValueError("history must be left out: a TemporalEstimator remembers its own stream")
-        return map(self.estimate, sweeps)
+        return map(self.estimate, _leveled(sweeps, self.grid))
 
     def batch_steps(self) -> BatchSteps:
         """Refuse: sweeps of a stream are taken one after the other."""
@@ -179,7 +179,16 @@ def stream(
         raise ValueError("require_confirmation goes with a history of 1 or more: it claims what earlier sweeps saw")
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
-    return map(estimator.estimate, sweeps)
+    return map(estimator.estimate, _leveled(sweeps, estimator.grid))
+
+
+def _leveled(sweeps: Iterable[Sweep], grid: BevGrid) -> Iterator[LeveledSweep]:
+    """Yield the sweeps of a stream leveled; the sensor of each is first expected to be that of the one before."""
+    sensor = None
+    for sweep in sweeps:
+        leveled = leveled_on(sweep, grid, sensor)
+        sensor = leveled.sensor_id.model
+        yield leveled
 
 
 def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstimate:

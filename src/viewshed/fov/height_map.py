@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.geometry import FloatArray
 from viewshed.grid import BevGrid
 
@@ -28,11 +28,9 @@ class LatticePositions(NamedTuple):
 def lattice_positions(xy: FloatArray, half_extent_m: float, nodes: int) -> LatticePositions:
     """Return the positions of points (…, 2+) of ``level`` on a lattice of so many nodes a side."""
     xy = np.ascontiguousarray(xy, dtype=np.float32)
+    node, down, right = _core.lattice_positions(xy.reshape(-1, xy.shape[-1]), half_extent_m, nodes)
     shape = xy.shape[:-1]
-    positions = LatticePositions(np.empty(shape, np.int32), np.empty(shape), np.empty(shape))
-    node, down, right = (array.reshape(-1) for array in positions)
-    _locate(np.float32(half_extent_m), nodes, xy.reshape(-1, xy.shape[-1]), node, down, right)
-    return positions
+    return LatticePositions(node.reshape(shape), down.reshape(shape), right.reshape(shape))
 
 
 @lru_cache(maxsize=8)
@@ -85,10 +83,8 @@ class HeightMap:
 
     def at_positions(self, positions: LatticePositions) -> NDArray[np.float32]:
         """Return ground z (…,) in meters at positions on a lattice like this one: faster for points that recur."""
-        heights = np.empty(positions.node.shape, np.float32)
-        node, down, right = (array.reshape(-1) for array in positions)
-        _interpolate(self.heights_m.reshape(-1), len(self.heights_m), node, down, right, heights.reshape(-1))
-        return heights
+        node, down, right = positions.node.reshape(-1), positions.down.reshape(-1), positions.right.reshape(-1)
+        return _core.interpolate(self.heights_m, node, down, right).reshape(positions.node.shape)
 
     def shifted(self, deviations: float) -> HeightMap:
         """Return the ground that lies so many standard deviations higher."""
@@ -99,24 +95,3 @@ class HeightMap:
         a, b, c = self.plane
         heights = self.heights_m + np.float32(delta_m)
         return HeightMap(heights, self.half_extent_m, self.seen, (a, b, c + delta_m), self.support, self.std_m)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _locate(half_m: Any, n: int, xy: Any, node: Any, down: Any, right: Any) -> None:  # pragma: no cover - compiled
-    """Write the position of each point; those beyond the edge lie on it."""
-    nodes_per_m = n / (2.0 * half_m)
-    for k in range(xy.shape[0]):
-        u = min(max((xy[k, 0] + half_m) * nodes_per_m - 0.5, 0.0), n - 1.001)
-        v = min(max((xy[k, 1] + half_m) * nodes_per_m - 0.5, 0.0), n - 1.001)
-        i, j = int(u), int(v)
-        node[k], down[k], right[k] = i * n + j, u - i, v - j
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate(heights: Any, n: int, node: Any, down: Any, right: Any, out: Any) -> None:  # pragma: no cover
-    """Bilinear between the four nodes around each position."""
-    for k in range(node.shape[0]):
-        at, under, part = np.uint32(node[k]), np.uint32(node[k] + n), right[k]
-        low = heights[at] * (1 - part) + heights[at + np.uint32(1)] * part
-        high = heights[under] * (1 - part) + heights[under + np.uint32(1)] * part
-        out[k] = low * (1 - down[k]) + high * down[k]

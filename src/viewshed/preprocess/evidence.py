@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.fov.estimate import THRESHOLD, CellState
-from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import (
-    Beams,
-    Target,
-    beams_that_aim,
-    probability_of_visible,
-    returns_by_kind,
-)
-from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.fov.visibility import Target, cell_windows, poisson_table, probability_of_visible
+from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.no_return import beams_by_evidence
 from viewshed.preprocess.reach import sensing_reach
@@ -39,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 States = NDArray[np.uint8]
 
+Counts = NDArray[np.int32]
+
 _EVIDENCE: WeakKeyDictionary[
     LeveledSweep | History, dict[tuple[BevGrid, Target, ReferenceType[LeveledSweep]], BeamEvidence]
 ]
@@ -47,6 +43,13 @@ _EVIDENCE = WeakKeyDictionary()
 
 It holds no sweep: that of a history, which holds the sweeps before, would keep those of a whole stream.
 """
+
+
+_SORTED: WeakKeyDictionary[LeveledSweep, _core.BeamsByAzimuth] = WeakKeyDictionary()
+"""The beams of sweeps that are still in use and were asked for boxes."""
+
+TALLEST_BOX_M = 4.0
+"""Beams without a return that pass higher above the ground than this, wherever they go, meet no box."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +95,8 @@ class BeamEvidence:
 
         Within reach, where surely enough beams aim at a target and too few reach it on the ground as it was estimated.
         """
-        aimed = probability_of_visible(self.aimed, self.target.min_returns) >= np.float32(SURE_AIM)
-        return aimed & ~_enough(self.reaching, self.target) & self.within_reach
+        every = np.ones(self.grid.shape, np.bool_)
+        return np.asarray(self.states(~every, every, ~every) == CellState.HIDDEN)
 
     def bounded(self, prob: Floats, threshold: float) -> Floats:
         """Return an estimator's probability (cells, cells), below its threshold where the beams support no claim."""
@@ -111,18 +114,26 @@ class BeamEvidence:
             denied: what it calls not visible.
             obstacle: cells that hold an obstacle return.
         """
-        claimed = visible & self.supports_claim()
-        state = np.where(denied & self.supports_denial(), np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
-        state[claimed] = CellState.FREE
-        state[claimed & obstacle] = CellState.SURFACE
-        return state
+        return _core.states(
+            self.measured,
+            self.inferred,
+            self.aimed,
+            self.visible_prob,
+            self.within_reach,
+            np.ascontiguousarray(visible),
+            np.ascontiguousarray(denied),
+            np.ascontiguousarray(obstacle),
+            table=poisson_table(self.target.min_returns),
+            threshold=THRESHOLD,
+            sure_aim=SURE_AIM,
+        )
 
     def inferred_share(self, visible: Mask) -> float:
         """Return the share of the claimed cells that measured beams alone would not support; 0 without claims."""
         claimed = visible & self.supports_claim()
         count = np.count_nonzero(claimed)
-        short = np.count_nonzero(claimed & ~_enough(self.measured, self.target))
-        return short / count if count else 0.0
+        enough = probability_of_visible(self.measured[claimed], self.target.min_returns) >= np.float32(THRESHOLD)
+        return np.count_nonzero(~enough) / count if count else 0.0
 
 
 def beam_evidence(leveled: LeveledSweep, grid: BevGrid, target: Target, history: History | None = None) -> BeamEvidence:
@@ -142,37 +153,49 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     kinds = [beams.measured, beams.inferred, beams.unresolved]
     if history is not None:
         kinds = [history.within(kind) for kind in kinds]
-    ground, height_m = leveled.ground, leveled.sensor_height_m
-    measured, inferred, unresolved = returns_by_kind(kinds, height_m, ground, grid, target)
-    # The probability at the ground's height, and at heights around it.
-    both = kinds[0] + kinds[1]
-    within = polar_of_cells(grid)[0] <= np.float32(reach_of_sweep(leveled))
-    prob = _probability(both, measured + inferred, ground, height_m, grid, target)
-    # No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
-    most = np.nextafter(np.float32(THRESHOLD), np.float32(0.0))
-    prob = np.where(_enough(measured + inferred, target) & within, prob, np.minimum(prob, most))
-    aimed = beams_that_aim(both, height_m, ground, grid, target)
-    evidence = BeamEvidence(grid, target, measured, inferred, unresolved, aimed, prob, within)
-    for array in (measured, inferred, unresolved, aimed, prob, within):
+    ground = leveled.ground
+    arrays = _core.beam_evidence(
+        cell_windows(grid, target.width_m),
+        (kinds[0].arrays, kinds[1].arrays, kinds[2].arrays),
+        ground.heights_m,
+        ground.std_m,
+        half_extent_m=ground.half_extent_m,
+        sensor_height_m=leveled.sensor_height_m,
+        target_height_m=target.height_m,
+        ground_steps=GROUND_STEPS,
+        table=poisson_table(target.min_returns),
+        threshold=THRESHOLD,
+        reach_m=reach_of_sweep(leveled),
+    )
+    for array in arrays:
         array.setflags(write=False)
-    return evidence
+    return BeamEvidence(grid, target, *arrays)
 
 
-def _probability(
-    beams: Beams, counts: Floats, ground: HeightMap, sensor_height_m: float, grid: BevGrid, target: Target
-) -> Floats:
-    """Return P(visible) (cells, cells), averaged over the heights of the ground; ``counts`` are returns at its own."""
-    own = 1.0 - sum(weight for _, weight in GROUND_STEPS)
-    prob = np.float32(own) * probability_of_visible(counts, target.min_returns)
-    for deviations, weight in GROUND_STEPS:
-        [returns] = returns_by_kind([beams], sensor_height_m, ground.shifted(deviations), grid, target)
-        prob += np.float32(weight) * probability_of_visible(returns, target.min_returns)
-    return prob
+def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:
+    """Return how many beams of a leveled sweep would meet each of K boxes (K,) int32.
 
+    A beam counts if its straight line meets the box and it ended no nearer than there (by 0.1 m, the noise of ranges).
+    Beams with a return end there, those without one where their surroundings say
+    (:func:`viewshed.preprocess.no_return.beams_by_evidence`); where these say nothing, a beam does not count. The
+    beams of a sweep are sorted when they are first asked for.
 
-def _enough(returns: Floats, target: Target) -> Mask:
-    """Return where the expected returns (cells, cells) are as likely as not to show the target."""
-    return np.asarray(probability_of_visible(returns, target.min_returns) >= np.float32(THRESHOLD))
+    Args:
+        leveled: the sweep.
+        boxes: (K, 7) center x, y, z, length, width and height in meters, and yaw in radians, in ``level``.
+        leave_out_own: count as if the returns in a box were not there, so that their beams meet it. Without it a
+            return in a box ends its beam: those that go through all of the box are left.
+
+    Raises:
+        ValueError: the boxes have another shape, are not finite, or have no size.
+    """
+    boxes = np.ascontiguousarray(boxes, np.float32)
+    if boxes.ndim != 2 or boxes.shape[1] != 7:
+        raise ValueError(f"boxes must have shape (K, 7), got {boxes.shape}; give x, y, z, length, width, height, yaw")
+    if leveled not in _SORTED:
+        beams = beams_by_evidence(leveled, TALLEST_BOX_M)
+        _SORTED[leveled] = _core.BeamsByAzimuth(*(beams.measured + beams.inferred).arrays)
+    return _SORTED[leveled].expected_returns(boxes, leveled.sensor_height_m, leave_out_own)
 
 
 def reach_of_sweep(leveled: LeveledSweep) -> float:

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed._numba import BLOCK, split
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
-from viewshed.preprocess.ego_vehicle import EGO_BOX_M, EGO_HEIGHTS_M, vehicle_heading
-from viewshed.preprocess.ground import estimate_ground, lattice_nodes
-from viewshed.preprocess.ground_plane import free_plane
+from viewshed.preprocess.ego_vehicle import vehicle_heading
+from viewshed.preprocess.ground import estimate_ground
 from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
+from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 OBSTACLE_HEIGHTS_M = (0.3, 3.0)
@@ -122,17 +119,18 @@ class LeveledSweep:
         )
 
 
-def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
+def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
     """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
 
     The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified.
+    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. A sensor that is
+    ``expected``, that of the sweep before, is only looked at first: the result is the same without.
     """
     # 1. Identify the sensor: its beam table, and the ring of each return.
-    sensor_id = identify_sensor(sweep)
+    sensor_id = identify_sensor(sweep, expected)
     # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
     image = range_image_by_sensor(sweep.points, sensor_id, range_limits(sweep))
     isolated = np.zeros(len(sweep), np.bool_) if image is None else image.isolated
@@ -150,15 +148,15 @@ def level(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     )  # fmt: skip
 
 
-def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid) -> LeveledSweep:
-    """Return ``sweep`` leveled for ``grid``; one that is leveled already is taken as it is.
+def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
+    """Return ``sweep`` leveled for ``grid``, see :func:`level`; one that is leveled already is taken as it is.
 
     Raises:
         TypeError: ``sweep`` is neither.
         ValueError: it was leveled for a smaller grid.
     """
     if isinstance(sweep, Sweep):
-        return level(sweep, grid)
+        return level(sweep, grid, expected)
     if not isinstance(sweep, LeveledSweep):
         raise TypeError(
             f"sweep must be a Sweep or a LeveledSweep, got {type(sweep).__name__}; make one with viewshed.Sweep(points)"
@@ -197,12 +195,9 @@ def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[N
 def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> HeightMap:
     """Return the ground over the extent of ``grid``, after a rotation (3, 3)."""
     half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
-    near_m, far_m = np.array(range_limits(sweep), np.float32)
-    lows_m, rise_m = lowest_returns(
-        sweep.points, isolated, rotation.astype(np.float32), near_m, far_m, np.float32(half_m), lattice_nodes(half_m),
-        _vehicle_axis(sweep, rotation),
-    )  # fmt: skip
-    return estimate_ground(lows_m, rise_m, half_m, sweep.sensor_height_m)
+    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
+    limits_m, height_m = range_limits(sweep), sweep.sensor_height_m
+    return estimate_ground(sweep.points, isolated, rotation, limits_m, heading, half_m, height_m)
 
 
 def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:
@@ -211,7 +206,7 @@ def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | Non
     if ground.support < TILT_SUPPORT:
         # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
         returns = np.ascontiguousarray(sweep.points[:: max(len(sweep) // 2500, 1)])
-        steep, support = free_plane(returns)
+        steep, support = _core.free_plane(returns)
         if support < TILT_SUPPORT and _share_at_one_height(returns @ steep) < TILT_RETURNS:
             return None
         normal = steep.astype(np.float64)
@@ -233,12 +228,6 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([forward, np.cross(normal, forward), normal])
 
 
-def _vehicle_axis(sweep: Sweep, rotation: NDArray[np.float64]) -> Floats:
-    """Return the axis (2,) of the own vehicle in the level frame: cosine and sine of its heading."""
-    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
-    return np.array([np.cos(heading), np.sin(heading)], np.float32)
-
-
 def _level_points(
     sweep: Sweep, clutter: Mask | None, level_from_sensor: Rigid, ground: HeightMap
 ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.int32]]:
@@ -255,103 +244,3 @@ def _level_points(
     for column in columns:
         column.setflags(write=False)
     return columns
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lowest_returns(
-    points: Any, isolated: Any, rotation: Any, near_m: Any, far_m: Any, half_m: Any, side: int, axis: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return each node's second-lowest point (side, side, 3), and the height from it up to the highest (side, side).
-
-    The lowest one where it is alone; +inf where a node has none. Points are turned first; isolated ones do not count.
-    """
-    # Of each node the two lowest heights and the points that they are of, and the greatest height.
-    lowest, origin = np.full((side * side, 2), np.inf, np.float32), np.zeros((side * side, 2), np.int32)
-    highest = np.full(side * side, -np.inf, np.float32)
-    x, y, z = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    nodes, heights = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.float32)
-    for start in range(0, points.shape[0], BLOCK):
-        count = split(points, start, x, y, z)
-        _nodes(x[:count], y[:count], z[:count], rotation, near_m, far_m, half_m, np.float32(side), axis, nodes, heights)
-        for n in range(count):
-            k = start + n
-            if nodes[n] < 0 or isolated[k]:
-                continue
-            node, low = np.uint32(nodes[n]), heights[n]
-            highest[node] = max(highest[node], low)
-            # Insert into the two lowest. Most points are higher than both.
-            if low <= lowest[node, 1] and _before(points, k, low, origin[node, 1], lowest[node, 1]):
-                rank = 1
-                if _before(points, k, low, origin[node, 0], lowest[node, 0]):
-                    lowest[node, 1], origin[node, 1] = lowest[node, 0], origin[node, 0]
-                    rank = 0
-                lowest[node, rank], origin[node, rank] = low, k
-    return _low_points(points, rotation, lowest, origin, highest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _low_points(
-    points: Any, rotation: Any, lowest: Any, origin: Any, highest: Any
-) -> Any:  # pragma: no cover - compiled
-    """Return the turned low point (side, side, 3) of each node, and the rise (side, side) from it to the highest."""
-    side = int(np.sqrt(highest.shape[0]))
-    lows, rise = np.full((side, side, 3), np.inf, np.float32), np.zeros((side, side), np.float32)
-    for node in range(highest.shape[0]):
-        rank = 1 if np.isfinite(lowest[node, 1]) else 0
-        if np.isfinite(lowest[node, rank]):
-            i, j, k = node // side, node % side, origin[node, rank]
-            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
-            lows[i, j, 0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-            lows[i, j, 1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-            lows[i, j, 2] = lowest[node, rank]
-            rise[i, j] = highest[node] - lowest[node, rank]
-    return lows, rise
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _before(points: Any, k: Any, z: Any, other: Any, low: Any) -> Any:  # pragma: no cover - compiled
-    """Whether ``z`` is lower; among equals x and y decide, so that the order of the points does not."""
-    if z != low:
-        return z < low
-    if points[k, 0] != points[other, 0]:
-        return points[k, 0] < points[other, 0]
-    return points[k, 1] < points[other, 1]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(
-    xs: Any,
-    ys: Any,
-    zs: Any,
-    rotation: Any,
-    near_m: Any,
-    far_m: Any,
-    half_m: Any,
-    last: Any,
-    axis: Any,
-    nodes: Any,
-    heights: Any,
-) -> None:  # pragma: no cover - compiled
-    """Find the node (-1 where it is no candidate for ground) and the z of each point of a block.
-
-    No candidates: points outside or out of range, and those that may be the hood or roof of the vehicle below the
-    sensor. Without branches, so that it vectorizes.
-    """
-    nodes_per_m, side = last / (np.float32(2.0) * half_m), np.int32(last)
-    near2, far2 = near_m * near_m, far_m * far_m
-    xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    cos, sin = axis[0], axis[1]
-    hood_x, hood_y, hood_z = np.float32(EGO_BOX_M[0]), np.float32(EGO_BOX_M[1]), np.float32(-EGO_HEIGHTS_M[0])
-    for k in range(xs.shape[0]):
-        px, py, pz = xs[k], ys[k], zs[k]
-        d2 = px * px + py * py + pz * pz
-        x, y = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
-        z = zx * px + zy * py + zz * pz
-        u, v = (x + half_m) * nodes_per_m, (y + half_m) * nodes_per_m
-        hood = (abs(cos * x + sin * y) < hood_x) & (abs(cos * y - sin * x) < hood_y) & (z > hood_z)
-        inside = (d2 >= near2) & (d2 <= far2) & (u >= 0) & (v >= 0) & (u < last) & (v < last) & (not hood)
-        i, j = np.int32(u if inside else np.float32(0)), np.int32(v if inside else np.float32(0))
-        nodes[k] = i * side + j if inside else np.int32(-1)
-        heights[k] = z

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.datasets.archive.schema import MANIFEST, Layout, Manifest, ShardFacts
+from viewshed.datasets.archive.schema import Layout, Manifest, ShardFacts
 from viewshed.datasets.archive.shard import Shard, damage_of
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.sample import Sample
@@ -274,11 +274,6 @@ class ArchiveSource:
     def damage(self) -> tuple[str, ...]:
         """Return one line for each shard that could not be read so far."""
         return tuple(self._damage)
-
-
-def is_archive(place: Path) -> bool:
-    """Return whether a folder holds an archive, from its names alone."""
-    return (place / MANIFEST).is_file()
 
 
 Arrays = dict[str, NDArray[Any]]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
-from viewshed.preprocess.ground import estimate_ground
+from viewshed.preprocess.ground import ground_of_lows
 from viewshed.preprocess.leveling import LeveledSweep
 
 NODES_PER_HALF = 64
@@ -116,7 +116,7 @@ def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float
     lowest = np.where(second, lows[:, :, 1], lows[:, :, 0])
     center = (corner + count // 2) * node_m - sensor[:2]
     lowest[np.isfinite(lowest[..., 2]), :2] -= center.astype(np.float32)
-    ground = estimate_ground(lowest, rise, count * node_m / 2, leveled.sensor_height_m)
+    ground = ground_of_lows(lowest, rise, count * node_m / 2, leveled.sensor_height_m)
     return Patch(ground, center, 0.0 if pose is None else pose.yaw)
 
 

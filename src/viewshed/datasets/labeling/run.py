@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from viewshed._jobs import Engine
-from viewshed.datasets.archive.archive import Archive, ArchiveSource, is_archive
+from viewshed.datasets.archive.archive import Archive, ArchiveSource
 from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
-from viewshed.datasets.archive.schema import Layout
+from viewshed.datasets.archive.schema import Layout, is_archive
 from viewshed.datasets.archive.storage import Storage
 from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
 from viewshed.datasets.recordings import open_source

@@ -1,9 +1,17 @@
-"""The sample that travels with the package: a simulated junction, made by ``tools/make_sample.py``."""
+"""The sample that travels with the package: a simulated junction with its truth, made by ``tools/make_sample.py``."""
 
 from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.truth import Truth
+from viewshed.grid import GRIDS
+
+_FOLDER = Path(str(resources.files("viewshed"))) / "io" / "samples"
 
 
 def junction_path() -> Path:
@@ -12,4 +20,25 @@ def junction_path() -> Path:
     >>> junction_path().name
     'junction.pcd.bin.gz'
     """
-    return Path(str(resources.files("viewshed") / "io" / "samples" / "junction.pcd.bin.gz"))
+    return _FOLDER / "junction.pcd.bin.gz"
+
+
+def junction_truth_path() -> Path:
+    """Return the path of the exact truth of that sweep: an NPZ that :func:`junction_truth` reads.
+
+    >>> junction_truth_path().name
+    'junction_truth.npz'
+    """
+    return _FOLDER / "junction_truth.npz"
+
+
+def junction_truth() -> tuple[Truth, NDArray[np.bool_]]:
+    """Return what the sensor of the junction could have seen of cars, on the grid ``road``, and where that is known.
+
+    >>> truth, known = junction_truth()
+    >>> truth.visible("car").shape, bool(known.all())
+    ((256, 256), True)
+    """
+    with np.load(junction_truth_path()) as stored:
+        truth = Truth(GRIDS["road"], {"car": stored["expected_returns"]}, {"car": stored["state"]})
+        return truth, stored["known"]

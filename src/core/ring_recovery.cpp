@@ -1,0 +1,508 @@
+#include "ring_recovery.hpp"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <numbers>
+#include <numeric>
+
+#include "elevation_clusters.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+constexpr float TURN = 2 * PI;
+constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
+
+// Azimuths jitter across the seam by at most so many radians, for fewer than so many points.
+constexpr float BACK = 0.35f;
+constexpr std::size_t SOON = 8;
+
+// A step of the azimuth against its sense, in radians; rings are stored one after the other if no more steps than this
+// share are such.
+constexpr float BACKWARD = 0.003f;
+constexpr double MOST_BACKWARD = 0.03;
+
+// Fewer rings are not told by the order, and more are noise.
+constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
+
+// First and last rings of less than this share of the others' size are joined to their neighbor.
+constexpr double STRAY_RING = 0.01;
+
+// From a ring to the next one the slope nearly always rises, or nearly always falls: at their seams, and in the median.
+constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
+
+// A smaller change of slope is none: rounding, where a ring was cut in two.
+constexpr double LEAST_STEP = 1e-5;
+
+// About so many returns of a ring, evenly spread, tell its median slope.
+constexpr std::size_t RETURNS_OF_RING = 256;
+
+// Median slopes of rings go from the first to the last in at most this much of the way between these.
+constexpr double MOST_WAY = 1.5;
+
+// Rings told by the order of the points are taken at once where they change by less than this share of a step.
+constexpr double LITTLE = 0.3;
+
+// Columns of a revolution where neither the points nor a model tell, and elevation bins of a cloud without beams.
+constexpr std::size_t DEFAULT_COLUMNS = 1024, PSEUDO_RINGS = 64;
+
+// Columns are measured in the fullest rings, by gaps between 3 and 300 bins of 0.01°; fewer gaps do not tell them.
+constexpr std::size_t SAMPLED_RINGS = 6, FEWEST_GAPS = 16;
+constexpr double GAP_BIN = 0.01 * std::numbers::pi / 180, LEAST_BINS = 3, MOST_BINS = 300;
+constexpr long FEWEST_COLUMNS = 4, MOST_COLUMNS = 36'000;
+
+// A model knows the step within 5 %; irregular firing has gaps 1.3 times as wide, which hold 90 % of the angle.
+constexpr double STEP_KNOWN = 0.05, IRREGULAR = 1.3, COVERED = 0.9;
+
+// Points of one ring, one after the other: up to the next run.
+struct Run {
+    std::size_t start;
+    std::int32_t ring;
+};
+
+// The rings counted from the wraps of the azimuth.
+struct Order {
+    std::vector<Run> runs;
+    std::size_t rings = 0;
+    double one_way = 0.0;  // share of the wraps at which the slope rises, or falls if these are more
+};
+
+// Of the step to a point: it passes the seam, or goes back over it.
+constexpr std::uint8_t WRAPS = 1, GOES_BACK = 2;
+
+// Mark the steps of a block of points (count, 3) that begin a ring, or go back to the one before, and count those against
+// the sense. The angle before the block is given, and replaced by its last one.
+MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float* before,
+                                    std::uint8_t* marked) {
+    float x[BLOCK], y[BLOCK], angle[BLOCK + 1];
+    for (std::size_t k = 0; k < count; ++k) {
+        x[k] = points[3 * k];
+        y[k] = points[3 * k + 1];
+    }
+    angle[0] = *before;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float a = sense * (azimuth_of(y[k], x[k]) - start);
+        angle[k + 1] = a < 0.0f ? a + TURN : a;
+    }
+    *before = angle[count];
+    std::int32_t backward = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float step = angle[k + 1] - angle[k];
+        backward += (step < -BACKWARD) & (step >= -PI);
+        marked[k] = std::uint8_t((step < -PI ? WRAPS : 0) | (step > TURN - BACK ? GOES_BACK : 0));
+    }
+    return std::size_t(backward);
+}
+
+// Count rings from the wraps of the azimuth past `start` in a sense; none if steps against it are many.
+//
+// A step back over `start` soon after a wrap takes the wrap back. Stray first and last rings are joined to their neighbor.
+Order order_rings(View2<const float> points, float start, float sense) {
+    const std::size_t count = points.rows;
+    Order order;
+    std::size_t backward = 0, last_start = 0;
+    std::int32_t wraps = 0, rising = 0, falling = 0;
+    std::vector<Run>& runs = order.runs;
+    runs.push_back({0, 0});
+    // 1. Follow the azimuth; most blocks of eight points hold no wrap.
+    const float first = sense * (azimuth_of(points(0, 1), points(0, 0)) - start);
+    float before = first < 0.0f ? first + TURN : first;
+    alignas(8) std::uint8_t marked[BLOCK];
+    for (std::size_t begin = 0; begin < count; begin += BLOCK) {
+        const std::size_t size = std::min(BLOCK, count - begin);
+        backward += mark_steps(points[begin], size, start, sense, &before, marked);
+        if (double(backward) > MOST_BACKWARD * double(count)) return {};
+        std::fill(marked + size, marked + (size + 7) / 8 * 8, std::uint8_t{0});
+        for (std::size_t eight = 0; eight < size; eight += 8) {
+            std::uint64_t any;
+            std::memcpy(&any, marked + eight, 8);
+            if (any == 0) continue;
+            for (std::size_t k = eight; k < eight + 8; ++k) {
+                if (marked[k] == 0) continue;
+                const std::size_t n = begin + k;
+                const double change = double(slope_of(points[n])) - double(slope_of(points[n - 1]));
+                if (marked[k] == WRAPS) {
+                    ++wraps;
+                    rising += change > LEAST_STEP;
+                    falling += change < -LEAST_STEP;
+                    last_start = n;
+                } else if (wraps > 0 && n - last_start < SOON) {
+                    --wraps;
+                    rising -= change < -LEAST_STEP;
+                    falling -= change > LEAST_STEP;
+                } else {
+                    continue;
+                }
+                if (wraps > std::int32_t(MOST_RINGS)) return {};
+                runs.push_back({n, wraps});
+            }
+        }
+    }
+    if (wraps > 0) order.one_way = double(std::max(rising, falling)) / wraps;
+    // 2. Join stray first and last rings. Points of a wrap that was taken back at the very end are of the last ring.
+    std::vector<std::size_t> sizes(std::size_t(wraps) + 1, 0);
+    for (std::size_t k = 0; k < runs.size(); ++k) {
+        runs[k].ring = std::min(runs[k].ring, wraps);
+        sizes[std::size_t(runs[k].ring)] += (k + 1 < runs.size() ? runs[k + 1].start : count) - runs[k].start;
+    }
+    const double stray = STRAY_RING * double(count) / (wraps + 1);
+    if (wraps > 0 && double(sizes[std::size_t(wraps)]) < stray) {
+        --wraps;
+        for (Run& run : runs) run.ring = std::min(run.ring, wraps);
+    }
+    if (wraps > 0 && double(sizes[0]) < stray) {
+        --wraps;
+        for (Run& run : runs) run.ring = std::max(run.ring - 1, 0);
+    }
+    order.rings = std::size_t(wraps) + 1;
+    // 3. Runs of the same ring are one.
+    runs.erase(std::unique(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.ring == b.ring; }),
+               runs.end());
+    return order;
+}
+
+// The bits of a number as a whole number that is ordered as the numbers are, and back.
+INLINE std::int32_t number_key(std::int32_t bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
+
+// Write the keys of numbers, the greatest for those that are none, and return how many are numbers.
+MULTIVERSION std::size_t order_keys(const float* values, std::size_t count, std::int32_t* key) {
+    std::int32_t known = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const bool is_number = values[k] == values[k];
+        key[k] = is_number ? number_key(std::bit_cast<std::int32_t>(values[k])) : std::numeric_limits<std::int32_t>::max();
+        known += is_number;
+    }
+    return std::size_t(known);
+}
+
+MULTIVERSION void find_bounds(const std::int32_t* key, std::size_t count, std::int64_t& low, std::int64_t& high) {
+    std::int32_t least = std::numeric_limits<std::int32_t>::max(), most = std::numeric_limits<std::int32_t>::min();
+    for (std::size_t k = 0; k < count; ++k) {
+        least = key[k] < least ? key[k] : least;
+        most = key[k] > most ? key[k] : most;
+    }
+    low = least;
+    high = most;
+}
+
+MULTIVERSION std::size_t count_up_to(const std::int32_t* key, std::size_t count, std::int32_t most) {
+    std::int32_t below = 0;
+    for (std::size_t k = 0; k < count; ++k) below += key[k] <= most;
+    return std::size_t(below);
+}
+
+// The median, of an even number the mean of the two in the middle; NaN for none.
+double median_of(std::vector<double> values) {
+    if (values.empty()) return NONE;
+    const std::size_t half = values.size() / 2;
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(half), values.end());
+    if (values.size() % 2) return values[half];
+    return (*std::max_element(values.begin(), values.begin() + std::ptrdiff_t(half)) + values[half]) / 2;
+}
+
+// The median slopes (rings,) of ordered rings, by some of the returns of each.
+std::vector<double> medians_in_order(const Order& order, View2<const float> points) {
+    const std::size_t step = std::max<std::size_t>(points.rows / order.rings / RETURNS_OF_RING, 1);
+    std::vector<std::vector<float>> of_ring(order.rings);
+    for (std::size_t k = 0; k < order.runs.size(); ++k) {
+        const std::size_t end = k + 1 < order.runs.size() ? order.runs[k + 1].start : points.rows;
+        std::vector<float>& values = of_ring[std::size_t(order.runs[k].ring)];
+        for (std::size_t n = order.runs[k].start; n < end; n += step) values.push_back(slope_of(points[n]));
+    }
+    std::vector<double> medians;
+    for (std::vector<float>& values : of_ring) medians.push_back(lower_median(values.data(), values.size()));
+    return medians;
+}
+
+// How much the slope changes, in the median run, from a quarter of its returns to three quarters.
+double change_within(const Order& order, View2<const float> points) {
+    std::vector<double> changes;
+    for (std::size_t k = 0; k < order.runs.size(); ++k) {
+        const std::size_t start = order.runs[k].start;
+        const std::size_t size = (k + 1 < order.runs.size() ? order.runs[k + 1].start : points.rows) - start;
+        changes.push_back(std::abs(slope_of(points[start + size / 4]) - slope_of(points[start + 3 * size / 4])));
+    }
+    return median_of(std::move(changes));
+}
+
+// The rings of each run, ascending.
+Rings fill_rings(const Order& order, std::size_t count, bool rising) {
+    Rings rings{Buffer<std::int16_t>(count), order.rings};
+    for (std::size_t k = 0; k < order.runs.size(); ++k) {
+        const std::size_t end = k + 1 < order.runs.size() ? order.runs[k + 1].start : count;
+        const auto ring = std::int16_t(rising ? order.runs[k].ring : std::int32_t(order.rings) - 1 - order.runs[k].ring);
+        std::fill(&rings.ring[order.runs[k].start], rings.ring.data() + end, ring);
+    }
+    return rings;
+}
+
+// Returns by ring: the values of each, one ring after the other.
+class ByRing {
+public:
+    ByRing(View1<const std::int16_t> ring, std::size_t rings) : starts_(rings + 1, 0) {
+        for (const std::int16_t r : ring) {
+            if (r >= 0) ++starts_[std::size_t(r) + 1];
+        }
+        for (std::size_t r = 0; r < rings; ++r) starts_[r + 1] += starts_[r];
+        rows_.resize(starts_[rings]);
+        std::vector<std::size_t> next(starts_.begin(), starts_.end() - 1);
+        for (std::size_t n = 0; n < ring.size; ++n) {
+            if (ring[n] >= 0) rows_[next[std::size_t(ring[n])]++] = std::uint32_t(n);
+        }
+    }
+
+    View1<const std::uint32_t> rows(std::size_t ring) const {
+        return {rows_.data() + starts_[ring], starts_[ring + 1] - starts_[ring]};
+    }
+
+private:
+    std::vector<std::size_t> starts_;
+    std::vector<std::uint32_t> rows_;
+};
+
+// Bins of elevation: the table's nearest beams, else bins with equally many returns each.
+Rings elevation_bins(const Directions& seen, const BeamTable* table) {
+    std::vector<double> edges;
+    if (table != nullptr) {
+        for (std::size_t k = 0; k + 1 < table->rings(); ++k) {
+            edges.push_back(std::tan((table->elevation[k + 1] + table->elevation[k]) / 2));
+        }
+    } else {
+        std::vector<float> ascending;
+        for (std::size_t n = 0; n < seen.size(); ++n) {
+            if (seen.range_m[n] > 0.0f) ascending.push_back(seen.slope[n]);
+        }
+        std::sort(ascending.begin(), ascending.end());
+        for (std::size_t k = 1; k < PSEUDO_RINGS && !ascending.empty(); ++k) {
+            edges.push_back(ascending[k * ascending.size() / PSEUDO_RINGS]);
+        }
+        edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
+    }
+    Rings rings{Buffer<std::int16_t>(seen.size()), edges.size() + 1};
+    for (std::size_t n = 0; n < seen.size(); ++n) {
+        const auto bin = std::upper_bound(edges.begin(), edges.end(), double(seen.slope[n])) - edges.begin();
+        rings.ring[n] = std::int16_t(seen.range_m[n] > 0.0f ? bin : -1);
+    }
+    return rings;
+}
+
+// The azimuth step behind the gaps within rings (`own`) and in several rings taken together (`pooled`); NaN for too few.
+//
+// The mean of the gaps within a quarter of the most frequent one. Where firing is irregular (CARLA's overlaid revolutions
+// leave gaps in all rings at once) it is the gap that 90 % of the angle does not exceed, so that columns are not empty
+// between firings, unless the model knows the step within 5 %.
+double firing_step(std::vector<double> own, std::vector<double> pooled, const BeamTable* table) {
+    for (std::vector<double>* gaps : {&own, &pooled}) {
+        std::erase_if(*gaps, [](double gap) { return !(gap > LEAST_BINS * GAP_BIN && gap < MOST_BINS * GAP_BIN); });
+    }
+    if (own.size() < FEWEST_GAPS) return NONE;
+    // 1. The most frequent gap, and the mean of those like it.
+    std::array<int, std::size_t(MOST_BINS) + 3> counts{};
+    for (const double gap : own) ++counts[std::size_t(gap / GAP_BIN) + 1];
+    std::size_t peak = 1;
+    const auto around = [&](std::size_t b) { return counts[b - 1] + counts[b] + counts[b + 1]; };
+    for (std::size_t b = 1; b + 1 < counts.size(); ++b) peak = around(b) > around(peak) ? b : peak;
+    std::vector<double> usual;
+    for (const double gap : own) {
+        if (std::abs(gap - (double(peak) - 0.5) * GAP_BIN) <= 1.5 * GAP_BIN) usual.push_back(gap);
+    }
+    const double mode = median_of(std::move(usual));
+    double sum = 0.0;
+    std::size_t like_it = 0;
+    for (const double gap : own) {
+        const bool is_like = std::abs(gap - mode) < mode / 4;
+        sum += is_like ? gap : 0.0;
+        like_it += is_like;
+    }
+    const double step = sum / double(like_it);
+    // 2. Irregular firing.
+    if (table != nullptr && std::abs(step / (2 * std::numbers::pi / table->columns) - 1) < STEP_KNOWN) return step;
+    std::sort(pooled.begin(), pooled.end());
+    const double angle = std::accumulate(pooled.begin(), pooled.end(), 0.0);
+    double so_far = 0.0;
+    for (const double gap : pooled) {
+        so_far += gap;
+        if (so_far >= COVERED * angle) return gap > IRREGULAR * step ? gap : step;
+    }
+    return step;
+}
+
+// The columns of a revolution: measured in the fullest rings, else the table's, else a usual number.
+std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSource source, const BeamTable* table) {
+    const std::size_t fallback = table != nullptr ? std::size_t(table->columns) : DEFAULT_COLUMNS;
+    if (source == RingSource::ELEVATION_BINS) return fallback;
+    // 1. The azimuths of the fullest rings.
+    std::vector<std::size_t> sizes(rings.count, 0), fullest(rings.count);
+    const auto is_used = [&](std::size_t n) { return rings.ring[n] >= 0 && seen.range_m[n] > NEAR_M; };
+    for (std::size_t n = 0; n < seen.size(); ++n) {
+        if (is_used(n)) ++sizes[std::size_t(rings.ring[n])];
+    }
+    std::iota(fullest.begin(), fullest.end(), std::size_t{0});
+    std::stable_sort(fullest.begin(), fullest.end(), [&](auto a, auto b) { return sizes[a] > sizes[b]; });
+    fullest.resize(std::min(fullest.size(), SAMPLED_RINGS));
+    std::vector<std::vector<double>> sampled(fullest.size());
+    for (std::size_t n = 0; n < seen.size(); ++n) {
+        if (!is_used(n)) continue;
+        const auto place = std::find(fullest.begin(), fullest.end(), std::size_t(rings.ring[n])) - fullest.begin();
+        if (place < std::ptrdiff_t(fullest.size())) sampled[std::size_t(place)].push_back(seen.azimuth[n]);
+    }
+    // 2. Gaps within each, and in all together.
+    std::vector<double> own, all, pooled;
+    const auto add_gaps = [](std::vector<double>& azimuths, std::vector<double>& gaps) {
+        std::sort(azimuths.begin(), azimuths.end());
+        for (std::size_t k = 1; k < azimuths.size(); ++k) gaps.push_back(azimuths[k] - azimuths[k - 1]);
+    };
+    for (std::vector<double>& azimuths : sampled) {
+        add_gaps(azimuths, own);
+        all.insert(all.end(), azimuths.begin(), azimuths.end());
+    }
+    add_gaps(all, pooled);
+    const double step = firing_step(std::move(own), std::move(pooled), table);
+    if (!(step > 0.0)) return fallback;
+    return std::size_t(std::clamp(std::lrint(2 * std::numbers::pi / step), FEWEST_COLUMNS, MOST_COLUMNS));
+}
+
+// The median elevations (rings,); the table's, or interpolated, where a ring has no return beyond 1 m.
+Buffer<double> median_elevations(const Directions& seen, const Rings& rings, const BeamTable* table) {
+    const ByRing by_ring(rings.ring, rings.count);
+    Buffer<double> elevation(rings.count);
+    std::vector<std::size_t> known;
+    std::vector<float> values;
+    for (std::size_t r = 0; r < rings.count; ++r) {
+        values.clear();
+        for (const std::uint32_t n : by_ring.rows(r)) {
+            if (seen.range_m[n] > NEAR_M) values.push_back(seen.slope[n]);
+        }
+        elevation[r] = std::atan(lower_median(values.data(), values.size()));
+        if (!values.empty()) known.push_back(r);
+    }
+    if (table != nullptr && table->rings() == rings.count) {
+        for (std::size_t r = 0; r < rings.count; ++r) {
+            if (std::isnan(elevation[r])) elevation[r] = table->elevation[r];
+        }
+        return elevation;
+    }
+    if (known.empty()) return Buffer<double>(rings.count, 0.0);
+    for (std::size_t r = 0; r < rings.count; ++r) {
+        if (!std::isnan(elevation[r])) continue;
+        const auto above = std::lower_bound(known.begin(), known.end(), r);
+        if (above == known.begin() || above == known.end()) {
+            elevation[r] = elevation[above == known.begin() ? known.front() : known.back()];
+            continue;
+        }
+        const std::size_t low = *(above - 1), high = *above;
+        const double per_ring = (elevation[high] - elevation[low]) / double(high - low);
+        elevation[r] = elevation[low] + per_ring * double(r - low);
+    }
+    return elevation;
+}
+
+// The ring of each return, and what shows them.
+std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& seen,
+                                        std::optional<View1<const std::int16_t>> known, const BeamTable* table) {
+    if (known) {
+        Rings rings{Buffer<std::int16_t>(known->size), table != nullptr ? table->rings() : 1};
+        std::copy(known->begin(), known->end(), rings.ring.data());
+        for (const std::int16_t r : *known) rings.count = std::max(rings.count, std::size_t(std::max<int>(r, 0)) + 1);
+        return {std::move(rings), RingSource::FILE};
+    }
+    std::optional<Rings> ordered = rings_by_order(points);
+    if (ordered && (table == nullptr || ordered->count <= table->rings())) {
+        return {std::move(*ordered), RingSource::FILE_ORDER};
+    }
+    if (table != nullptr) {
+        BeamMatch match = match_beams(seen.slope, seen.range_m, *table);
+        if (match.excess >= EXPLAINED) return {Rings{std::move(match.ring), table->rings()}, RingSource::BEAM_TABLE};
+    } else if (std::optional<ClusteredRings> clustered = rings_by_clusters(seen)) {
+        return {std::move(clustered->rings), RingSource::ELEVATION_CLUSTERS};
+    }
+    return {elevation_bins(seen, table), RingSource::ELEVATION_BINS};
+}
+
+}  // namespace
+
+double lower_median(const float* values, std::size_t count) {
+    std::vector<std::int32_t> key(count);
+    const std::size_t known = order_keys(values, count, key.data());
+    if (known == 0) return NONE;
+    // Numbers are ordered as their keys: halve the keys between which the median lies, by counting those below.
+    const std::size_t rank = (known - 1) / 2;
+    std::int64_t low = 0, high = 0;
+    find_bounds(key.data(), count, low, high);
+    while (low < high) {
+        const std::int64_t middle = low + (high - low) / 2;
+        if (count_up_to(key.data(), count, std::int32_t(middle)) > rank) {
+            high = middle;
+        } else {
+            low = middle + 1;
+        }
+    }
+    return std::bit_cast<float>(number_key(std::int32_t(low)));
+}
+
+std::optional<Rings> rings_by_order(View2<const float> points) {
+    if (points.rows == 0) return std::nullopt;
+    std::optional<Rings> best;
+    double least = std::numeric_limits<double>::infinity();
+    for (const float start : {0.0f, PI}) {
+        for (const float sense : {1.0f, -1.0f}) {
+            const Order order = order_rings(points, start, sense);
+            if (order.rings < FEWEST_RINGS || order.one_way < ONE_WAY_AT_SEAMS) continue;
+            std::vector<double> medians = medians_in_order(order, points);
+            std::erase_if(medians, [](double median) { return !std::isfinite(median); });
+            if (medians.size() < 2) continue;
+            double way = 0.0, rising = 0.0, falling = 0.0;
+            std::vector<double> steps;
+            for (std::size_t k = 1; k < medians.size(); ++k) {
+                const double step = medians[k] - medians[k - 1];
+                rising += step > LEAST_STEP;
+                falling += step < -LEAST_STEP;
+                way += std::abs(step);
+                steps.push_back(std::abs(step));
+            }
+            const bool one_way = std::max(rising, falling) >= ONE_WAY * double(steps.size());
+            // Two sensors one after the other rise twice.
+            const bool once = way <= MOST_WAY * std::abs(medians.back() - medians.front());
+            const double change = change_within(order, points) / median_of(std::move(steps));
+            if (change < least && once && one_way) {
+                best = fill_rings(order, points.rows, rising > falling);
+                least = change;
+                if (change < LITTLE) return best;
+            }
+        }
+    }
+    return best;
+}
+
+RingAssignment recover_rings(View2<const float> points, std::optional<View1<const std::int16_t>> known,
+                             const BeamTable* table) {
+    const Directions seen = directions_of(points);
+    auto [rings, source] = find_rings(points, seen, known, table);
+    const std::size_t count = points.rows, columns = measure_columns(seen, rings, source, table);
+    // The column of each return, and which are alone in their pixel.
+    Buffer<std::int32_t> column(count);
+    Buffer<std::uint8_t> counts(rings.count * columns, 0);
+    const auto pixel = [&](std::size_t n) -> std::uint8_t& {
+        return counts[std::size_t(rings.ring[n]) * columns + std::size_t(column[n])];
+    };
+    const double per_rad = double(columns) / (2 * std::numbers::pi);
+    for (std::size_t n = 0; n < count; ++n) {
+        const double at = (double(seen.azimuth[n]) + std::numbers::pi) * per_rad;
+        column[n] = std::int32_t(at > 0.0 ? std::min(at, double(columns - 1)) : 0.0);
+        if (rings.ring[n] >= 0) pixel(n) = std::uint8_t(std::min(pixel(n) + 1, 2));
+    }
+    std::size_t placed = 0, alone = 0;
+    for (std::size_t n = 0; n < count; ++n) {
+        placed += rings.ring[n] >= 0;
+        alone += rings.ring[n] >= 0 && pixel(n) == 1;
+    }
+    Buffer<double> elevation = median_elevations(seen, rings, table);
+    return {std::move(rings.ring), std::move(column), columns, std::move(elevation), placed, alone, source};
+}
+
+}  // namespace viewshed
