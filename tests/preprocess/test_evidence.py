@@ -217,7 +217,7 @@ def evidence_by_hand() -> BeamEvidence:
     grid, columns = BevGrid(4, 8.0), np.zeros((5, 16), np.float32)
     columns[:, : len(CASES)] = np.array([case for case, *_ in CASES], np.float32).T
     measured, inferred, aimed, prob, within = columns.reshape(5, 4, 4)
-    return BeamEvidence(grid, CAR, measured, inferred, np.zeros((4, 4), np.float32), aimed, prob, within == 1.0)
+    return BeamEvidence(grid, CAR, measured, inferred, np.zeros((4, 4), np.float32), aimed, prob, within == 1.0, 80.0)
 
 
 def test_each_state_needs_its_beams() -> None:

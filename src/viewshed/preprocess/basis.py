@@ -9,7 +9,7 @@ from viewshed import _core
 from viewshed.fov.estimate import THRESHOLD, UNSURE_M, Basis, HeightSource
 from viewshed.fov.height_map import positions_of_cells
 from viewshed.fov.visibility import poisson_table
-from viewshed.preprocess.evidence import BeamEvidence, reach_of_sweep
+from viewshed.preprocess.evidence import BeamEvidence
 from viewshed.preprocess.leveling import LeveledSweep
 
 
@@ -34,7 +34,7 @@ def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.ui
         ground_support=min(ground.support, 1.0),  # a sum of float32 weights can exceed it
         unsure_ground_share=over_unsure_ground / max(claimed, 1),
         inferred_share=inferred / max(claimed, 1),
-        reach_m=reach_of_sweep(leveled),
+        reach_m=evidence.reach_m,
     )
 
 

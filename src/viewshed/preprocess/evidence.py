@@ -66,6 +66,7 @@ class BeamEvidence:
         visible_prob: float32 probability that both kinds give ``target.min_returns`` returns, averaged over the heights
             that the ground may have; below the threshold where no claim is supported.
         within_reach: bool, not farther from the sensor than it sees a dark target.
+        reach_m: how far that is.
     """
 
     grid: BevGrid
@@ -76,6 +77,7 @@ class BeamEvidence:
     aimed: Floats
     visible_prob: Floats
     within_reach: Mask
+    reach_m: float
 
     @property
     def reaching(self) -> Floats:
@@ -146,7 +148,7 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     kinds = [beams.measured, beams.inferred, beams.unresolved]
     if history is not None:
         kinds = [history.within(kind) for kind in kinds]
-    ground = leveled.ground
+    ground, reach_m = leveled.ground, reach_of_sweep(leveled)
     arrays = _core.beam_evidence(
         cell_windows(grid, target.width_m),
         (kinds[0].arrays, kinds[1].arrays, kinds[2].arrays),
@@ -158,11 +160,11 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
         ground_steps=GROUND_STEPS,
         table=poisson_table(target.min_returns),
         threshold=THRESHOLD,
-        reach_m=reach_of_sweep(leveled),
+        reach_m=reach_m,
     )
     for array in arrays:
         array.setflags(write=False)
-    return BeamEvidence(grid, target, *arrays)
+    return BeamEvidence(grid, target, *arrays, reach_m)
 
 
 def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:
