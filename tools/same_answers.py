@@ -24,6 +24,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 METHODS = ("shadow_map", "viewnet", "first_blocker", "quantized", "continuous", "concave_hull")
 ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".feather")
+TOLD = ("table", "rings", "nothing")
 ENOUGH = 0.999
 ATTACKED_EVERY = 3
 _VISIBLE = (1, 2)  # FREE and SURFACE
@@ -43,9 +44,9 @@ def write_simulated(folder: Path, count: int) -> None:
     from viewshed.threats.attacks import ATTACKS, EARLIER
 
     attacks = itertools.cycle(sorted(ATTACKS.keys() - EARLIER))
-    each_set = max(1, -(-count // 6))
-    samples = itertools.chain.from_iterable(
-        wild_samples(name, "road", ("table", "rings", "nothing"), count=each_set) for name in ("own", "training")
+    own = max(1, count // 6)  # sweeps, each told three ways
+    samples = itertools.chain(
+        wild_samples("own", "road", TOLD, count=own), wild_samples("training", "road", TOLD, count=count)
     )
     for number, sample in enumerate(itertools.islice(samples, count)):
         sweep, name = sample.sweep, "clean"
