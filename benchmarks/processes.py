@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -103,17 +104,28 @@ def estimates_in_empty_homes(
     return Starts(first, later)
 
 
+_WATCH = """
+import json, os, sys, time
+begin = time.perf_counter()
+null = os.open(os.devnull, os.O_WRONLY)
+child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=[(os.POSIX_SPAWN_DUP2, null, 1)])
+_, status, usage = os.wait4(child, 0)
+seconds = time.perf_counter() - begin
+print(json.dumps([os.waitstatus_to_exitcode(status), seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss]))
+"""
+"""Starts a command from a small process: what a child holds at most counts from the memory of the one that forks it."""
+
+
 def _started(command: list[str], home: Path) -> Start:
     """Run a command to its end with ``home`` as home and cache, and return what it took."""
     kept = {name: value for name, value in os.environ.items() if name not in _PLACES}
     home_of_all = {"HOME": str(home), "NUMBA_CACHE_DIR": str(home / "numba")}
-    begin = time.perf_counter()
-    with subprocess.Popen(command, env=kept | home_of_all, stdout=subprocess.DEVNULL) as process:
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)} failed with exit code {process.returncode}")
-    return Start(time.perf_counter() - begin, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6)
+    watch = (sys.executable, "-I", "-S", "-c", _WATCH, *command)
+    done = subprocess.run(watch, env=kept | home_of_all, capture_output=True, text=True, check=True)
+    code, seconds, processor_s, peak_kib = json.loads(done.stdout)
+    if code != 0:
+        raise RuntimeError(f"{' '.join(command)} failed with exit code {code}: {done.stderr.strip()}")
+    return Start(seconds, processor_s, peak_kib * 1024 / 1e6)
 
 
 _PLACES = {"XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR", "NUMBA_CACHE_DIR", "PYTHONPATH"}
