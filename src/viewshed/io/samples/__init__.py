@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from viewshed.fov.truth import Truth
 from viewshed.grid import GRIDS
 
-_FOLDER = Path(str(resources.files("viewshed"))) / "io" / "samples"
+_FOLDER = Path(__file__).parent
 
 
 def junction_path() -> Path:
