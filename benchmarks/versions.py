@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.timing import summary
-from viewshed._page import facts, page, table
+from viewshed._page import commit_of, facts, page, table
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT.parent / "shared" / "data"))
@@ -178,7 +178,12 @@ def main() -> None:
         version.close()
     if not given.only:
         header = ["what", "sweep", *named, *(f"gain over {name}" for name in list(named)[1:]), "target", ""]
-        told = facts(load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores", rounds=str(given.rounds))
+        command = ("python -m benchmarks.versions", *(f"{name}=CHECKOUT" for name in list(named)[1:]))
+        told = facts(
+            command=f"`{' '.join(command)} --rounds {given.rounds}`",
+            load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores",
+            **{name: f"viewshed at {commit_of(Path(checkout))}" for name, checkout in named.items()},
+        )
         given.page.write_text(
             page("Speed of the core", told, INTRODUCTION, table(header, rows), told_of_many), encoding="utf-8"
         )

@@ -112,7 +112,7 @@ def main() -> int:
     if given.answer:
         answer(given.checkout, *given.answer)
         return 0
-    from viewshed._page import facts, page, table
+    from viewshed._page import commit_of, facts, page, table
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -140,18 +140,15 @@ def main() -> int:
     lines = [f"- {100 * same:.2f} %: `{method}`, {kind}, {file}" for same, method, kind, file in sorted(worst)[:_WORST]]
     if given.out is not None:
         header = ["method", "sweeps", "number", "same states", "F1", "all alike", "worst sweep"]
-        told = facts(other=f"viewshed at {commit_of(Path(given.checkout))}")
+        told = facts(
+            command=f"`python tools/same_answers.py CHECKOUT --simulated {given.simulated}`",
+            other=f"viewshed at {commit_of(Path(given.checkout))}",
+        )
         parts = (INTRODUCTION, table(header, rows), "The sweeps that differ most:", "\n".join(lines))
         given.out.write_text(page("Same answers", told, *parts), encoding="utf-8")
     else:
         print("\n".join(lines))
     return int(any(np.mean([each[0] for each in sweeps]) < ENOUGH for sweeps in found.values()))
-
-
-def commit_of(checkout: Path) -> str:
-    """Return the commit of a checkout, shortened."""
-    command = ("git", "-C", str(checkout), "rev-parse", "--short", "HEAD")
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() or "an unknown commit"
 
 
 if __name__ == "__main__":

@@ -19,6 +19,9 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+_HERE = Path(__file__).parents[2]
+"""The checkout that this file is of."""
+
 
 def facts(**more: str) -> dict[str, str]:
     """Return processor, cores, date, version, commit and command by name, then ``more``."""
@@ -26,7 +29,8 @@ def facts(**more: str) -> dict[str, str]:
         "processor": _processor(),
         "cores": str(os.cpu_count()),
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "version": f"viewshed {metadata.version('viewshed')}, commit {_commit()}, Python {platform.python_version()}",
+        "version": f"viewshed {metadata.version('viewshed')}, commit {commit_of(_HERE)},"
+        f" Python {platform.python_version()}",
         "command": f"`{_command()}`",
         **more,
     }
@@ -68,17 +72,17 @@ def _processor() -> str:
     return f"{name}, family {fields['cpu family']} model {fields['model']}" if "cpu family" in fields else name
 
 
-def _commit() -> str:
-    commit = _git("rev-parse", "--short", "HEAD")
+def commit_of(checkout: Path) -> str:
+    """Return the commit of a checkout, shortened, and whether its sources were changed since; "unknown" without one."""
+    commit = _git(checkout, "rev-parse", "--short", "HEAD")
     if not commit:
         return "unknown"
-    return (
-        f"{commit} with local changes" if _git("status", "--porcelain", "--untracked-files=no", "--", "src") else commit
-    )
+    changed = _git(checkout, "status", "--porcelain", "--untracked-files=no", "--", "src")
+    return f"{commit} with local changes" if changed else commit
 
 
-def _git(*words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=Path(__file__).parents[2], check=False, capture_output=True, text=True)
+def _git(checkout: Path, *words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=checkout, check=False, capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
