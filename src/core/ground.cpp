@@ -165,7 +165,7 @@ public:
           count_(lows.nodes * lows.nodes, 0) {
         const std::size_t some = lows.some.size();
         for_ranges(some, count_parts(some, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-            fit(&lows.some[begin], end - begin);
+            fit(lows.some.data() + begin, end - begin);
         });
     }
 
