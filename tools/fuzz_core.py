@@ -85,7 +85,8 @@ def record_calls() -> Calls:
     """Return arguments of real calls of each function of the core, at most four of each."""
     from viewshed import _core
 
-    calls: Calls = {name: [] for name in dir(_core) if not name.startswith("_") and callable(getattr(_core, name))}
+    offered = {name: getattr(_core, name) for name in dir(_core) if not name.startswith("_")}
+    calls: Calls = {name: [] for name, each in offered.items() if callable(each) and not isinstance(each, type)}
     originals = {name: getattr(_core, name) for name in calls}
 
     def watched(name: str) -> Callable[..., Any]:
@@ -135,6 +136,18 @@ def use_everything() -> None:
             read_sweep(Path(folder) / f"sweep{ending}", file_frame="carla")
         packed = np.array([0, 65, 224, 1, 0], np.uint8)  # one literal, then 10 bytes from one byte before
         _core.unpack_lzf(packed, np.empty(11, np.uint8))
+    counts = np.ones((16, 360), np.uint8)
+    _core.silent_columns(counts)
+    rows = np.zeros(4, np.int16), np.ones(4, np.bool_), np.arange(4, dtype=np.int32)
+    _core.pixels_without(*rows, counts)
+    # A stream: earlier sweeps end beams and confirm cells.
+    drive = [
+        sweep.replace(world_from_sensor=viewshed.Rigid(np.eye(3), np.array([0.5 * k, 0.0, 1.8])), t_ns=k * 100_000_000)
+        for k in range(4)
+    ]
+    for method in ("shadow_map", "viewnet"):
+        for _ in viewshed.load_estimator(method).stream(drive, history=3):
+            pass
     bare = viewshed.Sweep(sweep.points)
     shuffled = viewshed.Sweep(sweep.points[rng.permutation(len(sweep))])
     for each in (bare, shuffled, sweep.replace(model=None), shuffled.replace(model=sweep.model)):
