@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from viewshed._files import write_atomic
 from viewshed.fov.estimate import FovEstimate
 from viewshed.grid import MAX_CELLS, BevGrid, polar_of_cells
+from viewshed.integrity.calibration import alarm_limit
 from viewshed.integrity.report import IntegrityReport, sectors_of_cells
-from viewshed.integrity.roc import alarm_limit
 
 NAME = "deviation"
 
