@@ -8,7 +8,7 @@
 
 namespace viewshed {
 
-// Sectors of azimuth, and ranges from 1 m to 128 m in equal ratios.
+// Sectors of azimuth in which the local ground is looked up, and ranges from 1 m to 128 m in equal ratios.
 constexpr std::size_t GROUND_SECTORS = 128, GROUND_RANGES = 113;
 
 // Range by range, so that a loop over sectors vectorizes.
