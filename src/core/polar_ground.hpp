@@ -2,9 +2,11 @@
 #pragma once
 
 #include <array>
+#include <numbers>
 
 #include "arrays.hpp"
 #include "leveling.hpp"
+#include "vectors.hpp"
 
 namespace viewshed {
 
@@ -22,8 +24,8 @@ struct PolarGround {
 
 // The sector of an azimuth.
 inline std::size_t ground_sector(float azimuth) {
-    constexpr float per_rad = float(GROUND_SECTORS / (2 * 3.14159265358979323846));
-    const int s = int((azimuth + 3.14159265f) * per_rad);
+    constexpr float per_rad = float(GROUND_SECTORS / (2 * std::numbers::pi));
+    const int s = int((azimuth + PI) * per_rad);
     return std::size_t(s < 0 ? 0 : (s < int(GROUND_SECTORS) ? s : int(GROUND_SECTORS) - 1));
 }
 
