@@ -38,13 +38,13 @@ from viewshed.threats.attacks.points import (
 )
 from viewshed.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
-from viewshed.threats.attacks.spoofer import FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
+from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
 
 __all__ = [
-    "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
-    "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory",
-    "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
-    "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
+    "ADAPTIVE", "ATTACKS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM",
+    "FULL_WEDGE", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack",
+    "AttackFactory", "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement",
+    "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
@@ -97,12 +97,22 @@ _MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
     "far_wall_aimed": lambda known: _aimed("far_wall", known),
     "removal_aimed": lambda known: _aimed("removal", known),
     "removal_and_far_wall_aimed": lambda known: _aimed("removal_and_far_wall", known),
+    "wedge_cluster_clean": lambda known: _clean("wedge_cluster", known),
+    "ghost_car_clean": lambda known: _clean("ghost_car", known),
+    "ghost_wall_clean": lambda known: _clean("ghost_wall", known),
+    "far_wall_clean": lambda known: _clean("far_wall", known),
+    "removal_and_far_wall_clean": lambda known: _clean("removal_and_far_wall", known),
 }
 
 
 def _aimed(name: str, known: Knowledge) -> Attack:
     attack: Any = _MAKERS[name](known)
     return cast(Attack, replace(attack, placement="largest_hidden_area"))
+
+
+def _clean(name: str, known: Knowledge) -> Attack:
+    attack: Any = _MAKERS[name](known)
+    return cast(Attack, replace(attack, spoofer=CLEAN_SPOOFER))
 
 
 def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
@@ -122,9 +132,10 @@ FAMILY: dict[str, int] = {
     "wedge_cluster_free": 3, "frustum": 4, "frustum_before": 4, "frustum_free": 4, "ghost_car": 5, "ghost_wall": 6,
     "far_wall": 7, "removal": 8, "high_frequency_removal": 9, "jamming": 10, "replay": 11, "coherent_phantom": 11,
     "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
-    "removal_and_far_wall_aimed": 14,
+    "removal_and_far_wall_aimed": 14, "wedge_cluster_clean": 17, "ghost_car_clean": 17, "ghost_wall_clean": 17,
+    "far_wall_clean": 17, "removal_and_far_wall_clean": 17,
 }  # fmt: skip
-"""The number of the family that each belongs to."""
+"""The number of the family that each belongs to; 15 and 16 adapt and are not in this table."""
 
 FREE_FORM = frozenset({"uniform", "cluster", "wedge_cluster_free", "frustum_free"})
 """Attacks that add points anywhere; ``pose_spoof`` touches no return, and all others keep to the beams."""
