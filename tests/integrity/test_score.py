@@ -34,9 +34,8 @@ def score_of(evidence: int = 2, hidden: int = 2) -> EvidenceScore:
     weights[4 * evidence - 1, 1] = 1.0
     scale = SurpriseScale.fit(np.resize(BENIGN, (200, evidence, SECTORS)))
     return EvidenceScore(
-        tuple("abcdef"[:evidence]), scale.values, scale.surprises, np.zeros(count, np.float32),
-        np.ones(count, np.float32), weights, np.zeros(hidden, np.float32), np.eye(hidden, 2, dtype=np.float32),
-        np.zeros(2, np.float32),
+        tuple("abcdef"[:evidence]), scale, np.zeros(count, np.float32), np.ones(count, np.float32), weights,
+        np.zeros(hidden, np.float32), np.eye(hidden, 2, dtype=np.float32), np.zeros(2, np.float32),
     )  # fmt: skip
 
 
@@ -137,9 +136,11 @@ def test_refuses_what_does_not_fit() -> None:
     with pytest.raises(ValueError, match=r"evidence must be 2 lines of 72 sectors \(a, b\), got shape"):
         score(np.zeros((3, SECTORS)))
     with pytest.raises(ValueError, match="mean must have shape"):
-        replace(score, names=("a", "b", "c"), values=score.values.repeat(2, 0)[:3], surprises=score.values[:3])
+        replace(score, names=("a", "b", "c"))
+    with pytest.raises(ValueError, match="scale must be of 2 kinds of evidence, got 3"):
+        replace(score, scale=score_of(3).scale)
     with pytest.raises(ValueError, match="values must ascend"):
-        SurpriseScale(score.values[:, ::-1], score.surprises)
+        SurpriseScale(score.scale.values[:, ::-1], score.scale.surprises)
 
 
 def test_measures_all_evidence_in_order() -> None:

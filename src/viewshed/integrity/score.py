@@ -14,7 +14,7 @@ Scores are larger where there is more doubt. They have no unit: what is rare is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -125,8 +125,7 @@ class EvidenceScore:
 
     Attributes:
         names: (E,) of the evidence, in the order of its lines.
-        values: (E, K) of the :class:`SurpriseScale`.
-        surprises: (E, K) of the same.
+        scale: on which they are compared.
         mean: (F,) of the features of benign sectors.
         spread: (F,) their standard deviation.
         weights: (F, H) from features to hidden units.
@@ -139,8 +138,7 @@ class EvidenceScore:
     """
 
     names: tuple[str, ...]
-    values: Floats
-    surprises: Floats
+    scale: SurpriseScale
     mean: Floats
     spread: Floats
     weights: Floats
@@ -151,8 +149,8 @@ class EvidenceScore:
     def __post_init__(self) -> None:
         count, hidden = features_of(len(self.names)), len(self.offsets)
         shapes = {
-            "values": (len(self.names), self.values.shape[-1]), "mean": (count,), "spread": (count,),
-            "weights": (count, hidden), "outputs": (hidden, 2), "output_offsets": (2,),
+            "mean": (count,), "spread": (count,), "weights": (count, hidden), "offsets": (hidden,),
+            "outputs": (hidden, 2), "output_offsets": (2,),
         }  # fmt: skip
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -160,12 +158,11 @@ class EvidenceScore:
                     f"{name} must have shape {shape} for {len(self.names)} kinds of evidence, got"
                     f" {getattr(self, name).shape}; train the score again"
                 )
-        _ = self.scale
-
-    @property
-    def scale(self) -> SurpriseScale:
-        """The common scale of all evidence."""
-        return SurpriseScale(self.values, self.surprises)
+        if len(self.scale.values) != len(self.names):
+            raise ValueError(
+                f"scale must be of {len(self.names)} kinds of evidence, got {len(self.scale.values)}; train the score"
+                " again"
+            )
 
     def __call__(self, evidence: NDArray[np.floating[Any]]) -> Scores:
         """Return the scores of one sweep's evidence (E, SECTORS).
@@ -199,7 +196,8 @@ class EvidenceScore:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all of it as arrays by name, as :meth:`from_arrays` takes them."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        scale = {"values": self.scale.values, "surprises": self.scale.surprises}
+        return scale | {name: np.asarray(getattr(self, name)) for name in ("names", *_ARRAYS)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
@@ -210,8 +208,11 @@ class EvidenceScore:
             ValueError: they do not fit.
         """
         names = tuple(str(name) for name in arrays["names"])
-        rest = (field.name for field in fields(cls) if field.name != "names")
-        return cls(names, **{name: np.asarray(arrays[name], np.float32) for name in rest})
+        scale = SurpriseScale(np.asarray(arrays["values"], np.float32), np.asarray(arrays["surprises"], np.float32))
+        return cls(names, scale, **{name: np.asarray(arrays[name], np.float32) for name in _ARRAYS})
+
+
+_ARRAYS = ("mean", "spread", "weights", "offsets", "outputs", "output_offsets")
 
 
 def features_of(evidence: int) -> int:
@@ -245,4 +246,6 @@ def pooled(logits: Floats) -> Floats:
 
 def _standardized(values: Floats, mean: Floats, spread: Floats) -> Floats:
     """Return features less their benign mean, over their spread; those of evidence that abstains are 0."""
-    return np.nan_to_num((values - mean) / spread, copy=False, nan=0.0)
+    standardized: Floats = (values - mean) / spread
+    standardized[np.isnan(standardized)] = 0.0
+    return standardized
