@@ -271,7 +271,7 @@ TINY_PAGES = {
     "paper": "paper/paper.md",
     "paper_strict": "paper/paper_strict.md",
     "ablation": "ablation/ablation.md",
-    "monitor_study": "monitor/monitor.md",
+    "monitor_study": "deviation/deviation.md",
     "truth": "truth.md",
     "crossview": "crossview.md",
 }
@@ -285,7 +285,7 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run("study", "robustness", "--preset", "tiny", "--out", "robustness")
     run("study", "paper", "--preset", "tiny", "--out", "paper")
     run("study", "ablation", "--preset", "tiny", "--out", "ablation")
-    run("study", "monitor", "--preset", "tiny", "--out", "monitor")
+    run("study", "deviation", "--preset", "tiny", "--out", "deviation")
     run("simulate", "nuscenes-small", "--sweeps", "24", "--out", "sweeps")
     run("evaluate", "truth", "sweeps", "--limit", "6", "--out", "truth.md")
     _write_index(folder / "posed")

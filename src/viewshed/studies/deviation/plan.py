@@ -48,7 +48,7 @@ class Trials:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MonitorPlan(Trials, Plan):
+class DeviationPlan(Trials, Plan):
     """The study of the monitor with the shipped network.
 
     Attributes:
@@ -61,7 +61,7 @@ class MonitorPlan(Trials, Plan):
         ValueError: a name is not known, or a number is out of range.
     """
 
-    FOLDER: ClassVar[str] = "studies/monitor/plans"
+    FOLDER: ClassVar[str] = "studies/deviation/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"attacks": ATTACKS, "corruptions": CORRUPTIONS}
 
     name: str

@@ -17,7 +17,7 @@ from viewshed.integrity.monitor import RULE, DeviationMonitor, load_monitor, sav
 from viewshed.metrics import Mask
 from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import DEFAULT, apply, generator
-from viewshed.studies.monitor.plan import MonitorPlan, Trials
+from viewshed.studies.deviation.plan import DeviationPlan, Trials
 from viewshed.studies.plan import JobKey
 from viewshed.studies.records import BENIGN, Case, Record, Series
 from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
@@ -131,7 +131,7 @@ def _regions(tampered: Tampered, clean: Sweep, grid: BevGrid) -> dict[str, Mask]
 
 
 def run_study(
-    store: ResultStore[MonitorPlan], engine: Engine, on_progress: Progress = ignore_progress
+    store: ResultStore[DeviationPlan], engine: Engine, on_progress: Progress = ignore_progress
 ) -> Iterator[str]:
     """Fit and calibrate the monitor, then report on each sweep; yield one line for each job that failed."""
     fit, *watching = store.plan.job_keys()
@@ -143,7 +143,7 @@ def _missing(_key: JobKey, done: set[JobKey]) -> str:
     return "" if ("fit",) in done else "the monitor is not fitted"
 
 
-def do_job(job: Job[MonitorPlan]) -> JobResult:
+def do_job(job: Job[DeviationPlan]) -> JobResult:
     """Return what a job found; the fitted monitor is a file beside the results."""
     plan, path = job.plan, job.folder / MONITOR
     if job.key == ("fit",):
@@ -160,11 +160,11 @@ def do_job(job: Job[MonitorPlan]) -> JobResult:
 
 
 @lru_cache(maxsize=1)
-def _estimator(plan: MonitorPlan) -> UnetEstimator:
+def _estimator(plan: DeviationPlan) -> UnetEstimator:
     grid, target = _sample(plan, 0, 0).truth.grid, TARGETS[plan.target]
     return load_network(METHOD, grid, target, passes=plan.passes, seed=plan.seed)
 
 
-def _sample(plan: MonitorPlan, part: int, number: int) -> StudySample:
+def _sample(plan: DeviationPlan, part: int, number: int) -> StudySample:
     """Return a sweep of one of the three sets, each from a scene of its own."""
     return sample_of(plan.domain, part * plan.frames + number, 3 * plan.frames, plan.seed)
