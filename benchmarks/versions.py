@@ -74,10 +74,9 @@ class Version:
     def __init__(self, name: str, checkout: Path) -> None:
         self.name = name
         worker = Path(__file__).with_name("version_worker.py")
-        self._process = subprocess.Popen(
-            (sys.executable, str(worker)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        self.number, self.place = self._ask(str(checkout.resolve()))
+        command = (sys.executable, str(ROOT / "tools" / "with_checkout.py"), str(checkout), str(worker))
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.number, self.place = self._answer()
 
     def seconds(self, line: Line, path: Path) -> float | None:
         """Return the seconds of one run, or None where the version cannot do it."""
@@ -86,9 +85,12 @@ class Version:
 
     def _ask(self, question: Any) -> Any:
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.write(json.dumps(question) + "\n")
         self._process.stdin.flush()
+        return self._answer()
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None
         answer = self._process.stdout.readline()
         if not answer:
             raise RuntimeError(f"{self.name} ended")
