@@ -174,20 +174,20 @@ def main() -> None:
             target = line.targets[k] if line.targets else None
             rows.append([line.title, title, *row(line, times, list(named), target)])
             print(" | ".join(rows[-1]), flush=True)
-    told_of_many = endurance(versions[0], next(iter(files.values())), given.endurance) if given.endurance else ""
-    print(told_of_many)
+    in_a_row = endurance(versions[0], next(iter(files.values())), given.endurance) if given.endurance else ""
+    print(in_a_row)
     for version in versions:
         version.close()
     if not given.only:
         header = ["what", "sweep", *named, *(f"gain over {name}" for name in list(named)[1:]), "target", ""]
         command = ("python -m benchmarks.versions", *(f"{name}=CHECKOUT" for name in list(named)[1:]))
-        told = facts(
+        provenance = facts(
             command=f"`{' '.join(command)} --rounds {given.rounds}`",
             load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores",
             **{name: f"viewshed at {commit_of(Path(checkout))}" for name, checkout in named.items()},
         )
         given.page.write_text(
-            page("Speed of the core", told, INTRODUCTION, table(header, rows), told_of_many), encoding="utf-8"
+            page("Speed of the core", provenance, INTRODUCTION, table(header, rows), in_a_row), encoding="utf-8"
         )
 
 

@@ -41,7 +41,7 @@ def python(tmp_path: Path) -> Path:
     return tmp_path / "venv" / "bin" / "python"
 
 
-def imported(*command: object) -> Path:
+def imported(*command: str | Path) -> Path:
     """Return the file that a command says it imports."""
     return Path(subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip())
 

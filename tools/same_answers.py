@@ -32,10 +32,10 @@ _VISIBLE = (1, 2)  # FREE and SURFACE
 _WORST = 8
 
 INTRODUCTION = """\
-Both versions read the same files: every real sweep that is at hand, and simulated ones (own and wild worlds; told
-table, rings or points alone; every third attacked, by each of the attacks in turn). *Same states*: share of the cells
-of the grid whose state (free, surface, hidden, unknown) is the same. *F1*: of the visible cells of one version against
-those of the other. *All alike*: share of the sweeps in which no cell differs."""
+Both versions read the same files: every real sweep that is at hand, and simulated ones (own and wild worlds; with beam
+table, with rings alone, or points alone; every third attacked, by each of the attacks in turn). *Same states*: share of
+the cells of the grid whose state (free, surface, hidden, unknown) is the same. *F1*: of the visible cells of one
+version against those of the other. *All alike*: share of the sweeps in which no cell differs."""
 
 
 def write_simulated(folder: Path, count: int) -> None:
@@ -45,7 +45,7 @@ def write_simulated(folder: Path, count: int) -> None:
     from viewshed.threats.attacks import ATTACKS, EARLIER
 
     attacks = itertools.cycle(sorted(ATTACKS.keys() - EARLIER))
-    own = max(1, count // 6)  # sweeps, each told three ways
+    own = max(1, count // 6)  # sweeps, each in three ways
     samples = itertools.chain(
         wild_samples("own", "road", TOLD, count=own), wild_samples("training", "road", TOLD, count=count)
     )
@@ -140,12 +140,12 @@ def main() -> int:
     lines = [f"- {100 * same:.2f} %: `{method}`, {kind}, {file}" for same, method, kind, file in sorted(worst)[:_WORST]]
     if given.out is not None:
         header = ["method", "sweeps", "number", "same states", "F1", "all alike", "worst sweep"]
-        told = facts(
+        provenance = facts(
             command=f"`python tools/same_answers.py CHECKOUT --simulated {given.simulated}`",
             other=f"viewshed at {commit_of(given.checkout)}",
         )
         parts = (INTRODUCTION, table(header, rows), "The sweeps that differ most:", "\n".join(lines))
-        given.out.write_text(page("Same answers", told, *parts), encoding="utf-8")
+        given.out.write_text(page("Same answers", provenance, *parts), encoding="utf-8")
     else:
         print("\n".join(lines))
     return int(any(np.mean([each[0] for each in sweeps]) < ENOUGH for sweeps in found.values()))
