@@ -227,6 +227,9 @@ def interpolate(
 
 # visibility.cpp
 
+AZIMUTH_COLUMNS: int
+GROUND_SECTORS: int
+
 _Beams = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 class CellWindows:

@@ -10,9 +10,9 @@ from typing import Any
 from viewshed._page import Table, facts, to_markdown
 from viewshed.integrity.roc import auroc, auroc_interval, tpr_at_fpr
 from viewshed.studies.cases import generator
+from viewshed.studies.deviation.jobs import METHOD
+from viewshed.studies.deviation.plan import DeviationPlan
 from viewshed.studies.formatting import by_name, commits, format_interval, format_rate, pivot
-from viewshed.studies.monitor.jobs import METHOD
-from viewshed.studies.monitor.plan import MonitorPlan
 from viewshed.studies.records import BENIGN, Results, Series
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
@@ -175,7 +175,7 @@ def located_table(rows: list[Row]) -> Table:
     return pivot("", {row.name: row for row in rows if row.located}, by_name(REGIONS), words)
 
 
-def page_of(store: ResultStore[MonitorPlan]) -> str:
+def page_of(store: ResultStore[DeviationPlan]) -> str:
     """Return the page as Markdown.
 
     Raises:
@@ -184,7 +184,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
     plan, results = store.plan, store.results("watch")
     store.require(results)
     rows = rows_of(results, plan.domain, METHOD, plan.seed)
-    title, blocks = fill_template("monitor/page.md", {"severity": plan.severity}, {
+    title, blocks = fill_template("deviation/page.md", {"severity": plan.severity}, {
         "attacks": lambda: monitor_table({"": rows}, "attack"),
         "corruptions": lambda: monitor_table({"": rows}, "corruption"),
         "located": lambda: located_table(rows),

@@ -14,9 +14,9 @@ from viewshed._config import preset_names
 from viewshed.cli import main
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.geometry import Rigid
-from viewshed.studies.monitor.jobs import fit_monitor, watch
-from viewshed.studies.monitor.page import Row, rows_of
-from viewshed.studies.monitor.plan import MonitorPlan, Trials
+from viewshed.studies.deviation.jobs import fit_monitor, watch
+from viewshed.studies.deviation.page import Row, rows_of
+from viewshed.studies.deviation.plan import DeviationPlan, Trials
 from viewshed.studies.records import Record, Results, from_table, to_table
 from viewshed.studies.samples import StudySample
 
@@ -145,10 +145,10 @@ def test_too_few_sweeps_and_wrong_names() -> None:
         Trials((), (), 6)
 
 
-@pytest.mark.parametrize("name", preset_names("studies/monitor/plans"))
+@pytest.mark.parametrize("name", preset_names("studies/deviation/plans"))
 def test_a_plan_survives_its_plain_values(name: str) -> None:
-    plan = MonitorPlan.load(name)
-    assert MonitorPlan.from_json(plan.to_json()) == plan
+    plan = DeviationPlan.load(name)
+    assert DeviationPlan.from_json(plan.to_json()) == plan
     assert len(plan.job_keys()) == plan.frames + 1
 
 
@@ -164,15 +164,15 @@ def test_a_plan_survives_its_plain_values(name: str) -> None:
 )
 def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
-        MonitorPlan.from_json(MonitorPlan.load("tiny").to_json() | change)
+        DeviationPlan.from_json(DeviationPlan.load("tiny").to_json() | change)
 
 
 def test_the_command_runs_goes_on_and_writes_its_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["study", "monitor", "--preset", "tiny", "--out", str(tmp_path), "--workers", "1"]
+    words = ["study", "deviation", "--preset", "tiny", "--out", str(tmp_path), "--workers", "1"]
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert not stop.value.code
-    page, results = tmp_path / "monitor.md", (tmp_path / "results.jsonl").read_bytes()
+    page, results = tmp_path / "deviation.md", (tmp_path / "results.jsonl").read_bytes()
     text = page.read_text("utf-8")
     assert all(f"\n| {name} " in text for name in ("*benign*", "uniform (1)", "removal (8)", "fog"))
     assert "sweeps: 4 to fit, 4 to calibrate, 4 of 4 to report" in text
@@ -181,6 +181,6 @@ def test_the_command_runs_goes_on_and_writes_its_page(tmp_path: Path, capsys: py
     assert not stop.value.code
     assert (tmp_path / "results.jsonl").read_bytes() == results
     with pytest.raises(SystemExit) as stop:
-        main(["study", "monitor", "--preset", "tiny", "--out", str(tmp_path / "none"), "--no-run"])
+        main(["study", "deviation", "--preset", "tiny", "--out", str(tmp_path / "none"), "--no-run"])
     assert stop.value.code == 2
     assert "must hold results, got none; run without --no-run" in capsys.readouterr().err
