@@ -183,7 +183,7 @@ class _Run:
     def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
         """Write picture and suspect cells of a sweep and return where the picture is."""
         from viewshed._files import write_atomic
-        from viewshed.integrity.monitor import suspects_geojson
+        from viewshed.integrity.report import suspects_geojson
         from viewshed.plot import Panel, maps_picture
         from viewshed.preprocess.leveling import level
 

@@ -27,6 +27,7 @@ from viewshed.threats.attacks.adaptive import (
 )
 from viewshed.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
+from viewshed.threats.attacks.null import null_of
 from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.points import (
     PAPER_ATTACK,
@@ -42,7 +43,7 @@ from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, FINGERPRINT_RELIABIL
 
 __all__ = [
     "ADAPTIVE", "ATTACKS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM",
-    "FULL_WEDGE", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack",
+    "FULL_WEDGE", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack",
     "AttackFactory", "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement",
     "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
 ]  # fmt: skip
@@ -126,6 +127,21 @@ def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) 
 
 ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS}
 """By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
+
+
+def _make_null(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+    if knowledge.again is None:
+        raise ValueError(
+            "a null attack needs the same instant measured once more, got none; give Knowledge(again=sweep)"
+        )
+    if name == "pose_spoof":
+        return _make(name, 0, knowledge)
+    return null_of(_make(name, budget, knowledge), knowledge.again)
+
+
+NULL: dict[str, AttackFactory] = {name: partial(_make_null, name) for name in ATTACKS}
+"""The same at zero strength: each chooses its beams and changes nothing but their noise. They need
+``Knowledge(again=…)``, a second measurement of the instant: ``measure(scan, conditions, rng).sweep()``."""
 
 FAMILY: dict[str, int] = {
     "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,

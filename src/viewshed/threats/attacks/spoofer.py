@@ -198,7 +198,8 @@ class Spoofer(Checked):
         """
         aimed = np.flatnonzero(~np.isnan(wanted_m))
         aimed = aimed[self.wins(sweep, len(aimed), rng)]
-        rays, depth_m = rays.select(aimed), self._noisy(sweep, wanted_m[aimed], rng)
+        rays = rays.select(aimed)
+        depth_m = self.reported_m(sweep, rays, wanted_m[aimed], rng)
         low_m, high_m = limits_m(sweep)
         reported = (depth_m >= low_m) & (depth_m <= high_m)
         points = rays.at(np.where(reported, depth_m, 0.0))
@@ -231,13 +232,13 @@ class Spoofer(Checked):
             return self.point_sigma_m
         return (UNKNOWN_OPTICS if sweep.model is None else optics_of(sweep.model)).sigma_m
 
-    def _noisy(self, sweep: Sweep, depth_m: Floats, rng: np.random.Generator) -> Floats:
-        """Return depths (K,) with noise, in whole steps of the sensor's range where they are known."""
+    def reported_m(self, sweep: Sweep, rays: Rays, wanted_m: Floats, rng: np.random.Generator) -> Floats:
+        """Return what the rays (K,) that are won report: with noise, in whole steps of range where those are known."""
         sigma_m = self.sigma_m(sweep)
-        noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(depth_m)) * sigma_m
+        noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(rays)) * sigma_m
         lattice = lattice_of(sweep)
         step_m = 0.0 if lattice is None else lattice.step_m
-        noisy = depth_m + noise_m
+        noisy = wanted_m + noise_m
         return np.rint(noisy / step_m) * step_m if step_m > 0 else noisy
 
 
