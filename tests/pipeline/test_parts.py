@@ -37,7 +37,12 @@ def test_agents_take_turns_however_much_one_of_them_sends() -> None:
 
 def test_a_lossless_inbox_waits_for_room_and_drops_nothing() -> None:
     inbox: Inbox[int] = Inbox(lossless=True)
-    thread = threading.Thread(target=lambda: [inbox.put("car", item) for item in range(100)])
+
+    def put_all() -> None:
+        for item in range(100):
+            inbox.put("car", item)
+
+    thread = threading.Thread(target=put_all)
     thread.start()
     assert [inbox.take() for _ in range(100)] == list(range(100))
     thread.join()

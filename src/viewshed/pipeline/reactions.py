@@ -1,8 +1,8 @@
 """What follows from a monitor's report: which claims still hold, whom to ask, how fast to drive.
 
 A pure function from report and state to the next state (:func:`react`), and what its caution does to an estimate
-(:func:`withdraw`) and to the speed (:func:`speed_for_view`). Caution rises at once and falls by one step after some calm
-sweeps in a row, so that between two rises from the same step there are always so many sweeps.
+(:func:`withdraw`) and to the speed (:func:`speed_for_view`). Caution rises at once and falls by one step after some
+calm sweeps in a row, so that between two rises to the same step there are always more sweeps than that.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import IntegrityReport, cells_of_sectors
+
 
 class Caution(IntEnum):
     """How far the view is trusted; each step claims no more than the one before."""
@@ -49,7 +50,9 @@ class ReactionRules:
 
     def __post_init__(self) -> None:
         if self.recover_sweeps < 1 or self.persist_sweeps < 1 or self.widen_sectors < 0:
-            raise ValueError(f"recover_sweeps and persist_sweeps must be 1 or more, widen_sectors 0 or more, got {self}")
+            raise ValueError(
+                f"recover_sweeps and persist_sweeps must be 1 or more, widen_sectors 0 or more, got {self}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +151,7 @@ def speed_for_view(
     x_m, y_m = grid.centers[..., 0], grid.centers[..., 1]
     lane = (np.abs(y_m) <= half_width_m) & (x_m > front_m)
     blocked = lane & (estimate.state != CellState.FREE)
-    end_m = grid.origin_m[0] + 2 * grid.half_extent_m
-    clear_m = max(float(x_m[blocked].min(initial=end_m)) - grid.cell_m / 2 - front_m, 0.0)
+    # A cell blocks from its near side on; the grid ends where a further cell would begin.
+    near_side_m = np.append(x_m[blocked] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
+    clear_m = max(float(near_side_m.min()) - front_m, 0.0)
     return float(np.sqrt((braking_mps2 * delay_s) ** 2 + 2 * braking_mps2 * clear_m) - braking_mps2 * delay_s)

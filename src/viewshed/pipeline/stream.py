@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from queue import Queue
 from threading import Lock, Thread
 from types import TracebackType
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from viewshed.estimators.base import Estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.fov.estimate import FovEstimate
 from viewshed.integrity.report import IntegrityReport
-from viewshed.integrity.sweep_monitor import StreamMonitor
 from viewshed.io import read_sweep
 from viewshed.io.samples import junction_path
 from viewshed.pipeline.clocks import Clocks
@@ -35,6 +35,17 @@ REASONS = 50
 """Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
 
 OTHER_REASONS = "for other reasons"
+
+NOTHING_FOUND = IntegrityReport("no monitor", 0.0, math.inf)
+"""What is reacted to where nobody looks."""
+
+
+class StreamMonitor(Protocol):
+    """What watches a stream."""
+
+    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> IntegrityReport:
+        """Return what is to be doubted in the next sweep of its agent."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +98,8 @@ class Statistics:
     def line(self) -> str:
         """Return all of it in one line."""
         refused = "".join(f", {count} refused ({reason})" for reason, count in self.refused.items())
-        return f"{self.answered} answered, {self.dropped} dropped{refused}; {self.latencies}; {self.busy_cores:.2f} cores busy"
+        counts = f"{self.answered} answered, {self.dropped} dropped{refused}"
+        return f"{counts}; {self.latencies}; {self.busy_cores:.2f} cores busy"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +121,7 @@ class Pipeline:
     Sweeps wait in the inbox alone, where a newer one of the same agent replaces the oldest. A sweep that cannot be
     answered costs that sweep and no other. Memory does not grow with the stream.
 
+    >>> from viewshed import load_estimator
     >>> answers: list[Answer] = []
     >>> with Pipeline(load_estimator("shadow_map"), answers.append) as pipeline:
     ...     pipeline.put(lambda: read_sweep(junction_path()))
@@ -205,7 +218,7 @@ class Pipeline:
                 leveled = leveled_on(sweep, self._estimator.grid, sensors.get(step.agent))
                 _remember(sensors, step.agent, leveled.sensor_id.model)
                 step = replace(step, leveled=leveled, note=note)
-            except Exception as error:  # noqa: BLE001 - whatever is wrong with a sweep costs that sweep
+            except Exception as error:
                 step = replace(step, refused=_in_one_line(error))
             self._to_estimate.put(step)
         self._to_estimate.put(None)
@@ -239,21 +252,24 @@ class Pipeline:
                 # 2. Look for what contradicts it.
                 if self._monitor is not None:
                     report = self._monitor.check(leveled, {estimate.method: estimate})
-            except Exception as error:  # noqa: BLE001 - as above
+            except Exception as error:
                 estimate, report, refused = None, None, _in_one_line(error)
         # 3. React: caution follows from the report, and what does not hold any more is withdrawn.
         before = self._reactions.get(step.agent, ReactionState())
-        is_watched = self._monitor is not None or estimate is None
-        reaction = react(report, before, self._rules) if is_watched else before
+        is_unwatched = self._monitor is None and estimate is not None
+        reaction = react(NOTHING_FOUND if is_unwatched else report, before, self._rules)
         _remember(self._reactions, step.agent, reaction)
         if estimate is not None and reaction.caution >= Caution.WIDEN:
-            needs = reaction.caution == Caution.CONFIRMED and seen is not None
-            confirmed = seen.confirmations(estimate.grid, estimate.target) > 0 if needs else None
+            confirmed = None
+            if reaction.caution == Caution.CONFIRMED and seen is not None:
+                confirmed = seen.confirmations(estimate.grid, estimate.target) > 0
             estimate = withdraw(estimate, reaction, confirmed, self._rules)
         speed_mps = 0.0 if estimate is None else speed_for_view(estimate)
         latency_s = time.perf_counter() - step.put_s
         notes = (step.note,) if step.note else ()
-        return Answer(step.agent, step.number, leveled, estimate, report, reaction, speed_mps, notes, refused, latency_s)
+        return Answer(
+            step.agent, step.number, leveled, estimate, report, reaction, speed_mps, notes, refused, latency_s
+        )
 
     def _publish_all(self) -> None:
         """Hand out the answers; once that has failed nothing more is taken in."""
@@ -261,7 +277,7 @@ class Pipeline:
             if self._failure is None:
                 try:
                     self._publish(answer)
-                except BaseException as error:  # noqa: BLE001 - close raises it again
+                except BaseException as error:
                     self._failure = error
                     self._inbox.close()
 
