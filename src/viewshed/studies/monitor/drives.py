@@ -1,4 +1,4 @@
-"""Drives of ten sweeps: simulated, attacked or corrupted from the middle on, and what all evidence says of each sweep."""
+"""Drives of ten sweeps: simulated, attacked or corrupted from the middle on; what all evidence says of each sweep."""
 
 from __future__ import annotations
 
@@ -118,9 +118,9 @@ def _corrupted_share(plan: MonitorPlan, key: tuple[str, str, int]) -> float:
     """Return the chance that a drive which is not attacked is corrupted, so that ``CORRUPTED`` of its split are."""
     domain, split, _ = key
     place = plan.domains.index(domain)
-    drives = getattr(plan, split)[place]
+    drives: int = getattr(plan, split)[place]
     attacked = 0 if split == "calibration" else min(plan.attacked[place], drives)
-    return min(CORRUPTED * drives / max(drives - attacked, 1), 1.0)
+    return float(min(CORRUPTED * drives / max(drives - attacked, 1), 1.0))
 
 
 def _kept_at(attack: Attack, azimuth: float | None) -> Attack:

@@ -78,7 +78,7 @@ def _weights(table: SweepTable) -> NDArray[np.float32]:
     families = families_of(table)[table.case]
     weight = np.zeros(len(families))
     attacks = [family for family in np.unique(families) if family]
-    honest = families == ""
+    honest = (families == "") & ~np.array([case.kind == "null" for case in table.cases])[table.case]
     weight[honest] = (0.5 if attacks else 1.0) / honest.sum()
     for family in attacks:
         of_family = families == family

@@ -147,7 +147,7 @@ class MonitorPlan(Plan):
         return cases + corruption_cases(self.corruptions, self.severities)
 
     def cases_of(self, domain: str, split: str, number: int) -> list[Case]:
-        """Return what is done to a drive, each in its turn: none of calibration, of others to the first ``attacked``."""
+        """Return what is done to a drive, each in its turn: none of calibration."""
         every = self.all_cases()
         order = generator(self.seed, "cases").permutation(len(every))
         if split == "calibration" or number >= self.attacked[self.domains.index(domain)]:

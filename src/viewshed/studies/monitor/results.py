@@ -1,4 +1,4 @@
-"""What the scores say of the drives that they were not trained on: limits, areas, detections, one family unseen each."""
+"""What the scores say of drives that they were not trained on: limits, areas, detections, one family unseen each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.roc import alarm_limit
+from viewshed.integrity.calibration import alarm_limit
 from viewshed.integrity.score import EvidenceScore, pooled
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
