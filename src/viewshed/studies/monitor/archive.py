@@ -1,4 +1,4 @@
-"""What all evidence said of a drive, as a file: score, calibration and tables are made of it without simulating again."""
+"""What all evidence said of a drive, as a file: score, limits and tables are made of it without simulating again."""
 
 from __future__ import annotations
 
