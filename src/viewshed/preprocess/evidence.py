@@ -198,5 +198,5 @@ def reach_of_sweep(leveled: LeveledSweep) -> float:
     if leveled.held is not None:
         return leveled.held.reach_m
     image = leveled.range_image
-    isolated = np.zeros(len(leveled.rows), np.bool_) if image is None else image.isolated[leveled.rows]
-    return sensing_reach(leveled.range_m, isolated, leveled.sensor_id.model)
+    isolated = np.zeros(len(leveled.sweep), np.bool_) if image is None else image.isolated
+    return sensing_reach(leveled.range_m, isolated, leveled.sensor_id.model, leveled.rows)

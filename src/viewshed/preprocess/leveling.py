@@ -136,13 +136,13 @@ def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> Le
     isolated = np.zeros(len(sweep), np.bool_) if image is None else image.isolated
     isolated.setflags(write=False)
     # 3. Attitude and ground, in the sensor's frame; then raise both until the ground below the sensor is at z = 0.
-    rotation, ground = _attitude_and_ground(sweep, grid, isolated)
+    rotation, heading, ground = _attitude_and_ground(sweep, grid, isolated)
     height_m = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), LEAST_HEIGHT_M)
     ground = ground.raised(height_m)
     level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, height_m]))
     # 4. Level points, with their range, azimuth and height above the ground.
     clutter = None if image is None else image.clutter
-    points, range_m, azimuth, heights_m, rows = _level_points(sweep, clutter, level_from_sensor, ground)
+    points, range_m, azimuth, heights_m, rows = _level_points(sweep, clutter, level_from_sensor, heading, ground)
     return LeveledSweep(
         sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground, sensor_id, image
     )  # fmt: skip
@@ -177,27 +177,27 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
     return max(NULL_RANGE_M, sweep.model.min_range_m), sweep.model.max_range_m
 
 
-def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], HeightMap]:
-    """Return the rotation (3, 3) from sensor to level, and the ground with the sensor at z = 0."""
+def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], float, HeightMap]:
+    """Return the rotation (3, 3) from sensor to level, the vehicle's heading, and ground with the sensor at z = 0."""
     attitude = sweep.known_attitude
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
-    ground = _ground(sweep, grid, rotation, isolated)
+    heading, ground = _ground(sweep, grid, rotation, isolated)
     if attitude is not None:
-        return rotation, ground
+        return rotation, heading, ground
     # Nothing says how the sensor is tilted: a steep ground plane does. The ground is then found again, upright.
     normal = _tilted_normal(sweep, ground)
     if normal is None:
-        return rotation, ground
+        return rotation, heading, ground
     rotation = _upright(normal)
-    return rotation, _ground(sweep, grid, rotation, isolated)
+    return rotation, *_ground(sweep, grid, rotation, isolated)
 
 
-def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> HeightMap:
-    """Return the ground over the extent of ``grid``, after a rotation (3, 3)."""
+def _ground(sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask) -> tuple[float, HeightMap]:
+    """Return the own vehicle's heading, and the ground over the extent of ``grid``, after a rotation (3, 3)."""
     half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
     heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
     limits_m, height_m = range_limits(sweep), sweep.sensor_height_m
-    return estimate_ground(sweep.points, isolated, rotation, limits_m, heading, half_m, height_m)
+    return heading, estimate_ground(sweep.points, isolated, rotation, limits_m, heading, half_m, height_m)
 
 
 def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:
@@ -229,7 +229,7 @@ def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _level_points(
-    sweep: Sweep, clutter: Mask | None, level_from_sensor: Rigid, ground: HeightMap
+    sweep: Sweep, clutter: Mask | None, level_from_sensor: Rigid, heading: float, ground: HeightMap
 ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.int32]]:
     """Return points (M, 3), range, azimuth, height above the ground and row in the sweep (M,) of returns that count."""
     columns = _core.level_points(
@@ -237,7 +237,7 @@ def _level_points(
         clutter,
         level_from_sensor.as_matrix()[:3].astype(np.float32),
         *range_limits(sweep),
-        vehicle_heading(sweep.points, level_from_sensor.rotation, sweep.vehicle_yaw),
+        heading,
         ground.heights_m,
         ground.half_extent_m,
     )
