@@ -65,6 +65,22 @@ def test_a_copy_is_the_wall_turned(flat_scene: FlatScene) -> None:
     assert np.linalg.norm(np.array(behind)[:, :2], axis=1).max() < 13.6
 
 
+def test_a_lasting_attack_keeps_its_place(simulated: list[Scene]) -> None:
+    """At the azimuth of an earlier one the same object vanishes, and a copy stands where it stood."""
+    placed = 0
+    for seed, scene in enumerate(simulated):
+        for attack in (VanishedObject(), CopiedObject()):
+            first = attack.apply(scene.sweep, _rng(seed))
+            if not first.added.any() or first.wedge is None:
+                continue
+            again = replace(attack, azimuth=first.wedge.azimuth).apply(scene.sweep, _rng(seed, 1))
+            assert again.wedge is not None
+            apart = (again.wedge.azimuth - first.wedge.azimuth + np.pi) % (2 * np.pi) - np.pi
+            assert abs(apart) < np.deg2rad(3.0), (scene.name, attack)
+            placed += 1
+    assert placed >= 6
+
+
 def test_budgets_leave_larger_objects(flat_scene: FlatScene) -> None:
     clean = flat_scene(12.0)
     for make in INFORMED.values():

@@ -5,6 +5,7 @@ A whole object vanishes before the background that its neighborhood shows; a rea
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
@@ -18,7 +19,7 @@ from viewshed.sweep import Sweep
 from viewshed.threats.attacks.adaptive import Objective
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import Attack, Tampered, Wedge
-from viewshed.threats.attacks.beam_lattice import Rays, rays_in
+from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, rays_in
 from viewshed.threats.attacks.spoofer import (
     FULL_CIRCLE,
     LEAVE,
@@ -28,7 +29,7 @@ from viewshed.threats.attacks.spoofer import (
     level_rays,
     scene_of,
 )
-from viewshed.threats.parameters import Between, Budget, Checked, Range, Sector
+from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector
 
 Floats = NDArray[np.float64]
 
@@ -59,6 +60,9 @@ _BEHIND_M = 0.3
 
 _FEWEST = 12
 """Returns of the smallest object that is worth an attack."""
+
+_VANISHING_SHARE = 0.5
+"""An object vanishes where something is known to lie behind so many of its beams."""
 
 _DOWN = -0.005
 """Beams that fall by less than this a meter show no ground that could be continued."""
@@ -111,7 +115,8 @@ def _image_of(sweep: Sweep) -> _BeamImage:
     """Return the beams of a sweep with its objects: obstacles that hang together in depth."""
     rays = rays_in(sweep, FULL_CIRCLE, empty=True)
     rays = rays.select(rays.ring >= 0)
-    shape = (int(rays.ring.max(initial=-1)) + 1, int(rays.column.max(initial=-1)) + 1)
+    lattice = lattice_of(sweep)
+    shape = (0, 0) if lattice is None else lattice.rows.shape
     number = np.full(shape, -1)
     number[rays.ring, rays.column] = np.arange(len(rays))
     depth_m, obstacle = np.full(shape, np.inf), np.zeros(shape, np.bool_)
@@ -217,12 +222,14 @@ class VanishedObject(Checked):
     Attributes:
         budget: objects with more beams stay; None for any.
         sector_deg: objects must be narrower than this.
+        azimuth: the object nearest to it in the sensor's frame vanishes; None draws one.
         near_m: objects nearer than this vanish.
         spoofer: how well the beams are won.
     """
 
     budget: Budget = None
     sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
     near_m: Range = 25.0
     spoofer: Spoofer = SURE_SPOOFER
 
@@ -230,19 +237,39 @@ class VanishedObject(Checked):
         """Return the attacked sweep and what was done to it."""
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
-        if not objects:
-            return untouched(sweep)
-        chosen = _draw(objects, rng)
-        wanted_m = np.full(len(image.rays), LEAVE)
-        number, background_m = _background(sweep, image, chosen)
-        wanted_m[number] = np.where(background_m > image.rays.depth_m[number] + _BEHIND_M, background_m, LEAVE)
-        return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
+        for chosen in _drawn(objects, rng) if self.azimuth is None else _nearest_first(image, objects, self.azimuth):
+            number, background_m = _background(sweep, image, chosen)
+            behind = background_m > image.rays.depth_m[number] + _BEHIND_M
+            if behind.mean() > _VANISHING_SHARE:
+                wanted_m = np.full(len(image.rays), LEAVE)
+                wanted_m[number] = np.where(behind, background_m, LEAVE)
+                return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
+        return untouched(sweep)
 
 
-def _draw(objects: list[_Object], rng: np.random.Generator) -> _Object:
-    """Return one of the objects, drawn in proportion to their returns: large ones hide more."""
-    size = np.array([len(one.ring) for one in objects], np.float64)
-    return objects[rng.choice(len(objects), p=size / size.sum())]
+def _drawn(objects: list[_Object], rng: np.random.Generator) -> list[_Object]:
+    """Return the objects in an order drawn at random, as :func:`_random_one` draws them."""
+    left, order = list(objects), list[_Object]()
+    while left:
+        order.append(left.pop(_random_one(left, rng)))
+    return order
+
+
+def _random_one(objects: list[_Object], rng: np.random.Generator) -> int:
+    """Return the number of an object drawn in proportion to its returns: large ones hide more."""
+    returns = np.array([len(one.ring) for one in objects], np.float64)
+    return int(rng.choice(len(objects), p=returns / returns.sum()))
+
+
+def _nearest_first(image: _BeamImage, objects: list[_Object], azimuth: float) -> list[_Object]:
+    """Return the objects by how far their middle is from an azimuth."""
+    return sorted(objects, key=lambda one: abs((_azimuth_of(image, one) - azimuth + np.pi) % (2 * np.pi) - np.pi))
+
+
+def _azimuth_of(image: _BeamImage, one: _Object) -> float:
+    """Return the azimuth of an object's middle in the sensor's frame."""
+    number = image.number[one.ring, (one.first + one.column) % image.depth_m.shape[1]]
+    return _wedge_of(image, number[number >= 0]).azimuth
 
 
 def _wedge_of(image: _BeamImage, number: Ints) -> Wedge:
@@ -323,12 +350,14 @@ class CopiedObject(Checked):
     Attributes:
         budget: objects with more beams stay; None for any.
         sector_deg: objects must be narrower than this.
+        azimuth: middle of the copy in the sensor's frame, where the largest object that fits is shown; None draws both.
         near_m: objects nearer than this are copied.
         spoofer: how well the beams are won.
     """
 
     budget: Budget = None
     sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
     near_m: Range = 25.0
     spoofer: Spoofer = EXACT_SPOOFER
 
@@ -337,8 +366,7 @@ class CopiedObject(Checked):
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
         circle = image.depth_m.shape[1]
-        for _ in range(_PLACES if objects else 0):
-            chosen, turn = _draw(objects, rng), int(rng.integers(circle))
+        for chosen, turn in self._places(image, objects, rng):
             column = (chosen.first + chosen.column) % circle
             number = image.number[chosen.ring, (column + turn) % circle]
             depth_m = image.depth_m[chosen.ring, column]
@@ -351,6 +379,18 @@ class CopiedObject(Checked):
                 wanted_m[number] = np.where(image.rays.depth_m[number] > depth_m - _SKIRT_M, depth_m, LEAVE)
                 return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
         return untouched(sweep)
+
+    def _places(
+        self, image: _BeamImage, objects: list[_Object], rng: np.random.Generator
+    ) -> Iterator[tuple[_Object, int]]:
+        """Yield objects and the columns by which each is turned: as it comes, or the largest first to one azimuth."""
+        circle = image.depth_m.shape[1]
+        if self.azimuth is None:
+            for turn in rng.integers(circle, size=_PLACES if objects else 0):
+                yield objects[_random_one(objects, rng)], int(turn)
+            return
+        for one in sorted(objects, key=lambda one: -len(one.ring)):
+            yield one, round((self.azimuth - _azimuth_of(image, one)) * circle / (2 * np.pi)) % circle
 
 
 def _is_open(sweep: Sweep, image: _BeamImage, chosen: _Object, turn: int, depth_m: Floats, number: Ints) -> bool:
