@@ -169,6 +169,34 @@ def deviation(
 
 
 @study_app.command()
+def monitor(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: drives, score, page.")] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """The monitor of all evidence: drives attacked and corrupted, a score trained on them, its rates and misses.
+
+    Example: viewshed study monitor --preset tiny --out study
+    """
+    from viewshed._jobs import engine_named
+    from viewshed.studies.monitor.jobs import run_study
+    from viewshed.studies.monitor.page import page_of
+    from viewshed.studies.monitor.plan import STEPS, MonitorPlan
+    from viewshed.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "monitor")
+    store, runner = ResultStore.open(folder, MonitorPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        _write(page or folder, {"monitor.md": page_of(store).encode()})
+        typer.echo(f"Look at {(page or folder) / 'monitor.md'}")
+    _require_all_done(failed)
+
+
+@study_app.command()
 def wild(
     preset: Annotated[str, typer.Option(help="What is run: tiny, small (the development set), sealed.")] = "small",
     out: Out = None,

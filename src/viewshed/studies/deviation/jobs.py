@@ -13,7 +13,7 @@ from viewshed.estimators.unet import UnetEstimator, load_network
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.integrity.monitor import RULE, DeviationMonitor, load_monitor, save_monitor
+from viewshed.integrity.deviation import RULE, DeviationMonitor, load_monitor, save_monitor
 from viewshed.metrics import Mask
 from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import DEFAULT, apply, generator
@@ -101,7 +101,7 @@ class _Bench:
         estimate = self.clean if case == BENIGN else self.estimator.estimate(sweep)
         report = self.monitor.check(estimate)
         numbers: dict[str, float] = {
-            "score": report.score, "alarm": int(report.alarm), "suspects": int(report.suspect.sum()),
+            "score": report.score, "alarm": int(report.alarm), "suspects": int(report.suspect_cells.sum()),
             "mean_std": float(np.nanmean(np.asarray(estimate.std)[seen])), "watched": int(seen.sum()),
         }  # fmt: skip
         regions = dict[str, Mask]()
@@ -113,7 +113,10 @@ class _Bench:
         for name, mask in regions.items():
             area = mask & seen
             if area.any():
-                numbers |= {f"{name} cells": int(area.sum()), f"{name} suspects": int((area & report.suspect).sum())}
+                numbers |= {
+                    f"{name} cells": int(area.sum()),
+                    f"{name} suspects": int((area & report.suspect_cells).sum()),
+                }
         return numbers
 
 
