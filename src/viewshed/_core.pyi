@@ -122,6 +122,16 @@ def held_ground(
     height_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]] | None: ...
 
+# reach.cpp
+
+def range_quantile(
+    range_m: NDArray[np.float32],
+    left_out: NDArray[np.bool_],
+    rows: NDArray[np.int32] | None,
+    most_m: float,
+    share: float,
+) -> float: ...
+
 # leveling.cpp
 
 EGO_BOX_M: tuple[float, float]

@@ -50,29 +50,61 @@ class Group(NamedTuple):
 
 
 def p_values(benign: ArrayLike, scores: ArrayLike, rng: np.random.Generator | None = None) -> Floats:
-    """Return the conformal p-values (M, …) of scores: the share of benign ones, and itself, that are as high.
+    """Return the conformal p-values (M,) of scores: the share of benign ones, and itself, that are as high.
 
     Args:
-        benign: (n, …) scores of benign scenes; NaN counts as lower than all others.
-        scores: (M, …) scores; the p-value of NaN is 1.
-        rng: draws where the score stands among equal ones (smoothed p-values, which are uniform); without it the score
+        benign: (n,) scores of benign scenes.
+        scores: (M,) scores.
+        rng: draws where a score stands among equal ones (smoothed p-values, which are uniform); without it the score
             counts as the lowest of them, and the p-values are too large rather than too small.
+
+    Raises:
+        ValueError: there are no scores, or one is NaN.
 
     >>> p_values([1.0, 2.0, 2.0, 3.0], [0.0, 2.0, 9.0])
     array([1. , 0.8, 0.2])
     """
-    known = np.nan_to_num(np.asarray(benign, np.float64), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
-    asked = np.nan_to_num(np.asarray(scores, np.float64), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
-    ordered = np.sort(known, axis=0)
-    count = len(ordered)
-    above, equal = np.empty(asked.shape), np.empty(asked.shape)
-    for column in np.ndindex(asked.shape[1:]):
-        place = (slice(None), *column)
-        above[place] = count - np.searchsorted(ordered[place], asked[place], "right")
-        equal[place] = count - np.searchsorted(ordered[place], asked[place], "left") - above[place]
-    share = 1.0 if rng is None else 1.0 - rng.random(asked.shape)
-    result: Floats = (above + share * (equal + 1.0)) / (count + 1.0)
+    ordered, asked = np.sort(_checked("benign", benign)), _checked("scores", scores)
+    above = len(ordered) - np.searchsorted(ordered, asked, "right")
+    equal = len(ordered) - np.searchsorted(ordered, asked, "left") - above
+    share = np.ones(asked.shape) if rng is None else rng.random(asked.shape)
+    result: Floats = np.maximum(above + share * (equal + 1.0), np.finfo(float).tiny) / (len(ordered) + 1.0)
     return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HighestScores:
+    """The highest benign scores of several columns, sectors or kinds of evidence: all that small p-values need.
+
+    Attributes:
+        scenes: number n of benign scenes.
+        highest: (K, C) float32, the K highest of each column, descending; -inf for NaN.
+
+    Raises:
+        ValueError: the shapes do not fit or the columns do not descend.
+    """
+
+    scenes: int
+    highest: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if self.highest.ndim != 2 or not 0 < len(self.highest) <= self.scenes:
+            raise ValueError(f"highest must be (1 to {self.scenes}, C), got {self.highest.shape}")
+        if not (self.highest[1:] <= self.highest[:-1]).all() or np.isnan(self.highest[0]).any():
+            raise ValueError("highest must descend without NaN, got others")
+
+    @classmethod
+    def of(cls, scores: ArrayLike, share: float = 0.1) -> Self:
+        """Return the highest of benign scores (n, C), as many as p-values up to ``share`` need."""
+        lowered = np.nan_to_num(np.asarray(scores, np.float32), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+        keep = min(len(lowered), math.ceil(share * (len(lowered) + 1)))
+        return cls(len(lowered), -np.sort(-lowered, axis=0)[:keep])
+
+    def p_values(self, scores: ArrayLike) -> Floats:
+        """Return the p-values (C,) of scores (C,); 1 where it is beyond those kept, or the score is NaN."""
+        reached = (self.highest >= np.asarray(scores, np.float32)).sum(axis=0)
+        known = (reached < len(self.highest)) & ~np.isnan(np.asarray(scores, np.float64))
+        return np.where(known, (reached + 1.0) / (self.scenes + 1.0), 1.0)
 
 
 def alarms_allowed(scenes: int, rate: float, promise: Promise = "expected", *, unit: str = "scenes") -> int:
@@ -344,8 +376,8 @@ class Calibration:
 def betting_martingale(p: ArrayLike) -> Floats:
     """Return the wealth (N,) after each of N p-values of one who bets that they are not independent and uniform.
 
-    The Simple Jumper (Vovk et al., 2021, arXiv 2102.10439): it puts its money on small or on large p-values, and moves 1 %
-    of it after each. If they are, the wealth ever reaches c with probability 1 / c at most.
+    The Simple Jumper (Vovk et al., 2021, arXiv 2102.10439): it puts its money on small or on large p-values, and moves
+    1 % of it after each. If they are, the wealth ever reaches c with probability 1 / c at most.
     """
     slopes = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
     jump, accounts = 0.01, np.full(5, 0.2)
@@ -383,8 +415,8 @@ def drift_warning(scores: Mapping[Group, ArrayLike], rng: np.random.Generator) -
         return None
     return (
         f"benign scenes must be exchangeable, but their scores drift (betting martingale {wealth.max():.3g} at scene"
-        f" {int(wealth.argmax()) + 1} of {len(wealth)}; exchangeable ones reach {WORRYING:g} in 1 of {WORRYING:g} sets);"
-        " look for attacked or foreign scenes, no rate is promised"
+        f" {int(wealth.argmax()) + 1} of {len(wealth)}; exchangeable ones reach {WORRYING:g} in 1 of {WORRYING:g}"
+        " sets); look for attacked or foreign scenes, no rate is promised"
     )
 
 
@@ -393,7 +425,8 @@ def _binomial_cdf(trials: int, rate: float) -> Floats:
     j = np.arange(1, trials + 1)
     steps = np.log((trials - j + 1) / j) + math.log(rate) - math.log1p(-rate)
     logs = np.concatenate([[0.0], np.cumsum(steps)]) + trials * math.log1p(-rate)
-    return np.minimum(np.cumsum(np.exp(logs)), 1.0)
+    cdf: Floats = np.minimum(np.cumsum(np.exp(logs)), 1.0)
+    return cdf
 
 
 def _checked(name: str, values: ArrayLike) -> Floats:

@@ -7,7 +7,7 @@ from tests.threats.attacks.drawn import same
 from tests.threats.attacks.oracle import Scene, beams_of, broken_on_beams, columns_of
 
 from viewshed import Sweep
-from viewshed.threats.attacks import ATTACKS, EARLIER, FULL_WEDGE, NULL, Knowledge, Tampered
+from viewshed.threats.attacks import ATTACKS, EARLIER, FULL_WEDGE, INFORMED, NULL, Knowledge, Tampered
 
 NAMES = sorted(set(NULL) - {"pose_spoof"})
 
@@ -40,7 +40,7 @@ def test_the_beams_are_those_of_the_attack(name: str, simulated: list[Scene]) ->
     """Of those that it would touch, all that returned in both measurements and that the attack won."""
     scene = simulated[2]
     knowledge = Knowledge((scene.earlier,), None, scene.half_extent_m, scene.remeasured)
-    attack, null = ATTACKS[name](None, knowledge), NULL[name](None, knowledge)
+    attack, null = (ATTACKS | INFORMED)[name](None, knowledge), NULL[name](None, knowledge)
     wedge = attack.apply(scene.sweep, _rng(4)).wedge
     null_wedge = null.apply(scene.sweep, _rng(4)).wedge
     assert wedge is None or wedge == null_wedge
@@ -114,4 +114,4 @@ def test_same_seed_same_bytes(simulated: list[Scene]) -> None:
 def test_null_attacks_need_the_instant_once_more(simulated: list[Scene]) -> None:
     with pytest.raises(ValueError, match="a null attack needs the same instant measured once more, got none"):
         NULL["far_wall"]()
-    assert EARLIER <= set(NULL) == set(ATTACKS)
+    assert EARLIER <= set(NULL) == set(ATTACKS | INFORMED)
