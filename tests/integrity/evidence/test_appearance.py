@@ -2,12 +2,30 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tests.integrity.evidence.drives import PLATE, YARD, look, measure, sector_at
 
 from viewshed.sim import Box
+from viewshed.sweep import Sweep
+
+_COLUMNS = 1084
 
 AHEAD = sector_at(6.0)
 """The middle of the plate: y = 1 at x = 10."""
+
+
+def _ring_and_column(sweep: Sweep) -> list[tuple[int, int]]:
+    """Return the pixel of each return."""
+    assert sweep.ring is not None
+    assert sweep.azimuth is not None
+    columns = np.rint((sweep.azimuth + np.pi) * (_COLUMNS / (2 * np.pi)))
+    return [(int(ring), int(column)) for ring, column in zip(sweep.ring, columns, strict=True)]
+
+
+def _kept(sweep: Sweep, kept: NDArray[np.bool_]) -> Sweep:
+    assert sweep.ring is not None
+    assert sweep.azimuth is not None
+    return sweep.replace(points=sweep.points[kept], ring=sweep.ring[kept], azimuth=sweep.azimuth[kept])
 
 
 def test_a_plate_that_appears_has_its_area() -> None:
@@ -66,8 +84,7 @@ def test_beams_that_fall_silent_are_lost() -> None:
     before, now = look(YARD, 0), look(YARD, 1)
     azimuth = np.rad2deg(np.arctan2(now.points[:, 1], now.points[:, 0]))
     kept = np.abs(azimuth - 90.0) > 12.5
-    deaf = now.replace(points=now.points[kept], ring=now.ring[kept], azimuth=now.azimuth[kept])
-    values = measure("lost_view", before, deaf)
+    values = measure("lost_view", before, _kept(now, kept))
     assert values[sector_at(90.0)] == 1.0
     assert values[sector_at(60.0)] == 0.0
 
@@ -77,20 +94,17 @@ def test_what_a_window_hides_is_not_lost() -> None:
     before, near = look(YARD, 0), look((*YARD, Box(0.0, 4.0, 6.0, 0.2, 1.0)), 1)
     azimuth = np.rad2deg(np.arctan2(near.points[:, 1], near.points[:, 0]))
     kept = (np.abs(azimuth - 90.0) > 30.0) | (near.points[:, 1] < 5.0)
-    glass = near.replace(points=near.points[kept], ring=near.ring[kept], azimuth=near.azimuth[kept])
-    assert measure("lost_view", before, glass)[sector_at(90.0)] == 0.0
+    assert measure("lost_view", before, _kept(near, kept))[sector_at(90.0)] == 0.0
 
 
 def test_a_surface_with_holes_is_pierced() -> None:
     whole, behind = look((*YARD, PLATE), 1), look(YARD, 1)
-    pixel = {sweep: np.rint(sweep.azimuth * 180 / np.pi * 1000).astype(int) for sweep in (whole, behind)}
-    places = {(r, a): n for n, (r, a) in enumerate(zip(behind.ring, pixel[behind], strict=True))}
+    places = _ring_and_column(whole)
+    rows = {place: n for n, place in enumerate(_ring_and_column(behind))}
     points = whole.points.copy()
-    columns = np.unique(pixel[whole])
     for n in np.flatnonzero((np.abs(points[:, 0] - 10.0) < 0.2) & (points[:, 1] > -1.0) & (points[:, 1] < 3.0)):
-        column = np.searchsorted(columns, pixel[whole][n])
-        if column % 4 == 0 and (whole.ring[n], pixel[whole][n]) in places:
-            points[n] = behind.points[places[whole.ring[n], pixel[whole][n]]]
+        if places[n][1] % 4 == 0 and places[n] in rows:
+            points[n] = behind.points[rows[places[n]]]
     pierced = measure("phantom_shadow", look((*YARD, PLATE), 0), whole.replace(points=points))
     # A quarter of the plate's; the wall behind it belongs to these sectors as well.
     assert 0.1 < pierced[AHEAD - 2 : AHEAD + 2].mean() < 0.25

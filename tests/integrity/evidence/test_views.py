@@ -1,7 +1,10 @@
 """What evidence of earlier sweeps has in common: when it abstains, and sweeps that are not what they should be."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tests.integrity.evidence.drives import HEIGHT_M, YARD, leveled, look, measure
 
 from viewshed import _core
@@ -91,7 +94,7 @@ def test_one_and_two_threads_say_the_same() -> None:
 
 
 def test_views_of_arrays_that_do_not_fit_are_refused() -> None:
-    def arrays() -> dict[str, np.ndarray]:
+    def arrays() -> dict[str, Any]:
         return {
             "squared_m2": np.full((2, 16), 9.0, np.float32),
             "phase": np.zeros(2, np.float32),
@@ -107,7 +110,7 @@ def test_views_of_arrays_that_do_not_fit_are_refused() -> None:
 
     view = _core.SweepView(**arrays())
     assert view.obstacles == 3
-    wrong: list[tuple[str, np.ndarray, str]] = [
+    wrong: list[tuple[str, NDArray[Any], str]] = [
         ("squared_m2", np.zeros((0, 16), np.float32), "1 to 4096 rings"),
         ("squared_m2", np.zeros((2, 3), np.float32), "8 to 65536 columns"),
         ("phase", np.zeros(3, np.float32), "for each ring"),
