@@ -198,6 +198,6 @@ def reach_of_sweep(leveled: LeveledSweep) -> float:
     if leveled.held is not None:
         return leveled.held.reach_m
     image, planar = leveled.range_image, leveled.sweep.planar
-    isolated = np.zeros(len(leveled.rows), np.bool_) if image is None else image.isolated[leveled.rows]
-    reach_m = sensing_reach(leveled.range_m, isolated, leveled.sensor_id.model)
+    isolated = np.zeros(len(leveled.sweep), np.bool_) if image is None else image.isolated
+    reach_m = sensing_reach(leveled.range_m, isolated, leveled.sensor_id.model, leveled.rows)
     return reach_m if planar is None else min(reach_m, planar.max_range_m)
