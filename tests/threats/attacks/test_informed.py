@@ -86,7 +86,7 @@ def test_a_copy_stands_before_what_is_there(flat_scene: FlatScene) -> None:
     clean = flat_scene(12.0)
     attack = CopiedObject(sector_deg=60.0, azimuth=np.pi)
     assert attack.apply(clean, _rng(1)).added.any()
-    x, y, z = clean.points.T
+    x, y, _ = clean.points.T
     post = (np.abs(np.arctan2(y, -x)) < np.deg2rad(5.0)) & (np.hypot(x, y) > 5.0)
     scale = np.where(post, 5.0 / np.hypot(x, y), 1.0)[:, None]
     tampered = attack.apply(clean.replace(points=(clean.points * scale).astype(np.float32)), _rng(1))
