@@ -8,7 +8,7 @@ from viewshed.integrity.evidence import EVIDENCE, SECTORS
 from viewshed.integrity.score import SWEEP_FEATURES, EvidenceScore, SurpriseScale, features_of
 from viewshed.integrity.sweep_monitor import BenignSweep
 
-NAMES = tuple(EVIDENCE)
+NAMES = tuple(EVIDENCE)[:3]  # the noise of their sum shall not grow with the table
 VLP, HDL = Group("VLP-16", "none"), Group("HDL-32E", "none")
 
 
