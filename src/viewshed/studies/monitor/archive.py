@@ -200,3 +200,8 @@ class DriveAbout:
     number: int
     sensor: str
     conditions: Case
+
+    @property
+    def scene(self) -> str:
+        """Name of its scene, no other drive has it."""
+        return f"{self.domain} {self.split} {self.number}"
