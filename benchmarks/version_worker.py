@@ -1,7 +1,7 @@
 """Time jobs with the viewshed of one checkout: started by ``benchmarks.versions``, once for each checkout.
 
-Reads a line of JSON for each job to time, ``[job, method, file]``, and answers with the seconds it took. Only what all
-versions since 0.3.0 offer is used. The first line names the checkout; the answer to it is the version.
+Its first line is the version, as JSON. Then it reads a line of JSON for each job to time, ``[job, method, file]``, and
+answers with the seconds it took. Only what all versions since 0.3.0 offer is used.
 """
 
 from __future__ import annotations
@@ -16,12 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-
-def use(checkout: str) -> None:
-    """Let ``import viewshed`` take the one of a checkout, also where another is installed to be edited."""
-    sys.meta_path[:] = [each for each in sys.meta_path if not type(each).__name__.startswith("ScikitBuild")]
-    sys.path.insert(0, str(Path(checkout) / "src"))
 
 
 @lru_cache(maxsize=8)
@@ -79,7 +73,6 @@ JOBS: dict[str, Callable[[str, str], None]] = {"estimate": estimate, "many": man
 
 def main() -> None:
     """Answer lines until there are no more."""
-    use(json.loads(sys.stdin.readline()))
     import viewshed
 
     print(json.dumps([viewshed.__version__, str(Path(viewshed.__file__).parent)]), flush=True)

@@ -74,10 +74,9 @@ class Version:
     def __init__(self, name: str, checkout: Path) -> None:
         self.name = name
         worker = Path(__file__).with_name("version_worker.py")
-        self._process = subprocess.Popen(
-            (sys.executable, str(worker)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        self.number, self.place = self._ask(str(checkout.resolve()))
+        command = (sys.executable, str(ROOT / "tools" / "with_checkout.py"), str(checkout), str(worker))
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.number, self.place = self._answer()
 
     def seconds(self, line: Line, path: Path) -> float | None:
         """Return the seconds of one run, or None where the version cannot do it."""
@@ -86,9 +85,12 @@ class Version:
 
     def _ask(self, question: Any) -> Any:
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.write(json.dumps(question) + "\n")
         self._process.stdin.flush()
+        return self._answer()
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None
         answer = self._process.stdout.readline()
         if not answer:
             raise RuntimeError(f"{self.name} ended")
@@ -172,20 +174,20 @@ def main() -> None:
             target = line.targets[k] if line.targets else None
             rows.append([line.title, title, *row(line, times, list(named), target)])
             print(" | ".join(rows[-1]), flush=True)
-    told_of_many = endurance(versions[0], next(iter(files.values())), given.endurance) if given.endurance else ""
-    print(told_of_many)
+    in_a_row = endurance(versions[0], next(iter(files.values())), given.endurance) if given.endurance else ""
+    print(in_a_row)
     for version in versions:
         version.close()
     if not given.only:
         header = ["what", "sweep", *named, *(f"gain over {name}" for name in list(named)[1:]), "target", ""]
         command = ("python -m benchmarks.versions", *(f"{name}=CHECKOUT" for name in list(named)[1:]))
-        told = facts(
+        provenance = facts(
             command=f"`{' '.join(command)} --rounds {given.rounds}`",
             load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores",
             **{name: f"viewshed at {commit_of(Path(checkout))}" for name, checkout in named.items()},
         )
         given.page.write_text(
-            page("Speed of the core", told, INTRODUCTION, table(header, rows), told_of_many), encoding="utf-8"
+            page("Speed of the core", provenance, INTRODUCTION, table(header, rows), in_a_row), encoding="utf-8"
         )
 
 

@@ -3,7 +3,8 @@
 Both versions are given the same files, so that every difference is the version's:
 
     python tools/attack_families.py sweeps FOLDER [SCENES]    # attacked sweeps with their truth
-    python tools/attack_families.py counts FOLDER OUT.json    # once with each version
+    python tools/attack_families.py counts FOLDER OUT.json    # with this version
+    python tools/with_checkout.py CHECKOUT tools/attack_families.py counts FOLDER OUT.json  # with another
     python tools/attack_families.py page BEFORE.json AFTER.json OUT.md
 """
 

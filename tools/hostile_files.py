@@ -12,7 +12,6 @@ import argparse
 import datetime
 import gzip
 import json
-import os
 import platform
 import struct
 import subprocess
@@ -27,7 +26,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from with_checkout import environment_of
 
+ROOT = Path(__file__).resolve().parents[1]
 LIMIT_S, LIMIT_BYTES, RATIO = 2.0, 64_000_000, 10
 GIVE_UP_S = 10
 MEMORY_BYTES = 4_000_000_000
@@ -357,13 +358,12 @@ def _warm(folder: Path, path: Path) -> None:
             measure(folder / sample.name)
 
 
-def _run_one(path: Path, source: Path | None) -> Cost:
-    """Return what reading a file costs a child process, with the package of a checkout; None is this one."""
-    environment = dict(os.environ) | ({} if source is None else {"PYTHONPATH": str(source / "src")})
+def _run_one(path: Path, checkout: Path) -> Cost:
+    """Return what reading a file costs a child process with the viewshed of a checkout."""
     command = [sys.executable, __file__, "--measure", str(path)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=GIVE_UP_S + 90, check=False, env=environment
+            command, capture_output=True, text=True, timeout=GIVE_UP_S + 90, check=False, env=environment_of(checkout)
         )
     except subprocess.TimeoutExpired:
         return Cost(GIVE_UP_S, 0, "does not end")
@@ -437,7 +437,7 @@ def main() -> None:
         with TemporaryDirectory() as folder:
             path = hostile.write(Path(folder))
             size = total_bytes(path)
-            costs = ([_run_one(path, given.before)] if given.before else []) + [_run_one(path, None)]
+            costs = [_run_one(path, checkout) for checkout in (given.before, ROOT) if checkout]
         missed += not costs[-1].within(size)
         rows.append(f"| {hostile.what} | {size} |" + "".join(_cells(cost, size) for cost in costs))
         print(name, rows[-1], flush=True)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import ast
 import difflib
-import os
 import queue
 import re
 import shutil
@@ -25,6 +24,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+
+from with_checkout import environment_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("src") / "viewshed"
@@ -295,11 +296,6 @@ def copy_project(to: Path) -> None:
         shutil.copytree(ROOT / name, to / name)
     for name in ("pyproject.toml", "CMakeLists.txt"):
         shutil.copy2(ROOT / name, to / name)
-    # An editable install would be found before the copy.
-    (to / "src" / "sitecustomize.py").write_text(
-        "import sys\n"
-        "sys.meta_path[:] = [each for each in sys.meta_path if not type(each).__name__.startswith('ScikitBuild')]\n"
-    )
 
 
 def build_core(project: Path) -> None:
@@ -325,11 +321,7 @@ def first_failure(project: Path, tests: tuple[str, ...]) -> tuple[str, str] | No
     """
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", *tests]
     # COLUMNS: so that the summary's lines are not cut off before the error.
-    environment = os.environ | {
-        "PYTHONPATH": str(project / "src"),
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
-        "COLUMNS": "1000",
-    }
+    environment = environment_of(project) | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "1000"}
     try:
         run = subprocess.run(
             command, cwd=project, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
@@ -351,8 +343,8 @@ def check_copy(project: Path) -> None:
         RuntimeError: they would import another.
     """
     code = "import viewshed; print(viewshed.__file__)"
-    environment = os.environ | {"PYTHONPATH": str(project / "src")}
-    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    command = (sys.executable, "-c", code)
+    run = subprocess.run(command, env=environment_of(project), capture_output=True, text=True, check=True)
     if not Path(run.stdout.strip()).is_relative_to(project):
         raise RuntimeError(f"the tests would import {run.stdout.strip()} instead of the copy in {project}")
 

@@ -20,6 +20,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from with_checkout import environment_of
 
 ROOT = Path(__file__).resolve().parents[1]
 METHODS = ("shadow_map", "viewnet", "first_blocker", "quantized", "continuous", "concave_hull")
@@ -31,10 +32,10 @@ _VISIBLE = (1, 2)  # FREE and SURFACE
 _WORST = 8
 
 INTRODUCTION = """\
-Both versions read the same files: every real sweep that is at hand, and simulated ones (own and wild worlds; told
-table, rings or points alone; every third attacked, by each of the attacks in turn). *Same states*: share of the cells
-of the grid whose state (free, surface, hidden, unknown) is the same. *F1*: of the visible cells of one version against
-those of the other. *All alike*: share of the sweeps in which no cell differs."""
+Both versions read the same files: every real sweep that is at hand, and simulated ones (own and wild worlds; with beam
+table, with rings alone, or points alone; every third attacked, by each of the attacks in turn). *Same states*: share of
+the cells of the grid whose state (free, surface, hidden, unknown) is the same. *F1*: of the visible cells of one
+version against those of the other. *All alike*: share of the sweeps in which no cell differs."""
 
 
 def write_simulated(folder: Path, count: int) -> None:
@@ -44,7 +45,7 @@ def write_simulated(folder: Path, count: int) -> None:
     from viewshed.threats.attacks import ATTACKS, EARLIER
 
     attacks = itertools.cycle(sorted(ATTACKS.keys() - EARLIER))
-    own = max(1, count // 6)  # sweeps, each told three ways
+    own = max(1, count // 6)  # sweeps, each in three ways
     samples = itertools.chain(
         wild_samples("own", "road", TOLD, count=own), wild_samples("training", "road", TOLD, count=count)
     )
@@ -60,10 +61,8 @@ def write_simulated(folder: Path, count: int) -> None:
         write_sweep(sweep, folder / f"{number:04d}_{name}.npz")
 
 
-def answer(checkout: str, listed: Path, out: Path) -> None:
-    """Write the states (cells, cells) of each file and method that the version of a checkout gives."""
-    sys.meta_path[:] = [each for each in sys.meta_path if not type(each).__name__.startswith("ScikitBuild")]
-    sys.path.insert(0, str(Path(checkout) / "src"))
+def answer(listed: Path, out: Path) -> None:
+    """Write the states (cells, cells) of each file and method that this process's version gives."""
     import viewshed
 
     estimators = {method: viewshed.load_estimator(method) for method in METHODS}
@@ -102,7 +101,7 @@ def compare(now: Path, before: Path) -> dict[tuple[str, str], list[tuple[float, 
 def main() -> int:
     """Run both versions, compare, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkout", help="the other version")
+    parser.add_argument("checkout", type=Path, help="the other version")
     parser.add_argument("--simulated", type=int, default=1000)
     data = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT.parent / "shared" / "data"))
     parser.add_argument("--data", type=Path, default=data, help="folder of real sweeps")
@@ -110,7 +109,7 @@ def main() -> int:
     parser.add_argument("--answer", nargs=2, type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.answer:
-        answer(given.checkout, *given.answer)
+        answer(*given.answer)
         return 0
     from viewshed._page import commit_of, facts, page, table
 
@@ -123,7 +122,8 @@ def main() -> int:
         (folder / "files").write_text("\n".join(map(str, files)), encoding="utf-8")
         runs = [
             subprocess.Popen(
-                (sys.executable, __file__, str(checkout), "--answer", folder / "files", folder / f"{k}.npz")
+                (sys.executable, __file__, str(checkout), "--answer", folder / "files", folder / f"{k}.npz"),
+                env=environment_of(checkout),
             )
             for k, checkout in enumerate((ROOT, given.checkout))
         ]
@@ -140,12 +140,12 @@ def main() -> int:
     lines = [f"- {100 * same:.2f} %: `{method}`, {kind}, {file}" for same, method, kind, file in sorted(worst)[:_WORST]]
     if given.out is not None:
         header = ["method", "sweeps", "number", "same states", "F1", "all alike", "worst sweep"]
-        told = facts(
+        provenance = facts(
             command=f"`python tools/same_answers.py CHECKOUT --simulated {given.simulated}`",
-            other=f"viewshed at {commit_of(Path(given.checkout))}",
+            other=f"viewshed at {commit_of(given.checkout)}",
         )
         parts = (INTRODUCTION, table(header, rows), "The sweeps that differ most:", "\n".join(lines))
-        given.out.write_text(page("Same answers", told, *parts), encoding="utf-8")
+        given.out.write_text(page("Same answers", provenance, *parts), encoding="utf-8")
     else:
         print("\n".join(lines))
     return int(any(np.mean([each[0] for each in sweeps]) < ENOUGH for sweeps in found.values()))

@@ -1,7 +1,8 @@
 """Hold two versions against each other in the wild, on the same sweeps and by the same scoring.
 
     python tools/wild_versions.py sweeps SET FOLDER              # sweeps of a set with their exact truth
-    python tools/wild_versions.py counts FOLDER OUT.json         # once with each version
+    python tools/wild_versions.py counts FOLDER OUT.json         # with this version
+    python tools/with_checkout.py CHECKOUT tools/wild_versions.py counts FOLDER OUT.json  # with another
     python tools/wild_versions.py page BEFORE.json AFTER.json OUT.md
 
 Sweeps of the sealed set are taken with those of a run whose opening is logged.

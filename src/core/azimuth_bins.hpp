@@ -1,6 +1,8 @@
 // Azimuth bins: what the geometric estimators share. Returns by bin, and limits in range.
 #pragma once
 
+#include <numbers>
+
 #include "arrays.hpp"
 #include "vectors.hpp"
 
@@ -15,11 +17,11 @@ constexpr std::size_t NARROWEST_BINS = 1080;
 // The azimuth bin of an azimuth in [-π, π), half-open; in double, as viewshed.preprocess.azimuth_bins computes that of
 // cells. An azimuth that is no number is in the first.
 INLINE std::int32_t azimuth_bin(float azimuth, double per_rad, double last) {
-    double position = (double(azimuth) + 3.141592653589793) * per_rad;
+    double position = (double(azimuth) + std::numbers::pi) * per_rad;
     position = position > 0.0 ? position : 0.0;
     return std::int32_t(position < last ? position : last);
 }
-inline double bins_per_rad(std::size_t bins) { return double(bins) / (2.0 * 3.141592653589793); }
+inline double bins_per_rad(std::size_t bins) { return double(bins) / (2.0 * std::numbers::pi); }
 
 // How many azimuth bins returns fill without gaps, by which of the NARROWEST_BINS they occupy.
 std::size_t bins_filled(View1<const bool> occupied);

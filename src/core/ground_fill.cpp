@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <numbers>
 #include <vector>
 
 #include "parallel.hpp"
@@ -47,11 +48,11 @@ constexpr float UNCONFIRMED_WEIGHT = 0.1f, BLIND_WEIGHT = 0.9f;
 // Nodes of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
-constexpr float NONE = std::numeric_limits<float>::quiet_NaN();
+constexpr float UNSEEN = std::numeric_limits<float>::quiet_NaN();
 
 // Known heights over the base by range in nodes and sector (bins, SECTORS), NaN for none; and the base there.
 struct Profiles {
-    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, NONE), base(b * SECTORS) {}
+    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, UNSEEN), base(b * SECTORS) {}
     std::size_t bins;
     Buffer<float> seen, base;
 };
@@ -126,7 +127,7 @@ INLINE bool has_level_around(const float* row, int first, int count, float level
 // Whether ground about as high over the base is seen (bins, SECTORS) on a side of sector `at`, at about this range in nodes.
 MULTIVERSION bool confirms(const float* seen, int bins, int at, float range, float level, float node_m) {
     const int about = 2 + int(range) / 8;
-    const float across_m = range * node_m * float(CONFIRM_FROM * 2 * 3.14159265358979323846 / SECTORS);
+    const float across_m = range * node_m * float(CONFIRM_FROM * 2 * std::numbers::pi / SECTORS);
     const float tolerance = CONFIRM_M + CONFIRM_SLOPE * across_m;
     const int first = CONFIRM_FROM + int(2 * half_width(range));  // near the sensor a node is as wide as some sectors
     const int count = CONFIRM_TO - CONFIRM_FROM, last = first + count - 1;

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <numbers>
 #include <vector>
 
 #include "arrays.hpp"
@@ -47,7 +48,7 @@ void require_bounded(View1<const float> values, const char* rule);
 
 // Half the width in sectors of a node at a range in nodes.
 inline float half_width(float range_nodes) {
-    constexpr float AT_ONE_NODE = float(0.6 * SECTORS / (2 * 3.14159265358979323846));
+    constexpr float AT_ONE_NODE = float(0.6 * SECTORS / (2 * std::numbers::pi));
     return AT_ONE_NODE / (range_nodes > 1.0f ? range_nodes : 1.0f);
 }
 

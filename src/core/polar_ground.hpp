@@ -2,13 +2,15 @@
 #pragma once
 
 #include <array>
+#include <numbers>
 
 #include "arrays.hpp"
 #include "leveling.hpp"
+#include "vectors.hpp"
 
 namespace viewshed {
 
-// Sectors of azimuth, and ranges from 1 m to 128 m in equal ratios.
+// Sectors of azimuth in which the local ground is looked up, and ranges from 1 m to 128 m in equal ratios.
 constexpr std::size_t GROUND_SECTORS = 128, GROUND_RANGES = 113;
 
 // Range by range, so that a loop over sectors vectorizes.
@@ -22,8 +24,8 @@ struct PolarGround {
 
 // The sector of an azimuth.
 inline std::size_t ground_sector(float azimuth) {
-    constexpr float per_rad = float(GROUND_SECTORS / (2 * 3.14159265358979323846));
-    const int s = int((azimuth + 3.14159265f) * per_rad);
+    constexpr float per_rad = float(GROUND_SECTORS / (2 * std::numbers::pi));
+    const int s = int((azimuth + PI) * per_rad);
     return std::size_t(s < 0 ? 0 : (s < int(GROUND_SECTORS) ? s : int(GROUND_SECTORS) - 1));
 }
 

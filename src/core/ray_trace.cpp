@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <optional>
 #include <vector>
 
@@ -16,7 +17,7 @@
 namespace viewshed {
 namespace {
 
-constexpr double TURN = 2.0 * 3.141592653589793;
+constexpr double TURN = 2.0 * std::numbers::pi;
 constexpr float NO_RETURN = -1.0f;
 
 // A cell is in doubt if returns of the slices at its window's ends, so many of each end, decide.

@@ -16,7 +16,7 @@ namespace viewshed {
 namespace {
 
 constexpr float TURN = 2 * PI;
-constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
+constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
 // Azimuths jitter across the seam by at most so many radians, for fewer than so many points.
 constexpr float BACK = 0.35f;
@@ -198,7 +198,7 @@ MULTIVERSION std::size_t count_up_to(const std::int32_t* key, std::size_t count,
 
 // The median, of an even number the mean of the two in the middle; NaN for none.
 double median_of(std::vector<double> values) {
-    if (values.empty()) return NONE;
+    if (values.empty()) return UNKNOWN;
     const std::size_t half = values.size() / 2;
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(half), values.end());
     if (values.size() % 2) return values[half];
@@ -300,7 +300,7 @@ double firing_step(std::vector<double> own, std::vector<double> pooled, const Be
     for (std::vector<double>* gaps : {&own, &pooled}) {
         std::erase_if(*gaps, [](double gap) { return !(gap > LEAST_BINS * GAP_BIN && gap < MOST_BINS * GAP_BIN); });
     }
-    if (own.size() < FEWEST_GAPS) return NONE;
+    if (own.size() < FEWEST_GAPS) return UNKNOWN;
     // 1. The most frequent gap, and the mean of those like it.
     std::array<int, std::size_t(MOST_BINS) + 3> counts{};
     for (const double gap : own) ++counts[std::size_t(gap / GAP_BIN) + 1];
@@ -429,7 +429,7 @@ std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directi
 double lower_median(const float* values, std::size_t count) {
     std::vector<std::int32_t> key(count);
     const std::size_t known = order_keys(values, count, key.data());
-    if (known == 0) return NONE;
+    if (known == 0) return UNKNOWN;
     // Numbers are ordered as their keys: halve the keys between which the median lies, by counting those below.
     const std::size_t rank = (known - 1) / 2;
     std::int64_t low = 0, high = 0;

@@ -16,7 +16,6 @@
 namespace viewshed {
 namespace {
 
-constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
 constexpr double NEVER = std::numeric_limits<double>::infinity();
 constexpr double DEGREE = std::numbers::pi / 180;
 

@@ -8,6 +8,7 @@ namespace viewshed {
 using namespace nb::literals;
 
 void bind_range_image(nb::module_& m);
+void bind_reach(nb::module_& m);
 void bind_sensor_id(nb::module_& m);
 void bind_ground(nb::module_& m);
 void bind_leveling(nb::module_& m);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <numbers>
 
 // A function that is compiled for several generations of x86 processors; the one that runs is chosen when the module is
 // loaded. Functions that it inlines come along, so helpers are INLINE. Sanitizers start after that choice: without it.
@@ -16,7 +17,7 @@
 
 namespace viewshed {
 
-constexpr float PI = 3.14159265f;
+constexpr float PI = std::numbers::pi_v<float>;
 
 // Points of a block: columns of so many points stay in the nearest memory.
 constexpr std::size_t BLOCK = 1024;
@@ -33,10 +34,10 @@ INLINE float azimuth_of(float y, float x) {
     p = p * s + 0.19354346f;
     p = p * s - 0.33262347f;
     float a = (p * s + 0.99997726f) * ratio;
-    a = ay > ax ? 1.57079637f - a : a;
-    a = x < 0 ? 3.14159274f - a : a;
+    a = ay > ax ? PI / 2 - a : a;
+    a = x < 0 ? PI - a : a;
     a = y < 0 ? -a : a;
-    return a >= 3.14159265f ? -3.14159274f : a;
+    return a >= PI ? -PI : a;
 }
 
 }  // namespace viewshed

@@ -503,6 +503,8 @@ CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& k
 }
 
 void bind_visibility(nb::module_& m) {
+    m.attr("AZIMUTH_COLUMNS") = AZIMUTH_COLUMNS;
+    m.attr("GROUND_SECTORS") = GROUND_SECTORS;
     nb::class_<CellWindows>(m, "CellWindows", "The windows of azimuth of a target in each cell of a grid.")
         .def(
             "__init__",

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "polar_ground.hpp"
 
 namespace viewshed {
 
@@ -41,8 +42,8 @@ struct Row {
 // share nothing and sums do not depend on how many there are.
 constexpr std::size_t AZIMUTH_COLUMNS = 2048, SEGMENTS = 8, SEGMENT_COLUMNS = AZIMUTH_COLUMNS / SEGMENTS;
 
-// Sectors in which the local ground is looked up.
-constexpr std::size_t GROUND_SECTORS = 128, SECTOR_COLUMNS = AZIMUTH_COLUMNS / GROUND_SECTORS;
+// Columns of a sector in which the local ground is looked up.
+constexpr std::size_t SECTOR_COLUMNS = AZIMUTH_COLUMNS / GROUND_SECTORS;
 
 // The windows of azimuth of a target in each of N cells; made once for a grid and a width.
 class CellWindows {

@@ -122,6 +122,16 @@ def held_ground(
     height_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]] | None: ...
 
+# reach.cpp
+
+def range_quantile(
+    range_m: NDArray[np.float32],
+    left_out: NDArray[np.bool_],
+    rows: NDArray[np.int32] | None,
+    most_m: float,
+    share: float,
+) -> float: ...
+
 # leveling.cpp
 
 EGO_BOX_M: tuple[float, float]
@@ -226,6 +236,9 @@ def interpolate(
 ) -> NDArray[np.float32]: ...
 
 # visibility.cpp
+
+AZIMUTH_COLUMNS: int
+GROUND_SECTORS: int
 
 _Beams = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 

@@ -100,7 +100,7 @@ def test_replay_prints_a_line_for_each_sweep(drive: list[Path]) -> None:
     *lines, last = out.splitlines()
     assert [line.split()[0] for line in lines] == ["0.000", "0.100", "0.200", "0.300", "0.400"]
     assert all(re.search(r"visible \d+ m²  \d+\.\d ms$", line) for line in lines)
-    assert last.startswith("5 sweeps, latency ")
+    assert last.startswith("5 answered, 0 dropped; ")
 
 
 def test_sweeps_are_handed_on_when_they_are_due(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.estimators.concave_hull import ConcaveHull, thinned
 from viewshed.estimators.delaunay import Delaunay
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.fov.visibility import CAR, GROUND_SECTORS
+from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
@@ -129,7 +130,7 @@ def test_an_azimuth_without_returns_is_unknown(make_level: MakeLevel, name: str,
     assert not np.isin(estimate.state[away < 0.44], [CellState.FREE, CellState.SURFACE]).any()
     # Beams beside the gap aim at a target as wide as a car that reaches out of it, to within two sectors of 2.8°.
     half = np.arctan2(CAR.width_m / 2, np.hypot(x, y) - GRID.cell_m)
-    inside = away + half < 0.5 - 2 * 2 * np.pi / GROUND_SECTORS
+    inside = away + half < 0.5 - 2 * 2 * np.pi / _core.GROUND_SECTORS
     assert inside.sum() > 50
     assert (estimate.state[inside] == CellState.UNKNOWN).all()
 

@@ -134,10 +134,10 @@ PAPER_SWEEPS = frozenset(map(str, (*REAL[::5], *SIMULATED[::10])))
 def unrecorded() -> list[str]:
     """Return the estimators and attacks of the package's tables that no golden array shows.
 
-    An aimed attack is shown by the one that it is of, whose wedge is elsewhere.
+    An aimed or a clean attack is shown by the one that it is of, whose wedge or noise is another.
     """
     attacks = {name.attack for name in SIMULATED}
-    missing = [name for name in ATTACKS if name.removesuffix("_aimed") not in attacks]
+    missing = [name for name in ATTACKS if name.removesuffix("_aimed").removesuffix("_clean") not in attacks]
     return [*(name for name in ESTIMATORS if name not in METHODS), *missing]
 
 
@@ -271,7 +271,7 @@ TINY_PAGES = {
     "paper": "paper/paper.md",
     "paper_strict": "paper/paper_strict.md",
     "ablation": "ablation/ablation.md",
-    "monitor_study": "monitor/monitor.md",
+    "monitor_study": "deviation/deviation.md",
     "truth": "truth.md",
     "crossview": "crossview.md",
 }
@@ -285,7 +285,7 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run("study", "robustness", "--preset", "tiny", "--out", "robustness")
     run("study", "paper", "--preset", "tiny", "--out", "paper")
     run("study", "ablation", "--preset", "tiny", "--out", "ablation")
-    run("study", "monitor", "--preset", "tiny", "--out", "monitor")
+    run("study", "deviation", "--preset", "tiny", "--out", "deviation")
     run("simulate", "nuscenes-small", "--sweeps", "24", "--out", "sweeps")
     run("evaluate", "truth", "sweeps", "--limit", "6", "--out", "truth.md")
     _write_index(folder / "posed")

@@ -95,10 +95,10 @@ def test_alarms_on_new_benign_sweeps_keep_to_the_rate_and_a_doubtful_corner_is_f
     std[6:, :3] = 0.45
     report = monitor.check(estimate_of(std))
     assert report.alarm
-    assert report.suspect[6:, :3].all()
-    assert report.suspect.sum() <= 8
+    assert report.suspect_cells[6:, :3].all()
+    assert report.suspect_cells.sum() <= 8
     assert (report.monitor, report.threshold, monitor.sweeps) == ("deviation", monitor.limit, (60, 199))
-    assert report.suspect_m2 == report.suspect.sum() * 4.0
+    assert report.suspect_m2 == report.suspect_cells.sum() * 4.0
 
 
 def test_what_the_monitor_cannot_check_is_told() -> None:
@@ -130,10 +130,10 @@ def test_rules_are_checked(change: dict[str, float], match: str) -> None:
 
 def test_a_report_is_checked() -> None:
     with pytest.raises(ValueError, match="score and threshold must be numbers"):
-        IntegrityReport(np.nan, 0.1, np.zeros(GRID.shape, bool), GRID, "a")
-    with pytest.raises(ValueError, match=r"suspect must be bool \(8, 8\), got bool \(3, 3\)"):
-        IntegrityReport(0.0, 0.1, np.zeros((3, 3), bool), GRID, "a")
-    calm = IntegrityReport(0.1, 0.1, np.zeros(GRID.shape, bool), GRID, "a")
+        IntegrityReport("a", np.nan, 0.1)
+    with pytest.raises(ValueError, match=r"suspect_cells must be bool \(8, 8\), got bool \(3, 3\)"):
+        IntegrityReport("a", 0.0, 0.1, grid=GRID, suspect_cells=np.zeros((3, 3), bool))
+    calm = IntegrityReport("a", 0.1, 0.1, grid=GRID, suspect_cells=np.zeros(GRID.shape, bool))
     assert not calm.alarm
 
 
@@ -177,7 +177,7 @@ def test_every_damaged_file_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_another_version_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("viewshed.integrity.monitor.FORMAT_VERSION", 2)
+    monkeypatch.setattr("viewshed.integrity.deviation.FORMAT_VERSION", 2)
     save_monitor(_monitor(), tmp_path / "new.npz")
     monkeypatch.undo()
     with pytest.raises(ValueError, match="monitor deviation of version 2, not deviation of 1; fit it again"):

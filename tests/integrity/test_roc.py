@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viewshed.integrity.roc import alarm_limit, auroc, auroc_interval, roc_curve, tpr_at_fpr
+from viewshed.integrity.calibration import alarm_limit
+from viewshed.integrity.roc import auroc, auroc_interval, roc_curve, tpr_at_fpr
 
 SCORES = st.lists(st.integers(0, 8), min_size=1, max_size=12)
 

@@ -1,5 +1,7 @@
 """The own vehicle: its returns are left out, however the sensor is turned on it, and those of others are not."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -43,6 +45,19 @@ def test_the_heading_follows_the_vehicle(degrees: float) -> None:
     points = np.concatenate([turned(own_car(), degrees), STREET.points])
     assert off_deg(vehicle_heading(points, LEVEL, None), degrees) < 8
     assert vehicle_heading(points, LEVEL, 1.0) == 1.0
+
+
+@pytest.mark.parametrize("given", [{}, {"attitude": (1.0, 0.0, 0.0, 0.0)}])
+def test_the_heading_is_found_once_a_sweep(given: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def counted(*arguments: Any) -> float:
+        calls.append(arguments)
+        return vehicle_heading(*arguments)
+
+    monkeypatch.setattr("viewshed.preprocess.leveling.vehicle_heading", counted)
+    level(Sweep(STREET.points, infer_sensor=False, **given), GRID)
+    assert len(calls) == 1
 
 
 @pytest.mark.parametrize("degrees", [0, 45, 90])

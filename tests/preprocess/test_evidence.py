@@ -20,7 +20,7 @@ from viewshed.datasets.simulated import ScenePlan, simulate_frame
 from viewshed.estimators import CLASSICAL, ESTIMATORS
 from viewshed.estimators.unet import LEARNED, UnetEstimator
 from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import AZIMUTH_COLUMNS, Target, poisson_table
+from viewshed.fov.visibility import Target, poisson_table
 from viewshed.networks.card import NetworkCard
 from viewshed.preprocess import evidence as evidence_module
 from viewshed.preprocess.evidence import GROUND_STEPS, BeamEvidence, beam_evidence, reach_of_sweep
@@ -143,7 +143,7 @@ def test_evidence_is_the_definition_beam_by_beam(target: Target, grid: BevGrid, 
     leveled = made_level(points, HeightMap.flat(40.0, 0.0, std_m))
     evidence = beam_evidence(leveled, grid, target)
     # Windows end within a column of azimuth: cells in which a beam does, at any height of the ground, are not sure.
-    column = 2 * np.pi / AZIMUTH_COLUMNS
+    column = 2 * np.pi / _core.AZIMUTH_COLUMNS
     steps = [(0.0, 1.0 - sum(weight for _, weight in GROUND_STEPS)), *GROUND_STEPS]
     prob, sure = np.zeros(grid.shape), np.ones(grid.shape, np.bool_)
     for deviations, weight in steps:

@@ -12,8 +12,9 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate
+from viewshed.integrity import IntegrityReport
 from viewshed.plot import COLORS
-from viewshed.view import Alarm, Frame, Integrity, PackedFrame, pack_frame, write_page
+from viewshed.view import Frame, PackedFrame, pack_frame, write_page
 from viewshed.view.html import UNKNOWN_ON_DARK
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed: pages are not opened")
@@ -36,9 +37,11 @@ def _frames() -> Iterator[PackedFrame]:
         std = np.full(GRID.shape, 0.1 * (k + 1), np.float32) if k < 2 else None
         suspect = np.zeros(GRID.shape, np.bool_)
         suspect[40:48, 8:16] = k == 3
-        alarms = (Alarm("inconsistent", "a wall <b>is</b> missing"),) if k == 3 else ()
+        report = IntegrityReport(
+            "by hand", 0.1 * k, 0.25, grid=GRID, suspect_cells=suspect, reasons=("a wall <b>is</b> missing",)
+        )
         estimate = FovEstimate(GRID, visible * np.float32(0.9), state, std=std, t_ns=10**18 + 50_000_000 * k)
-        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, Integrity(0.1 * k, suspect, None, alarms)))
+        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, report))
 
 
 @pytest.fixture(scope="module")

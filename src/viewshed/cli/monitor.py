@@ -51,7 +51,7 @@ def fit(
     """
     from viewshed.estimators.unet import PASSES, load_network
     from viewshed.integrity import DeviationMonitor, Rule, save_monitor
-    from viewshed.integrity.roc import require_sweeps
+    from viewshed.integrity.calibration import alarms_allowed
 
     rule, sweeps = Rule(sigmas=sigmas), _Source(tuple(sources), split, sensor)
     refuse_inputs((out,), map(Path, sources))
@@ -60,7 +60,7 @@ def fit(
         seed=seed or 0,
     )  # fmt: skip
     count = sum(1 for _ in sweeps)
-    require_sweeps(count - count // 2, false_alarm_rate)
+    alarms_allowed(count - count // 2, false_alarm_rate, unit="sweeps")
     estimates = (estimator.estimate(sweep) for _, sweep in with_bar(sweeps, count))
     made = DeviationMonitor.fit(islice(estimates, count // 2), rule).calibrated(estimates, false_alarm_rate)
     facts = {"network": _identity(estimator), "target": target, "passes": str(passes or PASSES), "seed": str(seed or 0)}
@@ -183,7 +183,7 @@ class _Run:
     def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
         """Write picture and suspect cells of a sweep and return where the picture is."""
         from viewshed._files import write_atomic
-        from viewshed.integrity.monitor import suspects_geojson
+        from viewshed.integrity.report import suspects_geojson
         from viewshed.plot import Panel, maps_picture
         from viewshed.preprocess.leveling import level
 

@@ -142,29 +142,57 @@ def ablation(
 
 
 @study_app.command()
-def monitor(
+def deviation(
     preset: Annotated[str, typer.Option(help="What is run: tiny, small.")] = "small",
     out: Out = None,
     workers: Workers = None,
     run: Run = True,
     page: Pages = None,
 ) -> None:
-    """The monitor of the deviation under attacks and corruptions, with the shipped network.
+    """The published detector, of the deviation, under attacks and corruptions, with the shipped network.
+
+    Example: viewshed study deviation --preset tiny --out study
+    """
+    from viewshed._jobs import LocalEngine
+    from viewshed.studies.deviation.jobs import run_study
+    from viewshed.studies.deviation.page import page_of
+    from viewshed.studies.deviation.plan import DeviationPlan
+    from viewshed.studies.store import ResultStore
+
+    folder = _folder(out, "deviation")
+    _require_results(folder, run=run)
+    store = ResultStore.open(folder, DeviationPlan.load(preset))
+    failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
+    _write(page or folder, {"deviation.md": page_of(store).encode()})
+    typer.echo(f"Look at {(page or folder) / 'deviation.md'}")
+    _require_all_done(failed)
+
+
+@study_app.command()
+def monitor(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: drives, score, page.")] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """The monitor of all evidence: drives attacked and corrupted, a score trained on them, its rates and misses.
 
     Example: viewshed study monitor --preset tiny --out study
     """
-    from viewshed._jobs import LocalEngine
+    from viewshed._jobs import engine_named
     from viewshed.studies.monitor.jobs import run_study
     from viewshed.studies.monitor.page import page_of
-    from viewshed.studies.monitor.plan import MonitorPlan
+    from viewshed.studies.monitor.plan import STEPS, MonitorPlan
     from viewshed.studies.store import ResultStore
 
-    folder = _folder(out, "monitor")
-    _require_results(folder, run=run)
-    store = ResultStore.open(folder, MonitorPlan.load(preset))
-    failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
-    _write(page or folder, {"monitor.md": page_of(store).encode()})
-    typer.echo(f"Look at {(page or folder) / 'monitor.md'}")
+    steps, folder = _steps(only, STEPS), _folder(out, "monitor")
+    store, runner = ResultStore.open(folder, MonitorPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        _write(page or folder, {"monitor.md": page_of(store).encode()})
+        typer.echo(f"Look at {(page or folder) / 'monitor.md'}")
     _require_all_done(failed)
 
 

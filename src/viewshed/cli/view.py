@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,12 +11,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Passes, Reading, Seed, Weights
-from viewshed.cli._outputs import Failures, output_names, refuse_inputs, report_doubts, summary_line
-from viewshed.cli._stream import Estimated, estimated, named_sweeps
+from viewshed.cli._options import AUTO, BAD_INPUTS, HistorySweeps, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._outputs import (
+    Failures,
+    Named,
+    output_names,
+    refuse_inputs,
+    report_doubts,
+    summary_line,
+    warm_up,
+)
+from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
     from viewshed.view import PackedFrame
 
 Every = Annotated[int, typer.Option(min=1, help="Take every so many sweeps.")]
@@ -67,19 +77,32 @@ def view(
     named = named_sweeps(reading, jobs, output_names(places), failures)
     taken = islice(named, 0, None if sweeps is None else every * sweeps, every)
     title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
-    size = write_page(html, _packed(estimated(taken, estimator, failures)), title)
+    size = write_page(html, _packed(taken, estimator, failures), title)
     typer.echo(f"{html}: {size / 1e6:.2f} MB")
     if failures.count:
         raise typer.Exit(2)
 
 
-def _packed(seen: Iterator[Estimated]) -> Iterator[PackedFrame]:
-    """Yield each sweep as the page holds it, and print its line."""
+def _packed(sweeps: Iterable[Named], estimator: Estimator, failures: Failures) -> Iterator[PackedFrame]:
+    """Yield each sweep as the page holds it, and print its line; the sensor of the one before is expected first."""
+    from viewshed.preprocess.leveling import level
     from viewshed.view import Frame, pack_frame
 
-    for each in seen:
-        report_doubts(each.leveled, each.named.name)
-        frame = pack_frame(Frame(each.named.name, each.estimate, each.leveled))
-        line = summary_line(each.estimate, each.elapsed_ms)
-        typer.echo(f"{each.named.name}: {line}; {len(frame.data) / 1e3:.1f} kB")
+    sensor, is_warm = None, False
+    for named in sweeps:
+        try:
+            if not is_warm:
+                warm_up(estimator, named.sweep)
+                is_warm = True
+            begin_s = time.perf_counter()
+            leveled = level(named.sweep, estimator.grid, sensor)
+            estimate = estimator.estimate(leveled)
+            elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
+        except BAD_INPUTS as error:
+            failures.report(named.file, error)
+            continue
+        sensor = leveled.sensor_id.model
+        report_doubts(leveled, named.name)
+        frame = pack_frame(Frame(named.name, estimate, leveled))
+        typer.echo(f"{named.name}: {summary_line(estimate, elapsed_ms)}; {len(frame.data) / 1e3:.1f} kB")
         yield frame

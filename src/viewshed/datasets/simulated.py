@@ -24,9 +24,10 @@ from viewshed.datasets.sample import Sample
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import TARGETS
 from viewshed.sim.lidar.weather import CONDITIONS
-from viewshed.sim.observe import Observation, Setting, observe
-from viewshed.sim.world import World
+from viewshed.sim.observe import Observation, Setting, measure_sweep, observe
+from viewshed.sim.world import Agent, World
 from viewshed.sim.worlds import WORLDS
+from viewshed.sweep import Sweep
 
 _GOLDEN = (5**0.5 - 1) / 2
 _SILVER = 2**0.5 - 1
@@ -151,11 +152,27 @@ def simulate_frame(scene: ScenePlan, frame: int) -> Sample:
 
 def observe_frame(scene: ScenePlan, frame: int) -> Observation:
     """Return what is observed in one frame of a scene: beside what is stored, what every beam met."""
+    return observe(*_place_of(scene, frame), scene.seed(_SeedPurpose.OBSERVATION, frame))
+
+
+def measure_frame(scene: ScenePlan, frame: int, again: int = 0) -> Sweep:
+    """Return the sweep of one frame of a scene alone, without its truth.
+
+    Args:
+        scene: that it is of.
+        frame: its number.
+        again: 0 is the sweep of :func:`simulate_frame`; others are the same instant once more, with other noise.
+    """
+    for_paths, *for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2 + again)
+    return measure_sweep(*_place_of(scene, frame), for_paths, for_noise[again])[1].sweep()
+
+
+def _place_of(scene: ScenePlan, frame: int) -> tuple[World, Agent, float, Setting]:
+    """Return who observes in one frame of a scene, when and how."""
     preset, world = scene.preset, world_of(scene)
     time, number = divmod(frame, preset.agents)
     setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
-    t_s, seed = (time + 0.5) * preset.interval_s, scene.seed(_SeedPurpose.OBSERVATION, frame)
-    return observe(world, world.agents[number], t_s, setting, seed)
+    return world, world.agents[number], (time + 0.5) * preset.interval_s, setting
 
 
 @lru_cache(maxsize=2)

@@ -77,10 +77,6 @@ class HeightMap:
         """
         return self.at_positions(lattice_positions(xy, self.half_extent_m, len(self.heights_m)))
 
-    def std_at(self, xy: FloatArray) -> NDArray[np.float32]:
-        """Return the standard deviation (…,) of the ground's height in meters below points (…, 2+) of ``level``."""
-        return replace(self, heights_m=self.std_m).at(xy)
-
     def at_positions(self, positions: LatticePositions) -> NDArray[np.float32]:
         """Return ground z (…,) in meters at positions on a lattice like this one: faster for points that recur."""
         node, down, right = positions.node.reshape(-1), positions.down.reshape(-1), positions.right.reshape(-1)

@@ -19,12 +19,6 @@ from viewshed import _core
 from viewshed.fov.height_map import HeightMap
 from viewshed.grid import BevGrid, polar_of_cells
 
-AZIMUTH_COLUMNS = 2048
-"""Columns in which beams are counted; windows are interpolated within a column."""
-
-GROUND_SECTORS = 128
-"""Sectors of azimuth in which the local ground is looked up."""
-
 Floats = NDArray[np.float32]
 
 

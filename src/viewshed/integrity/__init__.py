@@ -2,6 +2,17 @@
 
 from __future__ import annotations
 
-from viewshed.integrity.monitor import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
+from viewshed.integrity.deviation import DeviationMonitor, Rule, load_monitor, save_monitor
+from viewshed.integrity.report import IntegrityReport
+from viewshed.integrity.sweep_monitor import SweepMonitor, load_sweep_monitor, save_sweep_monitor
 
-__all__ = ["DeviationMonitor", "IntegrityReport", "Rule", "load_monitor", "save_monitor"]
+__all__ = [
+    "DeviationMonitor",
+    "IntegrityReport",
+    "Rule",
+    "SweepMonitor",
+    "load_monitor",
+    "load_sweep_monitor",
+    "save_monitor",
+    "save_sweep_monitor",
+]

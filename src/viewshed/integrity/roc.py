@@ -1,8 +1,6 @@
-"""How well a score tells attacked sweeps from benign ones: ROC, its area with an interval, limits of alarms."""
+"""How well a score tells attacked sweeps from benign ones: ROC, and its area with an interval."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,37 +79,6 @@ def tpr_at_fpr(benign: ArrayLike, attacked: ArrayLike, rate: float) -> float:
         raise ValueError(f"rate must lie in [0, 1], got {rate}")
     false, true, _ = roc_curve(benign, attacked)
     return float(true[false <= rate + 1e-12].max())
-
-
-def alarm_limit(benign: ArrayLike, rate: float) -> float:
-    """Return the score above which a further benign sweep lies with probability ≤ ``rate``.
-
-    The ⌈(n + 1)(1 - rate)⌉-th smallest of n scores: true for any distribution, if the sweeps are exchangeable (Vovk,
-    Gammerman and Shafer, 2005).
-
-    Raises:
-        ValueError: the rate is not in (0, 1), or there are too few scores for it.
-
-    >>> alarm_limit(range(1, 20), 0.1)
-    18.0
-    """
-    scores = np.asarray(benign, np.float64)
-    require_sweeps(len(scores), rate)
-    rank = math.ceil((len(scores) + 1) * (1 - rate) - 1e-9)
-    return float(np.sort(_scores("benign", scores))[max(rank, 1) - 1])
-
-
-def require_sweeps(have: int, rate: float) -> None:
-    """Check that there are enough benign sweeps for a false-alarm rate, ⌈1 / rate⌉ - 1.
-
-    Raises:
-        ValueError: there are not, or the rate is not in (0, 1).
-    """
-    if not 0 < rate < 1:
-        raise ValueError(f"a false-alarm rate must lie in (0, 1), got {rate}")
-    need = math.ceil(1 / rate - 1e-9) - 1
-    if have < need:
-        raise ValueError(f"a false-alarm rate of {rate} needs at least {need} benign sweeps, got {have}")
 
 
 def _scores(name: str, values: ArrayLike) -> Floats:

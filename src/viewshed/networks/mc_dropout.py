@@ -10,9 +10,6 @@ from viewshed.networks.card import Runner
 
 Floats = NDArray[np.float32]
 
-_CELLS = 4096
-"""Cells that are summed up at once: those of twenty passes stay in the second-level cache."""
-
 
 def mean_and_std(runner: Runner, inputs: Floats, passes: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return mean and standard deviation (cells, cells) of the probability of one input over ``passes`` masks.

@@ -72,6 +72,30 @@ def observe(
         model: its sensor, where that is no table by name.
     """
     for_paths, for_noise = seed.spawn(2)
+    scan, image = measure_sweep(world, agent, t_s, setting, for_paths, for_noise, model)
+    return Observation(scan, image, *exact_truth(scan, world, setting.grid, agent=agent))
+
+
+def measure_sweep(
+    world: World,
+    agent: Agent,
+    t_s: float,
+    setting: Setting,
+    for_paths: np.random.SeedSequence,
+    for_noise: np.random.SeedSequence,
+    model: LidarModel | None = None,
+) -> tuple[ExactScan, StoredSweep]:
+    """Return what every beam meets and what the sensor stores of that, as :func:`observe` does but without truth.
+
+    Args:
+        world: that the agent is in.
+        agent: one of the world's.
+        t_s: time in seconds.
+        setting: weather, duration of the revolution.
+        for_paths: seed of free paths in volumes.
+        for_noise: seed of the measurement's noise.
+        model: the sensor, where that is no table by name.
+    """
     pose, motion = pose_and_motion(world, agent, t_s, setting.revolution_s)
     paths = int(for_paths.generate_state(1)[0])
     scan = cast_world(_snapshot(world, t_s), model or lidar_model(agent.sensor), pose, motion, paths)
@@ -83,7 +107,7 @@ def observe(
         t_ns=round(t_s * 1e9),
         agent=agent.name,
     )
-    return Observation(scan, image, *exact_truth(scan, world, setting.grid, agent=agent))
+    return scan, image
 
 
 def pose_and_motion(world: World, agent: Agent, t_s: float, period_s: float) -> tuple[Rigid, Motion]:

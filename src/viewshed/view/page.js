@@ -240,6 +240,7 @@ function drawScale() {
 }
 
 const percent = (share) => `${Math.round(100 * share)} %`;
+const number = (value) => value?.toPrecision(3) ?? "–";
 
 // What is known of the frame, and its alarms if there are any.
 function tell() {
@@ -248,8 +249,8 @@ function tell() {
   const words = {
     name: about.name, sweep: `${current + 1} of ${abouts.length}`, visible: `${Math.round(about.visible_m2)} m²`,
     hidden: share("HIDDEN"), unknown: share("UNKNOWN"), method: about.method, target: about.target,
-    returns: about.returns.toLocaleString("en"), score: about.score?.toPrecision(3) ?? "no monitor",
-    basis: about.basis.join("\n"), deviation: about.deviation_top?.toPrecision(2) ?? "none",
+    returns: about.returns.toLocaleString("en"), score: number(about.score), limit: number(about.limit),
+    basis: [...about.basis, ...(about.notes ?? [])].join("\n"), deviation: number(about.deviation_top),
     alarms: (about.alarms ?? []).map(({ verdict, reason }) => `${verdict}: ${reason}`).join("\n"),
     clock: `${seconds[current].toFixed(2)} s of ${seconds[seconds.length - 1].toFixed(2)} s`,
   };

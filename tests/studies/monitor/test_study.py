@@ -1,186 +1,178 @@
-"""The study with estimators whose deviation is known by hand, so that AUROC and found cells follow on paper."""
+"""The study of all evidence: drives are the same by any engine, labels are by hand, and the page follows from files."""
 
-import json
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from __future__ import annotations
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.integrity.by_hand import estimate_of
+from numpy.testing import assert_allclose, assert_array_equal
 
-from viewshed import BevGrid, Sample, Sweep, Truth
 from viewshed._config import preset_names
+from viewshed._jobs import LocalEngine
 from viewshed.cli import main
-from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.geometry import Rigid
-from viewshed.studies.monitor.jobs import fit_monitor, watch
-from viewshed.studies.monitor.page import Row, rows_of
-from viewshed.studies.monitor.plan import MonitorPlan, Trials
-from viewshed.studies.records import Record, Results, from_table, to_table
-from viewshed.studies.samples import StudySample
+from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.studies.monitor.archive import FOLDER, DriveEvidence, SweepTable
+from viewshed.studies.monitor.drives import Drive, measure_drive
+from viewshed.studies.monitor.examples import examples_of, is_trained_on
+from viewshed.studies.monitor.jobs import run_study
+from viewshed.studies.monitor.plan import FRAMES, ONSET, SPLITS, MonitorPlan, family_of
+from viewshed.studies.monitor.results import INCONSISTENT, Limits, Rate, Scored, placements
+from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.store import ResultStore
+from viewshed.threats.attacks import ATTACKS
 
-GRID = BevGrid(64, 64.0)
-RETURNS = 1000
+TINY = MonitorPlan.load("tiny")
 
-
-@dataclass(frozen=True)
-class _Counter:
-    """Deviates in as many cells as the sweep has returns, always in the same order of cells."""
-
-    grid: BevGrid = GRID
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        std = np.where(np.arange(GRID.cells**2) < len(sweep), 0.5, 0.0)
-        return estimate_of(std.reshape(GRID.shape), grid=GRID)
+CASES = [Case("attack", "ghost_wall", "default"), Case("null", "ghost_wall"), Case("corruption", "rain", "5"),
+         Case("attack", "replay", "frozen"), Case("strength", "pose_spoof", "yaw_deg 2")]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _Outside:
-    """Deviates in cells that hold a return farther than 6 m, and calls them visible."""
-
-    grid: BevGrid = GRID
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        far = sweep.points[np.hypot(*sweep.points[:, :2].T) > 6.0]
-        held = self.grid.count(far) > 0
-        found = estimate_of(np.where(held, 0.4, 0.01), grid=GRID)
-        return FovEstimate(GRID, np.where(held, 0.9, 0.1).astype(np.float32), found.state, found.std, found.method)
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Drive.simulate(TINY, "rooms", "train", 0)
 
 
-def _sample(returns: int, seed: int = 0) -> StudySample:
-    """Returns 1 to 5 m from the sensor, on level ground."""
-    rng = np.random.default_rng([seed, returns])
-    azimuth, range_m = rng.uniform(-np.pi, np.pi, returns), rng.uniform(1.0, 5.0, returns)
-    points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.full(returns, -1.5)], 1)
-    sweep = Sweep(points, sensor_height_m=1.5, world_from_sensor=Rigid.from_yaw(0.0, (9.0, 4.0, 1.5)))
-    known = np.ones(GRID.shape, np.bool_)
-    return StudySample(Sample(sweep, Truth(GRID, {}, {}), known, scene=f"scene {seed}"))
+@pytest.fixture(scope="module")
+def measured(drive: Drive) -> DriveEvidence:
+    return measure_drive(drive, CASES)
 
 
-def _sets(more: Sequence[int]) -> list[list[StudySample]]:
-    same = [_sample(RETURNS, seed) for seed in range(40)]
-    calibrate = [_sample(RETURNS + 10 * seed, seed) for seed in range(19)]
-    return [same, calibrate, [_sample(RETURNS + count, 77) for count in more]]
+def test_a_drive_is_ten_sweeps_a_tenth_of_a_second_apart(drive: Drive) -> None:
+    times = [sweep.t_ns for sweep in drive.sweeps]
+    assert len(times) == FRAMES
+    assert_array_equal(np.diff(np.array(times, np.float64)), 1e8)
+    assert drive.conditions == BENIGN, "drives that are attacked are clear"
 
 
-def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Trials) -> list[Record]:
-    fit, calibrate, report = sets
-    monitor = fit_monitor(estimator, fit, calibrate, trials)
-    return [
-        record
-        for number, sample in enumerate(report)
-        for record in watch(monitor, estimator, sample, trials, domain="ugv", method="mcd", number=number)
-    ]
+def test_evidence_of_a_drive_in_its_cases(measured: DriveEvidence) -> None:
+    assert measured.cases == tuple(CASES)
+    assert measured.benign.shape == (FRAMES, len(EVIDENCE), SECTORS)
+    assert measured.evidence.shape == (len(CASES), FRAMES - ONSET, len(EVIDENCE), SECTORS)
+    touched = measured.touched.sum(axis=-1)
+    assert ((touched[0] >= 6) & (touched[0] <= 9)).all(), "a sector of 30° is six of 5°, or seven where it is between"
+    assert not touched[[1, 2]].any(), "null attacks and rain touch nothing"
+    assert (touched[3] > SECTORS / 2).all()
+    assert (touched[4] == SECTORS).all(), "a false pose is false all around"
+    # The wedge stays where it was before the sensor.
+    assert (measured.touched[0].all(axis=0).sum()) >= 5
 
 
-def _rows(records: Iterable[Record]) -> list[Row]:
-    results: Results[None] = Results(None)
-    results.add(records)
-    return rows_of(results, "ugv", "mcd")
+def test_a_lasting_attack_does_not_repeat_its_noise(drive: Drive) -> None:
+    walls = list(drive.tamper(CASES[0]))
+    ranges = [np.sort(np.linalg.norm(one.sweep.points[one.added], axis=1)) for one in walls[:2]]
+    count = min(map(len, ranges))
+    assert count > 20
+    assert not np.allclose(ranges[0][:count], ranges[1][:count])
 
 
-def _by_name(rows: list[Row]) -> dict[str, Row]:
-    return {row.name or row.kind: row for row in rows}
+def test_a_drive_survives_its_file(measured: DriveEvidence, tmp_path: Path) -> None:
+    measured.save(tmp_path)
+    once = (tmp_path / measured.file).read_bytes()
+    again = DriveEvidence.load(tmp_path / measured.file)
+    assert (again.cases, again.names, again.sensor) == (measured.cases, measured.names, measured.sensor)
+    assert_array_equal(again.touched, measured.touched)
+    assert_allclose(again.benign.astype(np.float32), measured.benign, rtol=1e-3, atol=1e-6)
+    again.save(tmp_path)
+    assert (tmp_path / measured.file).read_bytes() == once
 
 
-def test_areas_alarms_and_refusals_worked_out_by_hand() -> None:
-    """Scores count returns beyond 1000: clean 0, 100, 200, 300; 150 more under the attack; the limit lies at 180."""
-    plan = Trials(("uniform", "removal", "pose_spoof", "replay"), ("dropped_beams",), 5)
-    rows = _by_name(_rows(_records(_Counter(), _sets((0, 100, 200, 300)), plan)))
-    assert set(rows) == {"benign", *plan.attacks, *plan.corruptions}
-    assert (rows["benign"].alarms, rows["benign"].frames) == (0.5, 4)
-    assert np.isnan(rows["benign"].auroc)
-    uniform = rows["uniform"]
-    assert uniform.auroc == 13 / 16  # 150 beats 0 and 100; 250 beats three; 350 and 450 beat all
-    assert (uniform.alarms, uniform.caught) == (0.75, 0.5)  # above 180: all but 150; above every clean one: 350 and 450
-    assert uniform.auroc_interval[0] < 13 / 16 < uniform.auroc_interval[1]
-    assert uniform.auroc_mean == 13 / 16
-    assert (rows["pose_spoof"].auroc, rows["pose_spoof"].located) == (0.5, {})
-    assert rows["dropped_beams"].auroc == 0.125  # 70 % are gone: four scores of 0 tie with the clean sweep's 0
-    assert (rows["dropped_beams"].alarms, rows["dropped_beams"].caught) == (0.0, 0.0)
-    assert rows["removal"].auroc < 0.5
-    assert rows["removal"].located["touched"].cells > 10, "cells that lost a return"
-    assert [rows[name].idle for name in ("uniform", "removal", "pose_spoof")] == [0, 0, 4]
-    assert (rows["replay"].frames, rows["replay"].refused) == (0, 4)
-    assert np.isnan(rows["replay"].auroc)
+def test_labels_by_hand(measured: DriveEvidence) -> None:
+    table = SweepTable.of([measured])
+    examples = examples_of(table)
+    labels = {case: examples.inconsistent[table.is_case([case])] for case in table.cases}
+    assert_array_equal(labels[BENIGN], np.zeros(FRAMES))
+    assert_array_equal(labels[CASES[0]], np.ones(FRAMES - ONSET))
+    assert np.isnan(labels[CASES[1]]).all(), "null attacks are for the test alone"
+    assert_array_equal(labels[CASES[2]], np.zeros(FRAMES - ONSET))
+    assert_array_equal(examples.degraded[table.is_case([CASES[2]])], np.ones(FRAMES - ONSET))
+    assert_array_equal(examples.sectors[FRAMES], measured.touched[0, 0])
+    without = is_trained_on(table, str(family_of("ghost_wall_clean")))
+    assert not without[table.is_case([CASES[0]])].any(), "a clean spoofer is of the family of its attack"
+    assert without[table.is_case([CASES[3]])].all()
+    honest = np.isin(table.case, [0, table.cases.index(CASES[2])])
+    assert_allclose(examples.weight[honest].sum(), 0.5 * len(honest), rtol=1e-5)
 
 
-def test_suspect_cells_are_those_that_were_touched() -> None:
-    """What an attacker puts beyond 6 m is all that lies there: each such cell is suspect, and no other."""
-    plan = Trials(("wedge_cluster_free", "relay", "uniform"), ())
-    rows = _by_name(_rows(_records(_Outside(), _sets([5 * k for k in range(6)]), plan)))
-    cluster, relay, spread = (rows[name] for name in plan.attacks)
-    assert (cluster.auroc, cluster.caught, cluster.alarms, cluster.idle) == (1.0, 1.0, 1.0, 0)
-    for region in ("touched", "changed"):
-        found = cluster.located[region]
-        assert found.cells == found.suspects == found.both > 6
-        assert (found.precision, found.recall, found.watched) == (1.0, 1.0, 6 * GRID.cells**2)
-    wedge = relay.located["wedge"]
-    assert wedge.chance == pytest.approx(30 / 360, abs=0.003)
-    assert wedge.precision > 6 * wedge.chance  # a cell of 2 m at 8 m often has its middle outside
-    assert relay.located["touched"].precision == 1.0
-    assert set(spread.located) == {"touched", "changed"}
-    assert 0.7 < spread.located["touched"].recall <= 1.0
+def _scored(values: list[float], sensors: list[str]) -> Scored:
+    """Return a row of a drive of its own for each value."""
+    drives = [
+        DriveEvidence(
+            "rooms", "test", n, sensor, BENIGN, ("a",), np.zeros((FRAMES, 1, SECTORS)), (),
+            np.zeros((0, FRAMES - ONSET, 1, SECTORS)), np.zeros((0, FRAMES - ONSET, SECTORS), np.bool_), (),
+        )
+        for n, sensor in enumerate(sensors)
+    ]  # fmt: skip
+    table = SweepTable.of(drives)
+    table = table.rows(table.frame == 1)
+    scores = np.array([values, values], np.float32).T
+    return Scored(table, scores, np.zeros((len(values), SECTORS), np.float32))
 
 
-def test_records_survive_a_file_in_any_order() -> None:
-    trials, estimator = Trials(("uniform", "cluster"), ("fog",)), _Outside()
-    records = _records(estimator, _sets((0, 7, 30)), trials)
-    again = list(from_table(json.loads(json.dumps(to_table(records)))))
-    assert {json.dumps(asdict(row)) for row in _rows(again[::-1])} == {
-        json.dumps(asdict(row)) for row in _rows(records)
-    }
-    assert _rows([]) == []
+def test_areas_and_limits_are_of_each_sensor_by_itself() -> None:
+    benign = _scored([0.0, 1.0, 10.0, 11.0], ["a", "a", "b", "b"])
+    attacked = _scored([1.0, 5.0, 10.5], ["a", "b", "b"])
+    assert_array_equal(placements(benign, attacked, INCONSISTENT), [0.75, 0.0, 0.5])
+    many = _scored([*map(float, range(19)), 50.0], ["a"] * 19 + ["b"])
+    limits = Limits.of(many, INCONSISTENT, 0.1)
+    assert limits.by_sensor == {"a": 17.0}
+    assert limits.others == 18.0  # the 19th of 20
+    assert_array_equal(limits.alarms(_scored([17.0, 17.5, 18.5], ["a", "a", "b"]), INCONSISTENT), [0, 1, 1])
+    assert np.isnan(Limits.of(many, INCONSISTENT, 0.01).alarms(attacked, INCONSISTENT)).all()
 
 
-def test_too_few_sweeps_and_wrong_names() -> None:
-    with pytest.raises(ValueError, match=r"rate of 0\.01 needs at least 99 benign sweeps, got 19"):
-        _records(_Counter(), _sets((0,)), Trials(false_alarm_rate=0.01))
-    with pytest.raises(ValueError, match=r"attacks must be among uniform, .*, got 'unifrom'"):
-        Trials(("unifrom",))
-    with pytest.raises(ValueError, match=r"corruptions must be among rain, .*, got 'smog'"):
-        Trials((), ("smog",))
-    with pytest.raises(ValueError, match="severity must be a whole number from 1 to 5, got 6"):
-        Trials((), (), 6)
+def test_a_rate_has_an_interval_over_scenes() -> None:
+    rate = Rate.of(np.array([1.0, 1.0, 0.0, np.nan]), np.array([0, 0, 1, 2]))
+    assert rate.value == pytest.approx(2 / 3)
+    assert (rate.scenes, rate.sweeps) == (2, 3)
+    assert rate.interval[0] <= 2 / 3 <= rate.interval[1]
+    assert np.isnan(Rate.of(np.zeros(0), np.zeros(0, np.int64)).value)
+
+
+def test_every_attack_is_tried_in_its_turn() -> None:
+    plan = replace(MonitorPlan.load("small"), attacked=(400, 70))
+    every = plan.all_cases()
+    assert len(set(every)) == len(every)
+    assert {case.name for case in every if case.kind == "attack"} == set(ATTACKS)
+    tried = [case for number in range(200) for case in plan.cases_of("drives", "test", number)]
+    counts = {case: tried.count(case) for case in every}
+    assert max(counts.values()) - min(counts.values()) <= 1
+    assert plan.cases_of("drives", "calibration", 0) == []
+    assert plan.cases_of("drives", "test", 400) == []
 
 
 @pytest.mark.parametrize("name", preset_names("studies/monitor/plans"))
 def test_a_plan_survives_its_plain_values(name: str) -> None:
     plan = MonitorPlan.load(name)
     assert MonitorPlan.from_json(plan.to_json()) == plan
-    assert len(plan.job_keys()) == plan.frames + 1
+    assert len(plan.drive_keys()) == sum(sum(getattr(plan, split)) for split in SPLITS)
 
 
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"domain": "moon"}, "domain must be among .*, got 'moon'"),
-        ({"frames": 0}, "frames must be at least 1, got 0"),
+        ({"domains": ["moon"]}, "domains must be among .*, got 'moon'"),
         ({"attacks": ["unifrom"]}, "attacks must be among uniform, .*, got 'unifrom'"),
+        ({"evidence": ["guess"]}, "evidence must be among .*, got 'guess'"),
+        ({"train": [1, 2]}, "train must have a number of drives for each of 1 domains"),
         ({"seed": -1}, "seed must lie in"),
-        ({"more": 1}, "missing or unknown: more"),
     ],
 )
 def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
-        MonitorPlan.from_json(MonitorPlan.load("tiny").to_json() | change)
+        MonitorPlan.from_json(TINY.to_json() | change)
 
 
-def test_the_command_runs_goes_on_and_writes_its_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["study", "monitor", "--preset", "tiny", "--out", str(tmp_path), "--workers", "1"]
+def test_the_command_runs_and_the_bytes_do_not_depend_on_the_engine(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as stop:
-        main(words)
+        main(["study", "monitor", "--preset", "tiny", "--out", str(tmp_path / "one"), "--workers", "1"])
     assert not stop.value.code
-    page, results = tmp_path / "monitor.md", (tmp_path / "results.jsonl").read_bytes()
-    text = page.read_text("utf-8")
-    assert all(f"\n| {name} " in text for name in ("*benign*", "uniform (1)", "removal (8)", "fog"))
-    assert "sweeps: 4 to fit, 4 to calibrate, 4 of 4 to report" in text
-    with pytest.raises(SystemExit) as stop:
-        main([*words, "--no-run"])
-    assert not stop.value.code
-    assert (tmp_path / "results.jsonl").read_bytes() == results
-    with pytest.raises(SystemExit) as stop:
-        main(["study", "monitor", "--preset", "tiny", "--out", str(tmp_path / "none"), "--no-run"])
-    assert stop.value.code == 2
-    assert "must hold results, got none; run without --no-run" in capsys.readouterr().err
+    text = (tmp_path / "one" / "monitor.md").read_text("utf-8")
+    assert all(f"\n| {word} " in text for word in ("ghost_wall (6)", "replay, frozen (11)", "rain", "**all**"))
+    store = ResultStore.open(tmp_path / "two", TINY)
+    assert list(run_study(store, LocalEngine(2), ("drives",))) == []
+    files = sorted(path.name for path in (tmp_path / "one" / FOLDER).iterdir())
+    assert len(files) == len(TINY.drive_keys())
+    for name in files:
+        assert (tmp_path / "two" / FOLDER / name).read_bytes() == (tmp_path / "one" / FOLDER / name).read_bytes()

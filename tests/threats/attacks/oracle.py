@@ -42,6 +42,8 @@ class Scene:
         image: the range image.
         sweep: made from it.
         earlier: the sweep of the same agent half a second before.
+        remeasured: the same instant measured once more, with other noise.
+        exact_m: (C, R) what each beam met, without noise.
         half_extent_m: of the grid that suits it.
     """
 
@@ -49,6 +51,8 @@ class Scene:
     image: StoredSweep
     sweep: Sweep
     earlier: Sweep
+    remeasured: Sweep
+    exact_m: NDArray[np.float32]
     half_extent_m: float
 
     def again(self) -> Sweep:
@@ -76,7 +80,9 @@ def _scenes(number: int, world_name: str, sensor: str, columns: int, period_s: f
             images.append(measure(scan, CONDITIONS["clear"], rng, t_ns=round(time_s * 1e9), agent=agent.name))
         earlier, image = images
         half_m = GRIDS["indoor" if world.indoor else "road"].half_extent_m
-        yield Scene(f"{world_name} {agent.name} {model.name}", image, image.sweep(), earlier.sweep(), half_m)
+        remeasured = measure(scan, CONDITIONS["clear"], np.random.Generator(np.random.PCG64(200 + number))).sweep()
+        name = f"{world_name} {agent.name} {model.name}"
+        yield Scene(name, image, image.sweep(), earlier.sweep(), remeasured, scan.depth_m, half_m)
 
 
 def broken_by_any(clean: Sweep, tampered: Tampered, budget: int | None) -> list[str]:
@@ -107,7 +113,7 @@ def broken_on_beams(scene: Scene, tampered: Tampered, budget: int | None) -> lis
         if not tampered.wedge.holds(np.arctan2(points[:, 1], points[:, 0])).all():
             found.append(f"a return {what} outside the wedge")
     was_column, was_ring = np.nonzero(scene.image.steps)
-    column, ring, off_m, depth_m, late_s = _beams_of(scene, tampered)
+    column, ring, off_m, depth_m, late_s = beams_of(scene, tampered)
     if len(new) and off_m.max() > ON_BEAM_M:
         found.append(f"a return {off_m.max():.4f} m beside its beam")
     if len(new) and np.abs(late_s).max() > 1e-6:
@@ -140,7 +146,7 @@ def _broken_pixels(
     return found
 
 
-def _beams_of(
+def beams_of(
     scene: Scene, tampered: Tampered
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return column, ring, distance beside the beam, depth and error in time of each return added (A,)."""
@@ -150,7 +156,7 @@ def _beams_of(
     assert tampered.sweep.ring is not None
     assert tampered.sweep.time_s is not None
     ring, at_s = tampered.sweep.ring[made].astype(np.intp), tampered.sweep.time_s[made]
-    column = _columns(image, points, ring, at_s)
+    column = columns_of(image, points, ring, at_s)
     reach = points - starts[column, ring]
     way = directions[column, ring].astype(np.float64)
     depth_m = (reach * way).sum(axis=1)
@@ -159,7 +165,7 @@ def _beams_of(
     return column, ring, off_m, depth_m, late_s.astype(np.float64)
 
 
-def _columns(
+def columns_of(
     image: StoredSweep, points: NDArray[np.float64], ring: NDArray[np.intp], at_s: NDArray[np.float32]
 ) -> NDArray[np.intp]:
     """Return the columns (A,): by time where the sensor turns, else by azimuth."""

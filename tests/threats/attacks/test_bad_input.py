@@ -11,7 +11,16 @@ from viewshed import Sweep, lidar_model
 from viewshed.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Knowledge, Spoofer
 from viewshed.threats.attacks.replay import CoherentPhantom, Replay
 
-MOVE_RETURNS = {"frustum", "frustum_before", "far_wall", "far_wall_aimed", "removal", "removal_aimed", "relay"}
+MOVE_RETURNS = {
+    "frustum",
+    "frustum_before",
+    "far_wall",
+    "far_wall_aimed",
+    "far_wall_clean",
+    "removal",
+    "removal_aimed",
+    "relay",
+}
 
 
 @pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))

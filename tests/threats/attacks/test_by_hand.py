@@ -178,6 +178,22 @@ def test_uniform_points_fill_the_extent(flat_scene: FlatScene, rng: np.random.Ge
     assert (disc < 30 / np.sqrt(2)).mean() == pytest.approx(0.5, abs=0.04)
 
 
+def test_a_clean_spoofer_has_the_sensors_noise_and_no_other(flat_scene: FlatScene) -> None:
+    """A sensor that no table knows has 1 cm; an HDL-32E has 5 mm."""
+    clean = flat_scene()
+    for model, sigma_m in ((MODEL, 0.01), (replace(MODEL, name="HDL-32E"), 0.005)):
+        attack = at_severity("ghost_wall_clean", "azimuth", 0.0)
+        deviation_m, offset_m = [], []
+        for seed in range(8):
+            new = _new(attack.apply(clean.replace(model=model), np.random.Generator(np.random.PCG64(seed))))
+            depth_m = np.linalg.norm(new, axis=1)
+            off_m = depth_m - 15.0 * depth_m / new[:, 0]
+            deviation_m.append(off_m.std())
+            offset_m.append(off_m.mean())
+        assert np.mean(deviation_m) == pytest.approx(sigma_m, rel=0.05)
+        assert np.abs(offset_m).max() < 0.1 * sigma_m
+
+
 def test_noise_is_shared_by_a_sweep_and_own_to_a_point(flat_scene: FlatScene) -> None:
     clean, means, spreads = flat_scene(), [], []
     for seed in range(200):

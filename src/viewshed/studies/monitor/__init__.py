@@ -1,1 +1,1 @@
-"""How well the monitor's scores tell attacked sweeps from benign ones."""
+"""How well the monitor of all evidence holds its rates and finds attacks: drives, a score trained on them, tables."""

@@ -1,170 +1,113 @@
-"""The detector tried: fitted and calibrated on benign sweeps, reported on others, attacked and corrupted."""
+"""The jobs of the study: one a drive, whose evidence goes into a file, then one a score, trained on these files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+import io
+from collections.abc import Iterator
 from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from viewshed._jobs import Engine, LocalEngine
-from viewshed.estimators.unet import UnetEstimator, load_network
-from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.fov.visibility import TARGETS
-from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.integrity.monitor import RULE, DeviationMonitor, load_monitor, save_monitor
-from viewshed.metrics import Mask
-from viewshed.preprocess.leveling import level
-from viewshed.studies.cases import DEFAULT, apply, generator
-from viewshed.studies.monitor.plan import MonitorPlan, Trials
-from viewshed.studies.plan import JobKey
-from viewshed.studies.records import BENIGN, Case, Record, Series
+from viewshed._files import write_atomic
+from viewshed._jobs import Engine
+from viewshed.integrity.score import EvidenceScore
+from viewshed.studies.monitor.archive import FOLDER, SweepTable
+from viewshed.studies.monitor.drives import Drive, measure_drive
+from viewshed.studies.monitor.plan import STEPS, MonitorPlan
+from viewshed.studies.plan import JobKey, check_names
 from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
-from viewshed.studies.samples import StudySample, sample_of
 from viewshed.studies.store import JobResult, ResultStore
-from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Tampered
 
-MONITOR = "monitor.npz"
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
-METHOD = "mc_dropout"
-"""The network whose deviation is watched."""
+    from viewshed.training.evidence_score import ScoreTrainer
 
-
-def fit_monitor(
-    estimator: FovEstimator, fit: Iterable[StudySample], calibrate: Iterable[StudySample], trials: Trials
-) -> DeviationMonitor:
-    """Return a monitor fitted on one set of benign sweeps and calibrated on another.
-
-    Raises:
-        ValueError: the estimator has no standard deviation, or there are too few sweeps for the false-alarm rate.
-    """
-    rule = replace(RULE, sigmas=trials.sigmas)
-    monitor = DeviationMonitor.fit((estimator.estimate(sample.sweep) for sample in fit), rule)
-    return monitor.calibrated((estimator.estimate(sample.sweep) for sample in calibrate), trials.false_alarm_rate)
-
-
-def watch(
-    monitor: DeviationMonitor,
-    estimator: FovEstimator,
-    sample: StudySample,
-    trials: Trials,
-    *,
-    domain: str,
-    method: str,
-    number: int,
-) -> Iterator[Record]:
-    """Yield what the monitor says of one sweep, clean, attacked and corrupted.
-
-    Args:
-        monitor: calibrated, for this estimator.
-        estimator: with standard deviations.
-        sample: a benign sweep that the monitor was neither fitted nor calibrated on.
-        trials: what is done.
-        domain: of the records.
-        method: of the records.
-        number: of the sweep in the domain.
-    """
-    bench = _Bench(monitor, estimator, sample, estimator.estimate(sample.sweep))
-    for case in trials.cases():
-        record = Record(Series(domain, method, case), sample.sample.scene, number)
-        try:
-            tampered = bench.tampered(case, generator(trials.seed, number, case.kind, case.name), trials.severity)
-        except ValueError as error:
-            yield replace(record, refused=" ".join(str(error).split()))
-            continue
-        yield replace(record, numbers=bench.numbers(case, tampered))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bench:
-    """One sweep, with what is known of it before anything is done to it."""
-
-    monitor: DeviationMonitor
-    estimator: FovEstimator
-    sample: StudySample
-    clean: FovEstimate
-
-    def tampered(self, case: Case, rng: np.random.Generator, severity: int) -> Tampered:
-        """Return the sweep in a case; an attack has its own budget and the scale of the monitor's grid.
-
-        Raises:
-            ValueError: the case cannot be made of this sweep.
-        """
-        levels = {"attack": DEFAULT, "corruption": str(severity)}
-        return apply(replace(case, level=levels.get(case.kind, "")), self.sample, rng, self.monitor.grid.half_extent_m)
-
-    def numbers(self, case: Case, tampered: Tampered) -> dict[str, float]:
-        """Return score, alarm, mean deviation and suspect cells, and those of each region that the case has."""
-        sweep, seen = tampered.sweep, self.monitor.watched
-        estimate = self.clean if case == BENIGN else self.estimator.estimate(sweep)
-        report = self.monitor.check(estimate)
-        numbers: dict[str, float] = {
-            "score": report.score, "alarm": int(report.alarm), "suspects": int(report.suspect.sum()),
-            "mean_std": float(np.nanmean(np.asarray(estimate.std)[seen])), "watched": int(seen.sum()),
-        }  # fmt: skip
-        regions = dict[str, Mask]()
-        if case.kind == "attack":
-            numbers["returns"] = int(tampered.added.sum()) + int(tampered.removed.sum())
-            regions |= _regions(tampered, self.sample.sweep, self.monitor.grid)
-        if case != BENIGN:
-            regions["changed"] = estimate.visible() != self.clean.visible()
-        for name, mask in regions.items():
-            area = mask & seen
-            if area.any():
-                numbers |= {f"{name} cells": int(area.sum()), f"{name} suspects": int((area & report.suspect).sum())}
-        return numbers
-
-
-def _regions(tampered: Tampered, clean: Sweep, grid: BevGrid) -> dict[str, Mask]:
-    """Return the cells with a return that was added or removed, and those whose azimuth the attacker's wedge holds."""
-    level_from_sensor = level(clean, grid).level_from_sensor
-    rows = np.concatenate([tampered.sweep.points[tampered.added], clean.points[tampered.removed]])
-    cells, inside = grid.index((level_from_sensor @ rows)[:, :2])
-    touched = np.zeros(grid.shape, np.bool_)
-    touched[tuple(cells[inside].T)] = True
-    regions = {"touched": touched}
-    if tampered.wedge is not None:
-        regions["wedge"] = tampered.wedge.holds(polar_of_cells(grid)[1])
-    return regions
+SCORES = "scores"
 
 
 def run_study(
-    store: ResultStore[MonitorPlan], engine: Engine, on_progress: Progress = ignore_progress
+    store: ResultStore[MonitorPlan],
+    engine: Engine,
+    steps: tuple[str, ...] = STEPS,
+    on_progress: Progress = ignore_progress,
 ) -> Iterator[str]:
-    """Fit and calibrate the monitor, then report on each sweep; yield one line for each job that failed."""
-    fit, *watching = store.plan.job_keys()
-    yield from run_jobs(store, do_job, [fit], LocalEngine(1), on_progress, step="fit")
-    yield from run_jobs(store, do_job, watching, engine, on_progress, step="watch", missing=_missing)
+    """Do what is not there yet; yield one line for each job that failed.
 
+    Args:
+        store: of the study.
+        engine: does the jobs.
+        steps: of ``STEPS``.
+        on_progress: is called after each job.
 
-def _missing(_key: JobKey, done: set[JobKey]) -> str:
-    return "" if ("fit",) in done else "the monitor is not fitted"
+    Raises:
+        ValueError: a step is not known.
+        OSError: something cannot be written.
+    """
+    check_names("only", steps, STEPS)
+    for folder in (FOLDER, SCORES):
+        (store.folder / folder).mkdir(exist_ok=True)
+    if "drives" in steps:
+        yield from run_jobs(store, do_job, store.plan.drive_keys(), engine, on_progress, step="drives")
+    if "score" in steps:
+        needed = {key for key in store.plan.drive_keys() if key[2] == "train"}
+
+        def missing(_key: JobKey, done: set[JobKey]) -> str:
+            lacking = len(needed - done)
+            return f"{lacking} drives to train on are not measured" if lacking else ""
+
+        keys = store.plan.score_keys()
+        yield from run_jobs(store, do_job, keys, engine, on_progress, step="scores", missing=missing)
 
 
 def do_job(job: Job[MonitorPlan]) -> JobResult:
-    """Return what a job found; the fitted monitor is a file beside the results."""
-    plan, path = job.plan, job.folder / MONITOR
-    if job.key == ("fit",):
-        fit, calibrate = ([_sample(plan, part, n) for n in range(plan.frames)] for part in (0, 1))
-        monitor = fit_monitor(_estimator(plan), fit, calibrate, plan)
-        save_monitor(monitor, path)
-        return JobResult(facts={"limit": monitor.limit})
-    number = int(job.key[1])
-    records = watch(
-        load_monitor(path), _estimator(plan), _sample(plan, 2, number), plan,
-        domain=plan.domain, method=METHOD, number=number,
-    )  # fmt: skip
-    return JobResult(list(records))
+    """Measure a drive in its cases, or train a score, and write what was found."""
+    if job.key[0] == "score":
+        return _train(job)
+    _, domain, split, number = job.key
+    drive = Drive.simulate(job.plan, domain, split, int(number))
+    found = measure_drive(drive, job.plan.cases_of(domain, split, int(number)))
+    found.save(job.folder / FOLDER)
+    return JobResult(facts={"file": found.file, "cases": len(found.cases), "refused": len(found.refused)})
+
+
+def _train(job: Job[MonitorPlan]) -> JobResult:
+    from viewshed.studies.monitor.examples import is_trained_on
+
+    table, trainer = _training(job.folder)
+    left_out = job.key[1]
+    chosen = is_trained_on(table, left_out)
+    score = trainer.train(chosen, job.plan.epochs, job.plan.seed)
+    save_score(score, score_path(job.folder, left_out))
+    return JobResult(facts={"sweeps": int(chosen.sum())})
 
 
 @lru_cache(maxsize=1)
-def _estimator(plan: MonitorPlan) -> UnetEstimator:
-    grid, target = _sample(plan, 0, 0).truth.grid, TARGETS[plan.target]
-    return load_network(METHOD, grid, target, passes=plan.passes, seed=plan.seed)
+def _training(folder: Path) -> tuple[SweepTable, ScoreTrainer]:
+    """Return the drives to train on, and the trainer that knows their features."""
+    from viewshed.studies.monitor.examples import examples_of
+    from viewshed.training.evidence_score import ScoreTrainer
+
+    table = SweepTable.read(folder, "train")
+    return table, ScoreTrainer.of(examples_of(table))
 
 
-def _sample(plan: MonitorPlan, part: int, number: int) -> StudySample:
-    """Return a sweep of one of the three sets, each from a scene of its own."""
-    return sample_of(plan.domain, part * plan.frames + number, 3 * plan.frames, plan.seed)
+def score_path(folder: Path, left_out: str) -> Path:
+    """Return the file of the score that is trained without a family."""
+    return folder / SCORES / f"{left_out}.npz"
+
+
+def save_score(score: EvidenceScore, path: Path) -> None:
+    """Write a score at once or not at all."""
+    arrays: dict[str, NDArray[np.generic]] = score.arrays()
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    write_atomic(path, file.getvalue())
+
+
+def load_score(path: Path) -> EvidenceScore:
+    """Return a score that was written."""
+    with np.load(path, allow_pickle=False) as file:
+        return EvidenceScore.from_arrays({name: file[name] for name in file.files})

@@ -1,82 +1,167 @@
-"""What a monitor is tried on, after it was fitted and calibrated on benign sweeps."""
+"""What the study of the monitor runs: drives of three splits, what is done to them, and how the score is trained."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from viewshed.datasets.presets import preset_names
+from viewshed.datasets.presets import Preset, preset_named, preset_names
+from viewshed.integrity.evidence import EVIDENCE
+from viewshed.studies.cases import DEFAULT, corruption_cases, generator, strength_cases
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
-from viewshed.studies.records import BENIGN, Case
-from viewshed.threats.attacks import ATTACKS
+from viewshed.studies.records import Case
+from viewshed.threats.attacks import ATTACKS, FAMILY
 from viewshed.threats.corruptions import CORRUPTIONS
 
+SPLITS = ("train", "calibration", "test")
+"""No scene is in two of them: the score is trained on the first, calibrated on the second, reported on the third."""
 
-@dataclass(frozen=True, slots=True)
-class Trials:
-    """What is done to the sweeps that a monitor is reported on.
+FRAMES = 10
+"""Sweeps of a drive, .1 s apart."""
 
-    Attributes:
-        attacks: names of ``ATTACKS``, each with its own budget.
-        corruptions: names of ``CORRUPTIONS``.
-        severity: of the corruptions, 1 to 5.
-        false_alarm_rate: that the monitor is calibrated for.
-        sigmas: standard deviations above its mean from which a cell is suspect.
-        seed: of all that is random.
+ONSET = 5
+"""The frame from which on a drive is attacked or corrupted."""
 
-    Raises:
-        ValueError: there is no such attack, corruption or severity.
-    """
+BEFORE = 20
+"""Frames of the scene before the drive: an attacker may have recorded them."""
 
-    attacks: tuple[str, ...] = tuple(ATTACKS)
-    corruptions: tuple[str, ...] = tuple(CORRUPTIONS)
-    severity: int = 3
-    false_alarm_rate: float = 0.05
-    sigmas: float = 3.0
-    seed: int = 0
+INTERVAL_S = 0.1
 
-    def __post_init__(self) -> None:
-        check_names("attacks", self.attacks, ATTACKS)
-        check_names("corruptions", self.corruptions, CORRUPTIONS)
-        CORRUPTIONS["fog"](self.severity)
+CORRUPTED = 0.3
+"""Share of the drives that are corrupted from their first frame on, benign ones as all others."""
 
-    def cases(self) -> list[Case]:
-        """Return all that is done to a sweep, nothing first."""
-        attacks = [Case("attack", name) for name in self.attacks]
-        return [BENIGN, *attacks, *(Case("corruption", name) for name in self.corruptions)]
+CLEAN = "_clean"
+"""Ends the names of attacks by a spoofer without extra range noise."""
+
+FROZEN, OLDER = "frozen", "older"
+"""Replays beside the default one, of .5 s before: the last sweep before the onset again and again; of 2.5 s before."""
+
+ALL_FAMILIES = "all"
+"""Name of the score that is trained on attacks of all families."""
+
+STEPS = ("drives", "score", "page")
+
+BUDGETS = (10, 30, 100, 300, 1000)
+"""Returns that an attacker touches, to find the smallest number that raises an alarm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MonitorPlan(Trials, Plan):
-    """The study of the monitor with the shipped network.
+class MonitorPlan(Plan):
+    """The study of the monitor of all evidence.
 
     Attributes:
-        domain: preset of simulated data, on whose grid the network must be shipped.
-        target: of the network.
-        passes: of Monte Carlo dropout.
-        frames: benign sweeps that it is fitted on, calibrated on and reported on, each from a scene of its own.
+        domains: presets of simulated data whose worlds and sensors the drives have, each drive a scene of its own.
+        train: drives of each domain that the score is trained on.
+        calibration: drives of each domain that its limits are from.
+        test: drives of each domain that it is reported on.
+        attacked: drives of each domain, in training and in test, that are tried in several cases as well.
+        cases: of each such drive, in turn.
+        evidence: that is measured, all there is.
+        attacks: names of ``ATTACKS``, each with its own budget.
+        budgeted: names of those that are tried with ``BUDGETS`` as well.
+        corruptions: names of ``CORRUPTIONS``.
+        severities: of the corruptions that begin in the middle of a drive.
+        epochs: of the training.
+        seed: of all that is random.
 
     Raises:
-        ValueError: a name is not known, or a number is out of range.
+        ValueError: a name is not known, a number is out of range, or lists differ in length.
     """
 
     FOLDER: ClassVar[str] = "studies/monitor/plans"
-    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"attacks": ATTACKS, "corruptions": CORRUPTIONS}
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
+        "attacks": ATTACKS,
+        "corruptions": CORRUPTIONS,
+        "evidence": EVIDENCE,
+    }
 
     name: str
     about: str
-    domain: str
-    target: str
-    passes: int
-    frames: int
+    domains: tuple[str, ...]
+    train: tuple[int, ...]
+    calibration: tuple[int, ...]
+    test: tuple[int, ...]
+    attacked: tuple[int, ...]
+    cases: int
+    evidence: tuple[str, ...]
+    attacks: tuple[str, ...]
+    budgeted: tuple[str, ...]
+    corruptions: tuple[str, ...]
+    severities: tuple[int, ...]
+    epochs: int
+    seed: int
 
     def __post_init__(self) -> None:
-        check_names("domain", (self.domain,), preset_names())
+        check_names("domains", self.domains, preset_names(), once=True)
+        check_names("evidence", self.evidence, EVIDENCE, once=True)
+        check_names("attacks", self.attacks, ATTACKS)
+        check_names("budgeted", self.budgeted, ATTACKS)
+        check_names("corruptions", self.corruptions, CORRUPTIONS)
+        check_names("severities", self.severities, (1, 2, 3, 4, 5))
         check_seed("seed", self.seed)
-        self.check_at_least(1, "passes", "frames")
-        Trials.__post_init__(self)
+        self.check_at_least(1, "epochs")
+        self.check_at_least(0, "cases")
+        for key in (*SPLITS, "attacked"):
+            counts = getattr(self, key)
+            if len(counts) != len(self.domains) or min(counts) < (0 if key == "attacked" else 1):
+                raise ValueError(f"{key} must have a number of drives for each of {len(self.domains)} domains")
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs: one that fits, then one for each reported sweep."""
-        return [("fit",), *(("watch", str(number)) for number in range(self.frames))]
+        """Return the names of all jobs: one a drive, then one a score."""
+        return self.drive_keys() + self.score_keys()
+
+    def drive_keys(self) -> list[JobKey]:
+        """Return the names of the drives' jobs: domain, split, number."""
+        return [
+            ("drive", domain, split, str(number))
+            for domain, *counts in zip(self.domains, self.train, self.calibration, self.test, strict=True)
+            for split, count in zip(SPLITS, counts, strict=True)
+            for number in range(count)
+        ]
+
+    def score_keys(self) -> list[JobKey]:
+        """Return the names of the scores' jobs: trained on all families, then without one family each."""
+        families = sorted({family_of(name) for name in self.attacks})
+        return [("score", ALL_FAMILIES), *(("score", str(family)) for family in families)]
+
+    def preset(self, domain: str) -> Preset:
+        """Return what a domain is simulated with: the worlds and sensors of its preset, in clear weather at 10 Hz.
+
+        Scenes do not depend on how many there are: a larger plan of the same seed begins with the same ones.
+        """
+        return replace(
+            preset_named(domain), splits=SPLITS, scenes=(1,) * len(SPLITS), frames=(BEFORE + FRAMES,) * len(SPLITS),
+            interval_s=INTERVAL_S, conditions=("clear",), condition_weights=(1.0,), seed=self.seed,
+        )  # fmt: skip
+
+    def all_cases(self) -> list[Case]:
+        """Return all that is done to drives from frame ``ONSET`` on."""
+        cases = [Case("attack", name, DEFAULT) for name in self.attacks]
+        if "replay" in self.attacks:
+            cases += [Case("attack", "replay", FROZEN), Case("attack", "replay", OLDER)]
+        for name in self.attacks:
+            cases += strength_cases(name)
+        cases += [Case("attack", name, str(budget)) for name in self.budgeted for budget in BUDGETS]
+        cases += [Case("null", name) for name in self.attacks]
+        return cases + corruption_cases(self.corruptions, self.severities)
+
+    def cases_of(self, domain: str, split: str, number: int) -> list[Case]:
+        """Return what is done to a drive, each in its turn: none of calibration."""
+        every = self.all_cases()
+        order = generator(self.seed, "cases").permutation(len(every))
+        if split == "calibration" or number >= self.attacked[self.domains.index(domain)]:
+            return []
+        count = min(self.cases, len(every))
+        return [every[order[(number * count + k) % len(every)]] for k in range(count)]
+
+
+def family_of(name: str) -> int:
+    """Return the number of an attack's family; a clean spoofer's attack is of the family of the same attack with noise.
+
+    So nothing like an attack is trained on when its family is left out.
+
+    >>> family_of("ghost_wall_clean") == family_of("ghost_wall")
+    True
+    """
+    return FAMILY[name.removesuffix(CLEAN)]

@@ -15,9 +15,9 @@ from viewshed.estimators.unet import UnetEstimator
 from viewshed.networks.card import Runner
 from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import DEFAULT, apply, generator, strength_cases
+from viewshed.studies.deviation.jobs import fit_monitor, watch
+from viewshed.studies.deviation.plan import Trials
 from viewshed.studies.evaluate import Evaluation
-from viewshed.studies.monitor.jobs import fit_monitor, watch
-from viewshed.studies.monitor.plan import Trials
 from viewshed.studies.paper.data import SPLITS, evaluation_of, held_out, make_archive, open_archive, preset_of
 from viewshed.studies.paper.models import (
     WEIGHTS,

@@ -10,6 +10,8 @@ import numpy as np
 from viewshed._page import Table
 from viewshed.metrics import ConfusionCounts
 from viewshed.studies.cases import DEFAULT
+from viewshed.studies.deviation.page import monitor_table as table_of_monitor
+from viewshed.studies.deviation.page import rows_of
 from viewshed.studies.formatting import (
     CALIBRATION,
     best_of_row,
@@ -22,8 +24,6 @@ from viewshed.studies.formatting import (
     lines,
     pivot,
 )
-from viewshed.studies.monitor.page import monitor_table as table_of_monitor
-from viewshed.studies.monitor.page import rows_of
 from viewshed.studies.paper.jobs import TRADE
 from viewshed.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
 from viewshed.studies.paper.protocols import setting_of

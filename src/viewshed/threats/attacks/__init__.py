@@ -27,6 +27,9 @@ from viewshed.threats.attacks.adaptive import (
 )
 from viewshed.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
+from viewshed.threats.attacks.informed import BestOf, CopiedObject, VanishedObject
+from viewshed.threats.attacks.monitored import BITS, MonitorScore, smallest_budget, tripped_shares
+from viewshed.threats.attacks.null import null_of
 from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.points import (
     PAPER_ATTACK,
@@ -38,13 +41,15 @@ from viewshed.threats.attacks.points import (
 )
 from viewshed.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
-from viewshed.threats.attacks.spoofer import FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
+from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
 
 __all__ = [
-    "ADAPTIVE", "ATTACKS", "BUDGETS", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM", "FULL_WEDGE",
-    "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory",
-    "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
-    "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
+    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY",
+    "FREE_FORM", "FULL_WEDGE", "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY",
+    "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BestOf", "BlackBox", "CopiedObject", "Evade",
+    "Expectation", "Knowledge", "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
+    "Tampered", "Trip", "UnderClaim", "VanishedObject", "Wedge", "WhiteBox", "at_severity", "smallest_budget",
+    "tripped_shares",
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
@@ -97,12 +102,24 @@ _MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
     "far_wall_aimed": lambda known: _aimed("far_wall", known),
     "removal_aimed": lambda known: _aimed("removal", known),
     "removal_and_far_wall_aimed": lambda known: _aimed("removal_and_far_wall", known),
+    "wedge_cluster_clean": lambda known: _clean("wedge_cluster", known),
+    "ghost_car_clean": lambda known: _clean("ghost_car", known),
+    "ghost_wall_clean": lambda known: _clean("ghost_wall", known),
+    "far_wall_clean": lambda known: _clean("far_wall", known),
+    "removal_and_far_wall_clean": lambda known: _clean("removal_and_far_wall", known),
+    "vanished_object": lambda known: VanishedObject(near_m=25.0 * known.scale),
+    "copied_object": lambda known: CopiedObject(near_m=25.0 * known.scale),
 }
 
 
 def _aimed(name: str, known: Knowledge) -> Attack:
     attack: Any = _MAKERS[name](known)
     return cast(Attack, replace(attack, placement="largest_hidden_area"))
+
+
+def _clean(name: str, known: Knowledge) -> Attack:
+    attack: Any = _MAKERS[name](known)
+    return cast(Attack, replace(attack, spoofer=CLEAN_SPOOFER))
 
 
 def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
@@ -114,17 +131,36 @@ def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) 
     return cast(Attack, replace(attack, budget=budget))
 
 
-ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS}
+INFORMED: dict[str, AttackFactory] = {name: partial(_make, name) for name in ("vanished_object", "copied_object")}
+"""Attackers of family 15 who know what a monitor looks at in one sweep, and avoid it."""
+
+ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS if name not in INFORMED}
 """By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
+
+
+def _make_null(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+    if knowledge.again is None:
+        raise ValueError(
+            "a null attack needs the same instant measured once more, got none; give Knowledge(again=sweep)"
+        )
+    if name == "pose_spoof":
+        return _make(name, 0, knowledge)
+    return null_of(_make(name, budget, knowledge), knowledge.again)
+
+
+NULL: dict[str, AttackFactory] = {name: partial(_make_null, name) for name in _MAKERS}
+"""``ATTACKS`` and ``INFORMED`` at zero strength: each chooses its beams and changes nothing but their noise. They need
+``Knowledge(again=…)``, a second measurement of the instant: ``measure(scan, conditions, rng).sweep()``."""
 
 FAMILY: dict[str, int] = {
     "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,
     "wedge_cluster_free": 3, "frustum": 4, "frustum_before": 4, "frustum_free": 4, "ghost_car": 5, "ghost_wall": 6,
     "far_wall": 7, "removal": 8, "high_frequency_removal": 9, "jamming": 10, "replay": 11, "coherent_phantom": 11,
     "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
-    "removal_and_far_wall_aimed": 14,
+    "removal_and_far_wall_aimed": 14, "wedge_cluster_clean": 17, "ghost_car_clean": 17, "ghost_wall_clean": 17,
+    "far_wall_clean": 17, "removal_and_far_wall_clean": 17, "vanished_object": 15, "copied_object": 15,
 }  # fmt: skip
-"""The number of the family that each belongs to."""
+"""The number of the family that each of ``ATTACKS`` and ``INFORMED`` belongs to."""
 
 FREE_FORM = frozenset({"uniform", "cluster", "wedge_cluster_free", "frustum_free"})
 """Attacks that add points anywhere; ``pose_spoof`` touches no return, and all others keep to the beams."""

@@ -98,11 +98,13 @@ class Knowledge:
             last is what is replayed.
         estimator: what the victim runs, for attackers that adapt to it.
         half_extent_m: half the side of the victim's grid; ranges are in proportion to it, 64 m on roads.
+        again: the same instant measured once more, with other noise; null attacks need it.
     """
 
     earlier: tuple[Sweep, ...] = ()
     estimator: FovEstimator | None = None
     half_extent_m: float = ROAD_EXTENT_M
+    again: Sweep | None = None
 
     @property
     def scale(self) -> float:

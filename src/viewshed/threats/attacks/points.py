@@ -164,7 +164,7 @@ class WedgeCluster(Checked):
         x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m)
         if self.mode == "free_form":
             around = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width
-            range_m = rng.normal(self.range_m, self.spoofer.point_sigma_m, self.budget)
+            range_m = rng.normal(self.range_m, self.spoofer.sigma_m(sweep), self.budget)
             xy = range_m[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
             return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
         rays = rays_in(sweep, wedge, empty=True)

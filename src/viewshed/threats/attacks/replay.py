@@ -101,7 +101,7 @@ class Replay(Checked):
             return _replace_returns(sweep, self.earlier)
         wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
-        earlier_m = _earlier_depth_m(self.earlier, lattice_of(sweep), rays)
+        earlier_m = depths_in(self.earlier, lattice_of(sweep), rays)
         changed = (rays.ring >= 0) & ~((rays.row < 0) & np.isinf(earlier_m))
         return self.spoofer.spoof_nearest(sweep, rays, changed, earlier_m, wedge, self.budget, rng)
 
@@ -111,8 +111,15 @@ def _replace_returns(sweep: Sweep, earlier: Sweep) -> Tampered:
     return Tampered(sweep.replace(**columns), np.ones(len(earlier), np.bool_), np.ones(len(sweep), np.bool_))
 
 
-def _earlier_depth_m(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
-    """Return the depth (K,) that each ray had in the earlier sweep, by ring and firing azimuth."""
+def depths_in(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
+    """Return the depth (K,) that each ray had in another sweep of the sensor, by ring and firing azimuth.
+
+    +inf where it did not return, and everywhere if the beams of one of the sweeps are not known. Rays of no ring have
+    no depth there either; theirs means nothing.
+
+    Raises:
+        ValueError: the other sweep has another number of rings.
+    """
     known = lattice_of(earlier)
     if lattice is None or known is None:
         return np.full(len(rays), NO_RETURN)

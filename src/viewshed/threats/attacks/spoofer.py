@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed.grid import GRIDS
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
+from viewshed.sim.lidar.optics import Optics, optics_of
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.assembly import Forged, assemble, untouched
 from viewshed.threats.attacks.base import Tampered, Wedge
@@ -37,6 +38,9 @@ LEAVE, NO_RETURN = np.nan, np.inf
 """Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
 
 FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
+
+UNKNOWN_OPTICS = Optics()
+"""How exactly a sensor is taken to measure that is not known."""
 
 _MAX_RANGE_M = 100.0
 """How far a sensor is taken to see that is not known."""
@@ -172,12 +176,12 @@ class Spoofer(Checked):
 
     Attributes:
         reliability: share of the aimed beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name.
-        point_sigma_m: noise of each range along its ray.
+        point_sigma_m: noise of each range along its ray; None is the sensor's own, as of a strong return.
         frame_sigma_m: noise that all ranges of a sweep share.
     """
 
     reliability: Annotated[float | None, Between(0.0, 1.0)] = None
-    point_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.10
+    point_sigma_m: Annotated[float | None, Between(0.0, 10.0)] = 0.10
     frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35
 
     def wins(self, sweep: Sweep, count: int, rng: np.random.Generator) -> Mask:
@@ -194,7 +198,8 @@ class Spoofer(Checked):
         """
         aimed = np.flatnonzero(~np.isnan(wanted_m))
         aimed = aimed[self.wins(sweep, len(aimed), rng)]
-        rays, depth_m = rays.select(aimed), self._noisy(sweep, wanted_m[aimed], rng)
+        rays = rays.select(aimed)
+        depth_m = self.reported_m(sweep, rays, wanted_m[aimed], rng)
         low_m, high_m = limits_m(sweep)
         reported = (depth_m >= low_m) & (depth_m <= high_m)
         points = rays.at(np.where(reported, depth_m, 0.0))
@@ -221,12 +226,19 @@ class Spoofer(Checked):
         chosen = choose_nearest(rays, candidates, wedge, budget)
         return self.spoof(sweep, rays, np.where(chosen, wanted_m, LEAVE), wedge, rng)
 
-    def _noisy(self, sweep: Sweep, depth_m: Floats, rng: np.random.Generator) -> Floats:
-        """Return depths (K,) with noise, in whole steps of the sensor's range where they are known."""
-        noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(depth_m)) * self.point_sigma_m
+    def sigma_m(self, sweep: Sweep) -> float:
+        """Return the noise of each range in meters: given, or that of the sweep's sensor, as far as it is known."""
+        if self.point_sigma_m is not None:
+            return self.point_sigma_m
+        return (UNKNOWN_OPTICS if sweep.model is None else optics_of(sweep.model)).sigma_m
+
+    def reported_m(self, sweep: Sweep, rays: Rays, wanted_m: Floats, rng: np.random.Generator) -> Floats:
+        """Return what the rays (K,) that are won report: with noise, in whole steps of range where those are known."""
+        sigma_m = self.sigma_m(sweep)
+        noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(rays)) * sigma_m
         lattice = lattice_of(sweep)
         step_m = 0.0 if lattice is None else lattice.step_m
-        noisy = depth_m + noise_m
+        noisy = wanted_m + noise_m
         return np.rint(noisy / step_m) * step_m if step_m > 0 else noisy
 
 
@@ -235,6 +247,9 @@ MEASURED_SPOOFER = Spoofer()
 
 NOISELESS_SPOOFER = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
 """For ranges that are random anyway, or recorded with the noise of their own sweep."""
+
+CLEAN_SPOOFER = Spoofer(point_sigma_m=None, frame_sigma_m=0.0)
+"""One that sets ranges as exactly as the sensor measures them: no noise but the sensor's gives it away."""
 
 
 def limits_m(sweep: Sweep) -> tuple[float, float]:

@@ -1,10 +1,6 @@
 """The paper's detector: cells whose Monte Carlo dropout deviation is larger than it is on benign sweeps.
 
-A fitted monitor as a file.
-
-What a monitor says of one estimate: a score, an alarm and the cells it suspects.
-
-Suspect cells as polygons, for others to draw.
+It asks the estimate alone, one sweep at a time. A fitted monitor as a file.
 """
 
 from __future__ import annotations
@@ -25,51 +21,9 @@ from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed.fov.estimate import FovEstimate
-from viewshed.fov.polygons import polygon_of_mask
 from viewshed.grid import MAX_CELLS, BevGrid, polar_of_cells
-from viewshed.integrity.roc import alarm_limit
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IntegrityReport:
-    """Doubt about one estimate. A monitor reports doubt; what is done about it is for others to say.
-
-    Attributes:
-        score: how doubtful the whole estimate is; larger is worse.
-        threshold: the monitor alarms above it.
-        suspect: (cells, cells) bool, the cells that raise the doubt.
-        grid: where the cells are.
-        monitor: who says so.
-
-    Raises:
-        ValueError: the score is not a number, or ``suspect`` does not fit the grid.
-    """
-
-    score: float
-    threshold: float
-    suspect: NDArray[np.bool_]
-    grid: BevGrid
-    monitor: str
-
-    def __post_init__(self) -> None:
-        if np.isnan(self.score) or np.isnan(self.threshold):
-            raise ValueError(f"score and threshold must be numbers, got {self.score} and {self.threshold}")
-        if self.suspect.dtype != np.bool_ or self.suspect.shape != self.grid.shape:
-            raise ValueError(f"suspect must be bool {self.grid.shape}, got {self.suspect.dtype} {self.suspect.shape}")
-        suspect = self.suspect.view()
-        suspect.setflags(write=False)
-        object.__setattr__(self, "suspect", suspect)
-
-    @property
-    def alarm(self) -> bool:
-        """Whether the score lies above the threshold."""
-        return self.score > self.threshold
-
-    @property
-    def suspect_m2(self) -> float:
-        """Area of the suspect cells in square meters."""
-        return float(self.suspect.sum()) * self.grid.cell_area_m2
-
+from viewshed.integrity.calibration import alarm_limit
+from viewshed.integrity.report import IntegrityReport, sectors_of_cells
 
 NAME = "deviation"
 
@@ -209,7 +163,9 @@ class DeviationMonitor:
         if self.limit is None:
             raise ValueError("a monitor must be calibrated before it can alarm; call calibrated()")
         suspect = self.suspect(estimate)
-        return IntegrityReport(float(suspect.sum()) / float(self.watched.sum()), self.limit, suspect, self.grid, NAME)
+        score = float(suspect.sum()) / float(self.watched.sum())
+        sectors = sectors_of_cells(suspect, self.grid)
+        return IntegrityReport(NAME, score, self.limit, suspect=sectors, grid=self.grid, suspect_cells=suspect)
 
 
 def _deviation(estimate: FovEstimate, grid: BevGrid, method: str) -> NDArray[np.float32]:
@@ -311,26 +267,3 @@ def _monitor(about: dict[str, Any], thresholds: Any) -> DeviationMonitor:
         str(about["method"]), about["limit"], about["false_alarm_rate"], (about["sweeps"][0], about["sweeps"][1]),
         {str(key): str(value) for key, value in about["facts"].items()},
     )  # fmt: skip
-
-
-def suspects_geojson(report: IntegrityReport) -> bytes:
-    """Return a GeoJSON Feature in UTF-8: suspect cells as a MultiPolygon in ``level``, meters; score and alarm beside.
-
-    Coordinates are meters in the ``level`` frame (x forward, y left), not degrees, as in the other exports.
-    """
-    from shapely.geometry import mapping
-
-    properties = {
-        "monitor": report.monitor,
-        "score": report.score,
-        "threshold": report.threshold,
-        "alarm": report.alarm,
-    }
-    frame = {
-        "name": "level",
-        "coordinates": "meters in level frame, not WGS84",
-        "axes": "x forward, y left of the sensor",
-    }
-    shape = mapping(polygon_of_mask(report.suspect, report.grid))
-    feature = {"type": "Feature", "viewshed:frame": frame, "properties": properties, "geometry": shape}
-    return json.dumps(feature, allow_nan=False).encode()

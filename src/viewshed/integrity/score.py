@@ -1,0 +1,251 @@
+"""One score from all evidence: what was measured, on a common scale, through a small network trained on attacks.
+
+A sweep is measured as a matrix (E, SECTORS), one line for each kind of evidence. Three steps make a score of it:
+
+1. Each number becomes its surprise, -log10 of the share of benign sectors that are as suspicious: 2 means one in a
+   hundred. So meters, shares and counts compare, and evidence that abstained says nothing.
+2. A sector is described by its own surprises, those of its two neighbors, and the median, the maximum and the share of
+   raised sectors of the whole sweep: rain raises all sectors, a spoofer some.
+3. A network of one hidden layer gives each sector two numbers; each is pooled over the sectors to the sweep's score.
+
+Scores are larger where there is more doubt. They have no unit: what is rare is for a calibration to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.integrity.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
+
+Floats = NDArray[np.float32]
+
+RAISED = 2.0
+"""Surprise from which a sector counts as raised: one benign sector in a hundred."""
+
+SECTOR_FEATURES = 2
+"""Numbers of each evidence that differ from sector to sector: its own surprise, the mean of its neighbors'."""
+
+SWEEP_FEATURES = 3
+"""Numbers of each evidence that are the same for all sectors: median, maximum, share of raised sectors."""
+
+_SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 5.0, 12)])
+
+
+def measure_all(monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EVIDENCE) -> Floats:
+    """Return what every evidence measures (E, SECTORS), in the order of ``evidence``; NaN where it abstains."""
+    return np.array([one.measure(monitored) for one in evidence.values()], np.float32).reshape(-1, SECTORS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """Two numbers for a sweep, and where the first comes from; larger is more doubtful.
+
+    Attributes:
+        inconsistent: that the sweep is impossible, or contradicted by time.
+        degraded: that it shows less or worse than usual, whatever the cause.
+        sectors: (SECTORS,) the part of each sector in ``inconsistent``.
+    """
+
+    inconsistent: float
+    degraded: float
+    sectors: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurpriseScale:
+    """How rare a number is on benign sweeps, for each evidence.
+
+    Between knots the surprise is linear; beyond the largest, where there were no benign numbers, it goes on as the tail
+    begins, ever more slowly, so that one huge number does not outweigh all others.
+
+    Attributes:
+        values: (E, K) ascending numbers.
+        surprises: (E, K) -log10 of the share of benign numbers that are at least as large.
+
+    Raises:
+        ValueError: the shapes differ, or the values do not ascend.
+    """
+
+    values: Floats
+    surprises: Floats
+
+    def __post_init__(self) -> None:
+        if self.values.shape != self.surprises.shape or self.values.ndim != 2 or self.values.shape[1] < 2:
+            raise ValueError(
+                f"values and surprises must be (E, K) alike, got {self.values.shape} and {self.surprises.shape}"
+            )
+        if not (np.diff(self.values) >= 0).all() or not np.isfinite(self.surprises).all():
+            raise ValueError("values must ascend and surprises be finite, got others; fit the scale again")
+
+    @classmethod
+    def fit(cls, benign: NDArray[np.floating[Any]]) -> Self:
+        """Return the scale of benign evidence (N, E, SECTORS); one that always abstained stays at a surprise of 0."""
+        values = np.zeros((benign.shape[1], len(_SURPRISES)), np.float32)
+        surprises = np.zeros_like(values)
+        for number, of_one in enumerate(np.moveaxis(benign, 1, 0)):
+            known = np.sort(of_one[np.isfinite(of_one)].astype(np.float32))
+            if known.size:
+                rank = np.ceil((1.0 - 10.0**-_SURPRISES) * (known.size - 1)).astype(np.intp)
+                values[number] = known[rank]
+                # Equal numbers share the surprise of the first: a sector at a common value is no surprise at all.
+                reached = known.size - np.searchsorted(known, values[number], "left")
+                surprises[number] = -np.log10(reached / known.size)
+        return cls(values, surprises)
+
+    def __call__(self, evidence: NDArray[np.floating[Any]]) -> Floats:
+        """Return the surprises (N, E, SECTORS) of evidence (N, E, SECTORS); NaN where it abstains."""
+        numbers = np.asarray(evidence, np.float32)
+        surprises = np.empty(numbers.shape, np.float32)
+        for number, (values, known) in enumerate(zip(self.values, self.surprises, strict=True)):
+            surprises[:, number] = np.interp(numbers[:, number], values, known)
+        return surprises + self._beyond(numbers)
+
+    def _beyond(self, numbers: Floats) -> Floats:
+        """Return what numbers beyond the largest benign one add; 0 for all others."""
+        last = self.values[:, -1:]
+        steps = np.diff(self.surprises[:, [_ONE_IN_A_HUNDRED, -1]])
+        width = np.maximum(last - self.values[:, [_ONE_IN_A_HUNDRED]], 1e-3 * np.maximum(np.abs(last), 1e-3))
+        with np.errstate(invalid="ignore", over="ignore"):
+            excess = np.clip((numbers - last) / width, 0.0, 1e6)
+        more: Floats = np.maximum(steps, 1.0) * np.log1p(excess)
+        return more
+
+
+_ONE_IN_A_HUNDRED = int(np.searchsorted(_SURPRISES, RAISED - 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvidenceScore:
+    """Scores a sweep by its evidence; plain arrays, which a monitor's file holds.
+
+    Attributes:
+        names: (E,) of the evidence, in the order of its lines.
+        scale: on which they are compared.
+        mean: (F,) of the features of benign sectors.
+        spread: (F,) their standard deviation.
+        weights: (F, H) from features to hidden units.
+        offsets: (H,) of the hidden units.
+        outputs: (H, 2) from hidden units to what is inconsistent and what is degraded.
+        output_offsets: (2,) of both.
+
+    Raises:
+        ValueError: the shapes do not fit.
+    """
+
+    names: tuple[str, ...]
+    scale: SurpriseScale
+    mean: Floats
+    spread: Floats
+    weights: Floats
+    offsets: Floats
+    outputs: Floats
+    output_offsets: Floats
+
+    def __post_init__(self) -> None:
+        count, hidden = features_of(len(self.names)), len(self.offsets)
+        shapes = {
+            "mean": (count,), "spread": (count,), "weights": (count, hidden), "offsets": (hidden,),
+            "outputs": (hidden, 2), "output_offsets": (2,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(
+                    f"{name} must have shape {shape} for {len(self.names)} kinds of evidence, got"
+                    f" {getattr(self, name).shape}; train the score again"
+                )
+        if len(self.scale.values) != len(self.names):
+            raise ValueError(
+                f"scale must be of {len(self.names)} kinds of evidence, got {len(self.scale.values)}; train the score"
+                " again"
+            )
+
+    def __call__(self, evidence: NDArray[np.floating[Any]]) -> Scores:
+        """Return the scores of one sweep's evidence (E, SECTORS).
+
+        Raises:
+            ValueError: there is other evidence than the score was trained on.
+        """
+        logits = self.logits(np.asarray(evidence)[None])
+        inconsistent, degraded = pooled(logits)[0]
+        return Scores(float(inconsistent), float(degraded), logits[0, :, 0])
+
+    def logits(self, evidence: NDArray[np.floating[Any]]) -> Floats:
+        """Return what the network says of each sector (N, SECTORS, 2) of evidence (N, E, SECTORS).
+
+        Raises:
+            ValueError: there is other evidence than the score was trained on.
+        """
+        if evidence.ndim != 3 or evidence.shape[1:] != (len(self.names), SECTORS):
+            raise ValueError(
+                f"evidence must be {len(self.names)} lines of {SECTORS} sectors ({', '.join(self.names)}), got shape"
+                f" {evidence.shape}; use the monitor of this version"
+            )
+        of_sectors, of_sweep = features(self.scale(evidence))
+        split = of_sectors.shape[-1]
+        of_sectors = _standardized(of_sectors, self.mean[:split], self.spread[:split])
+        of_sweep = _standardized(of_sweep, self.mean[split:], self.spread[split:])
+        # What is the same for all sectors goes through its part of the weights once.
+        hidden = of_sectors @ self.weights[:split] + (of_sweep @ self.weights[split:] + self.offsets)[:, None]
+        result: Floats = np.maximum(hidden, 0.0) @ self.outputs + self.output_offsets
+        return result
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all of it as arrays by name, as :meth:`from_arrays` takes them."""
+        scale = {"values": self.scale.values, "surprises": self.scale.surprises}
+        return scale | {name: np.asarray(getattr(self, name)) for name in ("names", *_ARRAYS)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Return the score in arrays of :meth:`arrays`.
+
+        Raises:
+            KeyError: one is missing.
+            ValueError: they do not fit.
+        """
+        names = tuple(str(name) for name in arrays["names"])
+        scale = SurpriseScale(np.asarray(arrays["values"], np.float32), np.asarray(arrays["surprises"], np.float32))
+        return cls(names, scale, **{name: np.asarray(arrays[name], np.float32) for name in _ARRAYS})
+
+
+_ARRAYS = ("mean", "spread", "weights", "offsets", "outputs", "output_offsets")
+
+
+def features_of(evidence: int) -> int:
+    """Return how many features a sector has with so many kinds of evidence."""
+    return evidence * (SECTOR_FEATURES + SWEEP_FEATURES)
+
+
+def features(surprises: Floats) -> tuple[Floats, Floats]:
+    """Return the features of sectors (N, SECTORS, 2 E) and of sweeps (N, 3 E); NaN where evidence abstains.
+
+    Args:
+        surprises: (N, E, SECTORS), NaN where evidence abstains.
+    """
+    neighbors = 0.5 * (np.roll(surprises, 1, axis=2) + np.roll(surprises, -1, axis=2))
+    of_sectors = np.concatenate([surprises, neighbors], axis=1).transpose(0, 2, 1)
+    # NaN sorts last: the sectors that are known come first, and the last of them is the maximum.
+    ordered, known = np.sort(surprises, axis=2), np.isfinite(surprises).sum(axis=2)
+    middle = np.take_along_axis(ordered, np.maximum(known - 1, 0)[..., None] // 2, axis=2)[..., 0]
+    largest = np.take_along_axis(ordered, known[..., None] - 1, axis=2)[..., 0]
+    raised = np.where(known > 0, (surprises >= RAISED).sum(axis=2) / np.maximum(known, 1), np.nan)
+    return of_sectors, np.concatenate([middle, largest, raised], axis=1).astype(np.float32)
+
+
+def pooled(logits: Floats) -> Floats:
+    """Return the scores of sweeps (N, 2): log of the mean over sectors of exp of what each says (N, SECTORS, 2)."""
+    highest = logits.max(axis=1, keepdims=True)
+    mean = np.exp(logits - highest).mean(axis=1)
+    result: Floats = np.log(mean) + highest[:, 0]
+    return result
+
+
+def _standardized(values: Floats, mean: Floats, spread: Floats) -> Floats:
+    """Return features less their benign mean, over their spread; those of evidence that abstains are 0."""
+    standardized: Floats = (values - mean) / spread
+    standardized[np.isnan(standardized)] = 0.0
+    return standardized

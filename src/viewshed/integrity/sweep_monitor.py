@@ -1,0 +1,473 @@
+"""The monitor of a sweep: all evidence, one score, two verdicts whose false alarms keep a chosen rate; as a file."""
+
+from __future__ import annotations
+
+import io
+import json
+import lzma
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from viewshed import __version__
+from viewshed._files import write_atomic
+from viewshed.grid import BevGrid
+from viewshed.integrity.calibration import (
+    NO_REAL_SCORES,
+    Calibration,
+    Earlier,
+    Group,
+    HighestScores,
+    Per,
+    Promise,
+    RealScores,
+    drift_warning,
+    one_per_scene,
+)
+from viewshed.integrity.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
+from viewshed.integrity.report import IntegrityReport, Mask, cells_of_sectors
+from viewshed.integrity.score import EvidenceScore, measure_all
+from viewshed.integrity.sectors import discoveries
+
+NAME = "sweep"
+
+EARLIER_SWEEPS = 5
+"""Earlier sweeps that evidence over time is given; a sweep with fewer is judged by itself."""
+
+UNUSUAL = 0.01
+"""A reason is told if at most this share of benign scenes of the group shows its evidence as strongly."""
+
+Floats = NDArray[np.float64]
+
+
+class Rates(NamedTuple):
+    """False alarms that a monitor may raise.
+
+    Attributes:
+        inconsistent: share of the benign sweeps (or drives) that may be called inconsistent.
+        degraded: share that may be called degraded.
+        discoveries: share of the suspect sectors that may be false ones.
+    """
+
+    inconsistent: float = 0.01
+    degraded: float = 0.01
+    discoveries: float = 0.1
+
+
+RATES = Rates()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenignSweep:
+    """What all evidence measured of a sweep that nobody attacked.
+
+    Attributes:
+        scene: that it is of; sweeps of one drive share it.
+        group: with which it is calibrated, see :func:`group_of`.
+        evidence: (E, SECTORS) of :func:`viewshed.integrity.score.measure_all`.
+    """
+
+    scene: str
+    group: Group
+    evidence: NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenignTable:
+    """Benign scenes of one group, beside their scores: what makes sectors suspect and evidence a reason.
+
+    Attributes:
+        sectors: scores of the SECTORS sectors.
+        strongest: each evidence's strongest sector, E columns.
+    """
+
+    sectors: HighestScores
+    strongest: HighestScores
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepMonitor:
+    """Says of a sweep whether it is inconsistent or degraded, where and why.
+
+    Attributes:
+        score: of all evidence.
+        inconsistent: calibration of that verdict.
+        degraded: calibration of that verdict.
+        benign: scenes of each group, for sectors and reasons.
+        discovery_rate: expected share of false ones among the suspect sectors.
+        per: what the rates count, sweeps or drives.
+        estimates: methods of the estimates that the evidence was given; the same must be given to :meth:`check`.
+        facts: what else must be known to make the same evidence, as fingerprints of weights; see :meth:`require`.
+        warnings: what its benign scenes themselves speak against.
+        version: of viewshed, whose evidence it is calibrated on.
+
+    Raises:
+        ValueError: the parts are of different groups or evidence.
+    """
+
+    score: EvidenceScore
+    inconsistent: Calibration
+    degraded: Calibration
+    benign: Mapping[Group, BenignTable]
+    discovery_rate: float = RATES.discoveries
+    per: Per = "sweep"
+    estimates: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    version: str = __version__
+
+    def __post_init__(self) -> None:
+        groups = set(self.benign), set(self.inconsistent.scores), set(self.degraded.scores)
+        if not groups[0] == groups[1] == groups[2]:
+            raise ValueError(f"benign scenes and both verdicts must be of the same groups, got {groups}")
+        for group, table in self.benign.items():
+            columns = table.sectors.highest.shape[1], table.strongest.highest.shape[1]
+            if columns != (SECTORS, len(self.score.names)):
+                raise ValueError(
+                    f"{group}: tables must have {SECTORS} and {len(self.score.names)} columns, got {columns}"
+                )
+        if not 0.0 < self.discovery_rate < 1.0:
+            raise ValueError(f"discovery_rate must lie in (0, 1), got {self.discovery_rate}")
+
+    @classmethod
+    def calibrate(
+        cls,
+        score: EvidenceScore,
+        benign: Iterable[BenignSweep],
+        rng: np.random.Generator,
+        *,
+        rates: Rates = RATES,
+        promise: Promise = "expected",
+        per: Per = "sweep",
+        estimates: Iterable[str] = (),
+        facts: Mapping[str, str] | None = None,
+    ) -> Self:
+        """Return the monitor that keeps its rates on further scenes like these.
+
+        Args:
+            score: of all evidence; it may have been trained on anything but these scenes.
+            benign: sweeps of scenes that nobody attacked, several of each if there are, in the order of recording.
+            rng: draws one sweep of each scene, and ties.
+            rates: of false alarms.
+            promise: whether the expected rate is kept, or the rate with probability .9.
+            per: sweeps, or drives: then a scene counts by its largest score.
+            estimates: methods of the estimates that the evidence was given.
+            facts: what else must be known to make the same evidence.
+
+        Raises:
+            ValueError: a group has too few scenes for a rate; evidence is not that of the score, or gives no score.
+        """
+        rows: dict[Group, list[tuple[str, Floats]]] = {}
+        for sweep in benign:
+            rows.setdefault(sweep.group, []).append((sweep.scene, _row(score, sweep.evidence)))
+        inconsistent, degraded, tables = {}, {}, {}
+        for group, of_group in rows.items():
+            _, chosen = one_per_scene(
+                [scene for scene, _ in of_group], np.array([row for _, row in of_group]), per, rng
+            )
+            inconsistent[group], degraded[group] = chosen[:, 0], chosen[:, 1]
+            sectors, strongest = chosen[:, 2 : 2 + SECTORS], chosen[:, 2 + SECTORS :]
+            share = max(rates.discoveries, 0.1)
+            tables[group] = BenignTable(HighestScores.of(sectors, share), HighestScores.of(strongest, share))
+        found = (drift_warning(scores, rng) for scores in (inconsistent, degraded))
+        return cls(
+            score, Calibration(inconsistent, rates.inconsistent, promise),
+            Calibration(degraded, rates.degraded, promise), tables, rates.discoveries, per, tuple(estimates),
+            dict(facts or {}), tuple(dict.fromkeys(line for line in found if line)),
+        )  # fmt: skip
+
+    def corrected(self, real: Iterable[BenignSweep], rng: np.random.Generator) -> Self:
+        """Return the monitor, calibrated in simulation, corrected by real scenes: see ``calibration.RealScores``.
+
+        Both verdicts are corrected. Sectors and reasons stay those of the simulated scenes.
+
+        Raises:
+            ValueError: there are none, one is of another evidence or history, or they leave no limit for a rate.
+        """
+        rows: dict[Group, list[tuple[str, Floats]]] = {}
+        for sweep in real:
+            rows.setdefault(sweep.group, []).append((sweep.scene, _row(self.score, sweep.evidence)))
+        scores: list[tuple[Group, Floats]] = []
+        for group, of_group in rows.items():
+            chosen = one_per_scene(
+                [scene for scene, _ in of_group], np.array([row for _, row in of_group]), self.per, rng
+            )
+            scores += [(group, row) for row in chosen[1]]
+        return replace(
+            self,
+            inconsistent=self.inconsistent.corrected((group, float(row[0])) for group, row in scores),
+            degraded=self.degraded.corrected((group, float(row[1])) for group, row in scores),
+        )
+
+    def check(self, monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EVIDENCE) -> IntegrityReport:
+        """Return what the monitor says of a sweep.
+
+        It uses as much of the earlier sweeps as it was calibrated with: all of ``EARLIER_SWEEPS``, with poses or
+        without, or none; so what evidence abstains from is the same as on benign scenes, and the rates hold.
+
+        Raises:
+            ValueError: the sweep has no returns, lacks an estimate that the evidence needs, is of no calibrated group,
+                or has no score; the monitor is of other evidence or of another version.
+        """
+        self._require_evidence(evidence)
+        missing = [method for method in self.estimates if method not in monitored.estimates]
+        if missing:
+            raise ValueError(
+                f"monitored must have the estimates of {', '.join(missing)}, got none; estimate them first"
+            )
+        if not len(monitored.leveled.points):
+            raise ValueError("sweep must have usable returns, got none; nothing can be said of it")
+        monitored, group, notes = self._as_calibrated(monitored)
+        grid = next((estimate.grid for estimate in monitored.estimates.values()), None)
+        return self.report(measure_all(monitored, evidence), group, grid, notes, evidence)
+
+    def report(
+        self,
+        evidence: NDArray[np.floating[Any]],
+        group: Group,
+        grid: BevGrid | None = None,
+        notes: tuple[str, ...] = (),
+        kinds: Mapping[str, Evidence] = EVIDENCE,
+    ) -> IntegrityReport:
+        """Return what the monitor says of a sweep by its evidence (E, SECTORS), measured already.
+
+        Raises:
+            ValueError: the evidence is not that of the score or gives no score, or the group is unknown without a like.
+        """
+        row = _row(self.score, evidence)
+        if group not in self.benign:
+            like = "; ".join(map(str, self.inconsistent.alike(group)))
+            notes = (*notes, f"{group} was not calibrated: judged by the most cautious of {like}; no rate is promised")
+        inconsistent, threshold = float(row[0]), self.inconsistent.limit(group)
+        suspect = np.zeros(SECTORS, np.bool_)
+        if inconsistent > threshold:
+            suspect = self.suspect_sectors(row[2 : 2 + SECTORS], group)
+        return IntegrityReport(
+            NAME, inconsistent, threshold, self.inconsistent.p_value(inconsistent, group),
+            float(row[1]) > self.degraded.limit(group), self.degraded.p_value(float(row[1]), group), suspect, grid,
+            np.zeros((0, 0), np.bool_) if grid is None else cells_of_sectors(suspect, grid),
+            self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes,
+        )  # fmt: skip
+
+    def suspect_sectors(self, sectors: ArrayLike, group: Group, *, any_dependence: bool = False) -> Mask:
+        """Return the mask (SECTORS,) of suspect sectors at the monitor's false-discovery rate.
+
+        Args:
+            sectors: (SECTORS,) scores of the sectors.
+            group: of the sweep.
+            any_dependence: see :func:`viewshed.integrity.sectors.discoveries`.
+
+        Raises:
+            ValueError: the group is unknown without a like.
+        """
+        p = [self.benign[each].sectors.p_values(sectors) for each in self.inconsistent.alike(group)]
+        return discoveries(np.max(p, axis=0), self.discovery_rate, any_dependence=any_dependence)
+
+    def require(self, facts: Mapping[str, str]) -> None:
+        """Check that evidence is made with what the monitor was calibrated with, as the fingerprint of weights.
+
+        Raises:
+            ValueError: it is not.
+        """
+        for name, value in self.facts.items():
+            if facts.get(name) != value:
+                raise ValueError(
+                    f"{name} must be that of the monitor, {value}, got {facts.get(name, 'none')}; calibrate a monitor"
+                    " for it"
+                )
+
+    def promises(self) -> list[str]:
+        """Return a line for each group and verdict: the limit and both promises."""
+        return [
+            f"{group}: {name} above {calibration.limit(group):.4g}; {calibration.promised(group)} per {self.per}"
+            for group in self.benign
+            for name, calibration in (("inconsistent", self.inconsistent), ("degraded", self.degraded))
+        ]
+
+    def _require_evidence(self, evidence: Mapping[str, Evidence]) -> None:
+        if self.version != __version__:
+            raise ValueError(
+                f"monitor must be calibrated on this version's evidence, {__version__}, got {self.version};"
+                " calibrate it again"
+            )
+        if tuple(evidence) != self.score.names:
+            raise ValueError(
+                f"evidence must be that of the monitor ({', '.join(self.score.names)}), got {', '.join(evidence)};"
+                " calibrate a monitor for it"
+            )
+
+    def _as_calibrated(self, monitored: MonitoredSweep) -> tuple[MonitoredSweep, Group, tuple[str, ...]]:
+        """Return the sweep with as much history as the monitor knows, its group, and what was left out."""
+        sweep = _with_history(monitored)
+        group = group_of(sweep)
+        histories = {each.earlier for each in self.benign}
+        if group.earlier in histories:
+            found = sweep
+        elif "none" in histories:
+            found = replace(sweep, earlier=())
+        else:
+            raise ValueError(
+                f"sweep must have {EARLIER_SWEEPS} earlier sweeps with {'poses' if 'posed' in histories else 'times'},"
+                f" as those that the monitor was calibrated on, got {len(monitored.earlier)}, {group.earlier}"
+            )
+        notes = []
+        if len(found.earlier) < EARLIER_SWEEPS:
+            why = "they have no poses" if group.earlier == "unposed" else f"there are {len(monitored.earlier)}"
+            notes.append(f"judged without earlier sweeps: {why} of {EARLIER_SWEEPS}; evidence over time abstains")
+        elif group.earlier == "unposed":
+            notes.append("the sweeps have no poses: evidence that needs them abstains")
+        return found, group_of(found), tuple(notes)
+
+    def _reasons(
+        self, evidence: NDArray[np.floating[Any]], strongest: Floats, group: Group, kinds: Mapping[str, Evidence]
+    ) -> tuple[str, ...]:
+        """Return the sentences of the evidence that is unusual for the group, the strongest first."""
+        p, beyond = np.zeros(len(strongest)), np.full(len(strongest), np.inf)
+        least = 0.0
+        for each in self.inconsistent.alike(group):
+            benign = self.benign[each].strongest
+            p = np.maximum(p, benign.p_values(strongest))
+            # Where p-values tie: how far beyond the highest benign number, in units of the spread of those kept.
+            highest, lowest = benign.highest[0].astype(np.float64), benign.highest[-1].astype(np.float64)
+            with np.errstate(invalid="ignore"):
+                ratio = (strongest - highest) / np.maximum(highest - lowest, 1e-9)
+            beyond = np.minimum(beyond, np.nan_to_num(ratio, nan=np.inf))
+            least = max(least, 1.0 / (benign.scenes + 1))
+        unusual = np.flatnonzero((p <= max(UNUSUAL, least) + 1e-12) & np.isfinite(strongest))
+        order = sorted(unusual.tolist(), key=lambda number: (p[number], -beyond[number]))
+        return tuple(kinds[self.score.names[number]].reason(np.asarray(evidence[number])) for number in order)
+
+
+def group_of(monitored: MonitoredSweep) -> Group:
+    """Return the group with which a sweep is calibrated: its sensor, and whether all earlier sweeps have poses.
+
+    Sensors without a name are told apart by whether their rings are known, which much of the evidence needs.
+    """
+    sensor = monitored.leveled.sensor_id
+    name = sensor.model.name if sensor.model is not None else "unknown sensor"
+    if monitored.leveled.range_image is None:
+        name += " without rings"
+    earlier: Earlier = "none"
+    if monitored.earlier:
+        every = (*monitored.earlier, monitored.leveled)
+        earlier = "posed" if all(each.sweep.world_from_sensor is not None for each in every) else "unposed"
+    return Group(name, earlier)
+
+
+def _with_history(monitored: MonitoredSweep) -> MonitoredSweep:
+    """Return the sweep with exactly ``EARLIER_SWEEPS`` earlier ones, the last, or with none."""
+    count = len(monitored.earlier)
+    if count == EARLIER_SWEEPS:
+        return monitored
+    return replace(monitored, earlier=monitored.earlier[-EARLIER_SWEEPS:] if count > EARLIER_SWEEPS else ())
+
+
+def _row(score: EvidenceScore, evidence: NDArray[np.floating[Any]]) -> Floats:
+    """Return both scores, those of the sectors and each evidence's strongest sector, (2 + SECTORS + E,).
+
+    Raises:
+        ValueError: the evidence is not that of the score, or a score is not a number.
+    """
+    scores = score(evidence)
+    verdicts = np.array([scores.inconsistent, scores.degraded], np.float64)
+    if not np.isfinite(verdicts).all():
+        raise ValueError(f"scores must be finite, got {verdicts[0]} and {verdicts[1]}; the evidence gives no score")
+    known = np.where(np.isnan(evidence), -np.inf, np.asarray(evidence, np.float64))
+    return np.concatenate([verdicts, np.asarray(scores.sectors, np.float64), known.max(axis=1)])
+
+
+FORMAT_VERSION = 1
+
+_MAX_BYTES = 1 << 26
+"""Largest part of a file, unpacked: a hundred thousand scenes by 72 sectors."""
+
+_BROKEN = (
+    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
+    MemoryError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
+)  # fmt: skip
+
+
+def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
+    """Write a monitor to ``path`` (compressed NPZ) at once or not at all; the same monitor, the same bytes.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    groups = sorted(monitor.benign)
+    about = {
+        "version": FORMAT_VERSION, "monitor": NAME, "viewshed": monitor.version, "per": monitor.per,
+        "promise": monitor.inconsistent.promise, "facts": dict(monitor.facts), "warnings": list(monitor.warnings),
+        "rates": [monitor.inconsistent.rate, monitor.degraded.rate, monitor.discovery_rate],
+        "estimates": list(monitor.estimates), "groups": [list(group) for group in groups],
+    }  # fmt: skip
+    arrays: dict[str, Any] = {f"score.{name}": part for name, part in monitor.score.arrays().items()}
+    for number, group in enumerate(groups):
+        table = monitor.benign[group]
+        arrays |= {
+            f"{number}.inconsistent": monitor.inconsistent.scores[group],
+            f"{number}.degraded": monitor.degraded.scores[group],
+            f"{number}.sectors": table.sectors.highest,
+            f"{number}.strongest": table.strongest.highest,
+        }
+    for name in ("inconsistent", "degraded"):
+        real = getattr(monitor, name).real
+        arrays[f"real.{name}"] = np.stack([real.strict, real.weak])
+    arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    write_atomic(path, file.getvalue())
+
+
+def load_sweep_monitor(path: str | Path) -> SweepMonitor:
+    """Return the monitor in a file of :func:`save_sweep_monitor`; nothing is unpickled.
+
+    Raises:
+        ValueError: the file is no such monitor, of another version, or damaged.
+        OSError: it cannot be read.
+    """
+    raw = Path(path).read_bytes()
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            for member in archive.infolist():
+                if member.file_size > _MAX_BYTES:
+                    raise ValueError(f"{member.filename} must be at most {_MAX_BYTES} bytes, got {member.file_size}")
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        return _monitor(json.loads(arrays["about"].tobytes()), arrays)
+    except _BROKEN as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(
+            f"{path} must be a whole monitor file of this version, got: {why}; calibrate it again"
+        ) from error
+
+
+def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMonitor:
+    found = (about["version"], about["monitor"], about["viewshed"])
+    if found != (FORMAT_VERSION, NAME, __version__):
+        raise ValueError(f"version {found[0]} of monitor {found[1]} of viewshed {found[2]}")
+    groups = [Group(str(sensor), earlier) for sensor, earlier in about["groups"]]
+    rates = Rates(*map(float, about["rates"]))
+
+    def verdict(name: str, rate: float) -> Calibration:
+        scores = {group: arrays[f"{number}.{name}"] for number, group in enumerate(groups)}
+        strict, weak = np.asarray(arrays[f"real.{name}"], np.float64)
+        return Calibration(scores, rate, about["promise"], RealScores(strict, weak) if weak.size else NO_REAL_SCORES)
+
+    inconsistent, degraded = verdict("inconsistent", rates.inconsistent), verdict("degraded", rates.degraded)
+    benign = {}
+    for number, group in enumerate(groups):
+        parts = (np.asarray(arrays[f"{number}.{name}"], np.float32) for name in ("sectors", "strongest"))
+        benign[group] = BenignTable(*(HighestScores(len(inconsistent.scores[group]), part) for part in parts))
+    score = {name.removeprefix("score."): part for name, part in arrays.items() if name.startswith("score.")}
+    return SweepMonitor(
+        EvidenceScore.from_arrays(score), inconsistent, degraded, benign, rates.discoveries, about["per"],
+        tuple(str(name) for name in about["estimates"]), {str(key): str(text) for key, text in about["facts"].items()},
+        tuple(str(line) for line in about["warnings"]), str(about["viewshed"]),
+    )  # fmt: skip

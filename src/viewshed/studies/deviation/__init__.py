@@ -1,0 +1,1 @@
+"""How well the monitor's scores tell attacked sweeps from benign ones."""

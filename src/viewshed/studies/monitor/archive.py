@@ -1,0 +1,184 @@
+"""What all evidence said of a drive, as a file: score, limits and tables are made of it without simulating again."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._files import write_atomic
+from viewshed.studies.monitor.plan import FRAMES, ONSET
+from viewshed.studies.records import BENIGN, Case
+
+FOLDER = "drives"
+
+Floats = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveEvidence:
+    """All evidence of the ten sweeps of a drive, and of the last five in several cases.
+
+    Attributes:
+        domain: preset that it is of.
+        split: train, calibration or test.
+        number: of the drive.
+        sensor: that measured.
+        conditions: what the drive suffered from its first frame on.
+        names: (E,) of the evidence.
+        benign: (FRAMES, E, SECTORS) of the sweeps as they were measured.
+        cases: what was done from frame ``ONSET`` on.
+        evidence: (C, FRAMES - ONSET, E, SECTORS) in these cases.
+        touched: (C, FRAMES - ONSET, SECTORS) bool, sectors with a return that an attacker added or removed.
+        refused: cases that could not be made of this drive.
+    """
+
+    domain: str
+    split: str
+    number: int
+    sensor: str
+    conditions: Case
+    names: tuple[str, ...]
+    benign: Floats
+    cases: tuple[Case, ...]
+    evidence: Floats
+    touched: NDArray[np.bool_]
+    refused: tuple[Case, ...]
+
+    @property
+    def scene(self) -> str:
+        """Name of its scene, no other drive has it."""
+        return f"{self.domain} {self.split} {self.number}"
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return f"{self.scene.replace(' ', '-')}.npz"
+
+    def save(self, folder: Path) -> None:
+        """Write it to a folder at once or not at all; numbers in half precision. The same drive, the same bytes.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        about = {
+            "drive": [self.domain, self.split, self.number, self.sensor], "names": list(self.names),
+            "conditions": astuple(self.conditions), "cases": [astuple(case) for case in self.cases],
+            "refused": [astuple(case) for case in self.refused],
+        }  # fmt: skip
+        file, largest = io.BytesIO(), float(np.finfo(np.float16).max)
+        np.savez_compressed(
+            file,
+            about=np.frombuffer(json.dumps(about).encode(), np.uint8),
+            benign=np.clip(self.benign, -largest, largest).astype(np.float16),
+            evidence=np.clip(self.evidence, -largest, largest).astype(np.float16),
+            touched=np.packbits(self.touched, axis=-1),
+        )
+        write_atomic(folder / self.file, file.getvalue())
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Return the drive in a file.
+
+        Raises:
+            OSError, ValueError, KeyError: it cannot be read.
+        """
+        with np.load(path, allow_pickle=False) as file:
+            about = json.loads(file["about"].tobytes())
+            domain, split, number, sensor = about["drive"]
+            touched = np.unpackbits(file["touched"], axis=-1).astype(np.bool_)
+            return cls(
+                domain, split, number, sensor, Case(*about["conditions"]), tuple(about["names"]), file["benign"],
+                tuple(Case(*case) for case in about["cases"]), file["evidence"], touched,
+                tuple(Case(*case) for case in about["refused"]),
+            )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepTable:
+    """Many sweeps of many drives, one row each.
+
+    Attributes:
+        names: (E,) of the evidence.
+        evidence: (N, E, SECTORS) float16.
+        touched: (N, SECTORS) bool.
+        drive: (N,) which of ``drives`` it is of.
+        case: (N,) which of ``cases`` it is in; 0 is the drive as it was measured.
+        frame: (N,) number in the drive.
+        drives: without their arrays.
+        cases: all that occur, ``BENIGN`` first.
+    """
+
+    names: tuple[str, ...]
+    evidence: NDArray[np.float16]
+    touched: NDArray[np.bool_]
+    drive: NDArray[np.int32]
+    case: NDArray[np.int32]
+    frame: NDArray[np.int32]
+    drives: tuple[DriveAbout, ...]
+    cases: tuple[Case, ...]
+
+    @classmethod
+    def of(cls, drives: Iterable[DriveEvidence]) -> Self:
+        """Return the sweeps of some drives.
+
+        Raises:
+            ValueError: there are none, or their evidence differs.
+        """
+        places: dict[Case, int] = {BENIGN: 0}
+        evidence, touched, columns, about = [], [], [], list[DriveAbout]()
+        names: tuple[str, ...] = ()
+        for number, drive in enumerate(drives):
+            if names not in ((), drive.names):
+                raise ValueError(f"drives must have the evidence {names}, got {drive.names}; measure them again")
+            names = drive.names
+            about.append(DriveAbout(drive.domain, drive.split, drive.number, drive.sensor, drive.conditions))
+            evidence.append(drive.benign)
+            touched.append(np.zeros((FRAMES, drive.touched.shape[-1]), np.bool_))
+            columns += [(number, 0, frame) for frame in range(FRAMES)]
+            for case, of_case, of_touched in zip(drive.cases, drive.evidence, drive.touched, strict=True):
+                evidence.append(of_case)
+                touched.append(of_touched)
+                columns += [(number, places.setdefault(case, len(places)), frame) for frame in range(ONSET, FRAMES)]
+        if not about:
+            raise ValueError("a table of sweeps needs drives, got none; run the study")
+        drive_of, case_of, frame_of = np.array(columns, np.int32).T
+        return cls(
+            names, np.concatenate(evidence), np.concatenate(touched), drive_of, case_of, frame_of, tuple(about),
+            tuple(places),
+        )  # fmt: skip
+
+    @classmethod
+    def read(cls, folder: Path, split: str) -> Self:
+        """Return the sweeps of a split of the drives in a folder, in the order of their names."""
+        paths = sorted((folder / FOLDER).glob(f"*-{split}-*.npz"))
+        return cls.of(DriveEvidence.load(path) for path in paths)
+
+    def rows(self, mask: NDArray[np.bool_]) -> Self:
+        """Return the table of the rows of a mask (N,)."""
+        return type(self)(
+            self.names, self.evidence[mask], self.touched[mask], self.drive[mask], self.case[mask], self.frame[mask],
+            self.drives, self.cases,
+        )  # fmt: skip
+
+    def is_case(self, chosen: Sequence[Case]) -> NDArray[np.bool_]:
+        """Return which rows (N,) are in one of some cases."""
+        wanted = np.array([case in chosen for case in self.cases])
+        return wanted[self.case]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveAbout:
+    """What a drive is, without its evidence."""
+
+    domain: str
+    split: str
+    number: int
+    sensor: str
+    conditions: Case

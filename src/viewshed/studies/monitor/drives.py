@@ -1,0 +1,185 @@
+"""Drives of ten sweeps: simulated, attacked or corrupted from the middle on; what all evidence says of each sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.datasets.simulated import ScenePlan, measure_frame
+from viewshed.geometry import Rigid
+from viewshed.integrity.evidence import EVIDENCE, SECTORS, MonitoredSweep, sector_of
+from viewshed.integrity.score import measure_all
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.studies.cases import generator, untouched
+from viewshed.studies.monitor.archive import DriveEvidence
+from viewshed.studies.monitor.plan import BEFORE, CORRUPTED, FRAMES, FROZEN, OLDER, ONSET, SPLITS, MonitorPlan
+from viewshed.studies.records import BENIGN, Case
+from viewshed.sweep import Sweep
+from viewshed.threats.attacks import ATTACKS, NULL, Knowledge, at_severity
+from viewshed.threats.attacks.base import Attack, Tampered
+from viewshed.threats.corruptions import CORRUPTIONS
+
+EARLIER = 5
+"""Earlier sweeps that the evidence is given."""
+
+STEADY = ("dropped_sectors", "dead_rings", "fewer_beams", "attitude", "slope", "motion", "pose_spoof")
+"""What is drawn once for a whole drive: which rings are dead, which way the road rises, which way a pose is shifted."""
+
+HONEST = ("benign", "corruption", "null")
+"""Kinds of cases in which nothing is inconsistent."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """Ten sweeps of one sensor, and what was measured before.
+
+    Attributes:
+        plan: of the study.
+        key: domain, split and number: the seed of all that is done to it.
+        scene: that it is of.
+        conditions: what it suffers from its first frame on, ``BENIGN`` for nothing.
+        sweeps: (FRAMES,) as the sensor measured them under these conditions.
+    """
+
+    plan: MonitorPlan
+    key: tuple[str, str, int]
+    scene: ScenePlan
+    conditions: Case
+    sweeps: tuple[Sweep, ...]
+
+    @classmethod
+    def simulate(cls, plan: MonitorPlan, domain: str, split: str, number: int) -> Drive:
+        """Return a drive of the plan."""
+        scene = ScenePlan(plan.preset(domain), SPLITS.index(split), number)
+        clear = tuple(measure_frame(scene, BEFORE + frame) for frame in range(FRAMES))
+        drive = cls(plan, (domain, split, number), scene, BENIGN, clear)
+        conditions = _conditions(plan, drive.key)
+        if conditions == BENIGN:
+            return drive
+        return replace(drive, conditions=conditions, sweeps=tuple(t.sweep for t in drive.tamper(conditions, first=0)))
+
+    def tamper(self, case: Case, first: int = ONSET) -> Iterator[Tampered]:
+        """Yield the sweeps from frame ``first`` on in a case; an attack keeps its place before the sensor.
+
+        Raises:
+            ValueError: the case cannot be made of these sweeps.
+        """
+        azimuth: float | None = None
+        for frame in range(first, FRAMES):
+            word = "steady" if case.name in STEADY else str(frame)
+            rng = generator(self.plan.seed, *self.key, case.kind.replace("strength", "attack"), case.name, word)
+            sweep = self.sweeps[frame]
+            if case.kind == "corruption":
+                yield untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
+                continue
+            tampered = _kept_at(self._attack(case, frame), azimuth).apply(sweep, rng)
+            if azimuth is None and tampered.wedge is not None:
+                azimuth = tampered.wedge.azimuth
+            yield tampered
+
+    def _attack(self, case: Case, frame: int) -> Attack:
+        """Return the attack of a case on one frame: phantoms appear at the onset, replays play what was before."""
+        known = Knowledge((self._known(case, frame),), half_extent_m=self.scene.preset.grid.half_extent_m)
+        if case.kind == "null":
+            return NULL[case.name](None, replace(known, again=measure_frame(self.scene, BEFORE + frame, again=1)))
+        if case.kind == "strength":
+            attribute, value = case.level.split()
+            return at_severity(case.name, attribute, int(value) if value.isdecimal() else float(value), known)
+        return ATTACKS[case.name](int(case.level) if case.level.isdecimal() else None, known)
+
+    def _known(self, case: Case, frame: int) -> Sweep:
+        """Return the sweep that the attacker knows beside the one that is attacked."""
+        if case.name != "replay":
+            return self.sweeps[ONSET]
+        if case.level == OLDER:
+            return measure_frame(self.scene, frame - ONSET)
+        return self.sweeps[ONSET - 1 if case.level == FROZEN else frame - ONSET]
+
+
+def _conditions(plan: MonitorPlan, key: tuple[str, str, int]) -> Case:
+    """Return what a drive suffers: nothing in 70 %, in 30 % one of the corruptions at one of its five severities.
+
+    The first drives of a split, which are attacked, are clear.
+    """
+    domain, split, number = key
+    rng = generator(plan.seed, domain, split, "conditions", number)
+    if (plan.cases_of(*key)) or not plan.corruptions or rng.random() >= _corrupted_share(plan, key):
+        return BENIGN
+    return Case("corruption", str(rng.choice(list(plan.corruptions))), str(rng.integers(1, 6)))
+
+
+def _corrupted_share(plan: MonitorPlan, key: tuple[str, str, int]) -> float:
+    """Return the chance that a drive which is not attacked is corrupted, so that ``CORRUPTED`` of its split are."""
+    domain, split, _ = key
+    place = plan.domains.index(domain)
+    drives: int = getattr(plan, split)[place]
+    attacked = 0 if split == "calibration" else min(plan.attacked[place], drives)
+    return float(min(CORRUPTED * drives / max(drives - attacked, 1), 1.0))
+
+
+def _kept_at(attack: Attack, azimuth: float | None) -> Attack:
+    """Return the attack aimed at an azimuth, if it has one to aim at and aims anew for each sweep."""
+    changed: Any = attack
+    aims = any(field.name == "azimuth" for field in fields(changed)) and changed.azimuth is None
+    return cast(Attack, replace(changed, azimuth=azimuth)) if aims and azimuth is not None else attack
+
+
+def measure_drive(drive: Drive, cases: Sequence[Case]) -> DriveEvidence:
+    """Return what all evidence says of each sweep of a drive, as it is and in several cases."""
+    grid = drive.scene.preset.grid
+    clean = [level(sweep, grid) for sweep in drive.sweeps]
+    benign = np.stack([_measure(clean, frame) for frame in range(FRAMES)])
+    made, evidence, touched, refused = list[Case](), [], [], list[Case]()
+    nothing = np.zeros(SECTORS, np.bool_)
+    for case in cases:
+        try:
+            tampered = list(drive.tamper(case))
+        except ValueError:
+            refused.append(case)
+            continue
+        # What the victim saw: clean sweeps up to the onset, then those of the attacker.
+        seen = clean[:ONSET] + [level(one.sweep, grid) for one in tampered]
+        made.append(case)
+        evidence.append(np.stack([_measure(seen, frame) for frame in range(ONSET, FRAMES)]))
+        # What a corruption does is no attacker's, and a null attack leaves all as it would have been measured.
+        touched.append([
+            touched_sectors(one, clean[frame], seen[frame]) if case.kind not in HONEST else nothing
+            for frame, one in enumerate(tampered, ONSET)
+        ])  # fmt: skip
+    return DriveEvidence(
+        *drive.key, drive.scene.preset.sensors[drive.scene.sensor], drive.conditions, tuple(EVIDENCE), benign,
+        tuple(made), np.array(evidence, np.float32).reshape(-1, FRAMES - ONSET, len(EVIDENCE), SECTORS),
+        np.array(touched, np.bool_).reshape(-1, FRAMES - ONSET, SECTORS), tuple(refused),
+    )  # fmt: skip
+
+
+def _measure(seen: Sequence[LeveledSweep], frame: int) -> NDArray[np.float32]:
+    """Return all evidence (E, SECTORS) of one of the sweeps that were seen, with those before it."""
+    return measure_all(MonitoredSweep(seen[frame], tuple(seen[max(frame - EARLIER, 0) : frame])))
+
+
+def touched_sectors(tampered: Tampered, clean: LeveledSweep, seen: LeveledSweep) -> Mask:
+    """Return which sectors (SECTORS,) hold a return that an attacker added or removed; all where the pose is false."""
+    rows = (
+        (seen.level_from_sensor, tampered.sweep.points[tampered.added]),
+        (clean.level_from_sensor, clean.sweep.points[tampered.removed]),
+    )
+    touched = np.zeros(SECTORS, np.bool_)
+    for level_from_sensor, points in rows:
+        x, y, _ = (level_from_sensor @ points.astype(np.float64)).T
+        touched[sector_of(np.arctan2(y, x))] = True
+    if _moved(clean.sweep.world_from_sensor, tampered.sweep.world_from_sensor):
+        touched[:] = True
+    return touched
+
+
+def _moved(one: Rigid | None, other: Rigid | None) -> bool:
+    if one is None or other is None:
+        return False
+    return not np.allclose(one.as_matrix(), other.as_matrix(), atol=1e-9)

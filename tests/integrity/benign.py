@@ -1,0 +1,43 @@
+"""Benign evidence drawn at random, and a score of it that can be computed by hand."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.integrity.calibration import Group
+from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.integrity.score import SWEEP_FEATURES, EvidenceScore, SurpriseScale, features_of
+from viewshed.integrity.sweep_monitor import BenignSweep
+
+NAMES = tuple(EVIDENCE)
+VLP, HDL = Group("VLP-16", "none"), Group("HDL-32E", "none")
+
+
+def evidence_of(rng: np.random.Generator, scale: float = 1.0) -> NDArray[np.float32]:
+    """Return evidence (E, SECTORS), exponential; scenes differ by a factor that all their sectors share."""
+    shared = scale * rng.lognormal(0.0, 0.3)
+    return (shared * rng.exponential(1.0, (len(NAMES), SECTORS))).astype(np.float32)
+
+
+def score_by_hand() -> EvidenceScore:
+    """Return a score whose sectors say the sum of their surprises (inconsistent) or of the medians (degraded)."""
+    rng, kinds = np.random.default_rng(77), len(NAMES)
+    scale = SurpriseScale.fit(np.stack([evidence_of(rng) for _ in range(200)]))
+    count = features_of(kinds)
+    weights, outputs = np.zeros((count, 2), np.float32), np.eye(2, dtype=np.float32)
+    weights[:kinds, 0] = 1.0
+    weights[count - SWEEP_FEATURES * kinds : count - (SWEEP_FEATURES - 1) * kinds, 1] = 1.0
+    zeros, ones = np.zeros(count, np.float32), np.ones(count, np.float32)
+    none = np.zeros(2, np.float32)
+    return EvidenceScore(NAMES, scale, zeros, ones, weights, none, outputs, none)
+
+
+def benign_sweeps(count: int, seed: int, group: Group = VLP, *, each: int = 2, scale: float = 1.0) -> list[BenignSweep]:
+    """Return ``each`` sweeps of so many scenes; the sweeps of a scene are alike."""
+    rng, found = np.random.default_rng(seed), list[BenignSweep]()
+    for scene in range(count):
+        first = evidence_of(rng, scale)
+        found += [
+            BenignSweep(f"{group.sensor} {seed} {scene}", group, first * np.float32(1 + 0.01 * number))
+            for number in range(each)
+        ]
+    return found
