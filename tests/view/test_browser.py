@@ -134,6 +134,12 @@ def test_keys_step_and_play(opened: Browser) -> None:
     assert opened.problems == []
 
 
+def test_times_that_do_not_rise_are_a_tenth_of_a_second_apart(opened: Browser) -> None:
+    times_ns = ["1700000000000000005", "1700000001000000005", "3", "null", "4", "2000000004"]
+    frames = ", ".join("{t_ns: null}" if t_ns == "null" else f'{{t_ns: "{t_ns}"}}' for t_ns in times_ns)
+    assert opened.value(f"timesOf([{frames}])") == pytest.approx([0.0, 1.0, 1.1, 1.2, 1.3, 3.3])
+
+
 def test_the_strip_seeks(opened: Browser) -> None:
     box = opened.value("JSON.parse(JSON.stringify(strip.getBoundingClientRect()))")
     middle = box["top"] + box["height"] / 2

@@ -10,6 +10,8 @@ from viewshed.cli._options import BAD_INPUTS, Reading
 from viewshed.cli._outputs import Failures, Named, free_name, with_bar
 
 if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
+    from viewshed.estimators.temporal import SweepBuffer
     from viewshed.io import IndexEntry
     from viewshed.sweep import Sweep
 
@@ -41,3 +43,16 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
     yield second, free_name(f"{name}_001", taken)
     for number, sweep in enumerate(sweeps, start=2):
         yield sweep, free_name(f"{name}_{number:03}", taken)
+
+
+def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
+    """Return what keeps so many earlier sweeps for an estimator, or None for none.
+
+    Raises:
+        ValueError: the estimator uses no history.
+    """
+    from viewshed.estimators.temporal import SweepBuffer
+
+    if sweeps and not estimator.uses_history:
+        raise ValueError(f"--history helps viewnet and shadow_map, got {estimator.name}, which looks at one sweep")
+    return SweepBuffer(sweeps) if sweeps else None

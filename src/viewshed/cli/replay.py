@@ -13,7 +13,7 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
 from viewshed.cli._outputs import Failures, Named, output_names
-from viewshed.cli._stream import named_sweeps
+from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
@@ -81,11 +81,10 @@ def replay(
 
     Example: viewshed replay drive.mcap --rate 2
     """
-    from viewshed.estimators.temporal import SweepBuffer
     from viewshed.pipeline import Pipeline
 
     estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
-    buffer = SweepBuffer(history) if history else None
+    buffer = history_buffer(estimator, history)
     reading, failures = Reading(sensor), Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])

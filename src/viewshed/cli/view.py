@@ -21,11 +21,12 @@ from viewshed.cli._outputs import (
     summary_line,
     warm_up,
 )
-from viewshed.cli._stream import named_sweeps
+from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
+    from viewshed.estimators.temporal import SweepBuffer
     from viewshed.view import PackedFrame
 
 Every = Annotated[int, typer.Option(min=1, help="Take every so many sweeps.")]
@@ -61,15 +62,13 @@ def view(
 
     Example: viewshed view drive.mcap --html run.html --every 5
     """
-    from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
     from viewshed.view import write_page
 
     if html is None:
         raise ValueError("name the page to write: --html run.html")
     reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     estimator = NetworkOptions(weights, passes, seed).estimator(method, options.parse_grid(grid), target)
-    if history:
-        estimator = TemporalEstimator(estimator, SweepBuffer(history))
+    buffer = history_buffer(estimator, history)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
     refuse_inputs([html], places)
@@ -77,13 +76,15 @@ def view(
     named = named_sweeps(reading, jobs, output_names(places), failures)
     taken = islice(named, 0, None if sweeps is None else every * sweeps, every)
     title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
-    size = write_page(html, _packed(taken, estimator, failures), title)
+    size = write_page(html, _packed(taken, estimator, buffer, failures), title)
     typer.echo(f"{html}: {size / 1e6:.2f} MB")
     if failures.count:
         raise typer.Exit(2)
 
 
-def _packed(sweeps: Iterable[Named], estimator: Estimator, failures: Failures) -> Iterator[PackedFrame]:
+def _packed(
+    sweeps: Iterable[Named], estimator: Estimator, buffer: SweepBuffer | None, failures: Failures
+) -> Iterator[PackedFrame]:
     """Yield each sweep as the page holds it, and print its line; the sensor of the one before is expected first."""
     from viewshed.preprocess.leveling import level
     from viewshed.view import Frame, pack_frame
@@ -96,11 +97,15 @@ def _packed(sweeps: Iterable[Named], estimator: Estimator, failures: Failures) -
                 is_warm = True
             begin_s = time.perf_counter()
             leveled = level(named.sweep, estimator.grid, sensor)
-            estimate = estimator.estimate(leveled)
+            history = None if buffer is None else buffer.history(leveled)
+            leveled = leveled if history is None else history.now
+            estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
         except BAD_INPUTS as error:
             failures.report(named.file, error)
             continue
+        if buffer is not None:
+            buffer.add(leveled)
         sensor = leveled.sensor_id.model
         report_doubts(leveled, named.name)
         frame = pack_frame(Frame(named.name, estimate, leveled))

@@ -15,11 +15,12 @@ let base = "states"; // which layer lies below
 const overlays = {}; // which layers lie on top
 const camera = { x: 0, y: 0, scale: 1, isWhole: true }; // meters at the middle, pixels of a meter
 
-// Seconds since the first frame; a tenth of a second apart where the frames' own times do not rise.
+// Seconds since the first frame; a tenth of a second between two whose times are not known or do not rise.
 function timesOf(frames) {
-  const begin_ns = BigInt(frames[0].t_ns ?? 0);
-  const own = frames.map(({ t_ns }) => (t_ns === null ? NaN : Number(BigInt(t_ns) - begin_ns) / 1e9));
-  return own.every((time, k) => (k ? time > own[k - 1] : time === 0)) ? own : frames.map((_, k) => k / 10);
+  const rise = (from, to) => (from && to ? Number(BigInt(to) - BigInt(from)) / 1e9 : 0);
+  const period = (from, to) => (rise(from, to) > 0 ? rise(from, to) : 0.1);
+  let now = 0;
+  return frames.map(({ t_ns }, k) => (now += k && period(frames[k - 1].t_ns, t_ns)));
 }
 
 const bytesOf = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
@@ -248,7 +249,7 @@ function tell() {
   const share = (state) => percent(about.shares[settings.states.findIndex(({ name }) => name === state)]);
   const words = {
     name: about.name, sweep: `${current + 1} of ${abouts.length}`, visible: `${Math.round(about.visible_m2)} m²`,
-    hidden: share("HIDDEN"), unknown: share("UNKNOWN"), method: about.method, target: about.target,
+    hidden: share("HIDDEN"), unknown: share("UNKNOWN"), agent: about.agent, method: about.method, target: about.target,
     returns: about.returns.toLocaleString("en"), score: number(about.score), limit: number(about.limit),
     basis: [...about.basis, ...(about.notes ?? [])].join("\n"), deviation: number(about.deviation_top),
     alarms: (about.alarms ?? []).map(({ verdict, reason }) => `${verdict}: ${reason}`).join("\n"),
@@ -343,9 +344,8 @@ function move(from, to, factor) {
 function choose() {
   base = document.querySelector("#bases input:checked").value;
   for (const box of document.querySelectorAll("#overlays input")) overlays[box.value] = box.checked;
-  const isDark = matchMedia("(prefers-color-scheme: dark)").matches;
-  const theme = element("theme").value;
-  root.dataset.theme = theme === "system" ? (isDark ? "dark" : "light") : theme;
+  const system = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  root.dataset.theme = element("theme").value === "system" ? system : element("theme").value;
   for (const item of document.querySelectorAll("[data-layer]")) {
     item.hidden = item.dataset.layer !== base && !overlays[item.dataset.layer];
   }
