@@ -19,6 +19,7 @@ void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
 void bind_boxes(nb::module_& m);
 void bind_history(nb::module_& m);
+void bind_integrity_evidence(nb::module_& m);
 void bind_features(nb::module_& m);
 void bind_mc_dropout(nb::module_& m);
 void bind_ray_trace(nb::module_& m);

@@ -166,6 +166,8 @@ def test_agents_are_remembered_apart_and_not_without_end() -> None:
     tiny = SMALL.select(np.arange(0, len(SMALL), 50))
     for n in range(70):
         pipeline.put(at(1.0, tiny), f"agent {n}")
+    while len(answers) < 70:
+        time.sleep(0.01)
     pipeline.put(at(2.0, tiny), "agent 0")
     pipeline.close()
     assert [answer.reaction.caution for answer in answers[:2]] == [Caution.WIDEN, Caution.KEEP]

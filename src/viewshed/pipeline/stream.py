@@ -184,8 +184,7 @@ class Pipeline:
         with self._lock:
             passed_s = time.perf_counter() - began_s
             busy = (time.process_time() - began_cpu_s) / passed_s if self._put else 0.0
-            dropped = sum(self._inbox.dropped.values())
-            return Statistics(self._answered, dropped, dict(self._refused), self._latencies.line(), busy)
+            return Statistics(self._answered, self._inbox.dropped, dict(self._refused), self._latencies.line(), busy)
 
     def close(self) -> Statistics:
         """Answer what waits, stop, and return what was done.

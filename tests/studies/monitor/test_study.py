@@ -18,6 +18,7 @@ from viewshed.studies.monitor.drives import Drive, measure_drive
 from viewshed.studies.monitor.examples import examples_of, is_trained_on
 from viewshed.studies.monitor.jobs import run_study
 from viewshed.studies.monitor.plan import FRAMES, ONSET, SPLITS, MonitorPlan, family_of
+from viewshed.studies.monitor.recorded import measure_recorded_drive
 from viewshed.studies.monitor.results import INCONSISTENT, Limits, Rate, Scored, placements
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.store import ResultStore
@@ -93,6 +94,16 @@ def test_labels_by_hand(measured: DriveEvidence) -> None:
     assert without[table.is_case([CASES[3]])].all()
     honest = np.isin(table.case, [0, table.cases.index(CASES[2])])
     assert_allclose(examples.weight[honest].sum(), 0.5 * len(honest), rtol=1e-5)
+
+
+def test_measured_sweeps_are_attacked_one_by_one(drive: Drive) -> None:
+    found = measure_recorded_drive(TINY, 3, list(drive.sweeps[:3]))
+    assert (found.scene, found.benign.shape[0]) == ("recorded recorded 3", 3)
+    assert found.cases == (Case("attack", "ghost_wall", "default"),)
+    assert found.refused == (Case("attack", "replay", "default"),), "there is none before the first"
+    table = SweepTable.of([found])
+    assert_array_equal(table.frame, [0, 1, 2, 0, 1, 2])
+    assert table.touched[3:].any(axis=1).all()
 
 
 def _scored(values: list[float], sensors: list[str]) -> Scored:

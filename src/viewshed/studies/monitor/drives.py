@@ -153,10 +153,16 @@ def measure_drive(drive: Drive, cases: Sequence[Case]) -> DriveEvidence:
             for frame, one in enumerate(tampered, ONSET)
         ])  # fmt: skip
     return DriveEvidence(
-        *drive.key, drive.scene.preset.sensors[drive.scene.sensor], drive.conditions, tuple(EVIDENCE), benign,
+        *drive.key, sensor_of(clean[0]), drive.conditions, tuple(EVIDENCE), benign,
         tuple(made), np.array(evidence, np.float32).reshape(-1, FRAMES - ONSET, len(EVIDENCE), SECTORS),
         np.array(touched, np.bool_).reshape(-1, FRAMES - ONSET, SECTORS), tuple(refused),
     )  # fmt: skip
+
+
+def sensor_of(leveled: LeveledSweep) -> str:
+    """Return the name of the sensor that a sweep is of, ``unknown`` where it was not identified."""
+    model = leveled.sensor_id.model
+    return "unknown" if model is None else model.name
 
 
 def _measure(seen: Sequence[LeveledSweep], frame: int) -> NDArray[np.float32]:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from viewshed._page import Table, facts, to_markdown
 from viewshed.integrity.calibration import p_values
 from viewshed.integrity.sectors import discoveries
 from viewshed.studies.cases import DEFAULT
 from viewshed.studies.formatting import commits, format_interval, format_rate
-from viewshed.studies.monitor.archive import SweepTable
+from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable
 from viewshed.studies.monitor.examples import LOSSES, evidence_over_time
 from viewshed.studies.monitor.jobs import load_score, score_path
 from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, MonitorPlan, family_of
@@ -27,6 +28,7 @@ from viewshed.studies.monitor.results import (
     Detection,
     Evaluation,
     Rate,
+    RecordedScores,
     Scored,
     detect,
     mean_rate,
@@ -218,6 +220,52 @@ class MonitorResults:
             rows.append(["**mean**", format_rate(float(np.mean(overlaps))), format_rate(float(np.mean(false))), ""])
         return Table(["attack", "overlap", "false discoveries", "sweeps that alarm"], rows)
 
+    def recorded_table(self) -> Table | None:
+        """Return how many measured sweeps are called inconsistent by sensor; None without any."""
+        found = self.recorded
+        if found is None:
+            return None
+        benign = found.table.case == 0
+        corrected = found.corrected_p_values()
+        rows = []
+        for sensor in (*sorted(set(found.sensors[benign])), ""):
+            mine = benign & ((found.sensors == sensor) | (sensor == ""))
+            drives = np.unique(found.table.drive[mine])
+            alarms = [int((p[mine] <= RATE).sum()) for p in (found.p, corrected)]
+            low, high = binomtest(alarms[0], int(mine.sum())).proportion_ci(0.95)
+            rows.append([
+                sensor or "**all**", str(len(drives)), str(int(mine.sum())), str(alarms[0]),
+                f"[{format_rate(low, 2)}, {format_rate(high, 2)}]", str(alarms[1]),
+                format_rate(float(np.median(found.p[mine])), 2),
+            ])  # fmt: skip
+        header = ["sensor", "drives", "sweeps", "inconsistent", "rate, 95 %", "corrected", "median p"]
+        return Table(header, rows)
+
+    def recorded_attacks_table(self) -> Table | None:
+        """Return what is found of attacks on measured sweeps; None without any."""
+        found = self.recorded
+        if found is None:
+            return None
+        benign, rows = -np.log(found.p[found.table.case == 0]), []
+        for name in self.plan.attacks:
+            mask = found.table.is_case([Case("attack", name, DEFAULT)]) & found.table.touched.any(axis=1)
+            if mask.any():
+                drive = found.table.drive[mask]
+                below = [((benign < one).mean() + (benign <= one).mean()) / 2 for one in -np.log(found.p[mask])]
+                area, caught = Rate.of(np.array(below), drive), Rate.of((found.p[mask] <= RATE) * 1.0, drive)
+                rows.append([f"{name} ({family_of(name)})", _interval(area), _interval(caught), str(int(mask.sum()))])
+        return Table(["attack", "AUROC", "caught at 1 %", "sweeps"], rows)
+
+    @cached_property
+    def recorded(self) -> RecordedScores | None:
+        """Measured sweeps; None where the study has none."""
+        if not any((self.folder / FOLDER).glob(f"{RECORDED}-*.npz")):
+            return None
+        table = SweepTable.read(self.folder, RECORDED)
+        score = load_score(score_path(self.folder, ALL_FAMILIES))
+        alone = self._evaluation(ALL_FAMILIES, self.test, self.over_time)
+        return RecordedScores.of(table, score, self.whole.one_of_each_scene, alone.one_of_each_scene, self.over_time)
+
     def evidence_table(self) -> Table:
         """Return how much of the area under the curve is lost without each kind of evidence."""
         cases = [
@@ -302,6 +350,8 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "corruptions": results.corruption_table,
         "nulls": results.null_table,
         "where": results.where_table,
+        "recorded": results.recorded_table,
+        "recorded_attacks": results.recorded_attacks_table,
         "evidence": results.evidence_table,
     })  # fmt: skip
     tables = {"calibration": results.calibration, "test": results.test}

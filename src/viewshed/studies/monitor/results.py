@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.calibration import alarm_limit
+from viewshed.integrity.calibration import Calibration, Earlier, Group, alarm_limit
 from viewshed.integrity.score import EvidenceScore, pooled
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
@@ -231,6 +231,69 @@ class Evaluation:
         """
         scored = self.benign_calibration.of_drives() if five else self.one_of_each_scene
         return Limits.of(scored.rows(scored.is_clear) if verdict == DEGRADED else scored, verdict, rate)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedScores:
+    """Measured sweeps by their p-values among simulated ones.
+
+    Attributes:
+        table: of the sweeps.
+        scores: (N,) what is inconsistent.
+        groups: (N,) sensor and history of each sweep.
+        calibration: of simulated scenes.
+        p: (N,) p-values among these.
+    """
+
+    table: SweepTable
+    scores: Floats
+    groups: tuple[Group, ...]
+    calibration: Calibration
+    p: Floats
+
+    @classmethod
+    def of(
+        cls, table: SweepTable, score: EvidenceScore, posed: Scored, alone: Scored, over_time: Mask
+    ) -> RecordedScores:
+        """Return the sweeps of a table, with calibrations of one sweep a scene, with earlier sweeps and alone."""
+        benign: dict[Group, Floats] = {}
+        kinds: tuple[tuple[Earlier, Scored], ...] = (("posed", posed), ("none", alone))
+        for earlier, scored in kinds:
+            for sensor in np.unique(scored.sensors):
+                mine = scored.sensors == sensor
+                if mine.sum() >= 1 / RATE - 1:
+                    benign[Group(str(sensor), earlier)] = scored.scores[mine, INCONSISTENT].astype(np.float64)
+        calibration = Calibration(benign, RATE)
+        rows = Scored.of(score, table)
+        has_earlier: Mask = np.isfinite(table.evidence[:, over_time]).reshape(len(table.evidence), -1).any(axis=1)
+        groups = tuple(
+            Group(str(sensor), "posed" if earlier else "none")
+            for sensor, earlier in zip(rows.sensors, has_earlier, strict=True)
+        )
+        scores = rows.scores[:, INCONSISTENT].astype(np.float64)
+        p = np.array([calibration.p_value(*each) for each in zip(scores, groups, strict=True)])
+        return cls(table, scores, groups, calibration, p)
+
+    @property
+    def sensors(self) -> NDArray[np.str_]:
+        """Sensor (N,) of each sweep."""
+        return np.array([group.sensor for group in self.groups])
+
+    def corrected_p_values(self) -> Floats:
+        """Return p-values (N,) corrected by one sweep of each drive of the other half; NaN where too few."""
+        corrected = np.full(len(self.p), np.nan)
+        half = self.table.drive % 2
+        for fold in (0, 1):
+            others = (half != fold) & (self.table.case == 0)
+            _, first = np.unique(self.table.drive[others], return_index=True)
+            real = [(self.groups[k], self.scores[k]) for k in np.flatnonzero(others)[first]]
+            try:
+                calibration = self.calibration.corrected(real)
+            except ValueError:
+                continue
+            for k in np.flatnonzero(half == fold):
+                corrected[k] = calibration.p_value(self.scores[k], self.groups[k])
+        return corrected
 
 
 @dataclass(frozen=True, slots=True)
