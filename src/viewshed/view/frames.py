@@ -104,12 +104,15 @@ def shown_points_cm(leveled: LeveledSweep, grid: BevGrid) -> NDArray[np.int16]:
     fine = BevGrid(POINT_CELLS, grid.half_extent_m, grid.offset_m)
     cells, inside = fine.index(leveled.points)
     values_cm = np.column_stack([leveled.points[:, :2], leveled.height_m]) * np.float32(100)
-    kept = np.flatnonzero(inside & (np.abs(values_cm[:, :2]) <= _LONGEST_CM).all(axis=1))
-    # By cell, row by row; in a cell the highest is last.
-    cell = cells[kept, 0] * POINT_CELLS + cells[kept, 1]
-    order = np.lexsort((values_cm[kept, 2], cell))
-    is_last = np.append(cell[order][1:] != cell[order][:-1], True)[: len(order)]
-    kept = kept[order][is_last]
+    near = np.flatnonzero(inside & (np.abs(values_cm[:, :2]) <= _LONGEST_CM).all(axis=1))
+    cell, height_cm = cells[near, 0] * POINT_CELLS + cells[near, 1], values_cm[near, 2]
+    # The highest of each cell, in the order of the cells: quicker than sorting all points.
+    highest_cm = np.full(POINT_CELLS**2, -np.inf, np.float32)
+    np.maximum.at(highest_cm, cell, height_cm)
+    is_highest = height_cm == highest_cm[cell]
+    point_of_cell = np.full(POINT_CELLS**2, -1, np.intp)
+    point_of_cell[cell[is_highest]] = near[is_highest]
+    kept = point_of_cell[point_of_cell >= 0]
     if len(kept) > MAX_POINTS:
         kept = kept[np.linspace(0, len(kept) - 1, MAX_POINTS).astype(np.intp)]
     shown_cm: NDArray[np.int16] = values_cm[kept].clip(-_LONGEST_CM, _LONGEST_CM).round().astype(np.int16)
@@ -181,5 +184,5 @@ def _finite(value: float) -> float | None:
 
 def _deflated(content: bytes) -> bytes:
     """Return bytes that ``DecompressionStream("deflate-raw")`` of a browser reads."""
-    deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    deflate = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)  # level 9 saves 1 % and takes 15 times as long
     return deflate.compress(content) + deflate.flush()

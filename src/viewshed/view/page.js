@@ -65,8 +65,7 @@ async function show(k) {
   shown = arrays && { ...arrays };
   element("problem").textContent = problem && `Sweep ${wanted + 1} cannot be decoded: ${problem}`;
   tell();
-  drawMap();
-  drawStrip();
+  redraw();
   if (wanted + 1 < abouts.length) frame(wanted + 1).catch(() => {}); // said when it is shown
 }
 
@@ -332,6 +331,11 @@ function fit() {
   drawMap();
 }
 
+function redraw() {
+  camera.isWhole ? fit() : drawMap(); // grids may differ from frame to frame
+  drawStrip();
+}
+
 // Move the ground so that what was under one place of the canvas is under another, and zoom around that.
 function move(from, to, factor) {
   const [x, y] = toLevel(...from);
@@ -350,8 +354,7 @@ function choose() {
     item.hidden = item.dataset.layer !== base && !overlays[item.dataset.layer];
   }
   if (shown) Object.assign(shown, { raster: null, suspect: null });
-  drawMap();
-  drawStrip();
+  redraw();
 }
 
 function listen() {
@@ -360,10 +363,7 @@ function listen() {
   map.onpointerdown = (event) => { held = place(event); map.setPointerCapture(event.pointerId); };
   map.onpointerup = map.onpointercancel = () => { held = null; };
   map.onpointerleave = () => { element("tip").hidden = true; };
-  map.onpointermove = (event) => {
-    tip(event);
-    if (held) move(held, (held = place(event)), 1);
-  };
+  map.onpointermove = (event) => { tip(event); if (held) move(held, (held = place(event)), 1); };
   map.onwheel = (event) => { event.preventDefault(); move(place(event), place(event), 1.0015 ** -event.deltaY); };
   const go = (k) => { play(false); show(k); };
   const zoom = (factor) => move(middle(), middle(), factor);
@@ -384,7 +384,7 @@ function listen() {
   };
   document.onchange = choose;
   matchMedia("(prefers-color-scheme: dark)").onchange = choose;
-  new ResizeObserver(() => { camera.isWhole ? fit() : drawMap(); drawStrip(); }).observe(stage);
+  new ResizeObserver(redraw).observe(stage);
 }
 
 function start() {
@@ -392,7 +392,6 @@ function start() {
   strip.setAttribute("aria-valuemax", abouts.length);
   element("if_deviation").hidden = abouts.every((about) => about.deviation_top === null);
   choose();
-  fit();
   listen();
   show(0);
 }
