@@ -23,10 +23,12 @@ from viewshed.cli._outputs import (
 )
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli.estimate import Files, Method
+from viewshed.cli.monitor import estimator_of
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.temporal import SweepBuffer
+    from viewshed.integrity import DeviationMonitor
     from viewshed.view import PackedFrame
 
 Every = Annotated[int, typer.Option(min=1, help="Take every so many sweeps.")]
@@ -52,6 +54,9 @@ def view(
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
+    monitor: Annotated[
+        Path | None, typer.Option(help="File of viewshed monitor fit; it brings its method, grid and target.")
+    ] = None,
     history: HistorySweeps = 0,
     every: Every = 1,
     sweeps: MostSweeps = None,
@@ -62,12 +67,20 @@ def view(
 
     Example: viewshed view drive.mcap --html run.html --every 5
     """
+    from viewshed.integrity import load_monitor
     from viewshed.view import write_page
 
     if html is None:
         raise ValueError("name the page to write: --html run.html")
     reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    estimator = NetworkOptions(weights, passes, seed).estimator(method, options.parse_grid(grid), target)
+    fitted = None if monitor is None else load_monitor(monitor)
+    if fitted is None:
+        network = NetworkOptions(weights, passes, seed)
+        estimator: Estimator = network.estimator(method, options.parse_grid(grid), target)
+    elif method in {None, "mc_dropout"}:
+        estimator = estimator_of(fitted, weights)
+    else:
+        raise ValueError(f"--monitor was fitted on mc_dropout, got --method {method}; leave it out")
     buffer = history_buffer(estimator, history)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
@@ -76,14 +89,18 @@ def view(
     named = named_sweeps(reading, jobs, output_names(places), failures)
     taken = islice(named, 0, None if sweeps is None else every * sweeps, every)
     title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
-    size = write_page(html, _packed(taken, estimator, buffer, failures), title)
+    size = write_page(html, _packed(taken, estimator, buffer, fitted, failures), title)
     typer.echo(f"{html}: {size / 1e6:.2f} MB")
     if failures.count:
         raise typer.Exit(2)
 
 
 def _packed(
-    sweeps: Iterable[Named], estimator: Estimator, buffer: SweepBuffer | None, failures: Failures
+    sweeps: Iterable[Named],
+    estimator: Estimator,
+    buffer: SweepBuffer | None,
+    monitor: DeviationMonitor | None,
+    failures: Failures,
 ) -> Iterator[PackedFrame]:
     """Yield each sweep as the page holds it, and print its line; the sensor of the one before is expected first."""
     from viewshed.preprocess.leveling import level
@@ -101,6 +118,7 @@ def _packed(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
+            report = None if monitor is None else monitor.check(estimate)
         except BAD_INPUTS as error:
             failures.report(named.file, error)
             continue
@@ -108,6 +126,7 @@ def _packed(
             buffer.add(leveled)
         sensor = leveled.sensor_id.model
         report_doubts(leveled, named.name)
-        frame = pack_frame(Frame(named.name, estimate, leveled))
-        typer.echo(f"{named.name}: {summary_line(estimate, elapsed_ms)}; {len(frame.data) / 1e3:.1f} kB")
+        frame = pack_frame(Frame(named.name, estimate, leveled, report))
+        alarm = ", ALARM" if report is not None and report.alarm else ""
+        typer.echo(f"{named.name}: {summary_line(estimate, elapsed_ms)}{alarm}; {len(frame.data) / 1e3:.1f} kB")
         yield frame
