@@ -89,7 +89,8 @@ def check(
     """
     from viewshed.integrity import load_monitor
 
-    run = _Run.of(load_monitor(monitor), weights, out)
+    fitted = load_monitor(monitor)
+    run = _Run(fitted, estimator_of(fitted, weights), out)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     for source in sources:
@@ -145,27 +146,6 @@ class _Run:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
 
-    @classmethod
-    def of(cls, monitor: DeviationMonitor, weights: str | None, out: Path | None) -> _Run:
-        """Return the run of a monitor with the network that it was fitted on."""
-        from viewshed.estimators.unet import load_network
-
-        if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
-            raise ValueError(
-                "monitor must name its network, passes and seed, got none; fit it with viewshed monitor fit"
-            )
-        facts = monitor.facts
-        estimator = load_network(
-            "mc_dropout", monitor.grid, options.parse_target(facts["target"]), weights=weights,
-            passes=int(facts["passes"]), seed=int(facts["seed"]),
-        )  # fmt: skip
-        if _identity(estimator) != facts["network"]:
-            raise ValueError(
-                f"weights must be those of the monitor, {facts['network']}, got {_identity(estimator)}; give --weights,"
-                " or fit a monitor for these"
-            )
-        return cls(monitor, estimator, out)
-
     def one(self, name: str, sweep: Sweep) -> None:
         """Say what the monitor finds in a sweep."""
         try:
@@ -193,6 +173,29 @@ class _Run:
         write_atomic(place, maps_picture(panel))
         write_atomic(place.with_name(f"{stem}.geojson"), suspects_geojson(report))
         return place
+
+
+def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimator:
+    """Return the network that a monitor was fitted on.
+
+    Raises:
+        ValueError: the monitor does not name it, or the weights are others.
+    """
+    from viewshed.estimators.unet import load_network
+
+    if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
+        raise ValueError("monitor must name its network, passes and seed, got none; fit it with viewshed monitor fit")
+    facts = monitor.facts
+    estimator = load_network(
+        "mc_dropout", monitor.grid, options.parse_target(facts["target"]), weights=weights,
+        passes=int(facts["passes"]), seed=int(facts["seed"]),
+    )  # fmt: skip
+    if _identity(estimator) != facts["network"]:
+        raise ValueError(
+            f"weights must be those of the monitor, {facts['network']}, got {_identity(estimator)}; give --weights,"
+            " or fit a monitor for these"
+        )
+    return estimator
 
 
 def _identity(estimator: UnetEstimator) -> str:
