@@ -17,7 +17,7 @@ namespace {
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
 // Returns and pixels of a part that is worth a thread.
-constexpr std::size_t PART = 32768;
+constexpr std::size_t PART = 8192;
 
 // Consecutive returns often fall into one bin. They are counted in turn in so many histograms, so that no count waits
 // for the one before.

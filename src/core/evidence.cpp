@@ -58,15 +58,15 @@ struct Probabilities {
     float last;
 
     explicit Probabilities(View1<const float> of) : table(of.data), last(float(of.size - 1)) {}
-    INLINE float at(float mean) const {
+    INLINE std::int32_t step_of(float mean) const {
         float step = mean * float(STEPS);
         step = step > 0.0f ? step : 0.0f;
-        return table[std::int32_t(step < last ? step : last)];
+        return std::int32_t(step < last ? step : last);
     }
 };
 
 MULTIVERSION void look_up(Probabilities probabilities, const float* counts, std::size_t size, float* prob) {
-    for (std::size_t n = 0; n < size; ++n) prob[n] = probabilities.at(counts[n]);
+    for (std::size_t n = 0; n < size; ++n) prob[n] = probabilities.table[probabilities.step_of(counts[n])];
 }
 
 // What evidence weighs: the weights of the ground's own height, and of the lower and the higher one; the probability from
@@ -100,10 +100,22 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     const float *__restrict measured = to.measured + first, *__restrict inferred = to.inferred + first;
     const float *__restrict lower = lanes[LOWER], *__restrict higher = lanes[HIGHER];
     float* __restrict const visible_prob = to.visible_prob + first;
+    // The steps become vectors, the look-ups do not.
+    std::int32_t step[CellCounts::BLOCK], step_if_lower[CellCounts::BLOCK], step_if_higher[CellCounts::BLOCK];
     for (std::size_t n = 0; n < size; ++n) {
-        const float supported = probabilities.at(measured[n] + inferred[n]);
-        const float prob = rule.own * supported + rule.lower * probabilities.at(lower[n]) +
-                           rule.higher * probabilities.at(higher[n]);
+        step[n] = probabilities.step_of(measured[n] + inferred[n]);
+        step_if_lower[n] = probabilities.step_of(lower[n]);
+        step_if_higher[n] = probabilities.step_of(higher[n]);
+    }
+    float supported_by[CellCounts::BLOCK], if_lower[CellCounts::BLOCK], if_higher[CellCounts::BLOCK];
+    for (std::size_t n = 0; n < size; ++n) {
+        supported_by[n] = probabilities.table[step[n]];
+        if_lower[n] = probabilities.table[step_if_lower[n]];
+        if_higher[n] = probabilities.table[step_if_higher[n]];
+    }
+    for (std::size_t n = 0; n < size; ++n) {
+        const float supported = supported_by[n];
+        const float prob = rule.own * supported + rule.lower * if_lower[n] + rule.higher * if_higher[n];
         // No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
         const float cut = prob < rule.below_threshold ? prob : rule.below_threshold;
         visible_prob[n] = (supported >= rule.threshold) & (range_m[first + n] <= rule.reach_m) ? prob : cut;
@@ -121,18 +133,20 @@ float mean_of(View1<const float> table, float prob) {
 // What is asked of an estimator's cells: enough returns, a sure aim, a probability.
 struct Support {
     const float *measured, *inferred, *aimed, *visible_prob;
-    const bool* within_reach;
+    const std::uint8_t* within_reach;
     float enough, sure_aim, threshold;
 };
 
-MULTIVERSION void write_states(const Support& support_, const bool* visible, const bool* denied, const bool* obstacle,
-                               std::size_t begin, std::size_t end, std::uint8_t* state) {
+// By bytes of 0 or 1, which become vectors, as bools do not.
+MULTIVERSION void write_states(const Support& support_, const std::uint8_t* visible, const std::uint8_t* denied,
+                               const std::uint8_t* obstacle, std::size_t begin, std::size_t end,
+                               std::uint8_t* __restrict state) {
     const Support s = support_;
     for (std::size_t n = begin; n < end; ++n) {
-        const bool claimed = visible[n] & (s.visible_prob[n] >= s.threshold);
+        const std::uint8_t claimed = visible[n] & (s.visible_prob[n] >= s.threshold);
         const bool aimed = s.aimed[n] >= s.sure_aim;
         const bool enough = s.measured[n] + s.inferred[n] >= s.enough;
-        const bool hidden = denied[n] & aimed & !enough & s.within_reach[n];
+        const std::uint8_t hidden = denied[n] & aimed & !enough & s.within_reach[n];
         const std::uint8_t seen = obstacle[n] ? SURFACE : FREE, unseen = hidden ? HIDDEN : UNKNOWN;
         state[n] = claimed ? seen : unseen;
     }
@@ -144,16 +158,20 @@ struct Claims {
     std::size_t all = 0, over_unsure_ground = 0, inferred = 0;
 };
 
-Claims count_claims(const std::uint8_t* state, const float* measured, const std::int32_t* node, std::size_t cells,
-                    const float* std_m, float unsure_m, float enough) {
-    Claims claims;
+// Count them over some cells; is_unsure says whether the ground of each node is. By bytes, which become vectors.
+MULTIVERSION Claims count_claims(const std::uint8_t* state, const float* measured, const std::int32_t* node,
+                                 std::size_t cells, const std::int32_t* is_unsure, float enough) {
+    std::int32_t all = 0, over_unsure_ground = 0, inferred = 0;
     for (std::size_t n = 0; n < cells; ++n) {
-        if (state[n] != FREE && state[n] != SURFACE) continue;
-        ++claims.all;
-        claims.over_unsure_ground += std_m[node[n]] > unsure_m;
-        claims.inferred += !(measured[n] >= enough);
+        const std::int32_t claimed = (state[n] == FREE) | (state[n] == SURFACE);
+        all += claimed;
+        inferred += claimed & !(measured[n] >= enough);
     }
-    return claims;
+    for (std::size_t n = 0; n < cells; ++n) {
+        const std::int32_t claimed = (state[n] == FREE) | (state[n] == SURFACE);
+        over_unsure_ground += claimed & is_unsure[node[n]];
+    }
+    return {std::size_t(all), std::size_t(over_unsure_ground), std::size_t(inferred)};
 }
 
 // The beams of one kind as Python hands them in: azimuth, slope, depth_m.
@@ -166,6 +184,8 @@ Beams beams_of(const BeamArrays& arrays) {
     require(azimuth.shape(0) < (1u << 30), "beams must be fewer than 2^30");
     return {view(azimuth), view(slope), view(depth_m)};
 }
+
+const std::uint8_t* bytes_of(const In2<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); }
 
 TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, float half_extent_m, float sensor_height_m) {
     const std::size_t nodes = heights_m.shape(0);
@@ -280,13 +300,13 @@ void bind_evidence(nb::module_& m) {
             const std::size_t cells = measured.size();
             const Support support{measured.data(),     inferred.data(),
                                   aimed.data(),        visible_prob.data(),
-                                  within_reach.data(), mean_of(view(table), threshold),
+                                  bytes_of(within_reach), mean_of(view(table), threshold),
                                   mean_of(view(table), sure_aim), threshold};
             Buffer<std::uint8_t> state(cells);
             {
                 nb::gil_scoped_release unlocked;
                 for_ranges(cells, count_parts(cells, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-                    write_states(support, visible.data(), denied.data(), obstacle.data(), begin, end, state.data());
+                    write_states(support, bytes_of(visible), bytes_of(denied), bytes_of(obstacle), begin, end, state.data());
                 });
             }
             return std::move(state).array({measured.shape(0), measured.shape(1)});
@@ -304,9 +324,12 @@ void bind_evidence(nb::module_& m) {
             };
             require(has_shape(measured) && has_shape(node), "state, measured and node must have one shape (cells, cells)");
             require(table.shape(0) > 0, "table must have at least one probability");
+            require(state.size() < (1u << 31), "cells must be fewer than 2^31");
             require_within<std::int32_t>({node.data(), node.size()}, 0, std::int32_t(std_m.size()) - 1, "node");
-            const Claims claims = count_claims(state.data(), measured.data(), node.data(), state.size(), std_m.data(),
-                                               unsure_m, mean_of(view(table), threshold));
+            Buffer<std::int32_t> is_unsure(std_m.size());
+            for (std::size_t at = 0; at < is_unsure.size(); ++at) is_unsure[at] = std_m.data()[at] > unsure_m;
+            const Claims claims = count_claims(state.data(), measured.data(), node.data(), state.size(),
+                                               is_unsure.data(), mean_of(view(table), threshold));
             return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
         },
         "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),

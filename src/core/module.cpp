@@ -9,6 +9,7 @@ NB_MODULE(_core, m) {
         "set_threads", [](std::size_t count) { viewshed::set_threads(count); }, nanobind::arg("count"),
         "Let a stage use up to so many threads, 1 to 4.");
     viewshed::bind_range_image(m);
+    viewshed::bind_reach(m);
     viewshed::bind_sensor_id(m);
     viewshed::bind_ground(m);
     viewshed::bind_leveling(m);
@@ -19,6 +20,7 @@ NB_MODULE(_core, m) {
     viewshed::bind_evidence(m);
     viewshed::bind_boxes(m);
     viewshed::bind_history(m);
+    viewshed::bind_integrity_evidence(m);
     viewshed::bind_features(m);
     viewshed::bind_mc_dropout(m);
     viewshed::bind_ray_trace(m);

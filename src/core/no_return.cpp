@@ -53,7 +53,7 @@ constexpr double REACH_SHARE = 0.001;
 constexpr double BEYOND_REACH = 2.0;
 
 // Pixels of a part that is worth a thread.
-constexpr std::size_t PART = 32768;
+constexpr std::size_t PART = 8192;
 
 // What is found of the missing beams; those of ring r stand from r · columns on, by ascending column.
 struct Candidates {

@@ -8,6 +8,7 @@ namespace viewshed {
 using namespace nb::literals;
 
 void bind_range_image(nb::module_& m);
+void bind_reach(nb::module_& m);
 void bind_sensor_id(nb::module_& m);
 void bind_ground(nb::module_& m);
 void bind_leveling(nb::module_& m);
@@ -18,6 +19,7 @@ void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
 void bind_boxes(nb::module_& m);
 void bind_history(nb::module_& m);
+void bind_integrity_evidence(nb::module_& m);
 void bind_features(nb::module_& m);
 void bind_mc_dropout(nb::module_& m);
 void bind_ray_trace(nb::module_& m);

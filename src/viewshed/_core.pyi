@@ -122,6 +122,16 @@ def held_ground(
     height_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]] | None: ...
 
+# reach.cpp
+
+def range_quantile(
+    range_m: NDArray[np.float32],
+    left_out: NDArray[np.bool_],
+    rows: NDArray[np.int32] | None,
+    most_m: float,
+    share: float,
+) -> float: ...
+
 # leveling.cpp
 
 EGO_BOX_M: tuple[float, float]
@@ -461,3 +471,47 @@ def all_finite(values: NDArray[np.float32]) -> bool: ...
 def plausible_rows(rows: NDArray[np.float32], columns: int) -> bool: ...
 def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None: ...
 def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int: ...
+
+# integrity_evidence.cpp
+
+_Counts = tuple[NDArray[np.int32], NDArray[np.int32]]
+
+def beam_image(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    rows: NDArray[np.int32],
+    height_m: NDArray[np.float32],
+    rings: int,
+    columns: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def count_chosen(points: NDArray[np.float32], chosen: NDArray[np.bool_], sectors: int) -> _Counts: ...
+def count_holes(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> _Counts: ...
+def count_specks(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> _Counts: ...
+def count_double_returns(
+    range_m: NDArray[np.float32], farthest_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
+) -> _Counts: ...
+def measure_noise(
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    sector: NDArray[np.int16],
+    below_m: float,
+    sectors: int,
+    bands: int,
+) -> NDArray[np.float32]: ...
+def measure_steps(
+    range_m: NDArray[np.float32], height_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
+) -> NDArray[np.float32]: ...
+def measure_breaks(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> NDArray[np.float32]: ...
+def measure_empty_runs(
+    range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
+) -> NDArray[np.float32]: ...
+def find_off_beam(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    origin_m: NDArray[np.float64],
+    rows: NDArray[np.int32],
+    columns: int,
+) -> NDArray[np.bool_]: ...
+def measure_range_offset(points: NDArray[np.float32], sensor_height_m: float, sectors: int) -> NDArray[np.float32]: ...

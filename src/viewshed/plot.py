@@ -227,12 +227,12 @@ def _paint_points(image: Pixels, leveled: LeveledSweep, fine: BevGrid) -> None:
 
 
 def _height_colors() -> Pixels:
-    return _colors("viridis")
+    return color_map("viridis")
 
 
 @lru_cache(maxsize=3)
-def _colors(name: str) -> Pixels:
-    """Return the (256, 3) colors of a map, from low to high."""
+def color_map(name: str) -> Pixels:
+    """Return the (256, 3) uint8 colors of ``viridis``, ``cividis`` or ``magma``, from low to high."""
     steps = np.array([list(bytes.fromhex(step)) for step in _COLOR_STEPS[name].split()])
     at = np.linspace(0, 255, len(steps))
     return np.stack([np.interp(np.arange(256), at, channel) for channel in steps.T], axis=1).round().astype(np.uint8)
@@ -244,7 +244,7 @@ def _value_pixels(values: NDArray[np.float32], colors: str, top: float, pixels: 
     shown = values[nearest][:, nearest][::-1, ::-1]
     known = np.isfinite(shown)
     level = np.clip(np.where(known, shown, 0.0) / top * 256, 0, 255).astype(np.intp)
-    return np.where(known[..., None], _colors(colors)[level], np.uint8(255)).astype(np.uint8)
+    return np.where(known[..., None], color_map(colors)[level], np.uint8(255)).astype(np.uint8)
 
 
 def _bytes(colors: NDArray[np.float64]) -> Pixels:
@@ -336,7 +336,7 @@ def _color_bar(
 ) -> None:
     """Draw the colors from 0 to ``top_value`` as a bar at (left, top, width, height), with ticks at its right."""
     left, top, width, height = place
-    shades = _colors(colors)[(np.arange(height)[::-1] * 256) // height]
+    shades = color_map(colors)[(np.arange(height)[::-1] * 256) // height]
     page.paste(Canvas(np.repeat(shades[:, None], width, axis=1)), left, top)
     for value, words in ticks:
         row = top + height * (1 - value / top_value)

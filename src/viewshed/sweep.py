@@ -39,8 +39,39 @@ _INT64 = 1 << 63
 
 _MOST_HEIGHT_M = 100.0
 
+_MOST_AZIMUTH = 2 * np.pi + 1e-3
+
 _MOST_COLUMNS = 16
 """An array of three or four rows with more columns than this holds its points in columns."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarScan:
+    """What is known of a sweep whose beams lie in one plane, z = 0 of the sensor's frame, beside its returns.
+
+    Attributes:
+        open_azimuth: (K,) float32 radians within ±2π of the beams that met nothing up to ``max_range_m``.
+        max_range_m: how far the sensor measures, positive; +inf where it does not say.
+
+    Raises:
+        ValueError: a shape or a value is not as above.
+
+    >>> PlanarScan(np.array([0.5, 1.0]), 30.0).open_azimuth.dtype.name
+    'float32'
+    """
+
+    open_azimuth: NDArray[np.float32]
+    max_range_m: float
+
+    def __post_init__(self) -> None:
+        azimuth = np.asarray(self.open_azimuth)
+        if azimuth.ndim != 1 or azimuth.dtype.kind not in "fiu":
+            raise ValueError(f"open_azimuth must be (K,) real numbers, got {azimuth.dtype} of shape {azimuth.shape}")
+        if not (np.abs(azimuth) <= _MOST_AZIMUTH).all():
+            raise ValueError(f"open_azimuth must be finite radians within ±2π, got {azimuth.min():g}…{azimuth.max():g}")
+        if not self.max_range_m > 0:
+            raise ValueError(f"max_range_m must be positive, got {self.max_range_m:g}")
+        object.__setattr__(self, "open_azimuth", _frozen(azimuth.astype(np.float32)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +94,7 @@ class Sweep:
         dropped_points: how many rows were not finite and were left out.
         vehicle_yaw: heading of the vehicle that carries the sensor, radians counter-clockwise from the sensor's x, or
             None where the returns near the sensor must tell it.
+        planar: for a scan in one plane (a 2-D laser), what is known beside its returns; None for any other sweep.
 
     Raises:
         ValueError: a shape, a value or a type is not as above; the message says what to mend.
@@ -86,6 +118,7 @@ class Sweep:
     agent: str = "ego"
     dropped_points: int = field(default=0)
     vehicle_yaw: float | None = None
+    planar: PlanarScan | None = None
 
     def __post_init__(self) -> None:
         points = _points(self.points)
@@ -101,7 +134,7 @@ class Sweep:
                 column = _column(name, value, len(points), dtype)
                 _set(self, name, _frozen(column if keep is None else column[keep]))
         self._check_ring()
-        self._check_span("azimuth", 2 * np.pi + 1e-3, "finite radians within ±2π")
+        self._check_span("azimuth", _MOST_AZIMUTH, "finite radians within ±2π")
         self._check_span("time_s", REVOLUTION_S, f"finite seconds within one revolution (±{REVOLUTION_S:g} s)")
         self._check_attitude()
         if self.t_ns is not None and not -_INT64 <= self.t_ns < _INT64:

@@ -11,8 +11,11 @@ from hypothesis.extra import numpy as hnp
 
 from viewshed import LidarModel, Rigid, Sweep
 from viewshed.io import FORMATS, read_sweep, write_sweep
+from viewshed.sweep import PlanarScan
 
 FLOATS = st.floats(-200, 200, width=32)
+ANGLES = st.floats(-6.25, 6.25, width=32)
+RANGES = st.floats(0.5, np.inf)
 
 
 @st.composite
@@ -20,7 +23,7 @@ def sweeps(draw: st.DrawFn) -> Sweep:
     count = draw(st.integers(1, 20))
     column = hnp.arrays(np.float32, count, elements=FLOATS)
     maybe = st.one_of(st.none(), column)
-    angle = st.one_of(st.none(), hnp.arrays(np.float32, count, elements=st.floats(-6.25, 6.25, width=32)))
+    angle = st.one_of(st.none(), hnp.arrays(np.float32, count, elements=ANGLES))
     time_s = st.one_of(st.none(), hnp.arrays(np.float32, count, elements=st.floats(-2, 2, width=32)))
     yaw = draw(st.floats(-3, 3))
     model = LidarModel("a b", np.linspace(-0.4, 0.1, 32), 1800, azimuth_offset=np.linspace(0, 0.1, 32), source="ours")
@@ -37,6 +40,7 @@ def sweeps(draw: st.DrawFn) -> Sweep:
         model=model if draw(st.booleans()) else None,
         agent=draw(st.sampled_from(["ego", "car 2", "Übersicht"])),
         dropped_points=draw(st.integers(0, 5)),
+        planar=draw(st.one_of(st.none(), st.builds(PlanarScan, hnp.arrays(np.float32, 3, elements=ANGLES), RANGES))),
     )
 
 
@@ -59,6 +63,10 @@ def test_npz_keeps_everything(suffix: str, sweep: Sweep, tmp_path: Path) -> None
     assert (sweep.world_from_sensor is None) == (back.world_from_sensor is None)
     if sweep.world_from_sensor is not None and back.world_from_sensor is not None:
         assert same(sweep.world_from_sensor.as_matrix(), back.world_from_sensor.as_matrix())
+    assert (sweep.planar is None) == (back.planar is None)
+    if sweep.planar is not None and back.planar is not None:
+        assert same(sweep.planar.open_azimuth, back.planar.open_azimuth)
+        assert sweep.planar.max_range_m == back.planar.max_range_m
     assert (sweep.model is None) == (back.model is None)
     if sweep.model is not None and back.model is not None:
         for name in ("name", "elevation", "azimuth_columns", "azimuth_offset", "origin_m", "min_range_m", "source"):

@@ -1,5 +1,7 @@
 """Reach: how far a sensor sees, and what a few returns can do to it."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from viewshed import BevGrid
+from viewshed import BevGrid, _core
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.reach import LEAST_REACH_M, returns_beyond, sensing_reach
@@ -162,3 +164,38 @@ def test_what_lies_beyond_the_maximum_of_a_known_sensor_proves_nothing() -> None
     assert level(spoofed, grid).points.shape == level(removed, grid).points.shape
     claimed = ShadowMap(grid).estimate(spoofed).visible() & ~ShadowMap(grid).estimate(removed).visible()
     assert claimed.sum() == 0
+
+
+@given(st.lists(st.floats(0.0, 300.0, width=32), max_size=60), st.integers(0, 9), st.sampled_from([30.0, np.inf]))
+def test_the_quantile_is_numpys(ranges: list[float], out_of_ten: int, most_m: float) -> None:
+    """Also of equal ranges, of those at most_m, and by rows."""
+    range_m = np.array(ranges, np.float32)
+    left_out = np.random.default_rng(len(ranges)).integers(0, 10, 100) < out_of_ten
+    rows = np.arange(len(ranges), dtype=np.int32)[::-1].copy()
+    supported = range_m[~left_out[rows] & (range_m <= most_m)].astype(np.float64)
+    quantile = _core.range_quantile(range_m, left_out, rows, most_m, 0.9)
+    np.testing.assert_allclose(quantile, np.quantile(supported, 0.9) if len(supported) else np.nan, rtol=1e-12)
+    alone = _core.range_quantile(range_m[::-1].copy(), left_out[: len(range_m)].copy(), None, most_m, 0.9)
+    np.testing.assert_equal(alone, quantile)
+
+
+def test_the_quantile_is_the_same_on_one_thread_and_two() -> None:
+    range_m = np.random.default_rng(0).gamma(2.0, 10.0, 150_001).astype(np.float32)
+    range_m[::7] = np.nan
+    before, found = _core.threads(), set()
+    for count in (1, 2):
+        _core.set_threads(count)
+        found.add(_core.range_quantile(range_m, np.zeros(len(range_m), np.bool_), None, 80.0, 0.9))
+    _core.set_threads(before)
+    numbers = range_m[range_m <= 80.0].astype(np.float64)
+    assert list(found) == pytest.approx([np.quantile(numbers, 0.9)], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "rows", "share"),
+    [(np.zeros(2, np.bool_), None, 0.9), (np.zeros(3, np.bool_), np.array([0, 1, 3], np.int32), 0.9),
+     (np.zeros(0, np.bool_), np.zeros(3, np.int32), 0.9), (np.zeros(3, np.bool_), None, 1.1)],
+)  # fmt: skip
+def test_the_quantile_refuses_arrays_that_do_not_fit(left_out: Any, rows: Any, share: float) -> None:
+    with pytest.raises(ValueError, match="must"):
+        _core.range_quantile(np.ones(3, np.float32), left_out, rows, 80.0, share)

@@ -29,8 +29,16 @@ from viewshed.fov.estimate import FovEstimator
 from viewshed.fov.truth import Truth
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks import ATTACKS, EARLIER, PAPER_ATTACK, PAPER_INDOOR_ATTACK, Attack, Knowledge
-from viewshed.threats.attacks.adaptive import ADAPTIVE
+from viewshed.threats.attacks import (
+    ADAPTIVE,
+    ATTACKS,
+    EARLIER,
+    INFORMED,
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    Attack,
+    Knowledge,
+)
 from viewshed.threats.attacks.base import Tampered
 from viewshed.threats.corruptions import CORRUPTIONS
 
@@ -96,7 +104,7 @@ ReadEarlier = Callable[[], tuple[Sweep, ...]]
 
 PAPER = "paper"
 _LASTING = EARLIER | {"coherent_phantom"}
-_FACTORIES = ATTACKS | ADAPTIVE
+_FACTORIES = ATTACKS | INFORMED | ADAPTIVE
 _ROOM_M = 20.0
 
 
@@ -130,7 +138,7 @@ class AttackPlan:
     """An attack on every sweep of a data set.
 
     Attributes:
-        attack: a name of ``ATTACKS`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture.
+        attack: a name of ``ATTACKS``, ``INFORMED`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture.
         budget: most returns; None is the attack's own.
         mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
         half_extent_m: half the side of the victim's grid.

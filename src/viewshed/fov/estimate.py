@@ -151,9 +151,10 @@ class FovEstimate:
         std: Any = np.full(self.grid.shape, np.nan, np.float32) if self.std is None else self.std
         self._store("std", std, np.float32)
         self._store("state", self.state, np.uint8)
-        if not ((self.visible_prob >= 0) & (self.visible_prob <= 1)).all():
+        # The least and the greatest of numbers with a NaN among them are NaN, and lie in no bounds.
+        if self.visible_prob.size and not (self.visible_prob.min() >= 0 and self.visible_prob.max() <= 1):
             raise ValueError("visible_prob must lie in [0, 1] and not be NaN")
-        if (np.asarray(std) < 0).any():
+        if self.std is not None and (np.asarray(std) < 0).any():
             raise ValueError("std must not be negative; NaN means that the estimator has none")
         if self.state.size and self.state.max() > max(CellState):
             raise ValueError(f"state must lie in [0, {max(CellState):d}], got {self.state.max()}")

@@ -15,7 +15,7 @@ from viewshed.geometry import Rigid
 from viewshed.io._input import InputFile
 from viewshed.io._rings import matched_azimuth, matched_time_s, problem_of_rings, rings_by_elevation, whole_rings
 from viewshed.sensors import LidarModel
-from viewshed.sweep import Sweep
+from viewshed.sweep import PlanarScan, Sweep
 
 FILE_FRAMES: dict[str, Rigid] = {
     "sensor": Rigid.identity(),
@@ -93,6 +93,7 @@ class Saved:
     world_from_sensor: Rigid | None = None
     agent: str = "ego"
     dropped_points: int = 0
+    planar: PlanarScan | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,11 +125,15 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
         ValueError: a column is not as a Sweep needs it, or no point is finite.
     """
     points, azimuth = columns.points, columns.azimuth
+    saved = columns.saved or _NOTHING_SAVED
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
+        if saved.planar is not None:
+            raise ValueError(
+                "file_frame must be left out for a scan in one plane, which lies in the sensor's own frame"
+            )
         _core.move_points(points, columns.frame.rotation, columns.frame.translation)
         azimuth = None if azimuth is None else _turned(azimuth, columns.frame)
     model = given.model if given.model is not None else columns.model
-    saved = columns.saved or _NOTHING_SAVED
     left_out = columns.left_out
     ring = columns.ring if columns.laser is None else rings_by_elevation(columns.laser, points, model)
     # Packets know their rings; a column may hold anything.
@@ -141,7 +146,7 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
         attitude=saved.attitude if given.attitude is None else np.asarray(given.attitude),
         sensor_height_m=saved.sensor_height_m if given.sensor_height_m is None else given.sensor_height_m,
         world_from_sensor=given.world_from_sensor or saved.world_from_sensor,
-        model=model, agent=saved.agent, dropped_points=saved.dropped_points,
+        model=model, agent=saved.agent, dropped_points=saved.dropped_points, planar=saved.planar,
     )  # fmt: skip
     if len(sweep) == 0 and len(points) > 0:
         raise ValueError(f"none of the {len(points)} points is finite")

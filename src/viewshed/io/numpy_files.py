@@ -15,7 +15,7 @@ from viewshed.geometry import Rigid
 from viewshed.io._columns import IDENTITY, Columns, Saved
 from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
-from viewshed.sweep import MAX_POINTS, Sweep, shape_remedy
+from viewshed.sweep import MAX_POINTS, PlanarScan, Sweep, shape_remedy
 
 _HEADER = re.compile(  # possessive (*+): a damaged header fails in one pass, whatever it is filled with
     r"\s*+\{\s*+'descr'\s*+:\s*+'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*+,\s*+'fortran_order'\s*+:\s*+(True|False)"
@@ -129,6 +129,7 @@ def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Column
         Rigid.from_matrix(members["world_from_sensor"]) if "world_from_sensor" in members else None,
         str(members["agent"]),
         int(members["dropped_points"]),
+        PlanarScan(members["open_azimuth"], float(members["open_m"])) if "open_m" in members else None,
     )
     t_ns = int(members["t_ns"]) if "t_ns" in members else None
     return Columns(
@@ -152,7 +153,8 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
 
 _KEYS = {
     "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
-    "dropped_points", "model_name", "model_source", "model_limits", "model_reach_m", "model_reach_source",
+    "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits", "model_reach_m",
+    "model_reach_source",
     *(f"model_{key}" for key in _BEAMS),
 }  # fmt: skip
 
@@ -174,6 +176,8 @@ def write_npz(sweep: Sweep) -> bytes:
         **{name: getattr(sweep, name) for name in _SAVED},
         "world_from_sensor": None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix(),
     }  # fmt: skip
+    if sweep.planar is not None:
+        arrays |= {"open_azimuth": sweep.planar.open_azimuth, "open_m": sweep.planar.max_range_m}
     if sweep.model is not None:
         arrays |= {"model_name": sweep.model.name, "model_source": sweep.model.source}
         arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAMS}

@@ -197,6 +197,7 @@ def reach_of_sweep(leveled: LeveledSweep) -> float:
     """Return how far in meters the sensor of a sweep sees a dark target; see :func:`sensing_reach`."""
     if leveled.held is not None:
         return leveled.held.reach_m
-    image = leveled.range_image
-    isolated = np.zeros(len(leveled.rows), np.bool_) if image is None else image.isolated[leveled.rows]
-    return sensing_reach(leveled.range_m, isolated, leveled.sensor_id.model)
+    image, planar = leveled.range_image, leveled.sweep.planar
+    isolated = np.zeros(len(leveled.sweep), np.bool_) if image is None else image.isolated
+    reach_m = sensing_reach(leveled.range_m, isolated, leveled.sensor_id.model, leveled.rows)
+    return reach_m if planar is None else min(reach_m, planar.max_range_m)

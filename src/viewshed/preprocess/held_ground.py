@@ -62,6 +62,8 @@ def hold(leveled: LeveledSweep, before: LeveledSweep) -> LeveledSweep:
         ValueError: one of them has no pose.
     """
     at_height, held = _at_held_height(leveled, before)
+    if leveled.sweep.planar is not None:  # sees no ground
+        return replace(leveled, held=held)
     ground = _held_ground(at_height, before)
     heights_m = at_height.points[:, 2] - ground.at(at_height.points)
     heights_m.setflags(write=False)

@@ -42,6 +42,12 @@ LEVEL_TILT = np.deg2rad(6.0)
 LEAST_HEIGHT_M = 0.05
 """Least height of a sensor above the ground that was estimated."""
 
+PLANE_HEIGHT_M = 0.3
+"""Height of a scan in one plane where it is not known: within every target."""
+
+_OBSTACLE_M = 0.5
+"""Returns of a scan in one plane count as at least so high above the ground: clearly obstacles."""
+
 Mask = NDArray[np.bool_]
 
 Floats = NDArray[np.float32]
@@ -128,7 +134,12 @@ def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> Le
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
     (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. A sensor that is
     ``expected``, that of the sweep before, is only looked at first: the result is the same without.
+
+    A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
+    and each of its returns is an obstacle.
     """
+    if sweep.planar is not None:
+        return _level_planar(sweep, grid)
     # 1. Identify the sensor: its beam table, and the ring of each return.
     sensor_id = identify_sensor(sweep, expected)
     # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
@@ -148,6 +159,19 @@ def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> Le
     )  # fmt: skip
 
 
+def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
+    """Return a scan in one plane leveled over flat ground."""
+    attitude = sweep.known_attitude
+    rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
+    level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, sweep.sensor_height_m or PLANE_HEIGHT_M]))
+    ground, heading = HeightMap.flat(_half_extent_m(grid)), sweep.vehicle_yaw or 0.0
+    points, range_m, azimuth, heights_m, rows = _level_points(sweep, None, level_from_sensor, heading, ground)
+    # Whatever a beam of the plane meets is an obstacle, however low the plane is.
+    heights_m = np.maximum(heights_m, np.float32(_OBSTACLE_M))
+    heights_m.setflags(write=False)
+    return LeveledSweep(sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground)
+
+
 def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
     """Return ``sweep`` leveled for ``grid``, see :func:`level`; one that is leveled already is taken as it is.
 
@@ -161,7 +185,7 @@ def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel 
         raise TypeError(
             f"sweep must be a Sweep or a LeveledSweep, got {type(sweep).__name__}; make one with viewshed.Sweep(points)"
         )
-    extent_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
+    extent_m = _half_extent_m(grid)
     if sweep.ground.half_extent_m < extent_m:
         raise ValueError(
             f"a leveled sweep must have ground out to {extent_m:g} m for this grid, got"
@@ -172,9 +196,16 @@ def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel 
 
 def range_limits(sweep: Sweep) -> tuple[float, float]:
     """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
+    if sweep.planar is not None:
+        return 0.0, MAX_RANGE_M
     if sweep.model is None:
         return NULL_RANGE_M, MAX_RANGE_M
     return max(NULL_RANGE_M, sweep.model.min_range_m), sweep.model.max_range_m
+
+
+def _half_extent_m(grid: BevGrid) -> float:
+    """Return half the side in meters of the ground that a grid needs."""
+    return grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
 
 
 def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], float, HeightMap]:
@@ -194,10 +225,9 @@ def _heading_and_ground(
     sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask
 ) -> tuple[float, HeightMap]:
     """Return the vehicle's heading, and the ground over the extent of ``grid``, after a rotation (3, 3)."""
-    half_m = grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
     heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
     limits_m, height_m = range_limits(sweep), sweep.sensor_height_m
-    return heading, estimate_ground(sweep.points, isolated, rotation, limits_m, heading, half_m, height_m)
+    return heading, estimate_ground(sweep.points, isolated, rotation, limits_m, heading, _half_extent_m(grid), height_m)
 
 
 def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:

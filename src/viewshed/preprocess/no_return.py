@@ -16,6 +16,7 @@ from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, range_limits
 from viewshed.preprocess.range_image import RangeImage, range_image_by_rings
 from viewshed.preprocess.ring_recovery import recover_rings
+from viewshed.sweep import PlanarScan
 
 JITTER_COLUMNS = _core.JITTER_COLUMNS
 """A point may lie this many columns from the firing that it belongs to."""
@@ -42,6 +43,8 @@ def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
     Without ``fill`` the depth is +inf; with it, that of the nearer of the two neighbors in the ring within 16 columns,
     and beams without such neighbors are left out.
     """
+    if leveled.sweep.planar is not None:
+        return _open_beams(leveled, leveled.sweep.planar)
     # Isolated returns are returns here; clutter is not.
     image = _image_of_beams(leveled)
     return Beams(
@@ -67,11 +70,14 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
        that swallows light, glass, an attack). Rings and columns without any return (dead, dropped) have no beams.
 
     Beams that pass above targets of height ``top_m`` wherever they stand are left out. Of a cloud without a ring column
-    and without a model it is not known which beams it lacks: it has measured ones alone.
+    and without a model it is not known which beams it lacks: it has measured ones alone. A scan in one plane says
+    itself which beams met nothing, and how far they went.
     """
+    none = Beams(*np.zeros((3, 0), np.float32))
+    if leveled.sweep.planar is not None:
+        return BeamsByEvidence(leveled.beams(), _open_beams(leveled, leveled.sweep.planar), none)
     image = None if leveled.sensor_id.ring is None else _image_of_beams(leveled)
     if image is None or not image.pixels_are_beams:
-        none = Beams(*np.zeros((3, 0), np.float32))
         return BeamsByEvidence(leveled.beams(), none, none)
     ground = leveled.ground
     slope, inferred, unresolved = _core.beams_by_evidence(
@@ -80,6 +86,15 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
         leveled.rows, leveled.sensor_height_m, ground.heights_m, ground.half_extent_m, top_m, OBSTACLE_HEIGHTS_M[0],
     )  # fmt: skip
     return BeamsByEvidence(Beams(leveled.azimuth, slope, leveled.range_m), Beams(*inferred), Beams(*unresolved))
+
+
+def _open_beams(leveled: LeveledSweep, planar: PlanarScan) -> Beams:
+    """Return the beams of a scan in one plane that met nothing, as deep as the sensor measures."""
+    azimuth = planar.open_azimuth.astype(np.float64)
+    directions = np.column_stack((np.cos(azimuth), np.sin(azimuth))) @ leveled.level_from_sensor.rotation[:, :2].T
+    x, y, z = directions.astype(np.float32).T
+    run = np.maximum(np.hypot(x, y), np.float32(1e-6))
+    return Beams(np.arctan2(y, x), z / run, np.full(len(azimuth), planar.max_range_m, np.float32))
 
 
 def _image_of_beams(leveled: LeveledSweep) -> RangeImage:

@@ -45,8 +45,8 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     if len(sweep) < _FEWEST:
         return ()
     units = _doubt_of_units(sweep)
-    if units:
-        return (units,)
+    if units or sweep.planar is not None:
+        return (units,) if units else ()
     found = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
     return tuple(doubt for doubt in found if doubt)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.sensors import LidarModel
 
 LEAST_REACH_M = 20.0
@@ -19,7 +20,12 @@ USUAL_REACH_M = 65.0
 """How far a sensor sees that nothing is known of: about the median of the training set in the wild."""
 
 
-def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: LidarModel | None = None) -> float:
+def sensing_reach(
+    range_m: NDArray[Any],
+    isolated: NDArray[np.bool_],
+    model: LidarModel | None = None,
+    rows: NDArray[np.int32] | None = None,
+) -> float:
     """Return up to which range in meters a sensor sees a dark target.
 
     The table's own reach. Where the sensor is not known, or its table has none: the geometric mean of what its returns
@@ -36,6 +42,7 @@ def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: Lid
         range_m: (N,) distance of each return from the sensor.
         isolated: (N,) returns that nothing around confirms (:mod:`viewshed.preprocess.range_image`).
         model: the sensor, or None where it is not known.
+        rows: (N,) where in ``isolated`` each return stands, or None where it stands at its own place.
 
     >>> from viewshed.sensors import lidar_model
     >>> sensing_reach(np.zeros(0), np.zeros(0, np.bool_), lidar_model("os0_128"))
@@ -44,11 +51,10 @@ def sensing_reach(range_m: NDArray[Any], isolated: NDArray[np.bool_], model: Lid
     if model is not None and model.reach_m is not None:
         return model.reach_m
     most_m = np.inf if model is None else model.max_range_m
-    supported = np.asarray(range_m, np.float64)[~isolated]
-    supported = supported[supported <= most_m]
-    if len(supported) == 0:
+    quantile_m = _core.range_quantile(np.ascontiguousarray(range_m, np.float32), isolated, rows, most_m, BULK_SHARE)
+    if np.isnan(quantile_m):  # no return is supported
         return min(LEAST_REACH_M, most_m)
-    shown_m = REACH_TIMES * np.quantile(supported, BULK_SHARE)
+    shown_m = REACH_TIMES * quantile_m
     return float(min(max(LEAST_REACH_M, np.cbrt(shown_m * USUAL_REACH_M**2)), most_m))
 
 

@@ -88,9 +88,13 @@ def measure_sweep(
     """Return what every beam meets and what the sensor stores of that, as :func:`observe` does but without truth.
 
     Args:
-        world, agent, t_s, setting, model: see :func:`observe`.
+        world: that the agent is in.
+        agent: one of the world's.
+        t_s: time in seconds.
+        setting: weather, duration of the revolution.
         for_paths: seed of free paths in volumes.
         for_noise: seed of the measurement's noise.
+        model: the sensor, where that is no table by name.
     """
     pose, motion = pose_and_motion(world, agent, t_s, setting.revolution_s)
     paths = int(for_paths.generate_state(1)[0])

@@ -183,4 +183,3 @@ def _masked_loss(logits: torch.Tensor, labels: Floats, weight: torch.Tensor) -> 
     known = ~torch.isnan(target)
     losses = binary_cross_entropy_with_logits(logits[known], target[known], weight[known], reduction="sum")
     return losses / len(labels)
-

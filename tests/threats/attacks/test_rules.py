@@ -15,6 +15,7 @@ from viewshed.threats.attacks import (
     FAMILY,
     FREE_FORM,
     FULL_WEDGE,
+    INFORMED,
     PAPER_ATTACK,
     SEVERITIES,
     Knowledge,
@@ -90,8 +91,9 @@ def test_another_seed_is_another_attack(name: str, simulated: list[Scene]) -> No
 
 
 def test_the_tables_fit_together() -> None:
-    assert set(FAMILY) == set(BUDGETS) == set(ATTACKS)
-    assert set(FAMILY.values()) == {*range(1, 15), 17}
+    assert set(BUDGETS) == set(ATTACKS)
+    assert set(FAMILY) == set(ATTACKS | INFORMED)
+    assert {FAMILY[name] for name in ATTACKS} == {*range(1, 15), 17}
     assert FREE_FORM | set(SEVERITIES) <= set(ATTACKS)
     for name, budgets in BUDGETS.items():
         assert budgets[0] == 0

@@ -6,7 +6,19 @@ To add one, write a file that measures a :class:`MonitoredSweep` and add a line 
 from __future__ import annotations
 
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Evidence, MonitoredSweep, sector_of
+from viewshed.integrity.evidence.before_surface import measure_before_surface
+from viewshed.integrity.evidence.behind_surface import measure_behind_surface
+from viewshed.integrity.evidence.below_ground import measure_below_ground
+from viewshed.integrity.evidence.beyond_ground import measure_beyond_ground
+from viewshed.integrity.evidence.common_steps import measure_common_steps
+from viewshed.integrity.evidence.double_returns import measure_double_returns
+from viewshed.integrity.evidence.empty_runs import measure_empty_runs
+from viewshed.integrity.evidence.estimates import measure_deviation, measure_disagreement
 from viewshed.integrity.evidence.isolated import measure_isolated
+from viewshed.integrity.evidence.off_beam import measure_off_beam
+from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_surface_noise
+from viewshed.integrity.evidence.range_offset import measure_range_offset
+from viewshed.integrity.evidence.straight_edges import measure_straight_edges
 
 __all__ = ["ABSTAINS", "EVIDENCE", "SECTORS", "Evidence", "MonitoredSweep", "sector_of"]
 
@@ -14,6 +26,48 @@ _ALL = (
     Evidence(
         "isolated", measure_isolated, "{value:.0%} of the returns at {degrees:.0f}° have no neighbor at a similar range"
     ),
+    Evidence(
+        "behind_surface", measure_behind_surface, "{value:.1%} of the beams at {degrees:.0f}° pass through a surface"
+    ),
+    Evidence(
+        "before_surface",
+        measure_before_surface,
+        "{value:.1%} of the returns at {degrees:.0f}° stand alone in the air at one range",
+    ),
+    Evidence(
+        "double_returns", measure_double_returns, "{value:.1%} of the beams at {degrees:.0f}° returned from two ranges"
+    ),
+    Evidence("below_ground", measure_below_ground, "{value:.1%} of the returns at {degrees:.0f}° lie below the ground"),
+    Evidence(
+        "beyond_ground",
+        measure_beyond_ground,
+        "{value:.1%} of the returns at {degrees:.0f}° lie beyond where their beams meet the ground",
+    ),
+    Evidence("empty_runs", measure_empty_runs, "{value:.0f}° around {degrees:.0f}° hardly returned anything"),
+    Evidence(
+        "ground_noise", measure_ground_noise, "ground at {degrees:.0f}° is {value:.1f} times as noisy as all around"
+    ),
+    Evidence(
+        "surface_noise",
+        measure_surface_noise,
+        "surfaces at {degrees:.0f}° are {value:.1f} times as noisy as the smoothest",
+    ),
+    Evidence("off_beam", measure_off_beam, "{value:.1%} of the returns at {degrees:.0f}° lie on no beam"),
+    Evidence(
+        "range_offset", measure_range_offset, "ground at {degrees:.0f}° is flat only if ranges are {value:.1f} m off"
+    ),
+    Evidence(
+        "common_steps",
+        measure_common_steps,
+        "the ground at {degrees:.0f}° steps in all rings at once, by {value:.0f} times what rings differ",
+    ),
+    Evidence("straight_edges", measure_straight_edges, "{value:.0%} of the rings break off together at {degrees:.0f}°"),
+    Evidence(
+        "disagreement",
+        measure_disagreement,
+        "network and shadow map differ in {value:.0%} of the cells at {degrees:.0f}°",
+    ),
+    Evidence("deviation", measure_deviation, "the network deviates by {value:.2f} in the mean cell at {degrees:.0f}°"),
 )
 
 EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in _ALL}

@@ -1,4 +1,4 @@
-"""What all evidence said of a drive, as a file: score, calibration and tables are made of it without simulating again."""
+"""What all evidence said of a drive, as a file: score, limits and tables are made of it without simulating again."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
-from viewshed.studies.monitor.plan import FRAMES, ONSET
 from viewshed.studies.records import BENIGN, Case
 
 FOLDER = "drives"
+
+RECORDED = "recorded"
+"""Domain and split of drives that were measured, not simulated."""
 
 Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveEvidence:
-    """All evidence of the ten sweeps of a drive, and of the last five in several cases.
+    """All evidence of the sweeps of a drive, ten if it was simulated, and of the last five or all in several cases.
 
     Attributes:
         domain: preset that it is of.
@@ -32,10 +34,10 @@ class DriveEvidence:
         sensor: that measured.
         conditions: what the drive suffered from its first frame on.
         names: (E,) of the evidence.
-        benign: (FRAMES, E, SECTORS) of the sweeps as they were measured.
-        cases: what was done from frame ``ONSET`` on.
-        evidence: (C, FRAMES - ONSET, E, SECTORS) in these cases.
-        touched: (C, FRAMES - ONSET, SECTORS) bool, sectors with a return that an attacker added or removed.
+        benign: (F, E, SECTORS) of the sweeps as they were measured.
+        cases: what was done to the last G of them.
+        evidence: (C, G, E, SECTORS) in these cases.
+        touched: (C, G, SECTORS) bool, sectors with a return that an attacker added or removed.
         refused: cases that could not be made of this drive.
     """
 
@@ -140,12 +142,16 @@ class SweepTable:
             names = drive.names
             about.append(DriveAbout(drive.domain, drive.split, drive.number, drive.sensor, drive.conditions))
             evidence.append(drive.benign)
-            touched.append(np.zeros((FRAMES, drive.touched.shape[-1]), np.bool_))
-            columns += [(number, 0, frame) for frame in range(FRAMES)]
+            frames = len(drive.benign)
+            touched.append(np.zeros((frames, drive.touched.shape[-1]), np.bool_))
+            columns += [(number, 0, frame) for frame in range(frames)]
             for case, of_case, of_touched in zip(drive.cases, drive.evidence, drive.touched, strict=True):
                 evidence.append(of_case)
                 touched.append(of_touched)
-                columns += [(number, places.setdefault(case, len(places)), frame) for frame in range(ONSET, FRAMES)]
+                columns += [
+                    (number, places.setdefault(case, len(places)), frame)
+                    for frame in range(frames - len(of_case), frames)
+                ]
         if not about:
             raise ValueError("a table of sweeps needs drives, got none; run the study")
         drive_of, case_of, frame_of = np.array(columns, np.int32).T

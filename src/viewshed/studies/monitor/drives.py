@@ -1,4 +1,4 @@
-"""Drives of ten sweeps: simulated, attacked or corrupted from the middle on, and what all evidence says of each sweep."""
+"""Drives of ten sweeps: simulated, attacked or corrupted from the middle on; what all evidence says of each sweep."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from viewshed.studies.monitor.archive import DriveEvidence
 from viewshed.studies.monitor.plan import BEFORE, CORRUPTED, FRAMES, FROZEN, OLDER, ONSET, SPLITS, MonitorPlan
 from viewshed.studies.records import BENIGN, Case
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks import ATTACKS, Knowledge, at_severity
+from viewshed.threats.attacks import ATTACKS, NULL, Knowledge, at_severity
 from viewshed.threats.attacks.base import Attack, Tampered
 from viewshed.threats.corruptions import CORRUPTIONS
 
@@ -28,6 +28,9 @@ EARLIER = 5
 
 STEADY = ("dropped_sectors", "dead_rings", "fewer_beams", "attitude", "slope", "motion", "pose_spoof")
 """What is drawn once for a whole drive: which rings are dead, which way the road rises, which way a pose is shifted."""
+
+HONEST = ("benign", "corruption", "null")
+"""Kinds of cases in which nothing is inconsistent."""
 
 Mask = NDArray[np.bool_]
 
@@ -83,6 +86,8 @@ class Drive:
     def _attack(self, case: Case, frame: int) -> Attack:
         """Return the attack of a case on one frame: phantoms appear at the onset, replays play what was before."""
         known = Knowledge((self._known(case, frame),), half_extent_m=self.scene.preset.grid.half_extent_m)
+        if case.kind == "null":
+            return NULL[case.name](None, replace(known, again=measure_frame(self.scene, BEFORE + frame, again=1)))
         if case.kind == "strength":
             attribute, value = case.level.split()
             return at_severity(case.name, attribute, int(value) if value.isdecimal() else float(value), known)
@@ -113,9 +118,9 @@ def _corrupted_share(plan: MonitorPlan, key: tuple[str, str, int]) -> float:
     """Return the chance that a drive which is not attacked is corrupted, so that ``CORRUPTED`` of its split are."""
     domain, split, _ = key
     place = plan.domains.index(domain)
-    drives = getattr(plan, split)[place]
+    drives: int = getattr(plan, split)[place]
     attacked = 0 if split == "calibration" else min(plan.attacked[place], drives)
-    return min(CORRUPTED * drives / max(drives - attacked, 1), 1.0)
+    return float(min(CORRUPTED * drives / max(drives - attacked, 1), 1.0))
 
 
 def _kept_at(attack: Attack, azimuth: float | None) -> Attack:
@@ -142,16 +147,22 @@ def measure_drive(drive: Drive, cases: Sequence[Case]) -> DriveEvidence:
         seen = clean[:ONSET] + [level(one.sweep, grid) for one in tampered]
         made.append(case)
         evidence.append(np.stack([_measure(seen, frame) for frame in range(ONSET, FRAMES)]))
-        # What a corruption does is no attacker's.
+        # What a corruption does is no attacker's, and a null attack leaves all as it would have been measured.
         touched.append([
-            touched_sectors(one, clean[frame], seen[frame]) if case.kind != "corruption" else nothing
+            touched_sectors(one, clean[frame], seen[frame]) if case.kind not in HONEST else nothing
             for frame, one in enumerate(tampered, ONSET)
         ])  # fmt: skip
     return DriveEvidence(
-        *drive.key, drive.scene.preset.sensors[drive.scene.sensor], drive.conditions, tuple(EVIDENCE), benign,
+        *drive.key, sensor_of(clean[0]), drive.conditions, tuple(EVIDENCE), benign,
         tuple(made), np.array(evidence, np.float32).reshape(-1, FRAMES - ONSET, len(EVIDENCE), SECTORS),
         np.array(touched, np.bool_).reshape(-1, FRAMES - ONSET, SECTORS), tuple(refused),
     )  # fmt: skip
+
+
+def sensor_of(leveled: LeveledSweep) -> str:
+    """Return the name of the sensor that a sweep is of, ``unknown`` where it was not identified."""
+    model = leveled.sensor_id.model
+    return "unknown" if model is None else model.name
 
 
 def _measure(seen: Sequence[LeveledSweep], frame: int) -> NDArray[np.float32]:

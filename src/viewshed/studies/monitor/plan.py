@@ -11,7 +11,7 @@ from viewshed.integrity.evidence import EVIDENCE
 from viewshed.studies.cases import DEFAULT, corruption_cases, generator, strength_cases
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 from viewshed.studies.records import Case
-from viewshed.threats.attacks import ATTACKS
+from viewshed.threats.attacks import ATTACKS, FAMILY
 from viewshed.threats.corruptions import CORRUPTIONS
 
 SPLITS = ("train", "calibration", "test")
@@ -31,8 +31,16 @@ INTERVAL_S = 0.1
 CORRUPTED = 0.3
 """Share of the drives that are corrupted from their first frame on, benign ones as all others."""
 
+CLEAN = "_clean"
+"""Ends the names of attacks by a spoofer without extra range noise."""
+
 FROZEN, OLDER = "frozen", "older"
 """Replays beside the default one, of .5 s before: the last sweep before the onset again and again; of 2.5 s before."""
+
+ALL_FAMILIES = "all"
+"""Name of the score that is trained on attacks of all families."""
+
+STEPS = ("drives", "score", "page")
 
 BUDGETS = (10, 30, 100, 300, 1000)
 """Returns that an attacker touches, to find the smallest number that raises an alarm."""
@@ -100,13 +108,22 @@ class MonitorPlan(Plan):
                 raise ValueError(f"{key} must have a number of drives for each of {len(self.domains)} domains")
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs, one a drive: domain, split, number."""
+        """Return the names of all jobs: one a drive, then one a score."""
+        return self.drive_keys() + self.score_keys()
+
+    def drive_keys(self) -> list[JobKey]:
+        """Return the names of the drives' jobs: domain, split, number."""
         return [
             ("drive", domain, split, str(number))
             for domain, *counts in zip(self.domains, self.train, self.calibration, self.test, strict=True)
             for split, count in zip(SPLITS, counts, strict=True)
             for number in range(count)
         ]
+
+    def score_keys(self) -> list[JobKey]:
+        """Return the names of the scores' jobs: trained on all families, then without one family each."""
+        families = sorted({family_of(name) for name in self.attacks})
+        return [("score", ALL_FAMILIES), *(("score", str(family)) for family in families)]
 
     def preset(self, domain: str) -> Preset:
         """Return what a domain is simulated with: the worlds and sensors of its preset, in clear weather at 10 Hz.
@@ -126,13 +143,25 @@ class MonitorPlan(Plan):
         for name in self.attacks:
             cases += strength_cases(name)
         cases += [Case("attack", name, str(budget)) for name in self.budgeted for budget in BUDGETS]
+        cases += [Case("null", name) for name in self.attacks]
         return cases + corruption_cases(self.corruptions, self.severities)
 
     def cases_of(self, domain: str, split: str, number: int) -> list[Case]:
-        """Return what is done to a drive, each in its turn: none of calibration, of others to the first ``attacked``."""
+        """Return what is done to a drive, each in its turn: none of calibration."""
         every = self.all_cases()
         order = generator(self.seed, "cases").permutation(len(every))
         if split == "calibration" or number >= self.attacked[self.domains.index(domain)]:
             return []
         count = min(self.cases, len(every))
         return [every[order[(number * count + k) % len(every)]] for k in range(count)]
+
+
+def family_of(name: str) -> int:
+    """Return the number of an attack's family; a clean spoofer's attack is of the family of the same attack with noise.
+
+    So nothing like an attack is trained on when its family is left out.
+
+    >>> family_of("ghost_wall_clean") == family_of("ghost_wall")
+    True
+    """
+    return FAMILY[name.removesuffix(CLEAN)]

@@ -27,6 +27,8 @@ from viewshed.threats.attacks.adaptive import (
 )
 from viewshed.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
+from viewshed.threats.attacks.informed import BestOf, CopiedObject, VanishedObject
+from viewshed.threats.attacks.monitored import BITS, MonitorScore, smallest_budget, tripped_shares
 from viewshed.threats.attacks.null import null_of
 from viewshed.threats.attacks.placement import Placement
 from viewshed.threats.attacks.points import (
@@ -42,10 +44,12 @@ from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
 
 __all__ = [
-    "ADAPTIVE", "ATTACKS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY", "FREE_FORM",
-    "FULL_WEDGE", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "Attack",
-    "AttackFactory", "BlackBox", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim", "Placement",
-    "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim", "Wedge", "WhiteBox", "at_severity",
+    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY",
+    "FREE_FORM", "FULL_WEDGE", "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY",
+    "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BestOf", "BlackBox", "CopiedObject", "Evade",
+    "Expectation", "Knowledge", "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
+    "Tampered", "Trip", "UnderClaim", "VanishedObject", "Wedge", "WhiteBox", "at_severity", "smallest_budget",
+    "tripped_shares",
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
@@ -103,6 +107,8 @@ _MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
     "ghost_wall_clean": lambda known: _clean("ghost_wall", known),
     "far_wall_clean": lambda known: _clean("far_wall", known),
     "removal_and_far_wall_clean": lambda known: _clean("removal_and_far_wall", known),
+    "vanished_object": lambda known: VanishedObject(near_m=25.0 * known.scale),
+    "copied_object": lambda known: CopiedObject(near_m=25.0 * known.scale),
 }
 
 
@@ -125,7 +131,10 @@ def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) 
     return cast(Attack, replace(attack, budget=budget))
 
 
-ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS}
+INFORMED: dict[str, AttackFactory] = {name: partial(_make, name) for name in ("vanished_object", "copied_object")}
+"""Attackers of family 15 who know what a monitor looks at in one sweep, and avoid it."""
+
+ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS if name not in INFORMED}
 """By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
 
 
@@ -139,8 +148,8 @@ def _make_null(name: str, budget: int | None = None, knowledge: Knowledge = NOTH
     return null_of(_make(name, budget, knowledge), knowledge.again)
 
 
-NULL: dict[str, AttackFactory] = {name: partial(_make_null, name) for name in ATTACKS}
-"""The same at zero strength: each chooses its beams and changes nothing but their noise. They need
+NULL: dict[str, AttackFactory] = {name: partial(_make_null, name) for name in _MAKERS}
+"""``ATTACKS`` and ``INFORMED`` at zero strength: each chooses its beams and changes nothing but their noise. They need
 ``Knowledge(again=…)``, a second measurement of the instant: ``measure(scan, conditions, rng).sweep()``."""
 
 FAMILY: dict[str, int] = {
@@ -149,9 +158,9 @@ FAMILY: dict[str, int] = {
     "far_wall": 7, "removal": 8, "high_frequency_removal": 9, "jamming": 10, "replay": 11, "coherent_phantom": 11,
     "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
     "removal_and_far_wall_aimed": 14, "wedge_cluster_clean": 17, "ghost_car_clean": 17, "ghost_wall_clean": 17,
-    "far_wall_clean": 17, "removal_and_far_wall_clean": 17,
+    "far_wall_clean": 17, "removal_and_far_wall_clean": 17, "vanished_object": 15, "copied_object": 15,
 }  # fmt: skip
-"""The number of the family that each belongs to; 15 and 16 adapt and are not in this table."""
+"""The number of the family that each of ``ATTACKS`` and ``INFORMED`` belongs to."""
 
 FREE_FORM = frozenset({"uniform", "cluster", "wedge_cluster_free", "frustum_free"})
 """Attacks that add points anywhere; ``pose_spoof`` touches no return, and all others keep to the beams."""

@@ -1,0 +1,11 @@
+"""⑤ Pipeline: sweeps in, estimates with their reports and reactions out, in real time."""
+
+from __future__ import annotations
+
+from viewshed.pipeline.reactions import Caution, ReactionRules, ReactionState, react, speed_for_view, withdraw
+from viewshed.pipeline.stream import Answer, Pipeline, Statistics
+
+__all__ = [
+    "Answer", "Caution", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "react", "speed_for_view",
+    "withdraw",
+]  # fmt: skip

@@ -1,0 +1,55 @@
+"""How long answers took: a histogram of fixed size, however long the stream."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_SHORTEST_S = 1e-5
+_STEP = math.log(1.02)
+"""A bin is 2 % wide, so quantiles are exact to 1 %."""
+
+_BINS = math.ceil(math.log(1e8) / _STEP)
+"""From 10 µs to 1,000 s."""
+
+
+class Latencies:
+    """Counts of seconds in bins that are 2 % wide, from 10 µs to 1,000 s.
+
+    >>> taken = Latencies()
+    >>> for seconds in (0.010, 0.010, 0.010, 0.500):
+    ...     taken.add(seconds)
+    >>> taken.count, round(taken.quantile(0.5), 3), round(taken.worst_s, 3)
+    (4, 0.01, 0.5)
+    """
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, np.int64)
+        self.worst_s = 0.0
+        """The longest of them; 0 for none."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return int(self._counts.sum())
+
+    def add(self, seconds: float) -> None:
+        """Count one."""
+        number = math.log(max(seconds, _SHORTEST_S) / _SHORTEST_S) / _STEP
+        self._counts[min(int(number), _BINS - 1)] += 1
+        self.worst_s = max(self.worst_s, seconds)
+
+    def quantile(self, share: float) -> float:
+        """Return the seconds that ``share`` of them do not exceed, to 1 %; NaN for none."""
+        if not self.count:
+            return math.nan
+        number = int(np.searchsorted(np.cumsum(self._counts), math.ceil(share * self.count)))
+        return _SHORTEST_S * math.exp((number + 0.5) * _STEP)
+
+    def line(self) -> str:
+        """Return median, 99 % quantile and the longest, in milliseconds, in words."""
+        if not self.count:
+            return "no answer yet"
+        p50, p99 = 1e3 * self.quantile(0.5), 1e3 * self.quantile(0.99)
+        return f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {1e3 * self.worst_s:.1f} ms"

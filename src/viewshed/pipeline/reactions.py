@@ -1,0 +1,157 @@
+"""What follows from a monitor's report: which claims still hold, whom to ask, how fast to drive.
+
+A pure function from report and state to the next state (:func:`react`), and what its caution does to an estimate
+(:func:`withdraw`) and to the speed (:func:`speed_for_view`). Caution rises at once and falls by one step after some
+calm sweeps in a row, so that between two rises to the same step there are always more sweeps than that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.integrity.evidence.base import SECTORS
+from viewshed.integrity.report import IntegrityReport, cells_of_sectors
+
+
+class Caution(IntEnum):
+    """How far the view is trusted; each step claims no more than the one before."""
+
+    KEEP = 0
+    """Every claim holds."""
+    ASK = 1
+    """The view is worse than usual: every claim holds; others are asked."""
+    WIDEN = 2
+    """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN."""
+    CONFIRMED = 3
+    """It goes on being impossible, or nobody knows where: what no earlier sweep confirms is UNKNOWN as well."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReactionRules:
+    """When caution changes.
+
+    Attributes:
+        recover_sweeps: calm sweeps in a row after which caution falls by one step.
+        persist_sweeps: inconsistent sweeps in a row from which on only confirmed claims hold.
+        widen_sectors: sectors on both sides of a suspect one that are not trusted either.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    recover_sweeps: int = 10
+    persist_sweeps: int = 3
+    widen_sectors: int = 1
+
+    def __post_init__(self) -> None:
+        if self.recover_sweeps < 1 or self.persist_sweeps < 1 or self.widen_sectors < 0:
+            raise ValueError(
+                f"recover_sweeps and persist_sweeps must be 1 or more, widen_sectors 0 or more, got {self}"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReactionState:
+    """What is remembered from sweep to sweep.
+
+    Attributes:
+        caution: now.
+        calm: sweeps in a row that ask for less caution.
+        inconsistent: inconsistent sweeps in a row.
+        suspect: (SECTORS,) bool, sectors of all alarms since caution was last below WIDEN.
+    """
+
+    caution: Caution = Caution.KEEP
+    calm: int = 0
+    inconsistent: int = 0
+    suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
+
+
+RULES = ReactionRules()
+
+
+def react(report: IntegrityReport | None, state: ReactionState, rules: ReactionRules = RULES) -> ReactionState:
+    """Return the state after the next sweep's report; None is a sweep without an answer, which is a worse view."""
+    inconsistent = state.inconsistent + 1 if report is not None and report.inconsistent else 0
+    if report is None:
+        asked = Caution.ASK
+    elif report.inconsistent:
+        is_known_where = bool(report.suspect.any()) and inconsistent < rules.persist_sweeps
+        asked = Caution.WIDEN if is_known_where else Caution.CONFIRMED
+    else:
+        asked = Caution.ASK if report.degraded else Caution.KEEP
+    # Caution rises at once, and falls by one step after enough calm sweeps in a row.
+    caution, calm = asked, 0
+    if asked < state.caution:
+        falls = state.calm + 1 >= rules.recover_sweeps
+        caution, calm = (Caution(state.caution - 1), 0) if falls else (state.caution, state.calm + 1)
+    suspect = state.suspect if state.caution >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)
+    if report is not None and report.inconsistent:
+        suspect = suspect | report.suspect
+    return ReactionState(caution, calm, inconsistent, suspect)
+
+
+def withdraw(
+    estimate: FovEstimate,
+    state: ReactionState,
+    confirmed: NDArray[np.bool_] | None = None,
+    rules: ReactionRules = RULES,
+) -> FovEstimate:
+    """Return an estimate without what does not hold: these cells are UNKNOWN, whatever they were.
+
+    Args:
+        estimate: what was estimated.
+        state: after the sweep's report.
+        confirmed: (cells, cells) bool, what earlier sweeps saw as well; None where there are none: nothing is.
+        rules: how many sectors beside a suspect one are not trusted.
+    """
+    if state.caution < Caution.WIDEN:
+        return estimate
+    suspect = state.suspect
+    untrusted = suspect.copy()
+    for step in range(1, rules.widen_sectors + 1):
+        untrusted |= np.roll(suspect, step) | np.roll(suspect, -step)
+    lost = cells_of_sectors(untrusted, estimate.grid)
+    if state.caution == Caution.CONFIRMED:
+        lost |= True if confirmed is None else ~confirmed
+    below = np.nextafter(np.float32(estimate.threshold), np.float32(0.0))
+    return replace(
+        estimate,
+        state=np.where(lost, np.uint8(CellState.UNKNOWN), estimate.state),
+        visible_prob=np.where(lost, np.minimum(estimate.visible_prob, below), estimate.visible_prob),
+    )
+
+
+def speed_for_view(
+    estimate: FovEstimate,
+    *,
+    front_m: float = 4.0,
+    half_width_m: float = 1.25,
+    delay_s: float = 0.5,
+    braking_mps2: float = 3.0,
+) -> float:
+    """Return the speed in m/s from which a vehicle stops within what it sees free ahead of it, along x of ``level``.
+
+    The root of v · delay + v² / (2 · braking) = distance (the assured clear distance ahead), which ends at the first
+    cell of the lane that is not FREE.
+
+    Args:
+        estimate: of the sensor on the vehicle.
+        front_m: from the sensor to the front of the vehicle; what lies nearer need not be seen.
+        half_width_m: half of the width of the lane that must be free.
+        delay_s: until the brakes act.
+        braking_mps2: how hard it brakes.
+    """
+    grid = estimate.grid
+    x_m, y_m = grid.centers[..., 0], grid.centers[..., 1]
+    lane = (np.abs(y_m) <= half_width_m) & (x_m > front_m)
+    blocked = lane & (estimate.state != CellState.FREE)
+    # A cell blocks from its near side on; the grid ends where a further cell would begin.
+    near_side_m = np.append(x_m[blocked] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
+    clear_m = max(float(near_side_m.min()) - front_m, 0.0)
+    return float(np.sqrt((braking_mps2 * delay_s) ** 2 + 2 * braking_mps2 * clear_m) - braking_mps2 * delay_s)

@@ -1,0 +1,293 @@
+"""Sweeps in, answers out, in real time: decoding, estimating and publishing overlap, and the newest sweep wins."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from queue import Queue
+from threading import Lock, Thread
+from types import TracebackType
+from typing import Protocol, TypeVar
+
+from viewshed.estimators.base import Estimator
+from viewshed.estimators.temporal import SweepBuffer
+from viewshed.fov.estimate import FovEstimate
+from viewshed.integrity.report import IntegrityReport
+from viewshed.io import read_sweep
+from viewshed.io.samples import junction_path
+from viewshed.pipeline.clocks import Clocks
+from viewshed.pipeline.inbox import Inbox
+from viewshed.pipeline.latency import Latencies
+from viewshed.pipeline.reactions import RULES, Caution, ReactionRules, ReactionState, react, speed_for_view, withdraw
+from viewshed.preprocess.leveling import LeveledSweep, leveled_on
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
+
+Value = TypeVar("Value")
+
+AGENTS = 64
+"""Agents whose state is remembered; of more the one that was heard longest ago is forgotten."""
+
+REASONS = 50
+"""Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
+
+OTHER_REASONS = "for other reasons"
+
+NOTHING_FOUND = IntegrityReport("no monitor", 0.0, math.inf)
+"""What is reacted to where nobody looks."""
+
+
+class StreamMonitor(Protocol):
+    """What watches a stream."""
+
+    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> IntegrityReport:
+        """Return what is to be doubted in the next sweep of its agent."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What became of one sweep.
+
+    Attributes:
+        agent: whose it was.
+        number: of the sweep among all that were put in, from 0.
+        leveled: the sweep; None where it could not be decoded.
+        estimate: what it sees, without what the reaction withdraws; None where it could not be had.
+        report: what the monitor says; None without one, or without an estimate.
+        reaction: how far the view is trusted.
+        speed_mps: from which a vehicle stops within what is seen free ahead of it; 0 without an estimate.
+        notes: what was noticed on the way (a clock that jumps, say), a sentence each.
+        refused: why there is no estimate; empty where there is one.
+        latency_s: from putting the sweep in to its answer.
+    """
+
+    agent: str
+    number: int
+    leveled: LeveledSweep | None
+    estimate: FovEstimate | None
+    report: IntegrityReport | None
+    reaction: ReactionState
+    speed_mps: float
+    notes: tuple[str, ...]
+    refused: str
+    latency_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a pipeline did so far.
+
+    Attributes:
+        answered: sweeps with an estimate.
+        dropped: sweeps that newer ones of their agent replaced before their turn.
+        refused: how many sweeps had no estimate, by reason.
+        latencies: median, 99 % quantile and worst latency, in words.
+        busy_cores: cores that the process kept busy on average since the first sweep.
+    """
+
+    answered: int
+    dropped: int
+    refused: dict[str, int]
+    latencies: str
+    busy_cores: float
+
+    def line(self) -> str:
+        """Return all of it in one line."""
+        refused = "".join(f", {count} refused ({reason})" for reason, count in self.refused.items())
+        counts = f"{self.answered} answered, {self.dropped} dropped{refused}"
+        return f"{counts}; {self.latencies}; {self.busy_cores:.2f} cores busy"
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A sweep on its way: where it is from, and what has become of it."""
+
+    agent: str
+    number: int
+    put_s: float
+    source: Sweep | Callable[[], Sweep]
+    leveled: LeveledSweep | None = None
+    note: str = ""
+    refused: str = ""
+
+
+class Pipeline:
+    """Decodes and levels in one thread, estimates, checks and reacts in a second, publishes in a third.
+
+    Sweeps wait in the inbox alone, where a newer one of the same agent replaces the oldest. A sweep that cannot be
+    answered costs that sweep and no other. Memory does not grow with the stream.
+
+    >>> from viewshed import load_estimator
+    >>> answers: list[Answer] = []
+    >>> with Pipeline(load_estimator("shadow_map"), answers.append) as pipeline:
+    ...     pipeline.put(lambda: read_sweep(junction_path()))
+    >>> answers[0].estimate.area_m2() > 1000
+    True
+
+    Args:
+        estimator: what estimates.
+        publish: is called with each answer, in its own thread.
+        history: the earlier sweeps of each agent that help, for an estimator that uses them; None for none.
+        monitor: what watches the stream, or None.
+        rules: how caution rises and falls.
+        waiting: sweeps of an agent that may wait for their turn.
+        lossless: let :meth:`put` wait for room instead of dropping sweeps, for files.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        publish: Callable[[Answer], None],
+        *,
+        history: SweepBuffer | None = None,
+        monitor: StreamMonitor | None = None,
+        rules: ReactionRules = RULES,
+        waiting: int = 1,
+        lossless: bool = False,
+    ) -> None:
+        self._estimator, self._publish, self._history, self._monitor = estimator, publish, history, monitor
+        self._rules = rules
+        # Each thread hands on to the next through a queue of one: who is faster waits, and what comes in meanwhile
+        # waits, or is dropped, in the inbox.
+        self._inbox: Inbox[_Step] = Inbox(waiting, lossless=lossless)
+        self._to_estimate: Queue[_Step | None] = Queue(1)
+        self._to_publish: Queue[Answer | None] = Queue(1)
+        self._reactions: OrderedDict[str, ReactionState] = OrderedDict()
+        self._lock, self._put, self._answered = Lock(), 0, 0
+        self._refused: Counter[str] = Counter()
+        self._latencies = Latencies()
+        self._failure: BaseException | None = None
+        self._began = (0.0, 0.0)
+        # Whatever is loaded or allocated once is there before the first sweep counts.
+        estimator.estimate(read_sweep(junction_path()))
+        works = (self._level_all, self._estimate_all, self._publish_all)
+        self._threads = [Thread(target=work, daemon=True) for work in works]
+        for thread in self._threads:
+            thread.start()
+
+    def put(self, source: Sweep | Callable[[], Sweep], agent: str = "ego") -> None:
+        """Put in a sweep of an agent, or what decodes one (it is called only if the sweep's turn comes)."""
+        now_s = time.perf_counter()
+        with self._lock:
+            if self._put == 0:
+                self._began = now_s, time.process_time()
+            number, self._put = self._put, self._put + 1
+        self._inbox.put(agent, _Step(agent, number, now_s, source))
+
+    def statistics(self) -> Statistics:
+        """Return what was done so far."""
+        began_s, began_cpu_s = self._began
+        with self._lock:
+            passed_s = time.perf_counter() - began_s
+            busy = (time.process_time() - began_cpu_s) / passed_s if self._put else 0.0
+            return Statistics(self._answered, self._inbox.dropped, dict(self._refused), self._latencies.line(), busy)
+
+    def close(self) -> Statistics:
+        """Answer what waits, stop, and return what was done.
+
+        Raises:
+            Exception: what ``publish`` raised; nothing was published after that.
+        """
+        self._inbox.close()
+        for thread in self._threads:
+            thread.join()
+        if self._failure is not None:
+            raise self._failure
+        return self.statistics()
+
+    def __enter__(self) -> Pipeline:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _level_all(self) -> None:
+        """Decode and level what comes in; the sensor of an agent's sweep before is expected again."""
+        clocks, sensors = Clocks(AGENTS), OrderedDict[str, LidarModel | None]()
+        while (step := self._inbox.take()) is not None:
+            try:
+                sweep = step.source() if callable(step.source) else step.source
+                if sweep.agent != step.agent:
+                    sweep = sweep.replace(agent=step.agent)
+                note = clocks.note(step.agent, sweep.t_ns)
+                leveled = leveled_on(sweep, self._estimator.grid, sensors.get(step.agent))
+                _remember(sensors, step.agent, leveled.sensor_id.model)
+                step = replace(step, leveled=leveled, note=note)
+            except Exception as error:
+                step = replace(step, refused=_in_one_line(error))
+            self._to_estimate.put(step)
+        self._to_estimate.put(None)
+
+    def _estimate_all(self) -> None:
+        """Estimate, check and react."""
+        while (step := self._to_estimate.get()) is not None:
+            answer = self._answer(step)
+            with self._lock:
+                if answer.estimate is None:
+                    known = answer.refused in self._refused or len(self._refused) < REASONS
+                    self._refused[answer.refused if known else OTHER_REASONS] += 1
+                else:
+                    self._answered += 1
+                    self._latencies.add(answer.latency_s)
+            self._to_publish.put(answer)
+        self._to_publish.put(None)
+
+    def _answer(self, step: _Step) -> Answer:
+        """Return what becomes of a leveled sweep."""
+        leveled, refused = step.leveled, step.refused
+        estimate, report, seen = None, None, None
+        if leveled is not None:
+            try:
+                # 1. Estimate, with the agent's earlier sweeps where there are any.
+                seen = None if self._history is None else self._history.history(leveled)
+                leveled = leveled if seen is None else seen.now
+                estimate = self._estimator.estimate(leveled, seen)
+                if self._history is not None:
+                    self._history.add(leveled)
+                # 2. Look for what contradicts it.
+                if self._monitor is not None:
+                    report = self._monitor.check(leveled, {estimate.method: estimate})
+            except Exception as error:
+                estimate, report, refused = None, None, _in_one_line(error)
+        # 3. React: caution follows from the report, and what does not hold any more is withdrawn.
+        before = self._reactions.get(step.agent, ReactionState())
+        is_unwatched = self._monitor is None and estimate is not None
+        reaction = react(NOTHING_FOUND if is_unwatched else report, before, self._rules)
+        _remember(self._reactions, step.agent, reaction)
+        if estimate is not None and reaction.caution >= Caution.WIDEN:
+            confirmed = None
+            if reaction.caution == Caution.CONFIRMED and seen is not None:
+                confirmed = seen.confirmations(estimate.grid, estimate.target) > 0
+            estimate = withdraw(estimate, reaction, confirmed, self._rules)
+        speed_mps = 0.0 if estimate is None else speed_for_view(estimate)
+        latency_s = time.perf_counter() - step.put_s
+        notes = (step.note,) if step.note else ()
+        return Answer(
+            step.agent, step.number, leveled, estimate, report, reaction, speed_mps, notes, refused, latency_s
+        )
+
+    def _publish_all(self) -> None:
+        """Hand out the answers; once that has failed nothing more is taken in."""
+        while (answer := self._to_publish.get()) is not None:
+            if self._failure is None:
+                try:
+                    self._publish(answer)
+                except BaseException as error:
+                    self._failure = error
+                    self._inbox.close()
+
+
+def _remember(known: OrderedDict[str, Value], agent: str, value: Value) -> None:
+    """Keep an agent's value, and forget the agent that was heard longest ago where there are too many."""
+    known[agent] = value
+    known.move_to_end(agent)
+    while len(known) > AGENTS:
+        known.popitem(last=False)
+
+
+def _in_one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,86 @@
+"""What the score is trained on: which sweeps count as attacked, which as degraded, and how much each weighs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.studies.monitor.archive import SweepTable
+from viewshed.studies.monitor.drives import HONEST
+from viewshed.studies.monitor.plan import family_of
+from viewshed.studies.records import BENIGN, Case
+from viewshed.training.evidence_score import ScoreExamples
+
+LOSSES = ("removal", "removal_aimed")
+"""Attacks after which a sweep lacks a sector, as after an honest fault: degraded, and inconsistent only over time."""
+
+BLINDING = (*LOSSES, "jamming")
+"""Attacks after which a sweep is degraded as well."""
+
+DEGRADED_FROM = 4
+"""Severity of a corruption from which on a sweep counts as degraded in training; below, it is left open."""
+
+
+def examples_of(table: SweepTable) -> ScoreExamples:
+    """Return the sweeps of a table with what is known of them; null attacks are for the test alone."""
+    inconsistent = _by_row(table, np.array([_is_inconsistent(case) for case in table.cases]))
+    touched = table.touched.any(axis=1)
+    inconsistent[(inconsistent == 1) & ~touched] = np.nan
+    degraded = _by_row(table, np.array([_is_degraded(case) for case in table.cases]))
+    of_drive = np.array([_is_degraded(drive.conditions) for drive in table.drives], np.float32)[table.drive]
+    degraded = np.where(table.case == 0, of_drive, degraded).astype(np.float32)
+    sectors = np.where(inconsistent[:, None] == 1, table.touched, inconsistent[:, None]).astype(np.float32)
+    return ScoreExamples(
+        table.names, table.evidence, inconsistent, degraded, sectors, _weights(table), evidence_over_time(table)
+    )
+
+
+def is_trained_on(table: SweepTable, left_out: str) -> NDArray[np.bool_]:
+    """Return which rows (N,) a score is trained on that leaves a family out; ``ALL_FAMILIES`` leaves none out."""
+    kept = [
+        case.kind != "null" and (case.kind in HONEST or str(family_of(case.name)) != left_out) for case in table.cases
+    ]
+    return np.array(kept)[table.case]
+
+
+def families_of(table: SweepTable) -> NDArray[np.str_]:
+    """Return the number of the family of each case (cases,), empty for those that are no attack."""
+    return np.array(["" if case.kind in HONEST else str(family_of(case.name)) for case in table.cases])
+
+
+def evidence_over_time(table: SweepTable) -> NDArray[np.bool_]:
+    """Return which evidence (E,) abstains on the first sweep of every drive, before which there is none."""
+    first = table.evidence[(table.frame == 0) & (table.case == 0)]
+    found: NDArray[np.bool_] = np.isnan(first).all(axis=(0, 2))
+    return found
+
+
+def _by_row(table: SweepTable, of_cases: NDArray[np.floating]) -> NDArray[np.float32]:
+    return of_cases.astype(np.float32)[table.case]
+
+
+def _is_inconsistent(case: Case) -> float:
+    if case.kind in ("benign", "corruption"):
+        return 0.0
+    return np.nan if case.kind == "null" or case.name in LOSSES else 1.0
+
+
+def _is_degraded(case: Case) -> float:
+    if case == BENIGN:
+        return 0.0
+    if case.kind == "corruption":
+        return 1.0 if int(case.level) >= DEGRADED_FROM else np.nan
+    return 1.0 if case.kind != "null" and case.name in BLINDING else np.nan
+
+
+def _weights(table: SweepTable) -> NDArray[np.float32]:
+    """Return the weight (N,) of each sweep, 1 on average: half for all that is honest, half for families alike."""
+    families = families_of(table)[table.case]
+    weight = np.zeros(len(families))
+    attacks = [family for family in np.unique(families) if family]
+    honest = (families == "") & ~np.array([case.kind == "null" for case in table.cases])[table.case]
+    weight[honest] = (0.5 if attacks else 1.0) / honest.sum()
+    for family in attacks:
+        of_family = families == family
+        weight[of_family] = 0.5 / len(attacks) / of_family.sum()
+    return (weight * len(weight)).astype(np.float32)

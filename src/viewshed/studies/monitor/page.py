@@ -1,0 +1,363 @@
+"""The page of the study: tables of what is found, at which rates, where, and what is mistaken for an attack."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from viewshed._page import Table, facts, to_markdown
+from viewshed.integrity.calibration import p_values
+from viewshed.integrity.sectors import discoveries
+from viewshed.studies.cases import DEFAULT
+from viewshed.studies.formatting import commits, format_interval, format_rate
+from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable
+from viewshed.studies.monitor.examples import LOSSES, evidence_over_time
+from viewshed.studies.monitor.jobs import load_score, score_path
+from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, MonitorPlan, family_of
+from viewshed.studies.monitor.results import (
+    DEGRADED,
+    INCONSISTENT,
+    LOW_RATE,
+    RATE,
+    Detection,
+    Evaluation,
+    Rate,
+    RecordedScores,
+    Scored,
+    detect,
+    mean_rate,
+    placements,
+)
+from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.store import ResultStore
+from viewshed.studies.templates import fill_template
+
+FALSE_DISCOVERIES = 0.1
+
+APART = ("relay", "replay", "pose_spoof", *LOSSES, "jamming")
+"""Attacks that are no part of the mean: they are seen over time, or are no more than a degraded view."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class MonitorResults:
+    """Drives and scores of a study, and what follows from them.
+
+    Attributes:
+        plan: of the study.
+        folder: of the study.
+    """
+
+    plan: MonitorPlan
+    folder: Path
+
+    @cached_property
+    def calibration(self) -> SweepTable:
+        """Sweeps that limits are from."""
+        return SweepTable.read(self.folder, "calibration")
+
+    @cached_property
+    def test(self) -> SweepTable:
+        """Sweeps that are reported on."""
+        return SweepTable.read(self.folder, "test")
+
+    @cached_property
+    def over_time(self) -> Mask:
+        """Which evidence (E,) needs earlier sweeps."""
+        return evidence_over_time(self.calibration)
+
+    @cached_property
+    def whole(self) -> Evaluation:
+        """The score that was trained on all families."""
+        return self._evaluation(ALL_FAMILIES, self.test)
+
+    def _evaluation(self, left_out: str, test: SweepTable, silent: Mask | None = None) -> Evaluation:
+        score = load_score(score_path(self.folder, left_out))
+        return Evaluation(score, self.calibration, test, silent, self.plan.seed)
+
+    @cached_property
+    def detections(self) -> dict[Case, Detection]:
+        """By case what is found of an attack by a score that was trained without its family."""
+        found: dict[Case, Detection] = {}
+        attacks = [case for case in self.test.cases if case.kind in ("attack", "strength")]
+        for family in sorted({family_of(case.name) for case in attacks}):
+            cases = [case for case in attacks if family_of(case.name) == family]
+            test = self.test.rows(self.test.is_case([BENIGN, *cases]))
+            chosen = self._evaluation(str(family), test)
+            alone = self._evaluation(str(family), test, self.over_time)
+            found |= {case: detect(chosen, alone, test.is_case([case])) for case in cases}
+        order = {case: place for place, case in enumerate(self.plan.all_cases())}
+        return dict(sorted(found.items(), key=lambda item: order[item[0]]))
+
+    def found_table(self) -> Table:
+        """Return what is found of each attack with its own budget, and the mean."""
+        header = ["attack", "AUROC", "alone", "five", "caught at 1 %", "five", "at .1 %", "five", "degraded", "delay",
+                  "idle", "scenes"]  # fmt: skip
+        rows, inside = [], list[Detection]()
+        for case, found in self.detections.items():
+            if case.kind == "attack" and not case.level.isdecimal():
+                level = "" if case.level == DEFAULT else f", {case.level}"
+                rows.append([f"{case.name}{level} ({family_of(case.name)})", *_words(found)])
+                if case.name not in APART:
+                    inside.append(found)
+        if inside:
+            areas: list[Callable[[Detection], Rate]] = [
+                lambda one: one.area, lambda one: one.area_alone, lambda one: one.area_five, lambda one: one.caught,
+                lambda one: one.caught_five, lambda one: one.caught_low, lambda one: one.caught_low_five,
+                lambda one: one.degraded,
+            ]  # fmt: skip
+            means = [format_rate(mean_rate([area(one) for one in inside])) for area in areas]
+            rows.append(["**mean**", *means, "", "", ""])
+        return Table(header, rows)
+
+    def severity_table(self) -> Table:
+        """Return what is caught of attacks with other sectors, shares and offsets."""
+        rows = [
+            [case.name, case.level, format_rate(found.area.value), _pair(found), str(found.area.scenes)]
+            for case, found in self.detections.items()
+            if case.kind == "strength"
+        ]
+        return Table(["attack", "with", "AUROC", "caught at 1 %", "scenes"], rows)
+
+    def budget_table(self) -> Table:
+        """Return what is caught by the number of returns that an attacker touches, and the least that half need."""
+        rows = []
+        for name in self.plan.budgeted:
+            found = {n: self.detections.get(Case("attack", name, str(n))) for n in BUDGETS}
+            cells = ["–" if one is None else _pair(one) for one in found.values()]
+            half = [str(n) for n, one in found.items() if one is not None and one.caught.value >= 0.5]
+            rows.append([name, *cells, half[0] if half else f"> {BUDGETS[-1]}"])
+        return Table(["attack", *map(str, BUDGETS), "half the sweeps alarm from"], rows)
+
+    def rate_table(self) -> Table:
+        """Return the achieved rates of false alarms by sensor, and of all."""
+        benign, rows = self.whole.benign, []
+        limits = {rate: self.whole.limits(INCONSISTENT, rate) for rate in (RATE, LOW_RATE)}
+        degraded = self.whole.limits(DEGRADED, RATE).alarms(benign, DEGRADED)
+        alarms = {rate: limit.alarms(benign, INCONSISTENT) for rate, limit in limits.items()}
+        for sensor in (*sorted(set(benign.sensors)), ""):
+            mine = (benign.sensors == sensor) | (sensor == "")
+            drive = benign.table.drive
+            rates = [Rate.of(alarms[rate][mine], drive[mine]) for rate in (RATE, LOW_RATE)]
+            clear = mine & benign.is_clear
+            known = limits[RATE].scenes
+            scenes = sum(known.values()) if sensor == "" else known.get(sensor, 0)
+            rows.append([
+                sensor or "**all**", str(scenes), str(rates[0].scenes), str(rates[0].sweeps), *map(_interval, rates),
+                _interval(Rate.of(degraded[clear], drive[clear])),
+            ])  # fmt: skip
+        header = ["sensor", "calibration scenes", "scenes", "sweeps", "inconsistent at 1 %", "at .1 %",
+                  "degraded at 1 %, clear"]  # fmt: skip
+        return Table(header, rows)
+
+    def corruption_table(self) -> Table:
+        """Return how often corrupted sweeps are called inconsistent and degraded, by severity."""
+        tested, table = self.whole.tested, self.test
+        alarms = [
+            self.whole.limits(verdict, RATE).alarms(tested, verdict) for verdict in (INCONSISTENT, DEGRADED)
+        ]  # fmt: skip
+        conditions = [drive.conditions for drive in table.drives]
+
+        def words(mask: Mask) -> str:
+            if not mask.any():
+                return "–"
+            return " / ".join(format_rate(float(found[mask].mean())) for found in alarms)
+
+        severities = sorted({*self.plan.severities, 1, 2, 3, 4, 5})
+        rows, every = [], [np.zeros(len(table.drive), np.bool_) for _ in range(2 * len(severities))]
+        for name in self.plan.corruptions:
+            from_start, half_way = [], []
+            for severity in severities:
+                case = Case("corruption", name, str(severity))
+                of_drive = np.array([one == case for one in conditions])[table.drive]
+                from_start.append((table.case == 0) & (table.frame > 0) & of_drive)
+                half_way.append(table.is_case([case]))
+            rows.append([name, *(words(mask) for mask in (*from_start, *half_way))])
+            every = [total | mask for total, mask in zip(every, (*from_start, *half_way), strict=True)]
+        rows.append(["**all**", *map(words, every)])
+        header = [f"{word} {n}" for word in ("from the start", "half-way") for n in severities]
+        return Table(["corruption", *header], rows)
+
+    def null_table(self) -> Table:
+        """Return how often attacks at zero strength are called inconsistent, and their area under the curve."""
+        cases = [case for case in self.test.cases if case.kind == "null"]
+        order = {case: place for place, case in enumerate(self.plan.all_cases())}
+        limits, rows = self.whole.limits(INCONSISTENT, RATE), []
+        clear = self.whole.benign.rows(self.whole.benign.is_clear)
+        for case in (*sorted(cases, key=order.__getitem__), None):
+            scored = self.whole.tested.rows(self.test.is_case(cases if case is None else [case]))
+            if not len(scored.scores):
+                continue
+            alarms = Rate.of(limits.alarms(scored, INCONSISTENT), scored.table.drive)
+            area = Rate.of(placements(clear, scored, INCONSISTENT), scored.table.drive)
+            name = "**all**" if case is None else case.name
+            rows.append([name, _interval(alarms), _interval(area), str(area.scenes)])
+        return Table(["null attack", "inconsistent at 1 %", "AUROC against clear drives", "scenes"], rows)
+
+    def where_table(self) -> Table:
+        """Return how well suspect sectors fit those that were touched, by attack."""
+        tested, rows = self.whole.tested, []
+        alarms = self.whole.limits(INCONSISTENT, RATE).alarms(tested, INCONSISTENT) == 1
+        benign = self.whole.one_of_each_scene.sectors.ravel()
+        overlaps, false = list[float](), list[float]()
+        for name in self.plan.attacks:
+            mask = self.test.is_case([Case("attack", name, DEFAULT)]) & alarms & self.test.touched.any(axis=1)
+            if not mask.any():
+                continue
+            overlap, wrong = _located(tested.rows(mask), benign)
+            rows.append([name, format_rate(overlap), format_rate(wrong), str(int(mask.sum()))])
+            if name not in APART:
+                overlaps.append(overlap)
+                false.append(wrong)
+        if overlaps:
+            rows.append(["**mean**", format_rate(float(np.mean(overlaps))), format_rate(float(np.mean(false))), ""])
+        return Table(["attack", "overlap", "false discoveries", "sweeps that alarm"], rows)
+
+    def recorded_table(self) -> Table | None:
+        """Return how many measured sweeps are called inconsistent by sensor; None without any."""
+        found = self.recorded
+        if found is None:
+            return None
+        benign = found.table.case == 0
+        corrected = found.corrected_p_values()
+        rows = []
+        for sensor in (*sorted(set(found.sensors[benign])), ""):
+            mine = benign & ((found.sensors == sensor) | (sensor == ""))
+            drives = np.unique(found.table.drive[mine])
+            alarms = [int((p[mine] <= RATE).sum()) for p in (found.p, corrected)]
+            low, high = binomtest(alarms[0], int(mine.sum())).proportion_ci(0.95)
+            rows.append([
+                sensor or "**all**", str(len(drives)), str(int(mine.sum())), str(alarms[0]),
+                f"[{format_rate(low, 2)}, {format_rate(high, 2)}]", str(alarms[1]),
+                format_rate(float(np.median(found.p[mine])), 2),
+            ])  # fmt: skip
+        header = ["sensor", "drives", "sweeps", "inconsistent", "rate, 95 %", "corrected", "median p"]
+        return Table(header, rows)
+
+    def recorded_attacks_table(self) -> Table | None:
+        """Return what is found of attacks on measured sweeps; None without any."""
+        found = self.recorded
+        if found is None:
+            return None
+        benign, rows = -np.log(found.p[found.table.case == 0]), []
+        for name in self.plan.attacks:
+            mask = found.table.is_case([Case("attack", name, DEFAULT)]) & found.table.touched.any(axis=1)
+            if mask.any():
+                drive = found.table.drive[mask]
+                below = [((benign < one).mean() + (benign <= one).mean()) / 2 for one in -np.log(found.p[mask])]
+                area, caught = Rate.of(np.array(below), drive), Rate.of((found.p[mask] <= RATE) * 1.0, drive)
+                rows.append([f"{name} ({family_of(name)})", _interval(area), _interval(caught), str(int(mask.sum()))])
+        return Table(["attack", "AUROC", "caught at 1 %", "sweeps"], rows)
+
+    @cached_property
+    def recorded(self) -> RecordedScores | None:
+        """Measured sweeps; None where the study has none."""
+        if not any((self.folder / FOLDER).glob(f"{RECORDED}-*.npz")):
+            return None
+        table = SweepTable.read(self.folder, RECORDED)
+        score = load_score(score_path(self.folder, ALL_FAMILIES))
+        alone = self._evaluation(ALL_FAMILIES, self.test, self.over_time)
+        return RecordedScores.of(table, score, self.whole.one_of_each_scene, alone.one_of_each_scene, self.over_time)
+
+    def evidence_table(self) -> Table:
+        """Return how much of the area under the curve is lost without each kind of evidence."""
+        cases = [
+            case for case in self.test.cases
+            if case.kind == "attack" and not case.level.isdecimal() and case.name not in LOSSES
+        ]  # fmt: skip
+        test = self.test.rows(self.test.is_case([BENIGN, *cases]))
+
+        def areas(silent: Mask | None) -> dict[Case, float]:
+            one = self._evaluation(ALL_FAMILIES, test, silent)
+            touched = test.touched.any(axis=1)
+            return {
+                case: Rate.of(placements(one.benign, rows, INCONSISTENT), rows.table.drive).value
+                for case in cases
+                if len((rows := one.tested.rows(test.is_case([case]) & touched)).scores)
+            }
+
+        whole = areas(None)
+        rows = [["all", format_rate(float(np.mean(list(whole.values())))), "", ""]]
+        for number, name in enumerate(test.names):
+            without = areas(np.arange(len(test.names)) == number)
+            worst = max(whole, key=lambda case: whole[case] - without[case])
+            rows.append([
+                f"without {name}", format_rate(float(np.mean(list(without.values())))), f"{worst.name} {worst.level}",
+                f"{format_rate(whole[worst])} → {format_rate(without[worst])}",
+            ])  # fmt: skip
+        return Table(["evidence", "AUROC", "most is lost for", "its AUROC"], rows)
+
+
+def _located(scored: Scored, benign: NDArray[np.float32]) -> tuple[float, float]:
+    """Return mean overlap and mean share of false discoveries of the suspect sectors of sweeps that alarm.
+
+    Args:
+        scored: these sweeps.
+        benign: scores of sectors of benign sweeps.
+    """
+    overlaps, false = [], []
+    for sectors, touched in zip(scored.sectors, scored.table.touched, strict=True):
+        suspect = discoveries(p_values(benign, sectors), FALSE_DISCOVERIES)
+        overlaps.append((suspect & touched).sum() / (suspect | touched).sum())
+        false.append((suspect & ~touched).sum() / max(suspect.sum(), 1))
+    return float(np.mean(overlaps)), float(np.mean(false))
+
+
+def _words(found: Detection) -> list[str]:
+    rates: Sequence[Rate] = (
+        found.area_alone, found.area_five, found.caught, found.caught_five, found.caught_low, found.caught_low_five,
+        found.degraded,
+    )  # fmt: skip
+    delay = "–" if np.isnan(found.delay) else f"{found.delay:g}"
+    words = [format_rate(rate.value) for rate in rates]
+    return [_interval(found.area), *words, delay, format_rate(found.idle, 2), str(found.area.scenes)]
+
+
+def _pair(found: Detection) -> str:
+    return f"{format_rate(found.caught.value)} / {format_rate(found.caught_five.value)}"
+
+
+def _interval(rate: Rate) -> str:
+    return format_interval(rate.value, rate.interval)
+
+
+def page_of(store: ResultStore[MonitorPlan]) -> str:
+    """Return the page as Markdown.
+
+    Raises:
+        ValueError: there are no drives or scores.
+    """
+    plan, results = store.plan, MonitorResults(store.plan, store.folder)
+    names = results.test.names
+    over_time = [name for name, needs in zip(names, results.over_time, strict=True) if needs]
+    values = {
+        "corruptions": len(plan.corruptions), "evidence": len(names), "names": ", ".join(names),
+        "over_time": ", ".join(over_time) or "none", "apart": ", ".join(APART), "rate": f"{RATE:g}",
+        "low_rate": f"{LOW_RATE:g}",
+    }  # fmt: skip
+    title, blocks = fill_template("monitor/page.md", values, {
+        "found": results.found_table,
+        "severities": results.severity_table,
+        "budgets": results.budget_table,
+        "rates": results.rate_table,
+        "corruptions": results.corruption_table,
+        "nulls": results.null_table,
+        "where": results.where_table,
+        "recorded": results.recorded_table,
+        "recorded_attacks": results.recorded_attacks_table,
+        "evidence": results.evidence_table,
+    })  # fmt: skip
+    tables = {"calibration": results.calibration, "test": results.test}
+    drives = [f"{len(table.drives)} {word}" for word, table in tables.items()]
+    about = facts(
+        plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domains=", ".join(plan.domains),
+        drives=f"{sum(plan.train)} train, {', '.join(drives)}", commits=commits(store.results("score")),
+    )  # fmt: skip
+    return to_markdown(title, about, blocks)

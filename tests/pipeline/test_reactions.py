@@ -1,0 +1,119 @@
+"""Reactions: what a worse report may never do, how fast caution falls, and which speed a view allows."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from viewshed import BevGrid
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.integrity import IntegrityReport
+from viewshed.integrity.evidence import SECTORS
+from viewshed.pipeline.reactions import Caution, ReactionRules, ReactionState, react, speed_for_view, withdraw
+
+GRID = BevGrid(64, 32.0)
+FRONT = np.arange(SECTORS) // 4 == 9  # the four sectors left of straight ahead
+
+
+def report(level: int) -> IntegrityReport | None:
+    """Nothing found; degraded; inconsistent in front; inconsistent, nobody knows where. None is no answer."""
+    score = 2.0 if level >= 2 else 0.0
+    suspect = FRONT if level == 2 else np.zeros(SECTORS, np.bool_)
+    return IntegrityReport("by hand", score, 1.0, degraded=level == 1, suspect=suspect)
+
+
+def states_after(levels: Sequence[int], rules: ReactionRules) -> list[ReactionState]:
+    states = [ReactionState()]
+    for level in levels:
+        states.append(react(report(level), states[-1], rules))
+    return states[1:]
+
+
+def all_free() -> FovEstimate:
+    return FovEstimate(GRID, np.ones(GRID.shape, np.float32), np.full(GRID.shape, CellState.FREE, np.uint8))
+
+
+LEVELS = st.lists(st.integers(0, 3), min_size=1, max_size=40)
+RULES = st.builds(ReactionRules, st.integers(1, 6), st.integers(1, 5), st.integers(0, 3))
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=40), RULES)
+def test_worse_reports_never_claim_more(pairs: list[tuple[int, int]], rules: ReactionRules) -> None:
+    better = states_after([min(pair) for pair in pairs], rules)
+    worse = states_after([max(pair) for pair in pairs], rules)
+    for one, other in zip(better, worse, strict=True):
+        assert other.caution >= one.caution
+        assert not (
+            withdraw(all_free(), other, None, rules).visible() & ~withdraw(all_free(), one, None, rules).visible()
+        ).any()
+
+
+@given(LEVELS, RULES)
+def test_calm_sweeps_bring_every_claim_back(levels: list[int], rules: ReactionRules) -> None:
+    state = states_after(levels, rules)[-1]
+    for _ in range(int(state.caution) * rules.recover_sweeps):
+        state = react(report(0), state, rules)
+    assert state.caution == Caution.KEEP
+    assert withdraw(all_free(), state, None, rules).visible().all()
+
+
+@given(LEVELS, RULES)
+def test_between_two_rises_to_a_step_lie_at_least_as_many_sweeps_as_recovery_takes(
+    levels: list[int], rules: ReactionRules
+) -> None:
+    cautions = [Caution.KEEP, *(state.caution for state in states_after(levels, rules))]
+    for step in (Caution.ASK, Caution.WIDEN, Caution.CONFIRMED):
+        rises = [n for n in range(1, len(cautions)) if cautions[n - 1] < step <= cautions[n]]
+        assert all(later - earlier > rules.recover_sweeps for earlier, later in itertools.pairwise(rises))
+
+
+def test_a_known_place_is_withdrawn_and_what_lasts_leaves_only_what_is_confirmed() -> None:
+    rules = ReactionRules(recover_sweeps=2, persist_sweeps=2, widen_sectors=1)
+    first, second = states_after([2, 2], rules)
+    assert (first.caution, second.caution) == (Caution.WIDEN, Caution.CONFIRMED)
+    # x forward is i, y left is j: 0° to 20°, and 5° on both sides, ahead of the sensor.
+    left = withdraw(all_free(), first, None, rules)
+    degrees = np.degrees(np.arctan2(GRID.centers[..., 1], GRID.centers[..., 0]))
+    assert np.array_equal(left.state == CellState.UNKNOWN, (degrees > -5) & (degrees < 25))
+    assert np.array_equal(left.visible(), left.state == CellState.FREE)
+    confirmed = GRID.centers[..., 0] < 0
+    assert np.array_equal(withdraw(all_free(), second, confirmed, rules).visible(), confirmed)
+    assert not withdraw(all_free(), second, None, rules).visible().any()
+
+
+def test_a_suspect_place_stays_withdrawn_until_caution_falls() -> None:
+    rules = ReactionRules(recover_sweeps=3, persist_sweeps=9, widen_sectors=0)
+    states = states_after([2, 0, 0, 0, 0], rules)
+    assert [int(state.caution) for state in states] == [2, 2, 2, 1, 1]
+    assert [bool(withdraw(all_free(), state, None, rules).visible().all()) for state in states] == [False] * 3 + [
+        True
+    ] * 2
+
+
+def test_no_answer_asks_others_and_an_unknown_place_leaves_what_is_confirmed() -> None:
+    assert react(None, ReactionState()).caution == Caution.ASK
+    assert react(report(1), ReactionState()).caution == Caution.ASK
+    assert react(report(3), ReactionState()).caution == Caution.CONFIRMED
+
+
+def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
+    state = np.full(GRID.shape, CellState.FREE, np.uint8)
+    free = FovEstimate(GRID, np.ones(GRID.shape, np.float32), state)
+    # From the front at 4 m to the edge at 32 m: v/2 + v²/6 = 28 m.
+    assert speed_for_view(free) == pytest.approx(-1.5 + np.sqrt(1.5**2 + 6 * 28.0))
+    state = state.copy()
+    state[(GRID.centers[..., 0] > 14.0) & (np.abs(GRID.centers[..., 1]) < 1.0)] = CellState.HIDDEN
+    hidden = FovEstimate(GRID, np.ones(GRID.shape, np.float32), state)
+    assert speed_for_view(hidden) == pytest.approx(-1.5 + np.sqrt(1.5**2 + 6 * 10.0))
+    beside = np.where(GRID.centers[..., 1] > 2.0, np.uint8(CellState.HIDDEN), np.uint8(CellState.FREE))
+    assert speed_for_view(FovEstimate(GRID, np.ones(GRID.shape, np.float32), beside)) == speed_for_view(free)
+    unknown = FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8))
+    assert speed_for_view(unknown) == 0.0
+
+
+def test_rules_are_checked() -> None:
+    with pytest.raises(ValueError, match="recover_sweeps and persist_sweeps must be 1 or more"):
+        ReactionRules(recover_sweeps=0)

@@ -1,0 +1,189 @@
+"""The study of all evidence: drives are the same by any engine, labels are by hand, and the page follows from files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from viewshed._config import preset_names
+from viewshed._jobs import LocalEngine
+from viewshed.cli import main
+from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.studies.monitor.archive import FOLDER, DriveEvidence, SweepTable
+from viewshed.studies.monitor.drives import Drive, measure_drive
+from viewshed.studies.monitor.examples import examples_of, is_trained_on
+from viewshed.studies.monitor.jobs import run_study
+from viewshed.studies.monitor.plan import FRAMES, ONSET, SPLITS, MonitorPlan, family_of
+from viewshed.studies.monitor.recorded import measure_recorded_drive
+from viewshed.studies.monitor.results import INCONSISTENT, Limits, Rate, Scored, placements
+from viewshed.studies.records import BENIGN, Case
+from viewshed.studies.store import ResultStore
+from viewshed.threats.attacks import ATTACKS
+
+TINY = MonitorPlan.load("tiny")
+
+CASES = [Case("attack", "ghost_wall", "default"), Case("null", "ghost_wall"), Case("corruption", "rain", "5"),
+         Case("attack", "replay", "frozen"), Case("strength", "pose_spoof", "yaw_deg 2")]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Drive.simulate(TINY, "rooms", "train", 0)
+
+
+@pytest.fixture(scope="module")
+def measured(drive: Drive) -> DriveEvidence:
+    return measure_drive(drive, CASES)
+
+
+def test_a_drive_is_ten_sweeps_a_tenth_of_a_second_apart(drive: Drive) -> None:
+    times = [sweep.t_ns for sweep in drive.sweeps]
+    assert len(times) == FRAMES
+    assert_array_equal(np.diff(np.array(times, np.float64)), 1e8)
+    assert drive.conditions == BENIGN, "drives that are attacked are clear"
+
+
+def test_evidence_of_a_drive_in_its_cases(measured: DriveEvidence) -> None:
+    assert measured.cases == tuple(CASES)
+    assert measured.benign.shape == (FRAMES, len(EVIDENCE), SECTORS)
+    assert measured.evidence.shape == (len(CASES), FRAMES - ONSET, len(EVIDENCE), SECTORS)
+    touched = measured.touched.sum(axis=-1)
+    assert ((touched[0] >= 6) & (touched[0] <= 9)).all(), "a sector of 30° is six of 5°, or seven where it is between"
+    assert not touched[[1, 2]].any(), "null attacks and rain touch nothing"
+    assert (touched[3] > SECTORS / 2).all()
+    assert (touched[4] == SECTORS).all(), "a false pose is false all around"
+    # The wedge stays where it was before the sensor.
+    assert (measured.touched[0].all(axis=0).sum()) >= 5
+
+
+def test_a_lasting_attack_does_not_repeat_its_noise(drive: Drive) -> None:
+    walls = list(drive.tamper(CASES[0]))
+    ranges = [np.sort(np.linalg.norm(one.sweep.points[one.added], axis=1)) for one in walls[:2]]
+    count = min(map(len, ranges))
+    assert count > 20
+    assert not np.allclose(ranges[0][:count], ranges[1][:count])
+
+
+def test_a_drive_survives_its_file(measured: DriveEvidence, tmp_path: Path) -> None:
+    measured.save(tmp_path)
+    once = (tmp_path / measured.file).read_bytes()
+    again = DriveEvidence.load(tmp_path / measured.file)
+    assert (again.cases, again.names, again.sensor) == (measured.cases, measured.names, measured.sensor)
+    assert_array_equal(again.touched, measured.touched)
+    assert_allclose(again.benign.astype(np.float32), measured.benign, rtol=1e-3, atol=1e-6)
+    again.save(tmp_path)
+    assert (tmp_path / measured.file).read_bytes() == once
+
+
+def test_labels_by_hand(measured: DriveEvidence) -> None:
+    table = SweepTable.of([measured])
+    examples = examples_of(table)
+    labels = {case: examples.inconsistent[table.is_case([case])] for case in table.cases}
+    assert_array_equal(labels[BENIGN], np.zeros(FRAMES))
+    assert_array_equal(labels[CASES[0]], np.ones(FRAMES - ONSET))
+    assert np.isnan(labels[CASES[1]]).all(), "null attacks are for the test alone"
+    assert_array_equal(labels[CASES[2]], np.zeros(FRAMES - ONSET))
+    assert_array_equal(examples.degraded[table.is_case([CASES[2]])], np.ones(FRAMES - ONSET))
+    assert_array_equal(examples.sectors[FRAMES], measured.touched[0, 0])
+    without = is_trained_on(table, str(family_of("ghost_wall_clean")))
+    assert not without[table.is_case([CASES[0]])].any(), "a clean spoofer is of the family of its attack"
+    assert without[table.is_case([CASES[3]])].all()
+    honest = np.isin(table.case, [0, table.cases.index(CASES[2])])
+    assert_allclose(examples.weight[honest].sum(), 0.5 * len(honest), rtol=1e-5)
+
+
+def test_measured_sweeps_are_attacked_one_by_one(drive: Drive) -> None:
+    found = measure_recorded_drive(TINY, 3, list(drive.sweeps[:3]))
+    assert (found.scene, found.benign.shape[0]) == ("recorded recorded 3", 3)
+    assert found.cases == (Case("attack", "ghost_wall", "default"),)
+    assert found.refused == (Case("attack", "replay", "default"),), "there is none before the first"
+    table = SweepTable.of([found])
+    assert_array_equal(table.frame, [0, 1, 2, 0, 1, 2])
+    assert table.touched[3:].any(axis=1).all()
+
+
+def _scored(values: list[float], sensors: list[str]) -> Scored:
+    """Return a row of a drive of its own for each value."""
+    drives = [
+        DriveEvidence(
+            "rooms", "test", n, sensor, BENIGN, ("a",), np.zeros((FRAMES, 1, SECTORS)), (),
+            np.zeros((0, FRAMES - ONSET, 1, SECTORS)), np.zeros((0, FRAMES - ONSET, SECTORS), np.bool_), (),
+        )
+        for n, sensor in enumerate(sensors)
+    ]  # fmt: skip
+    table = SweepTable.of(drives)
+    table = table.rows(table.frame == 1)
+    scores = np.array([values, values], np.float32).T
+    return Scored(table, scores, np.zeros((len(values), SECTORS), np.float32))
+
+
+def test_areas_and_limits_are_of_each_sensor_by_itself() -> None:
+    benign = _scored([0.0, 1.0, 10.0, 11.0], ["a", "a", "b", "b"])
+    attacked = _scored([1.0, 5.0, 10.5], ["a", "b", "b"])
+    assert_array_equal(placements(benign, attacked, INCONSISTENT), [0.75, 0.0, 0.5])
+    many = _scored([*map(float, range(19)), 50.0], ["a"] * 19 + ["b"])
+    limits = Limits.of(many, INCONSISTENT, 0.1)
+    assert limits.by_sensor == {"a": 17.0}
+    assert limits.others == 18.0  # the 19th of 20
+    assert_array_equal(limits.alarms(_scored([17.0, 17.5, 18.5], ["a", "a", "b"]), INCONSISTENT), [0, 1, 1])
+    assert np.isnan(Limits.of(many, INCONSISTENT, 0.01).alarms(attacked, INCONSISTENT)).all()
+
+
+def test_a_rate_has_an_interval_over_scenes() -> None:
+    rate = Rate.of(np.array([1.0, 1.0, 0.0, np.nan]), np.array([0, 0, 1, 2]))
+    assert rate.value == pytest.approx(2 / 3)
+    assert (rate.scenes, rate.sweeps) == (2, 3)
+    assert rate.interval[0] <= 2 / 3 <= rate.interval[1]
+    assert np.isnan(Rate.of(np.zeros(0), np.zeros(0, np.int64)).value)
+
+
+def test_every_attack_is_tried_in_its_turn() -> None:
+    plan = replace(MonitorPlan.load("small"), attacked=(400, 70))
+    every = plan.all_cases()
+    assert len(set(every)) == len(every)
+    assert {case.name for case in every if case.kind == "attack"} == set(ATTACKS)
+    tried = [case for number in range(200) for case in plan.cases_of("drives", "test", number)]
+    counts = {case: tried.count(case) for case in every}
+    assert max(counts.values()) - min(counts.values()) <= 1
+    assert plan.cases_of("drives", "calibration", 0) == []
+    assert plan.cases_of("drives", "test", 400) == []
+
+
+@pytest.mark.parametrize("name", preset_names("studies/monitor/plans"))
+def test_a_plan_survives_its_plain_values(name: str) -> None:
+    plan = MonitorPlan.load(name)
+    assert MonitorPlan.from_json(plan.to_json()) == plan
+    assert len(plan.drive_keys()) == sum(sum(getattr(plan, split)) for split in SPLITS)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"domains": ["moon"]}, "domains must be among .*, got 'moon'"),
+        ({"attacks": ["unifrom"]}, "attacks must be among uniform, .*, got 'unifrom'"),
+        ({"evidence": ["guess"]}, "evidence must be among .*, got 'guess'"),
+        ({"train": [1, 2]}, "train must have a number of drives for each of 1 domains"),
+        ({"seed": -1}, "seed must lie in"),
+    ],
+)
+def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        MonitorPlan.from_json(TINY.to_json() | change)
+
+
+def test_the_command_runs_and_the_bytes_do_not_depend_on_the_engine(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["study", "monitor", "--preset", "tiny", "--out", str(tmp_path / "one"), "--workers", "1"])
+    assert not stop.value.code
+    text = (tmp_path / "one" / "monitor.md").read_text("utf-8")
+    assert all(f"\n| {word} " in text for word in ("ghost_wall (6)", "replay, frozen (11)", "rain", "**all**"))
+    store = ResultStore.open(tmp_path / "two", TINY)
+    assert list(run_study(store, LocalEngine(2), ("drives",))) == []
+    files = sorted(path.name for path in (tmp_path / "one" / FOLDER).iterdir())
+    assert len(files) == len(TINY.drive_keys())
+    for name in files:
+        assert (tmp_path / "two" / FOLDER / name).read_bytes() == (tmp_path / "one" / FOLDER / name).read_bytes()
