@@ -34,7 +34,7 @@ constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
 
 // Columns beside a beam in which the nearest range is looked for; farther than this it is another surface.
 constexpr int BESIDE = 2;
-constexpr float NEAR_M = 2.0f;
+constexpr float NEAR_M = 1.0f;
 
 int direction_of(Point3 level) {
     const float position = (azimuth_of(level.y, level.x) + PI) * (float(DIRECTIONS) / (2 * PI));
