@@ -53,7 +53,7 @@ struct Other {
 
 int sector_of(const SweepView& view, Point3 p, int sectors) {
     const Point3 level = view.leveled(p);
-    return std::clamp(int((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI))), 0, sectors - 1);
+    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI)), sectors);
 }
 
 // What is followed of one obstacle.
