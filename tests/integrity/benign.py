@@ -4,18 +4,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.integrity.calibration import Group
-from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.integrity.evidence import SECTORS, Evidence, MonitoredSweep
 from viewshed.integrity.score import SWEEP_FEATURES, EvidenceScore, SurpriseScale, features_of
 from viewshed.integrity.sweep_monitor import BenignSweep
 
-NAMES = tuple(EVIDENCE)
+
+def _first(monitored: MonitoredSweep) -> NDArray[np.float32]:
+    """Return the share of all returns by sector: evidence that any sweep gives."""
+    count = np.histogram(monitored.leveled.azimuth, SECTORS, (-np.pi, np.pi))[0]
+    return np.asarray(count / max(count.sum(), 1), np.float32)
+
+
+def _over_time(monitored: MonitoredSweep) -> NDArray[np.float32]:
+    """Return the change of that share since the sweep before; abstains without one."""
+    if not monitored.earlier:
+        return np.full(SECTORS, np.nan, np.float32)
+    return np.asarray(np.abs(_first(monitored) - _first(MonitoredSweep(monitored.earlier[-1]))), np.float32)
+
+
+KINDS = {
+    "crowd": Evidence("crowd", _first, "{value:.2f} of the returns lie at {degrees:.0f}°"),
+    "change": Evidence("change", _over_time, "the returns at {degrees:.0f}° change by {value:.2f}"),
+    "third": Evidence("third", _first, "a third at {degrees:.0f}°"),
+}
+NAMES = tuple(KINDS)
 VLP, HDL = Group("VLP-16", "none"), Group("HDL-32E", "none")
 
 
 def evidence_of(rng: np.random.Generator, scale: float = 1.0) -> NDArray[np.float32]:
     """Return evidence (E, SECTORS), exponential; scenes differ by a factor that all their sectors share."""
     shared = scale * rng.lognormal(0.0, 0.3)
-    return (shared * rng.exponential(1.0, (len(NAMES), SECTORS))).astype(np.float32)
+    return np.asarray(shared * rng.exponential(1.0, (len(NAMES), SECTORS)), np.float32)
 
 
 def score_by_hand() -> EvidenceScore:

@@ -20,7 +20,6 @@ from viewshed import __version__
 from viewshed._files import write_atomic
 from viewshed.grid import BevGrid
 from viewshed.integrity.calibration import (
-    NO_REAL_SCORES,
     Calibration,
     Earlier,
     Group,
@@ -287,7 +286,7 @@ class SweepMonitor:
         """Return a line for each group and verdict: the limit and both promises."""
         return [
             f"{group}: {name} above {calibration.limit(group):.4g}; {calibration.promised(group)} per {self.per}"
-            for group in self.benign
+            for group in sorted(self.benign)
             for name, calibration in (("inconsistent", self.inconsistent), ("degraded", self.degraded))
         ]
 
@@ -418,7 +417,7 @@ def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
         }
     for name in ("inconsistent", "degraded"):
         real = getattr(monitor, name).real
-        arrays[f"real.{name}"] = np.stack([real.strict, real.weak])
+        arrays[f"real.{name}"] = np.stack([real.place, real.strict, real.weak])
     arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
@@ -457,8 +456,7 @@ def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMon
 
     def verdict(name: str, rate: float) -> Calibration:
         scores = {group: arrays[f"{number}.{name}"] for number, group in enumerate(groups)}
-        strict, weak = np.asarray(arrays[f"real.{name}"], np.float64)
-        return Calibration(scores, rate, about["promise"], RealScores(strict, weak) if weak.size else NO_REAL_SCORES)
+        return Calibration(scores, rate, about["promise"], RealScores(*np.asarray(arrays[f"real.{name}"], np.float64)))
 
     inconsistent, degraded = verdict("inconsistent", rates.inconsistent), verdict("degraded", rates.degraded)
     benign = {}
