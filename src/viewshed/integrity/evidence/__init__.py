@@ -16,7 +16,7 @@ from viewshed.integrity.evidence.empty_runs import measure_empty_runs
 from viewshed.integrity.evidence.estimates import measure_deviation, measure_disagreement
 from viewshed.integrity.evidence.isolated import measure_isolated
 from viewshed.integrity.evidence.off_beam import measure_off_beam
-from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_surface_noise
+from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_near_noise, measure_surface_noise
 from viewshed.integrity.evidence.range_offset import measure_range_offset
 from viewshed.integrity.evidence.straight_edges import measure_straight_edges
 
@@ -46,6 +46,11 @@ _ALL = (
     Evidence("empty_runs", measure_empty_runs, "{value:.0f}° around {degrees:.0f}° hardly returned anything"),
     Evidence(
         "ground_noise", measure_ground_noise, "ground at {degrees:.0f}° is {value:.1f} times as noisy as all around"
+    ),
+    Evidence(
+        "near_noise",
+        measure_near_noise,
+        "surfaces within 20 m at {degrees:.0f}° are {value:.1f} times as noisy as the smoothest",
     ),
     Evidence(
         "surface_noise",
