@@ -87,6 +87,13 @@ def test_what_cannot_be_asked(words: list[object], message: str, drive: list[Pat
     assert drive[0].read_bytes() == content
 
 
+def test_history_is_for_estimators_that_use_it(drive: list[Path], tmp_path: Path) -> None:
+    for words in (["view", "--html", tmp_path / "run.html"], ["replay"]):
+        code, _, err = run(*words, drive[0], "--history", 2, "--method", "majority_vote")
+        assert code == 2
+        assert "--history helps viewnet and shadow_map, got majority_vote" in err
+
+
 def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:
     code, _, err = run("view", tmp_path / "missing.bin", "--html", tmp_path / "run.html")
     assert code == 2
@@ -100,7 +107,7 @@ def test_replay_prints_a_line_for_each_sweep(drive: list[Path]) -> None:
     *lines, last = out.splitlines()
     assert [line.split()[0] for line in lines] == ["0.000", "0.100", "0.200", "0.300", "0.400"]
     assert all(re.search(r"visible \d+ m²  \d+\.\d ms$", line) for line in lines)
-    assert last.startswith("5 sweeps, latency ")
+    assert last.startswith("5 answered, 0 dropped; ")
 
 
 def test_sweeps_are_handed_on_when_they_are_due(monkeypatch: pytest.MonkeyPatch) -> None:
