@@ -10,8 +10,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from viewshed.integrity.monitors import FILE
-from viewshed.integrity.sweep_monitor import load_sweep_monitor, save_sweep_monitor
+from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor, save_sweep_monitor
 from viewshed.studies.monitor.archive import SweepTable
 from viewshed.studies.monitor.jobs import load_score, score_path
 from viewshed.studies.monitor.plan import ALL_FAMILIES
@@ -22,7 +21,7 @@ def main(words: Sequence[str] | None = None) -> None:
     """Calibrate and write the monitor of a study."""
     parser = argparse.ArgumentParser(prog="ship_monitor.py", description=__doc__)
     parser.add_argument("study", type=Path, help="folder of the study")
-    parser.add_argument("--out", type=Path, default=FILE)
+    parser.add_argument("--out", type=Path, default=SHIPPED)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(words)
     score = load_score(score_path(chosen.study, ALL_FAMILIES))

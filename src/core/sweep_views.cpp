@@ -34,11 +34,10 @@ constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
 
 // Columns beside a beam in which the nearest range is looked for; farther than this it is another surface.
 constexpr int BESIDE = 2;
-constexpr float NEAR_M = 2.0f;
+constexpr float NEAR_M = 1.0f;
 
 int direction_of(Point3 level) {
-    const float position = (azimuth_of(level.y, level.x) + PI) * (float(DIRECTIONS) / (2 * PI));
-    return std::clamp(int(position), 0, DIRECTIONS - 1);
+    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(DIRECTIONS) / (2 * PI)), DIRECTIONS);
 }
 
 }  // namespace
@@ -84,7 +83,7 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
     std::vector<std::size_t> rows;
     constexpr float per_rad = float(DIRECTIONS) / (2 * PI);
     for (std::size_t n = 0; n < points.rows; ++n) {
-        const auto direction = std::size_t(std::clamp(int((azimuth[n] + PI) * per_rad), 0, DIRECTIONS - 1));
+        const auto direction = std::size_t(bin_of((azimuth[n] + PI) * per_rad, DIRECTIONS));
         if (height_m[n] <= LEAST_HEIGHT_M) {
             ground_m[direction] = std::max(ground_m[direction], range_m[n]);
         } else if (height_m[n] < MOST_HEIGHT_M) {

@@ -13,6 +13,11 @@ struct Point3 {
     float x, y, z;
 };
 
+// The bin of a position, of so many; the first for what is no number.
+inline int bin_of(float position, int count) {
+    return position > 0.0f ? (position < float(count) ? int(position) : count - 1) : 0;
+}
+
 // Rotation and shift (3, 4), from one frame to another.
 struct Transform {
     std::array<float, 12> m;
@@ -84,10 +89,7 @@ private:
         return column < 0 ? column + columns : (column >= columns ? column - columns : column);
     }
 
-    int ring_at(float sine) const {
-        const int row = int((sine + 1.0f) * (SINES / 2));
-        return ring_of_sine_[std::size_t(row < 0 ? 0 : (row >= SINES ? SINES - 1 : row))];
-    }
+    int ring_at(float sine) const { return ring_of_sine_[std::size_t(bin_of((sine + 1.0f) * (SINES / 2), SINES))]; }
 
     // Steps of the sine of the elevation from -1 to 1, in the table of rings.
     static constexpr int SINES = 4096;

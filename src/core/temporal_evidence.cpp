@@ -37,7 +37,7 @@ constexpr float MOST_SPREAD_M = 0.3f;
 // makes about as often in each step.
 constexpr float EQUAL_M = 0.00075f, NOISE_M = 0.00975f;
 constexpr float EQUAL_OF_NOISE = 0.25f;
-constexpr int LEAST_PAIRS = 30;
+constexpr int LEAST_PAIRS = 60;
 
 // Registration: returns that are used at most; rounds, and the distance from a surface at which a return still belongs to it, in each.
 constexpr std::size_t MOST_REGISTERED = 600;
@@ -53,7 +53,7 @@ struct Other {
 
 int sector_of(const SweepView& view, Point3 p, int sectors) {
     const Point3 level = view.leveled(p);
-    return std::clamp(int((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI))), 0, sectors - 1);
+    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI)), sectors);
 }
 
 // What is followed of one obstacle.

@@ -130,7 +130,7 @@ def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path, capsys: pyte
     (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
     code, _, err = _run(capsys, "monitor", "check", str(place / "calm.npz"), "--monitor", str(tmp_path / "bad.npz"))
     assert code == 2
-    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; fit it again\n", err)
+    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; calibrate it again\n", err)
     other = card(threshold=0.7)
     export_onnx(tmp_path / "other.onnx", other, _network())
     words = _check(place, "calm.npz")[:-1]

@@ -37,10 +37,14 @@ def evidence_of(rng: np.random.Generator, scale: float = 1.0) -> NDArray[np.floa
     return np.asarray(shared * rng.exponential(1.0, (len(NAMES), SECTORS)), np.float32)
 
 
-def score_by_hand() -> EvidenceScore:
-    """Return a score whose sectors say the sum of their surprises (inconsistent) or of the medians (degraded)."""
+def score_by_hand(benign: NDArray[np.float32] | None = None) -> EvidenceScore:
+    """Return a score whose sectors say the sum of their surprises (inconsistent) or of the medians (degraded).
+
+    Args:
+        benign: (N, E, SECTORS) evidence by which numbers are surprising; drawn by :func:`evidence_of` if none is given.
+    """
     rng, kinds = np.random.default_rng(77), len(NAMES)
-    scale = SurpriseScale.fit(np.stack([evidence_of(rng) for _ in range(200)]))
+    scale = SurpriseScale.fit(np.stack([evidence_of(rng) for _ in range(200)]) if benign is None else benign)
     count = features_of(kinds)
     weights, outputs = np.zeros((count, 2), np.float32), np.eye(2, dtype=np.float32)
     weights[:kinds, 0] = 1.0

@@ -54,7 +54,7 @@ def unpack(frame: PackedFrame) -> Unpacked:
     deviation = None
     if frame.about["deviation_top"] is not None:
         bytes_, rest = np.frombuffer(rest[: side**2], np.uint8).reshape(side, side), rest[side**2 :]
-        deviation = np.where(bytes_ == 255, np.nan, bytes_ / 254 * frame.about["deviation_top"])
+        deviation = np.where(bytes_ == 255, np.nan, bytes_ / 31 * frame.about["deviation_top"])
     count = frame.about["points"]
     assert len(rest) == 6 * count
     points, last = [], [0, 0, 0]
@@ -120,7 +120,7 @@ def test_any_estimate_comes_back(data: st.DataObject) -> None:
         assert np.isnan(std).all()
     else:
         assert (np.isnan(back.deviation) == np.isnan(std)).all()
-        assert np.nanmax(np.abs(back.deviation - std), initial=0.0) <= max(np.nanmax(std), 1e-3) / 508 + 1e-6
+        assert np.nanmax(np.abs(back.deviation - std), initial=0.0) <= max(np.nanmax(std), 1e-3) / 62 + 1e-6
     assert (np.abs(back.points_m[:, :2]) <= min(grid.half_extent_m, 327.67) + 0.01).all()
 
 

@@ -4,7 +4,7 @@ The bytes, before they are deflated, are arrays one after the other; ``page.js``
 
 - cells, (cells, cells) uint8, row i forward and column j left: bits 0 and 1 the state, bit 2 whether the cell is
   visible, bit 3 whether it is suspect, bits 4 to 7 the probability as k of 16 steps: it lies in [k, k + 1] / 16;
-- deviation, (cells, cells) uint8, only where ``deviation_top`` is given: 0 to 254 are shares of it, 255 is none;
+- deviation, (cells, cells) uint8, only where ``deviation_top`` is given: k of 31 shares of it, 255 is none;
 - points, (3, 2, points) uint8: for x, y and height the low bytes and then the high bytes of int16 centimeters. x and y
   are differences to the point before, which deflate well as the points go through the grid row by row.
 """
@@ -31,6 +31,9 @@ POINT_CELLS = 1024
 """Of the points in each cell of a grid of so many, over the same extent, the highest is kept: it is drawn on top."""
 
 PROBABILITY_STEPS = 16
+
+DEVIATION_STEPS = 31
+"""Finer ones would take half as many bytes again as all else of a frame."""
 
 NO_DEVIATION = 255
 
@@ -135,7 +138,7 @@ def _deviation_top(estimate: FovEstimate) -> float | None:
 def _packed_deviation(estimate: FovEstimate, top: float) -> NDArray[np.uint8]:
     share = np.full(estimate.grid.shape, np.nan) if estimate.std is None else estimate.std / np.float32(top)
     known = np.isfinite(share)
-    return np.where(known, (np.where(known, share, 0.0) * (NO_DEVIATION - 1)).round(), NO_DEVIATION).astype(np.uint8)
+    return np.where(known, (np.where(known, share, 0.0) * DEVIATION_STEPS).round(), NO_DEVIATION).astype(np.uint8)
 
 
 def _packed_points(points_cm: NDArray[np.int16]) -> NDArray[np.uint8]:
@@ -162,7 +165,7 @@ def _about_estimate(name: str, estimate: FovEstimate) -> dict[str, Any]:
 
 
 def _about_report(report: IntegrityReport | None) -> dict[str, Any]:
-    """Return score, limit, suspect sectors and alarms; nothing where there is no monitor."""
+    """Return score, limit, alarms and, without suspect cells, sectors; nothing where there is no monitor."""
     if report is None:
         return {}
     verdicts = [word for word in ("inconsistent", "degraded") if getattr(report, word)]
@@ -171,7 +174,7 @@ def _about_report(report: IntegrityReport | None) -> dict[str, Any]:
     return {
         "score": _finite(report.score),
         "limit": _finite(report.threshold),
-        "sectors": [len(report.suspect), *np.flatnonzero(report.suspect).tolist()],
+        "sectors": None if report.grid is not None else [len(report.suspect), *np.flatnonzero(report.suspect).tolist()],
         "alarms": alarms,
         "notes": list(report.notes),
     }

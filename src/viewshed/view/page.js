@@ -85,7 +85,7 @@ function cellColor(byte) {
   if (base === "states") return stateOf(byte)[root.dataset.theme];
   if (base === "probability") return colorAt("probability", step / last);
   if (base === "doubt") return colorAt("doubt", (2 * Math.min(step, last - step)) / (last - 1));
-  return byte === 255 ? null : colorAt("deviation", byte / 254);
+  return byte === 255 ? null : colorAt("deviation", byte / settings.deviation_steps);
 }
 
 // A canvas with a pixel for each cell: row 0 is farthest ahead, column 0 farthest left.
@@ -270,8 +270,8 @@ function tip(event) {
   const byte = shown.cells[i * cells + j];
   const [low, high] = [stepOf(byte), stepOf(byte) + 1].map((step) => percent(step / settings.steps));
   const lines = [`x ${x.toFixed(1)} m, y ${y.toFixed(1)} m`, `${stateOf(byte).name}, probability ${low} to ${high}`];
-  const deviation = shown.deviation?.[i * cells + j] ?? 255;
-  if (deviation < 255) lines.push(`deviation ${((deviation / 254) * shown.about.deviation_top).toFixed(3)}`);
+  const share = (shown.deviation?.[i * cells + j] ?? 255) / settings.deviation_steps;
+  if (share <= 1) lines.push(`deviation ${number(share * shown.about.deviation_top)}`);
   if (byte & 8) lines.push("suspect");
   output.textContent = lines.join("\n");
   output.style.left = `${Math.min(column + 14, stage.clientWidth - output.offsetWidth - 4)}px`;

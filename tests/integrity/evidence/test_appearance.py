@@ -120,3 +120,13 @@ def test_a_surface_that_jumps_is_measured() -> None:
     assert measure("frame_noise", *jumping)[AHEAD] == pytest.approx(0.6, abs=0.06)
     driving = [look((*YARD, plate(x_m)), number) for number, x_m in enumerate((10.05, 10.65, 11.25))]
     assert measure("frame_noise", *driving)[AHEAD] < 0.06
+
+
+def test_where_a_turning_sweep_begins_nothing_is_lost() -> None:
+    # The sensor turns by 8.6° in a revolution, so 8.6° behind it are not looked at.
+    before, now = look(YARD, 0), look(YARD, 1, yaw=0.15)
+    azimuth = np.arctan2(now.points[:, 1], now.points[:, 0])
+    gap = np.abs(azimuth) > np.pi - 0.075
+    turning = _kept(now, ~gap).replace(time_s=((azimuth[~gap] + np.pi) / (2 * np.pi) * 0.1).astype(np.float32))
+    assert measure("lost_view", before, turning).max() < 0.3
+    assert measure("lost_view", before, turning.replace(world_from_sensor=before.world_from_sensor)).max() > 0.5

@@ -51,10 +51,12 @@ def _odd_sweeps() -> dict[str, Sweep]:
     usual = look(YARD, 1)
     fewer = cast(lidar_model("vlp16"), Scene(YARD), HEIGHT_M)
     return {
-        "no point": Sweep(np.zeros((0, 3)), world_from_sensor=pose, t_ns=1),
-        "one point": Sweep(np.array([[5.0, 1.0, 0.0]]), world_from_sensor=pose, t_ns=1),
+        "no point": Sweep(np.zeros((0, 3), np.float32), world_from_sensor=pose, t_ns=1),
+        "one point": Sweep(np.array([[5.0, 1.0, 0.0]], np.float32), world_from_sensor=pose, t_ns=1),
         "points alone": Sweep(usual.points, world_from_sensor=pose, t_ns=1),
-        "one direction": Sweep(np.full((500, 3), 7.0), ring=np.zeros(500, np.int16), world_from_sensor=pose, t_ns=1),
+        "one direction": Sweep(
+            np.full((500, 3), 7.0, np.float32), ring=np.zeros(500, np.int16), world_from_sensor=pose, t_ns=1
+        ),
         "other sensor": fewer.replace(world_from_sensor=pose, t_ns=1),
         "far away": usual.replace(world_from_sensor=Rigid(np.eye(3), np.array([1e7, -1e7, 3.0])), t_ns=1),
         "upside down": usual.replace(world_from_sensor=Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3)), t_ns=1),
@@ -90,7 +92,7 @@ def test_one_and_two_threads_say_the_same() -> None:
             found.append(np.stack([EVIDENCE[name].measure(monitored) for name in OF_EARLIER]))
     finally:
         _core.set_threads(threads)
-    np.testing.assert_array_equal(*found)
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_views_of_arrays_that_do_not_fit_are_refused() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
 from viewshed.integrity.evidence.views import compare
 
-SURE_YAW, SURE_SHIFT_M = np.deg2rad(0.08), 0.04
+SURE_YAW, SURE_SHIFT_M = np.deg2rad(0.1), 0.1
 """Deviations of a pose that are no cause for worry: time stamps, motion within a sweep, the grain of its returns."""
 
 SIGMA_M = 0.05
