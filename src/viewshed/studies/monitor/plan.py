@@ -115,13 +115,17 @@ class MonitorPlan(Plan):
         return self.drive_keys() + self.score_keys()
 
     def drive_keys(self) -> list[JobKey]:
-        """Return the names of the drives' jobs: domain, split, number."""
-        return [
-            ("drive", domain, split, str(number))
+        """Return the names of the drives' jobs: domain, split, number.
+
+        Those to train on come first, then all others in turn: a run that is stopped has some of each.
+        """
+        keys = [
+            (split != "train", number / count, ("drive", domain, split, str(number)))
             for domain, *counts in zip(self.domains, self.train, self.calibration, self.test, strict=True)
             for split, count in zip(SPLITS, counts, strict=True)
             for number in range(count)
         ]
+        return [key for _, _, key in sorted(keys)]
 
     def score_keys(self) -> list[JobKey]:
         """Return the names of the scores' jobs: trained on all families, then without one family each."""
