@@ -157,10 +157,14 @@ class MonitorPlan(Plan):
         """Return what is done to a drive, each in its turn: none of calibration."""
         every = self.all_cases()
         order = generator(self.seed, "cases").permutation(len(every))
-        if split == "calibration" or number >= self.attacked[self.domains.index(domain)]:
+        place = self.domains.index(domain)
+        attacked, drives = self.attacked[place], getattr(self, split)[place]
+        # Attacked drives lie evenly among the others; the turn is how many there were before.
+        turn, after = number * attacked // drives, (number + 1) * attacked // drives
+        if split == "calibration" or turn == after:
             return []
         count = min(self.cases, len(every))
-        return [every[order[(number * count + k) % len(every)]] for k in range(count)]
+        return [every[order[(turn * count + k) % len(every)]] for k in range(count)]
 
 
 def family_of(name: str) -> int:
