@@ -58,5 +58,5 @@ def test_the_same_seed_gives_the_same_score_and_silence_stays_silent() -> None:
 def test_only_attacked_sweeps_are_refused() -> None:
     examples = _examples(0)
     examples.inconsistent[:] = 1.0
-    with pytest.raises(ValueError, match="a score needs benign sweeps of a good view to train on, got none"):
+    with pytest.raises(ValueError, match="a score needs benign sweeps to train on, got none"):
         ScoreTrainer.of(examples)

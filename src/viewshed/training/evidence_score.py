@@ -14,13 +14,15 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from viewshed.integrity.evidence import SECTORS
 from viewshed.integrity.score import SECTOR_FEATURES, SWEEP_FEATURES, EvidenceScore, SurpriseScale, features
 
-HIDDEN = 32
+BATCH = 512
 
-BATCH = 256
+LEARNING_RATE = 2e-2
 
-LEARNING_RATE = 3e-3
+TOWARDS_PRIOR = 3e-3
+"""Weight of the squared distance from the prior; it decides what becomes of evidence that training does not need."""
 
-WEIGHT_DECAY = 1e-3
+CONTEXT_PRIOR = 3e-2
+"""The same for what the medians of all evidence add to each unit."""
 
 ALONE_SHARE = 0.25
 """Share of the sweeps that are trained on as if nothing had been measured before."""
@@ -60,83 +62,72 @@ class ScoreExamples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Features:
-    """Features of all sweeps, standardized; 0 where evidence abstains."""
-
-    of_sectors: torch.Tensor
-    of_sweep: torch.Tensor
-    mean: Floats
-    spread: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ScoreTrainer:
     """Trains scores on any part of some examples; scale and features are computed once.
 
+    There is a hidden unit for each evidence and output: what the evidence says of a sector, in surprises, beyond a
+    threshold. It never falls when a surprise rises, and training begins at, and is pulled back to, a prior that takes
+    all evidence alike: the sum of surprises beyond a limit, as Fisher's method would have it. So evidence that none of
+    the attacks in training needed still counts against one that was never seen. What honest causes raise in the whole
+    sweep is learned from the medians of all evidence, the context.
+
     Attributes:
         examples: to train on.
-        scale: of their benign sweeps of a good view, so that bad weather is a surprise in all sectors.
+        scale: of their benign sweeps.
     """
 
     examples: ScoreExamples
     scale: SurpriseScale
-    _features: _Features
+    _of_sectors: torch.Tensor
+    _of_sweep: torch.Tensor
 
     @classmethod
     def of(cls, examples: ScoreExamples) -> ScoreTrainer:
         """Return the trainer of some examples.
 
         Raises:
-            ValueError: none is benign with a good view.
+            ValueError: none is benign.
         """
         benign = examples.inconsistent == 0
-        clear = benign & (examples.degraded == 0)
-        if not clear.any():
-            raise ValueError("a score needs benign sweeps of a good view to train on, got none")
-        scale = SurpriseScale.fit(examples.evidence[clear])
-        return cls(examples, scale, _features_of(examples, scale, benign))
+        if not benign.any():
+            raise ValueError("a score needs benign sweeps to train on, got none")
+        scale = SurpriseScale.fit(examples.evidence[benign])
+        parts = []
+        for start in range(0, len(examples.evidence), _CHUNK):
+            of_sectors, of_sweep = features(scale(examples.evidence[start : start + _CHUNK]))
+            parts.append((np.nan_to_num(of_sectors).astype(np.float16), np.nan_to_num(of_sweep)))
+        of_sectors, of_sweep = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return cls(examples, scale, torch.from_numpy(of_sectors), torch.from_numpy(of_sweep))
 
     def train(self, chosen: NDArray[np.bool_], epochs: int, seed: int) -> EvidenceScore:
         """Return the score trained on the chosen (N,) sweeps; the same seed, the same score on the same machine."""
-        torch.manual_seed(seed)
         rng = np.random.Generator(np.random.PCG64(seed))
-        count = len(self._features.mean)
-        hidden, outputs = torch.nn.Linear(count, HIDDEN), torch.nn.Linear(HIDDEN, 2)
-        network = torch.nn.ModuleList([hidden, outputs])
+        units = _Units(len(self.examples.names))
         rows = np.flatnonzero(chosen)
         steps = epochs * -(-len(rows) // BATCH)
-        optimizer = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, LEARNING_RATE, total_steps=steps)
+        optimizer = torch.optim.Adam(units.parameters(), LEARNING_RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
         for batch in _batches(rows, epochs, rng):
             optimizer.zero_grad()
-            self._loss(batch, hidden, outputs, rng).backward()  # type: ignore[no-untyped-call]
+            loss = self._loss(batch, units, rng) + units.distance_from_prior()
+            loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
+            units.keep_monotone()
             schedule.step()
-        weights, offsets, out, out_offsets = (
-            values.detach().numpy() for values in (hidden.weight.T, hidden.bias, outputs.weight.T, outputs.bias)
-        )
         # What evidence says that never spoke in training must not count.
         spoke = np.isfinite(self.examples.evidence).any(axis=(0, 2))
-        heard = np.tile(spoke, SECTOR_FEATURES + SWEEP_FEATURES)[:, None]
-        return EvidenceScore(
-            self.examples.names, self.scale, self._features.mean, self._features.spread,
-            np.ascontiguousarray(weights * heard, np.float32), offsets, np.ascontiguousarray(out), out_offsets,
-        )  # fmt: skip
+        return units.score(self.examples.names, self.scale, spoke)
 
-    def _loss(
-        self, rows: NDArray[np.intp], hidden: torch.nn.Linear, outputs: torch.nn.Linear, rng: np.random.Generator
-    ) -> torch.Tensor:
+    def _loss(self, rows: NDArray[np.intp], units: _Units, rng: np.random.Generator) -> torch.Tensor:
         kept = torch.from_numpy(self._kept(len(rows), rng))
         index = torch.from_numpy(rows)
-        of_sectors = self._features.of_sectors[index].float() * kept.repeat(1, SECTOR_FEATURES)[:, None]
-        of_sweep = self._features.of_sweep[index] * kept.repeat(1, SWEEP_FEATURES)
-        split = of_sectors.shape[-1]
-        units = of_sectors @ hidden.weight[:, :split].T + (of_sweep @ hidden.weight[:, split:].T + hidden.bias)[:, None]
-        logits = outputs(torch.relu(units))
-        pooled = torch.logsumexp(logits, 1) - np.log(SECTORS)
+        of_sectors = self._of_sectors[index].float() * kept.repeat(1, SECTOR_FEATURES)[:, None]
+        of_sweep = self._of_sweep[index] * kept.repeat(1, SWEEP_FEATURES)
+        logits = units(of_sectors, of_sweep)
+        scores = torch.logsumexp(logits, 1) - np.log(SECTORS)
         examples, weight = self.examples, torch.from_numpy(self.examples.weight[rows])
-        loss = _masked_loss(pooled[:, 0], examples.inconsistent[rows], weight)
-        loss = loss + _masked_loss(pooled[:, 1], examples.degraded[rows], weight)
+        loss = _masked_loss(scores[:, 0], examples.inconsistent[rows], weight)
+        loss = loss + _masked_loss(scores[:, 1], examples.degraded[rows], weight)
         sector_weight = weight[:, None].expand(-1, SECTORS) / SECTORS
         return loss + SECTOR_SHARE * _masked_loss(logits[..., 0], examples.sectors[rows], sector_weight)
 
@@ -147,38 +138,70 @@ class ScoreTrainer:
         return kept.astype(np.float32)
 
 
+class _Units(torch.nn.Module):
+    """A hidden unit for each evidence, once for each of both outputs."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.count = count
+        # Of the unit's own evidence: sector, neighbors, median, maximum, share of raised sectors, and the threshold.
+        prior = torch.tensor([[0.5, 0.5, 0.0, 0.0, 0.0, -1.5], [0.3, 0.3, 0.4, 0.0, 0.0, -1.0]])
+        self.own = torch.nn.Parameter(prior[:, None].repeat(1, count, 1))
+        self.context = torch.nn.Parameter(torch.zeros(2, count, count))
+        self.heights = torch.nn.Parameter(torch.ones(2, count))
+        self.offsets = torch.nn.Parameter(torch.full((2,), -3.0))
+        self.prior = prior[:, None]
+
+    def forward(self, of_sectors: torch.Tensor, of_sweep: torch.Tensor) -> torch.Tensor:
+        """Return both outputs (N, SECTORS, 2) of features (N, SECTORS, 2 E) and (N, 3 E)."""
+        count, logits = self.count, []
+        sector, neighbors = of_sectors[..., :count], of_sectors[..., count:]
+        median, maximum, raised = of_sweep[:, :count], of_sweep[:, count : 2 * count], of_sweep[:, 2 * count :]
+        for output in range(2):
+            a, b, c, d, e, limit = self.own[output].T
+            whole = c * median + d * maximum + e * raised + limit + median @ self.context[output]
+            units = torch.relu(a * sector + b * neighbors + whole[:, None])
+            logits.append(units @ self.heights[output] + self.offsets[output])
+        return torch.stack(logits, -1)
+
+    def distance_from_prior(self) -> torch.Tensor:
+        """Return the weighted squared distance of all parameters from where they began."""
+        distance = ((self.own - self.prior) ** 2).sum() + ((self.heights - 1.0) ** 2).sum()
+        return TOWARDS_PRIOR * distance + CONTEXT_PRIOR * (self.context**2).sum()
+
+    def keep_monotone(self) -> None:
+        """Keep what a sector's own surprise adds from falling below 0."""
+        with torch.no_grad():
+            self.own[..., :SECTOR_FEATURES].clamp_(min=0.0)
+            self.heights.clamp_(min=0.0)
+
+    def score(self, names: tuple[str, ...], scale: SurpriseScale, spoke: NDArray[np.bool_]) -> EvidenceScore:
+        """Return the units as a score; evidence that never ``spoke`` (E,) adds nothing."""
+        count, kinds = self.count, SECTOR_FEATURES + SWEEP_FEATURES
+        own, context, heights, offsets = (
+            values.detach().numpy() for values in (self.own, self.context, self.heights, self.offsets)
+        )
+        weights = np.zeros((kinds, count, 2, count), np.float32)
+        for output in range(2):
+            for kind in range(kinds):
+                np.fill_diagonal(weights[kind, :, output], own[output, :, kind])
+            weights[SECTOR_FEATURES, :, output] += context[output]
+        weights[:, ~spoke] = 0.0
+        outputs = np.zeros((2, count, 2), np.float32)
+        for output in range(2):
+            outputs[output, spoke, output] = heights[output, spoke]
+        features_count = kinds * count
+        return EvidenceScore(
+            names, scale, np.zeros(features_count, np.float32), np.ones(features_count, np.float32),
+            weights.reshape(features_count, 2 * count), own[..., -1].reshape(-1).astype(np.float32),
+            outputs.reshape(2 * count, 2), offsets.astype(np.float32),
+        )  # fmt: skip
+
+
 def _batches(rows: NDArray[np.intp], epochs: int, rng: np.random.Generator) -> Iterator[NDArray[np.intp]]:
     for _ in range(epochs):
         shuffled = rng.permutation(rows)
         yield from np.array_split(shuffled, -(-len(rows) // BATCH))
-
-
-def _features_of(examples: ScoreExamples, scale: SurpriseScale, benign: NDArray[np.bool_]) -> _Features:
-    """Return the features of all examples, standardized by those of benign ones."""
-    parts: list[tuple[Floats, Floats]] = []
-    for start in range(0, len(examples.evidence), _CHUNK):
-        of_sectors, of_sweep = features(scale(examples.evidence[start : start + _CHUNK]))
-        parts.append((of_sectors.astype(np.float16), of_sweep))
-    of_sectors, of_sweep = (np.concatenate(column) for column in zip(*parts, strict=True))
-    moments = [_moments(of_sectors[benign].reshape(-1, of_sectors.shape[-1])), _moments(of_sweep[benign])]
-    mean, spread = (np.concatenate(values) for values in zip(*moments, strict=True))
-    split = of_sectors.shape[-1]
-    for start in range(0, len(of_sectors), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        of_sectors[part] = np.nan_to_num((of_sectors[part] - mean[:split]) / spread[:split])
-    of_sweep = np.nan_to_num((of_sweep - mean[split:]) / spread[split:])
-    return _Features(torch.from_numpy(of_sectors), torch.from_numpy(of_sweep), mean, spread)
-
-
-def _moments(values: NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation (F,) of the known values (N, F); 0 and 1 where there are none."""
-    known = np.isfinite(values)
-    count = np.maximum(known.sum(axis=0), 1)
-    filled = np.where(known, values, 0.0).astype(np.float32)
-    mean = filled.sum(axis=0, dtype=np.float64) / count
-    variance = (filled.astype(np.float64) ** 2).sum(axis=0) / count - mean**2
-    spread = np.sqrt(np.maximum(variance, 0.0))
-    return mean.astype(np.float32), np.where(spread > 1e-3, spread, 1.0).astype(np.float32)
 
 
 def _masked_loss(logits: torch.Tensor, labels: Floats, weight: torch.Tensor) -> torch.Tensor:

@@ -137,7 +137,7 @@ def test_without_rings_evidence_of_beams_abstains() -> None:
     without = monitored(sweep)
     assert without.leveled.range_image is None
     for name in ("isolated", "behind_surface", "before_surface", "double_returns", "empty_runs", "ground_noise",
-                 "surface_noise", "off_beam", "common_steps", "straight_edges"):  # fmt: skip
+                 "near_noise", "surface_noise", "off_beam", "common_steps", "straight_edges"):  # fmt: skip
         assert EVIDENCE[name].measure(without) is ABSTAINS
 
 
