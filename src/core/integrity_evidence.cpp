@@ -180,20 +180,38 @@ BeamImage beam_image(View2<const float> points, View1<const std::int16_t> ring, 
     return image;
 }
 
+namespace {
+
+// Write the sector of each point of a block.
+MULTIVERSION void find_sectors(const float* points, std::size_t count, float per_rad, float last, std::int32_t* sector) {
+    for (std::size_t k = 0; k < count; ++k) {
+        const float position = (azimuth_of(points[3 * k + 1], points[3 * k]) + PI) * per_rad;
+        sector[k] = std::int32_t(position > 0.0f ? (position < last ? position : last) : 0.0f);
+    }
+}
+
+}  // namespace
+
 void count_chosen(View2<const float> points, View1<const bool> chosen, const Counts& counts) {
     const std::size_t sectors = counts.all.size;
-    std::array<float, BLOCK> azimuth;
-    const auto measure = [&](std::size_t start, std::size_t size) {
-        for (std::size_t k = 0; k < size; ++k) azimuth[k] = azimuth_of(points(start + k, 1), points(start + k, 0));
-    };
+    const float per_rad = float(double(sectors) / (2 * double(PI))), last = float(sectors - 1);
+    // Neighboring points mostly lie in one sector: each fourth one is counted apart, so that counts need not wait for each
+    // other.
+    constexpr std::size_t TURNS = 4;
+    std::vector<std::int32_t> all(TURNS * sectors, 0), some(TURNS * sectors, 0);
+    std::int32_t sector[BLOCK];
     for (std::size_t start = 0; start < points.rows; start += BLOCK) {
         const std::size_t size = std::min(BLOCK, points.rows - start);
-        measure(start, size);
+        find_sectors(points[start], size, per_rad, last, sector);
         for (std::size_t k = 0; k < size; ++k) {
-            const std::size_t sector = sector_of(azimuth[k], sectors);
-            ++counts.all[sector];
-            counts.some[sector] += chosen[start + k];
+            const std::size_t at = k % TURNS * sectors + std::size_t(sector[k]);
+            ++all[at];
+            if (chosen[start + k]) ++some[at];
         }
+    }
+    for (std::size_t k = 0; k < TURNS * sectors; ++k) {
+        counts.all[k % sectors] += all[k];
+        counts.some[k % sectors] += some[k];
     }
 }
 
@@ -268,20 +286,20 @@ void count_double_returns(const Image& image, View2<const float> farthest_m, con
 
 namespace {
 
-// The root of the mean square that a parabola leaves of a stretch of ranges; by orthogonal polynomials.
-float noise_of_stretch(const float* range_m) {
-    float mean = 0.0f, line = 0.0f, parabola = 0.0f, squares = 0.0f;
-    for (std::size_t k = 0; k < STRETCH; ++k) mean += range_m[k];
-    mean /= float(STRETCH);
-    for (std::size_t k = 0; k < STRETCH; ++k) {
-        const float apart = range_m[k] - mean, x = float(k) - 3.0f;
-        line += apart * x;
-        parabola += apart * (x * x - 4.0f);
-        squares += apart * apart;
+// Write the root of the mean square that a parabola leaves of the ranges from each column on; by orthogonal polynomials.
+MULTIVERSION void find_noise(const float* range_m, std::size_t stretches, float* noise_m) {
+    for (std::size_t c = 0; c < stretches; ++c) {
+        const float* r = range_m + c;
+        const float mean = (r[0] + r[1] + r[2] + r[3] + r[4] + r[5] + r[6]) / 7.0f;
+        const float a = r[0] - mean, b = r[1] - mean, d = r[2] - mean, e = r[3] - mean, f = r[4] - mean, g = r[5] - mean,
+                    h = r[6] - mean;
+        const float line = 3.0f * (h - a) + 2.0f * (g - b) + (f - d);
+        const float parabola = 5.0f * (a + h) - 3.0f * (d + f) - 4.0f * e;
+        const float squares = a * a + b * b + d * d + e * e + f * f + g * g + h * h;
+        // 28 and 84 are the squared lengths of the polynomials; of 7 ranges 4 are free.
+        const float left = squares - line * line / 28.0f - parabola * parabola / 84.0f;
+        noise_m[c] = std::sqrt((left > 0.0f ? left : 0.0f) / 4.0f);
     }
-    // 28 and 84 are the squared lengths of the polynomials; 7 ranges less 3 parameters are free.
-    const float left = squares - line * line / 28.0f - parabola * parabola / 84.0f;
-    return std::sqrt(std::max(left, 0.0f) / 4.0f);
 }
 
 // Write for each column of a ring whether the step to the next is that of one surface.
@@ -300,18 +318,20 @@ void measure_noise(const Image& image, View2<const float> height_m, float below_
     const std::size_t parts = std::min(count_parts(range_m.size(), PART), bands);
     for_ranges(bands, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         Buffer<std::uint8_t> connected(columns, 0);
+        Buffer<float> noise_of(columns);
         for (std::size_t band = begin; band < end; ++band) {
             // 1. The noise of each stretch of the band's rings, by sector.
             std::vector<std::vector<float>> noise(sectors);
             for (std::size_t r = range_m.rows * band / bands; r < range_m.rows * (band + 1) / bands; ++r) {
                 find_connected(range_m[r], columns, connected.data());
+                if (columns >= STRETCH) find_noise(range_m[r], columns - STRETCH + 1, noise_of.data());
                 std::size_t length = 1;
                 for (std::size_t c = 1; c < columns; ++c) {
                     length = connected[c - 1] ? length + 1 : 1;
                     if (length < STRETCH || c % STRIDE != 0) continue;
                     const std::size_t middle = c - STRETCH / 2;
                     if (!(height_m(r, middle) < below_m)) continue;
-                    noise[std::size_t(image.sector[middle])].push_back(noise_of_stretch(range_m[r] + c + 1 - STRETCH));
+                    noise[std::size_t(image.sector[middle])].push_back(noise_of[c + 1 - STRETCH]);
                 }
             }
             // 2. Its lower quartile: rough surfaces among smooth ones do not matter.
@@ -339,6 +359,41 @@ MULTIVERSION void find_ground_medians(const float* range_m, const float* height_
     }
 }
 
+// The first of the columns before one whose median stands to its left.
+INLINE std::size_t left_of(std::size_t c, std::size_t columns) {
+    return (c + MEDIAN_COLUMNS * columns - MEDIAN_COLUMNS) % columns;
+}
+
+// Whether a ring returned on both sides, and is ground on one.
+INLINE bool is_jump(float left_m, float right_m, std::uint8_t is_ground) {
+    return (is_ground != 0) & (left_m < NONE) & (right_m < NONE);
+}
+
+// Add a ring to the jumps between columns: whether there is one (columns,), and whether it goes clearly up or down.
+MULTIVERSION void add_jumps(const float* left_m, const float* right_m, const std::uint8_t* left_ground,
+                            const std::uint8_t* right_ground, std::size_t count, std::uint16_t* rings, std::uint16_t* up,
+                            std::uint16_t* down) {
+    for (std::size_t c = 0; c < count; ++c) {
+        const bool jumps = is_jump(left_m[c], right_m[c], left_ground[c] | right_ground[c]);
+        rings[c] = std::uint16_t(rings[c] + jumps);
+        up[c] = std::uint16_t(up[c] + (jumps & (right_m[c] > left_m[c] + STEP_SPREAD_M)));
+        down[c] = std::uint16_t(down[c] + (jumps & (left_m[c] > right_m[c] + STEP_SPREAD_M)));
+    }
+}
+
+// The same for a whole ring: the first columns have theirs to the left at its end.
+void count_jumps(const float* median_m, const std::uint8_t* ground, std::size_t columns, std::uint16_t* rings,
+                 std::uint16_t* up, std::uint16_t* down) {
+    const std::size_t first = std::min(MEDIAN_COLUMNS, columns);
+    for (std::size_t c = 0; c < first; ++c) {
+        const std::size_t left = left_of(c, columns);
+        add_jumps(median_m + left, median_m + c, ground + left, ground + c, 1, rings + c, up + c, down + c);
+    }
+    if (columns <= MEDIAN_COLUMNS) return;
+    add_jumps(median_m, median_m + MEDIAN_COLUMNS, ground, ground + MEDIAN_COLUMNS, columns - MEDIAN_COLUMNS,
+              rings + MEDIAN_COLUMNS, up + MEDIAN_COLUMNS, down + MEDIAN_COLUMNS);
+}
+
 // A ring, closed around the circle: its first columns once more at its end.
 void close_ring(const float* row, std::size_t columns, Buffer<float>& closed) {
     std::copy_n(row, columns, closed.begin());
@@ -361,25 +416,27 @@ void measure_steps(const Image& image, View2<const float> height_m, View1<float>
             find_ground_medians(row.data(), heights.data(), columns, &median_m[r * columns], &ground[r * columns]);
         }
     });
-    // 2. Between each two columns: what the rings jump that are ground on one side at least, and how far they differ.
+    // 2. Between each two columns: how many rings that are ground on one side at least jump clearly, up and down.
+    std::vector<std::uint16_t> rings_of(columns, 0), up(columns, 0), down(columns, 0);
+    for (std::size_t r = 0; r < rings; ++r) {
+        const std::size_t at = r * columns;
+        count_jumps(&median_m[at], &ground[at], columns, rings_of.data(), up.data(), down.data());
+    }
+    // 3. Where most of them do: the median of their jumps, and how far they differ.
     Buffer<float> step(columns, 0.0f);
-    for_ranges(columns, count_parts(range_m.size(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-        std::vector<float> jumps;
-        for (std::size_t c = begin; c < end; ++c) {
-            const std::size_t left = (c + MEDIAN_COLUMNS * columns - MEDIAN_COLUMNS) % columns;
-            jumps.clear();
-            for (std::size_t r = 0; r < rings; ++r) {
-                const std::size_t a = r * columns + left, b = r * columns + c;
-                if ((ground[a] | ground[b]) && median_m[a] < NONE && median_m[b] < NONE) {
-                    jumps.push_back(median_m[b] - median_m[a]);
-                }
-            }
-            if (jumps.size() < LEAST_RINGS) continue;
-            const float common = median(jumps);
-            for (float& jump : jumps) jump = std::fabs(jump - common);
-            step[c] = std::fabs(common) / (NORMAL * median(jumps) + STEP_SPREAD_M);
+    std::vector<float> jumps;
+    for (std::size_t c = 0; c < columns; ++c) {
+        if (rings_of[c] < LEAST_RINGS || 2 * std::max(up[c], down[c]) < rings_of[c]) continue;
+        const std::size_t left = left_of(c, columns);
+        jumps.clear();
+        for (std::size_t r = 0; r < rings; ++r) {
+            const std::size_t a = r * columns + left, b = r * columns + c;
+            if (is_jump(median_m[a], median_m[b], ground[a] | ground[b])) jumps.push_back(median_m[b] - median_m[a]);
         }
-    });
+        const float common = median(jumps);
+        for (float& jump : jumps) jump = std::fabs(jump - common);
+        step[c] = std::fabs(common) / (NORMAL * median(jumps) + STEP_SPREAD_M);
+    }
     std::fill(steps.begin(), steps.end(), 0.0f);
     for (std::size_t c = 0; c < columns; ++c) {
         float& most = steps[std::size_t(image.sector[c])];
@@ -442,69 +499,101 @@ void measure_empty_runs(const Image& image, View1<float> runs) {
     }
 }
 
+namespace {
+
+// Write one over the horizontal distance of each point of a block, and its squared range.
+MULTIVERSION void measure_reach(const float* points, std::size_t count, float* per_flat, float* squared_m2) {
+    for (std::size_t k = 0; k < count; ++k) {
+        const float x = points[3 * k], y = points[3 * k + 1], z = points[3 * k + 2], flat2 = x * x + y * y;
+        squared_m2[k] = flat2 + z * z;
+        per_flat[k] = 1.0f / std::sqrt(flat2 + 1e-6f);
+    }
+}
+
+// The slope of each ring (rings,) and how far a return may be off it, +inf for too few returns.
+struct RingSlopes {
+    std::vector<float> middle, tolerance;
+};
+
+// By the median and the median deviation of the slopes (M,) of returns on rings (M,), spread evenly.
+RingSlopes measure_rings(const Buffer<float>& slope, const Buffer<std::int16_t>& ring, std::size_t rings) {
+    std::vector<std::uint32_t> size(rings, 0), wait(rings, 0);
+    for (const std::int16_t r : View1<const std::int16_t>(ring)) {
+        if (r >= 0) ++size[std::size_t(r)];
+    }
+    std::vector<std::vector<float>> sample(rings);
+    for (std::size_t m = 0; m < slope.size(); ++m) {
+        if (ring[m] < 0) continue;
+        const auto r = std::size_t(ring[m]);
+        if (wait[r]-- > 0) continue;
+        wait[r] = size[r] / std::uint32_t(ELEVATION_SAMPLES);
+        sample[r].push_back(slope[m]);
+    }
+    RingSlopes slopes{std::vector<float>(rings, 0.0f), std::vector<float>(rings, NONE)};
+    for (std::size_t r = 0; r < rings; ++r) {
+        if (sample[r].size() < LEAST_SAMPLES) continue;
+        slopes.middle[r] = median(sample[r]);
+        for (float& s : sample[r]) s = std::fabs(s - slopes.middle[r]);
+        slopes.tolerance[r] = OFF_DEVIATIONS * median(sample[r]) + OFF_SLOPE;
+    }
+    return slopes;
+}
+
+}  // namespace
+
 void find_off_beam(View2<const float> points, View1<const std::int16_t> ring, View1<const std::int32_t> column,
                    View1<const double> origin_m, View1<const std::int32_t> rows, std::size_t columns,
                    View1<bool> off_beam) {
     const std::size_t rings = origin_m.size;
-    // 1. The slope of each return, and the rings' sizes.
-    Buffer<float> slope(rows.size);
-    std::vector<std::size_t> size(rings, 0);
+    // 1. The slope of each leveled return, its squared range and its ring, -1 without a pixel.
+    Buffer<float> per_flat(points.rows), squared(points.rows), slope(rows.size);
+    for (std::size_t start = 0; start < points.rows; start += BLOCK) {
+        measure_reach(points[start], std::min(BLOCK, points.rows - start), &per_flat[start], &squared[start]);
+    }
+    Buffer<std::int16_t> ring_of(rows.size);
+    const std::vector<float> origin(origin_m.begin(), origin_m.end());
     for (std::size_t m = 0; m < rows.size; ++m) {
         const auto n = std::size_t(rows[m]);
-        if (ring[n] < 0) continue;
-        const float* p = points[n];
-        const float flat_m = std::max(std::sqrt(p[0] * p[0] + p[1] * p[1]), 1e-3f);
-        slope[m] = (p[2] - float(origin_m[std::size_t(ring[n])])) / flat_m;
-        ++size[std::size_t(ring[n])];
+        const std::int16_t r = column[n] < 0 ? std::int16_t(-1) : ring[n];
+        ring_of[m] = r;
+        slope[m] = r < 0 ? 0.0f : (points(n, 2) - origin[std::size_t(r)]) * per_flat[n];
     }
-    // 2. The slope of each ring and its median deviation, from returns spread evenly.
-    std::vector<std::vector<float>> sample(rings);
-    std::vector<std::size_t> seen(rings, 0);
+    // 2. The slope of each ring; which returns are off it.
+    const RingSlopes slopes = measure_rings(slope, ring_of, rings);
+    bool some = false;
     for (std::size_t m = 0; m < rows.size; ++m) {
-        const auto r = ring[std::size_t(rows[m])];
-        if (r >= 0 && seen[std::size_t(r)]++ % (size[std::size_t(r)] / ELEVATION_SAMPLES + 1) == 0) {
-            sample[std::size_t(r)].push_back(slope[m]);
-        }
+        off_beam[m] = ring_of[m] >= 0 && std::fabs(slope[m] - slopes.middle[std::size_t(ring_of[m])]) >
+                                             slopes.tolerance[std::size_t(ring_of[m])];
+        some |= off_beam[m];
     }
-    std::vector<float> middle(rings, 0.0f), tolerance(rings, NONE);
-    for (std::size_t r = 0; r < rings; ++r) {
-        if (sample[r].size() < LEAST_SAMPLES) continue;
-        middle[r] = median(sample[r]);
-        for (float& s : sample[r]) s = std::fabs(s - middle[r]);
-        tolerance[r] = OFF_DEVIATIONS * median(sample[r]) + OFF_SLOPE;
-    }
-    // 3. How far off each pixel is, and its range.
-    Buffer<float> off(rings * columns), range_m(rings * columns);
-    std::fill(range_m.begin(), range_m.end(), NONE);
+    if (!some) return;
+    // 3. How far off each pixel is, and its squared range.
+    Buffer<float> off(rings * columns), squared_m2(rings * columns);
+    std::fill(squared_m2.begin(), squared_m2.end(), NONE);
     for (std::size_t m = 0; m < rows.size; ++m) {
-        const auto n = std::size_t(rows[m]);
-        if (ring[n] < 0 || column[n] < 0) continue;
-        const std::size_t r = std::size_t(ring[n]), pixel = r * columns + std::size_t(column[n]);
-        off[pixel] = slope[m] - middle[r];
-        range_m[pixel] = range_of(points[n]);
+        if (ring_of[m] < 0) continue;
+        const auto n = std::size_t(rows[m]), r = std::size_t(ring_of[m]), pixel = r * columns + std::size_t(column[n]);
+        off[pixel] = slope[m] - slopes.middle[r];
+        squared_m2[pixel] = squared[n];
     }
-    // 4. Returns that are off, and that no neighbor confirms: of a sensor that moved, neighbors are off alike.
-    const auto is_confirmed = [&](std::size_t r, std::int32_t c, float here_m, float mine) {
+    // 4. Of these, the returns that no neighbor confirms: where the sensor moved, neighbors are off alike.
+    const auto is_confirmed = [&](std::size_t r, std::int32_t c, float here_m2, float mine) {
+        const float apart = std::max(CONFIRMING_SLOPE, CONFIRMING_SHARE * std::fabs(mine));
         for (int k = -CONFIRMING_COLUMNS; k <= CONFIRMING_COLUMNS; ++k) {
             if (k == 0) continue;
-            const std::size_t at = std::size_t(((c + k) % int(columns) + int(columns)) % int(columns));
+            const auto at = std::size_t(((c + k) % int(columns) + int(columns)) % int(columns));
             for (std::size_t p = r > 0 ? r - 1 : 0; p < std::min(r + 2, rings); ++p) {
                 const std::size_t pixel = p * columns + at;
-                if (are_alike(range_m[pixel], here_m, CONFIRMING_RATIO) &&
-                    std::fabs(off[pixel] - mine) < std::max(CONFIRMING_SLOPE, CONFIRMING_SHARE * std::fabs(mine))) {
-                    return true;
-                }
+                const bool is_near = are_alike(squared_m2[pixel], here_m2, CONFIRMING_RATIO * CONFIRMING_RATIO);
+                if (is_near && std::fabs(off[pixel] - mine) < apart) return true;
             }
         }
         return false;
     };
     for (std::size_t m = 0; m < rows.size; ++m) {
-        const auto n = std::size_t(rows[m]);
-        off_beam[m] = false;
-        if (ring[n] < 0 || column[n] < 0) continue;
-        const auto r = std::size_t(ring[n]);
-        const float mine = slope[m] - middle[r];
-        off_beam[m] = std::fabs(mine) > tolerance[r] && !is_confirmed(r, column[n], range_of(points[n]), mine);
+        if (!off_beam[m]) continue;
+        const auto n = std::size_t(rows[m]), r = std::size_t(ring_of[m]);
+        off_beam[m] = !is_confirmed(r, column[n], squared[n], slope[m] - slopes.middle[r]);
     }
 }
 

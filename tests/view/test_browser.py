@@ -12,8 +12,9 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate
+from viewshed.integrity import IntegrityReport
 from viewshed.plot import COLORS
-from viewshed.view import Alarm, Frame, Integrity, PackedFrame, pack_frame, write_page
+from viewshed.view import Frame, PackedFrame, pack_frame, write_page
 from viewshed.view.html import UNKNOWN_ON_DARK
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed: pages are not opened")
@@ -36,9 +37,11 @@ def _frames() -> Iterator[PackedFrame]:
         std = np.full(GRID.shape, 0.1 * (k + 1), np.float32) if k < 2 else None
         suspect = np.zeros(GRID.shape, np.bool_)
         suspect[40:48, 8:16] = k == 3
-        alarms = (Alarm("inconsistent", "a wall <b>is</b> missing"),) if k == 3 else ()
+        report = IntegrityReport(
+            "by hand", 0.1 * k, 0.25, grid=GRID, suspect_cells=suspect, reasons=("a wall <b>is</b> missing",)
+        )
         estimate = FovEstimate(GRID, visible * np.float32(0.9), state, std=std, t_ns=10**18 + 50_000_000 * k)
-        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, Integrity(0.1 * k, suspect, None, alarms)))
+        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, report))
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +134,12 @@ def test_keys_step_and_play(opened: Browser) -> None:
     assert opened.problems == []
 
 
+def test_times_that_do_not_rise_are_a_tenth_of_a_second_apart(opened: Browser) -> None:
+    times_ns = ["1700000000000000005", "1700000001000000005", "3", "null", "4", "2000000004"]
+    frames = ", ".join("{t_ns: null}" if t_ns == "null" else f'{{t_ns: "{t_ns}"}}' for t_ns in times_ns)
+    assert opened.value(f"timesOf([{frames}])") == pytest.approx([0.0, 1.0, 1.1, 1.2, 1.3, 3.3])
+
+
 def test_the_strip_seeks(opened: Browser) -> None:
     box = opened.value("JSON.parse(JSON.stringify(strip.getBoundingClientRect()))")
     middle = box["top"] + box["height"] / 2
@@ -154,6 +163,23 @@ def test_the_pointer_tells_the_cell_and_the_wheel_zooms_around_it(opened: Browse
     assert opened.value("toScreen(20.5, -20.5)") == pytest.approx([column, row], abs=1.0)
     opened.press("0")
     assert opened.value("camera.scale") == pytest.approx(scale)
+
+
+def test_grids_may_differ(tab: Browser, tmp_path: Path) -> None:
+    small, large = BevGrid(1, 4.0), BevGrid(8, 40.0, (10.0, -5.0))
+    frames = [
+        pack_frame(Frame("", FovEstimate(grid, np.ones(grid.shape, np.float32), np.ones(grid.shape, np.uint8))))
+        for grid in (small, large)
+    ]
+    write_page(tmp_path / "run.html", frames, "drive")
+    tab.open((tmp_path / "run.html").as_uri())
+    tab.wait_for(SHOWN.format(0))
+    for k, grid in enumerate((small, large)):
+        tab.value(f"show({k})")
+        side = min(tab.value("map.clientWidth"), tab.value("map.clientHeight"))
+        assert tab.value("camera.scale") == pytest.approx(0.97 * side / (2 * grid.half_extent_m))
+        assert tab.value("[camera.x, camera.y]") == list(grid.offset_m)
+    assert tab.problems == []
 
 
 def test_a_narrow_window_shows_map_and_controls(opened: Browser) -> None:

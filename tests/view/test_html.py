@@ -14,10 +14,11 @@ import pytest
 
 from viewshed import BevGrid, FovEstimate
 from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.integrity import IntegrityReport
 from viewshed.io import read_sweep
 from viewshed.io.samples import junction_path
 from viewshed.preprocess.leveling import level
-from viewshed.view import Alarm, Frame, Integrity, PackedFrame, pack_frame, write_page
+from viewshed.view import Frame, PackedFrame, pack_frame, write_page
 from viewshed.view.html import json_in_html
 
 GRID = BevGrid(16, 8.0)
@@ -72,7 +73,8 @@ def test_names_cannot_add_elements(tmp_path: Path) -> None:
     zeros = np.zeros(GRID.shape, np.uint8)
     estimate = FovEstimate(GRID, zeros.astype(np.float32), zeros, method=HOSTILE, agent=HOSTILE)
     write_page(plain, [_frame()], "drive")
-    frame = pack_frame(Frame(HOSTILE, estimate, None, Integrity(1.0, alarms=(Alarm(HOSTILE, HOSTILE),))))
+    report = IntegrityReport(HOSTILE, 2.0, 1.0, reasons=(HOSTILE,), notes=(HOSTILE,))
+    frame = pack_frame(Frame(HOSTILE, estimate, None, report))
     write_page(hostile, [frame], HOSTILE)
     assert [tag for tag, _ in _Elements(hostile).elements] == [tag for tag, _ in _Elements(plain).elements]
     assert HOSTILE in "".join(text for tag, text in _Elements(hostile).texts if tag == "h1")

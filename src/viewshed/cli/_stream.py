@@ -1,21 +1,18 @@
-"""Sweeps one after the other, for ``estimate``, ``view`` and ``replay``: read, named, leveled, estimated, timed."""
+"""Sweeps one after the other, with their names, for ``estimate``, ``view`` and ``replay``."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from viewshed.cli._options import BAD_INPUTS, Reading
-from viewshed.cli._outputs import Failures, Named, free_name, warm_up, with_bar
+from viewshed.cli._outputs import Failures, Named, free_name, with_bar
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
-    from viewshed.fov.estimate import FovEstimate
+    from viewshed.estimators.temporal import SweepBuffer
     from viewshed.io import IndexEntry
-    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
     Job = tuple[Path, IndexEntry | None]
@@ -48,39 +45,14 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
         yield sweep, free_name(f"{name}_{number:03}", taken)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimated:
-    """A sweep with its estimate.
+def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
+    """Return what keeps so many earlier sweeps for an estimator, or None for none.
 
-    Attributes:
-        named: the sweep as it was read.
-        leveled: the same, leveled.
-        estimate: what it could see.
-        elapsed_ms: time of leveling and estimating.
+    Raises:
+        ValueError: the estimator uses no history.
     """
+    from viewshed.estimators.temporal import SweepBuffer
 
-    named: Named
-    leveled: LeveledSweep
-    estimate: FovEstimate
-    elapsed_ms: float
-
-
-def estimated(sweeps: Iterable[Named], estimator: Estimator, failures: Failures) -> Iterator[Estimated]:
-    """Yield each sweep with its estimate; the sensor of each is first expected to be that of the one before."""
-    from viewshed.preprocess.leveling import level
-
-    sensor, is_warm = None, False
-    for named in sweeps:
-        try:
-            if not is_warm:
-                warm_up(estimator, named.sweep)
-                is_warm = True
-            start = time.perf_counter()
-            leveled = level(named.sweep, estimator.grid, sensor)
-            estimate = estimator.estimate(leveled)
-            elapsed_ms = 1e3 * (time.perf_counter() - start)
-        except BAD_INPUTS as error:
-            failures.report(named.file, error)
-            continue
-        sensor = leveled.sensor_id.model
-        yield Estimated(named, leveled, estimate, elapsed_ms)
+    if sweeps and not estimator.uses_history:
+        raise ValueError(f"--history helps viewnet and shadow_map, got {estimator.name}, which looks at one sweep")
+    return SweepBuffer(sweeps) if sweeps else None

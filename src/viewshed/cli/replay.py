@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,11 +13,11 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
 from viewshed.cli._outputs import Failures, Named, output_names
-from viewshed.cli._stream import estimated, named_sweeps
+from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
-    from viewshed.estimators import Estimator
+    from viewshed.pipeline import Answer
 
 USUAL_PERIOD_S = 0.1
 """Between two sweeps whose times are not known or do not rise."""
@@ -74,17 +75,16 @@ def replay(
     as_fast: Annotated[bool, typer.Option("--as-fast", help="Wait for nothing, whatever --rate.")] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
 ) -> None:
-    """Estimate the sweeps of a recording at their own pace: one line each, with time, visible area and latency.
+    """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
 
-    A sweep that comes late is not left out: those after it wait no longer than they must.
+    A sweep that is not begun when the next one is due is dropped and counted, unless --as-fast.
 
     Example: viewshed replay drive.mcap --rate 2
     """
-    from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+    from viewshed.pipeline import Pipeline
 
-    estimator: Estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
-    if history:
-        estimator = TemporalEstimator(estimator, SweepBuffer(history))
+    estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
+    buffer = history_buffer(estimator, history)
     reading, failures = Reading(sensor), Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
@@ -98,17 +98,28 @@ def replay(
                 is_any = loop
                 yield named
 
+    due_s: dict[int, float] = {}
     pace = Pace(0.0 if as_fast else rate)
-    latencies_ms: list[float] = []
-    for each in estimated(pace.kept(read()), estimator, failures):
-        latencies_ms.append(each.elapsed_ms)
-        visible = f"visible {each.estimate.area_m2():.0f} m²"
-        typer.echo(f"{pace.time_s:9.3f} s  {each.named.name}  {visible}  {each.elapsed_ms:.1f} ms")
-    if latencies_ms:
-        ordered = sorted(latencies_ms)
-        typer.echo(
-            f"{len(ordered)} sweeps, latency {ordered[len(ordered) // 2]:.1f} ms (median),"
-            f" {ordered[-1]:.1f} ms (longest)"
-        )
+    publish = partial(_print, due_s=due_s, failures=failures)
+    pipeline = Pipeline(estimator, publish, history=buffer, lossless=as_fast)
+    try:
+        with pipeline:
+            for number, named in enumerate(pace.kept(read())):
+                due_s[number] = pace.time_s
+                pipeline.put(named.sweep, named.sweep.agent)
+    finally:
+        typer.echo(pipeline.statistics().line())
     if failures.count:
         raise typer.Exit(2)
+
+
+def _print(answer: Answer, due_s: dict[int, float], failures: Failures) -> None:
+    """Print the line of a sweep, and forget when it and those before it, which may have been dropped, were due."""
+    begin_s = due_s[answer.number]
+    for number in [number for number in due_s if number <= answer.number]:
+        del due_s[number]
+    if answer.estimate is None:
+        failures.report(f"{begin_s:.3f} s", ValueError(answer.refused))
+        return
+    visible = f"visible {answer.estimate.area_m2():.0f} m²"
+    typer.echo(f"{begin_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms")

@@ -384,6 +384,9 @@ def _row(score: EvidenceScore, evidence: NDArray[np.floating[Any]]) -> Floats:
 
 FORMAT_VERSION = 1
 
+SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
+"""The monitor in the box."""
+
 _MAX_BYTES = 1 << 26
 """Largest part of a file, unpacked: a hundred thousand scenes by 72 sectors."""
 
@@ -445,6 +448,28 @@ def load_sweep_monitor(path: str | Path) -> SweepMonitor:
         raise ValueError(
             f"{path} must be a whole monitor file of this version, got: {why}; calibrate it again"
         ) from error
+
+
+def shipped_monitor() -> SweepMonitor:
+    """Return the monitor in the box, calibrated on simulated scenes; see docs/monitor.md for its measured rates."""
+    return load_sweep_monitor(SHIPPED)
+
+
+def kind_of_monitor(path: str | Path) -> str:
+    """Return the name of the monitor that wrote a file; empty where none did.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    raw = Path(path).read_bytes()
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            if archive.getinfo("about.npy").file_size > _MAX_BYTES:
+                return ""
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
+            return str(json.loads(file["about"].tobytes())["monitor"])
+    except _BROKEN:
+        return ""
 
 
 def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMonitor:

@@ -19,7 +19,7 @@ from typing import Any
 from viewshed._files import open_atomic
 from viewshed.fov.estimate import CellState
 from viewshed.plot import COLORS, HEIGHTS_M, WORDS, color_map
-from viewshed.view.frames import PROBABILITY_STEPS, PackedFrame
+from viewshed.view.frames import DEVIATION_STEPS, PROBABILITY_STEPS, PackedFrame
 
 UNKNOWN_ON_DARK = (0.17, 0.18, 0.2)
 """UNKNOWN on a dark page, where its light gray would outshine all else; the other states keep their colors."""
@@ -91,6 +91,7 @@ def _settings() -> dict[str, Any]:
         "maps": {layer: base64.b64encode(color_map(name).tobytes()).decode() for layer, name in maps.items()},
         "heights_m": list(HEIGHTS_M),
         "steps": PROBABILITY_STEPS,
+        "deviation_steps": DEVIATION_STEPS,
     }
 
 

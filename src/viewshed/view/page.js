@@ -15,11 +15,12 @@ let base = "states"; // which layer lies below
 const overlays = {}; // which layers lie on top
 const camera = { x: 0, y: 0, scale: 1, isWhole: true }; // meters at the middle, pixels of a meter
 
-// Seconds since the first frame; a tenth of a second apart where the frames' own times do not rise.
+// Seconds since the first frame; a tenth of a second between two whose times are not known or do not rise.
 function timesOf(frames) {
-  const begin_ns = BigInt(frames[0].t_ns ?? 0);
-  const own = frames.map(({ t_ns }) => (t_ns === null ? NaN : Number(BigInt(t_ns) - begin_ns) / 1e9));
-  return own.every((time, k) => (k ? time > own[k - 1] : time === 0)) ? own : frames.map((_, k) => k / 10);
+  const rise = (from, to) => (from && to ? Number(BigInt(to) - BigInt(from)) / 1e9 : 0);
+  const period = (from, to) => (rise(from, to) > 0 ? rise(from, to) : 0.1);
+  let now = 0;
+  return frames.map(({ t_ns }, k) => (now += k && period(frames[k - 1].t_ns, t_ns)));
 }
 
 const bytesOf = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
@@ -64,8 +65,7 @@ async function show(k) {
   shown = arrays && { ...arrays };
   element("problem").textContent = problem && `Sweep ${wanted + 1} cannot be decoded: ${problem}`;
   tell();
-  drawMap();
-  drawStrip();
+  redraw();
   if (wanted + 1 < abouts.length) frame(wanted + 1).catch(() => {}); // said when it is shown
 }
 
@@ -85,7 +85,7 @@ function cellColor(byte) {
   if (base === "states") return stateOf(byte)[root.dataset.theme];
   if (base === "probability") return colorAt("probability", step / last);
   if (base === "doubt") return colorAt("doubt", (2 * Math.min(step, last - step)) / (last - 1));
-  return byte === 255 ? null : colorAt("deviation", byte / 254);
+  return byte === 255 ? null : colorAt("deviation", byte / settings.deviation_steps);
 }
 
 // A canvas with a pixel for each cell: row 0 is farthest ahead, column 0 farthest left.
@@ -240,6 +240,7 @@ function drawScale() {
 }
 
 const percent = (share) => `${Math.round(100 * share)} %`;
+const number = (value) => value?.toPrecision(3) ?? "–";
 
 // What is known of the frame, and its alarms if there are any.
 function tell() {
@@ -247,9 +248,9 @@ function tell() {
   const share = (state) => percent(about.shares[settings.states.findIndex(({ name }) => name === state)]);
   const words = {
     name: about.name, sweep: `${current + 1} of ${abouts.length}`, visible: `${Math.round(about.visible_m2)} m²`,
-    hidden: share("HIDDEN"), unknown: share("UNKNOWN"), method: about.method, target: about.target,
-    returns: about.returns.toLocaleString("en"), score: about.score?.toPrecision(3) ?? "no monitor",
-    basis: about.basis.join("\n"), deviation: about.deviation_top?.toPrecision(2) ?? "none",
+    hidden: share("HIDDEN"), unknown: share("UNKNOWN"), agent: about.agent, method: about.method, target: about.target,
+    returns: about.returns.toLocaleString("en"), score: number(about.score), limit: number(about.limit),
+    basis: [...about.basis, ...(about.notes ?? [])].join("\n"), deviation: number(about.deviation_top),
     alarms: (about.alarms ?? []).map(({ verdict, reason }) => `${verdict}: ${reason}`).join("\n"),
     clock: `${seconds[current].toFixed(2)} s of ${seconds[seconds.length - 1].toFixed(2)} s`,
   };
@@ -269,8 +270,8 @@ function tip(event) {
   const byte = shown.cells[i * cells + j];
   const [low, high] = [stepOf(byte), stepOf(byte) + 1].map((step) => percent(step / settings.steps));
   const lines = [`x ${x.toFixed(1)} m, y ${y.toFixed(1)} m`, `${stateOf(byte).name}, probability ${low} to ${high}`];
-  const deviation = shown.deviation?.[i * cells + j] ?? 255;
-  if (deviation < 255) lines.push(`deviation ${((deviation / 254) * shown.about.deviation_top).toFixed(3)}`);
+  const share = (shown.deviation?.[i * cells + j] ?? 255) / settings.deviation_steps;
+  if (share <= 1) lines.push(`deviation ${number(share * shown.about.deviation_top)}`);
   if (byte & 8) lines.push("suspect");
   output.textContent = lines.join("\n");
   output.style.left = `${Math.min(column + 14, stage.clientWidth - output.offsetWidth - 4)}px`;
@@ -330,6 +331,11 @@ function fit() {
   drawMap();
 }
 
+function redraw() {
+  camera.isWhole ? fit() : drawMap(); // grids may differ from frame to frame
+  drawStrip();
+}
+
 // Move the ground so that what was under one place of the canvas is under another, and zoom around that.
 function move(from, to, factor) {
   const [x, y] = toLevel(...from);
@@ -342,15 +348,13 @@ function move(from, to, factor) {
 function choose() {
   base = document.querySelector("#bases input:checked").value;
   for (const box of document.querySelectorAll("#overlays input")) overlays[box.value] = box.checked;
-  const isDark = matchMedia("(prefers-color-scheme: dark)").matches;
-  const theme = element("theme").value;
-  root.dataset.theme = theme === "system" ? (isDark ? "dark" : "light") : theme;
+  const system = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  root.dataset.theme = element("theme").value === "system" ? system : element("theme").value;
   for (const item of document.querySelectorAll("[data-layer]")) {
     item.hidden = item.dataset.layer !== base && !overlays[item.dataset.layer];
   }
   if (shown) Object.assign(shown, { raster: null, suspect: null });
-  drawMap();
-  drawStrip();
+  redraw();
 }
 
 function listen() {
@@ -359,10 +363,7 @@ function listen() {
   map.onpointerdown = (event) => { held = place(event); map.setPointerCapture(event.pointerId); };
   map.onpointerup = map.onpointercancel = () => { held = null; };
   map.onpointerleave = () => { element("tip").hidden = true; };
-  map.onpointermove = (event) => {
-    tip(event);
-    if (held) move(held, (held = place(event)), 1);
-  };
+  map.onpointermove = (event) => { tip(event); if (held) move(held, (held = place(event)), 1); };
   map.onwheel = (event) => { event.preventDefault(); move(place(event), place(event), 1.0015 ** -event.deltaY); };
   const go = (k) => { play(false); show(k); };
   const zoom = (factor) => move(middle(), middle(), factor);
@@ -383,7 +384,7 @@ function listen() {
   };
   document.onchange = choose;
   matchMedia("(prefers-color-scheme: dark)").onchange = choose;
-  new ResizeObserver(() => { camera.isWhole ? fit() : drawMap(); drawStrip(); }).observe(stage);
+  new ResizeObserver(redraw).observe(stage);
 }
 
 function start() {
@@ -391,7 +392,6 @@ function start() {
   strip.setAttribute("aria-valuemax", abouts.length);
   element("if_deviation").hidden = abouts.every((about) => about.deviation_top === null);
   choose();
-  fit();
   listen();
   show(0);
 }

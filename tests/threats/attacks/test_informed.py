@@ -81,6 +81,18 @@ def test_a_copy_is_the_wall_turned(flat_scene: FlatScene) -> None:
     assert np.linalg.norm(np.array(behind)[:, :2], axis=1).max() < 13.6
 
 
+def test_a_copy_stands_before_what_is_there(flat_scene: FlatScene) -> None:
+    """Behind the sensor the view is open; with a post there, 10° wide and 5 m away, a wall of 45° does not fit."""
+    clean = flat_scene(12.0)
+    attack = CopiedObject(sector_deg=60.0, azimuth=np.pi)
+    assert attack.apply(clean, _rng(1)).added.any()
+    x, y, _ = clean.points.T
+    post = (np.abs(np.arctan2(y, -x)) < np.deg2rad(5.0)) & (np.hypot(x, y) > 5.0)
+    scale = np.where(post, 5.0 / np.hypot(x, y), 1.0)[:, None]
+    tampered = attack.apply(clean.replace(points=(clean.points * scale).astype(np.float32)), _rng(1))
+    assert not tampered.added.any()
+
+
 def test_a_lasting_attack_keeps_its_place(simulated: list[Scene]) -> None:
     """At the azimuth of an earlier one the same object vanishes, and a copy stands where it stood."""
     placed = 0

@@ -75,7 +75,7 @@ def damped_share(some: NDArray[np.integer[Any]], every: NDArray[np.integer[Any]]
 
     A chance find in a sector of few returns then counts little.
 
-    >>> damped_share(np.array([0, 5, 5]), np.array([0, 5, 95]), 5).round(2).tolist()
-    [0.0, 0.5, 0.05]
+    >>> damped_share(np.array([0, 5, 15]), np.array([0, 5, 55]), 5).tolist()
+    [0.0, 0.5, 0.25]
     """
     return np.asarray(some / (every + few), np.float32)

@@ -1,8 +1,8 @@
 """Returns before all their neighbors, in line with each other: what is left of a surface that was taken away.
 
-A spoofer that removes a wall, or pushes it away, loses some beams (docs/attacks.md), and these still return from the wall:
-single returns in the air, at one range. Points that are added in a wedge at one range look the same. Rain and snow return
-from anywhere along the beam, so few are in line; posts and leaves are, but there are few of them.
+A spoofer that removes a wall, or pushes it away, loses some beams (docs/attacks.md), and these still return from the
+wall: single returns in the air, at one range. Points that are added in a wedge at one range look the same. Rain and
+snow return from anywhere along the beam, so few are in line; posts and leaves are, but there are few of them.
 """
 
 from __future__ import annotations

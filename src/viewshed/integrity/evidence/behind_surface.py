@@ -1,8 +1,8 @@
 """Returns behind a surface: a beam whose eight neighbors meet one surface cannot have passed it.
 
-A spoofer wins only a share of the beams that it aims at (.985 for a VLP-16, .44 for an OS1-32, docs/attacks.md): through
-the holes of its ghost the sensor still sees what stands behind. Windows, fences and trees have holes too, but around those
-the surface is rarely whole.
+A spoofer wins only a share of the beams that it aims at (.985 for a VLP-16, .44 for an OS1-32, docs/attacks.md):
+through the holes of its ghost the sensor still sees what stands behind. Windows, fences and trees have holes too, but
+around those the surface is rarely whole.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Common steps: all ground rings jump by one amount between two columns, which no ground does.
 
-At the border of a wedge whose ranges are all too long or too short (relay) each ring steps by the same offset. A kerb, or an
-obstacle that stands on the ground, steps each ring by another amount, or only some rings. The median jump of the rings is
-compared with their spread.
+At the border of a wedge whose ranges are all too long or too short (relay) each ring steps by the same offset. A kerb,
+or an obstacle that stands on the ground, steps each ring by another amount, or only some rings. The median jump of the
+rings is compared with their spread.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Two returns of one beam at different ranges: a sensor that reports one return a beam has none.
 
-Free points are added to beams that returned already. The columns of a real sensor jitter, so that a return may fall into
-its neighbor's pixel and leave its own empty: pixels beside an empty one do not count. A sensor with dual returns has such
-pixels all around: only what a sector has above the sweep's median counts then.
+Free points are added to beams that returned already. The columns of a real sensor jitter, so that a return may fall
+into its neighbor's pixel and leave its own empty: pixels beside an empty one do not count. A sensor with dual returns
+has such pixels all around: only what a sector has above the sweep's median counts then.
 """
 
 from __future__ import annotations
@@ -24,4 +24,5 @@ def measure_double_returns(monitored: MonitoredSweep) -> Floats:
     if image is None or known is None or not known.pixels_are_beams:
         return ABSTAINS
     share = damped_share(*_core.count_double_returns(image.range_m, image.farthest_m, image.sector, SECTORS), _FEW)
-    return np.maximum(share - np.median(share), 0.0)
+    above: Floats = np.maximum(share - np.float32(np.median(share)), np.float32(0.0))
+    return above

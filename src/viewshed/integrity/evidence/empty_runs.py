@@ -1,7 +1,7 @@
 """Empty runs: neighboring columns in which most rings that return elsewhere do not. A sector is removed, or was lost.
 
-Returns that are pushed inside the minimum range are dropped by the sensor (physical removal); a lost packet looks alike. So
-this is evidence of a worse view, whatever its cause.
+Returns that are pushed inside the minimum range are dropped by the sensor (physical removal); a lost packet looks
+alike. So this is evidence of a worse view, whatever its cause.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What the estimates say: a network that contradicts the shadow map, and the deviation of a Bayesian one.
 
-The shadow map is geometry of the beams; a network has also learned what scenes look like. Where they differ the returns do
-not look like a scene, or there is little evidence. The deviation of Monte Carlo dropout is the published detector's
-(arXiv 2503.07375).
+The shadow map is geometry of the beams; a network has also learned what scenes look like. Where they differ the
+returns do not look like a scene, or there is little evidence. The deviation of Monte Carlo dropout is the published
+detector's (arXiv 2503.07375).
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ def measure_disagreement(monitored: MonitoredSweep) -> Floats:
 def measure_deviation(monitored: MonitoredSweep) -> Floats:
     """Return the mean standard deviation (SECTORS,) of the first estimate that has one; abstains without any."""
     for estimate in monitored.estimates.values():
-        known = np.isfinite(estimate.std)
+        std = np.asarray(estimate.std, np.float32)
+        known = np.isfinite(std)
         if known.any():
-            return _mean_by_sector(estimate.grid, np.where(known, estimate.std, 0.0))
+            return _mean_by_sector(estimate.grid, np.where(known, std, np.float32(0.0)))
     return ABSTAINS
 
 

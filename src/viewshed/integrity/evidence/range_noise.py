@@ -1,10 +1,10 @@
 """Noise of range along the rings that is not the sensor's: a spoofer sets ranges with an error of its own.
 
-Measured on commercial sensors it is .10 m a point (docs/attacks.md), where a sensor has .02 m. It shows where a surface is
-smooth: what a parabola leaves of seven ranges in a row. Leaves and grass are rough as well, so the lower quartile counts:
-all of a forged patch is noisy, but rough surfaces mix with smooth ones. Rings of one band meet the ground at one range and
-angle, so on the ground each band is compared with itself all around; noise of the whole sweep, of rain or of the sensor,
-cancels.
+Measured on commercial sensors it is .10 m a point (docs/attacks.md), where a sensor has .02 m. It shows where a
+surface is smooth: what a parabola leaves of seven ranges in a row. Leaves and grass are rough as well, so the lower
+quartile counts: all of a forged patch is noisy, but rough surfaces mix with smooth ones. Rings of one band meet the
+ground at one range and angle, so on the ground each band is compared with itself all around; noise of the whole sweep,
+of rain or of the sensor, cancels.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Straight edges: nearly all rings break off at the same column, from the lowest to the highest.
 
-What an attacker changes ends at the borders of its wedge, vertically and in all rings. Corners of buildings are vertical as
-well, but the rings below them meet the ground and go on.
+What an attacker changes ends at the borders of its wedge, vertically and in all rings. Corners of buildings are
+vertical as well, but the rings below them meet the ground and go on.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from viewshed.studies.formatting import commits, format_interval, format_rate
 from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable
 from viewshed.studies.monitor.examples import LOSSES, evidence_over_time
 from viewshed.studies.monitor.jobs import load_score, score_path
-from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, MonitorPlan, family_of
+from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, CLEAN, ONSET, MonitorPlan, family_of
 from viewshed.studies.monitor.results import (
     DEGRADED,
     INCONSISTENT,
@@ -37,6 +37,7 @@ from viewshed.studies.monitor.results import (
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
+from viewshed.threats.attacks import INFORMED
 
 FALSE_DISCOVERIES = 0.1
 
@@ -100,21 +101,21 @@ class MonitorResults:
         """Return what is found of each attack with its own budget, and the mean."""
         header = ["attack", "AUROC", "alone", "five", "caught at 1 %", "five", "at .1 %", "five", "degraded", "delay",
                   "idle", "scenes"]  # fmt: skip
-        rows, inside = [], list[Detection]()
+        rows, inside = [], dict[str, list[Detection]]()
         for case, found in self.detections.items():
             if case.kind == "attack" and not case.level.isdecimal():
                 level = "" if case.level == DEFAULT else f", {case.level}"
                 rows.append([f"{case.name}{level} ({family_of(case.name)})", *_words(found)])
                 if case.name not in APART:
-                    inside.append(found)
-        if inside:
+                    inside.setdefault(_kind_of(case.name), []).append(found)
+        for kind, several in inside.items():
             areas: list[Callable[[Detection], Rate]] = [
                 lambda one: one.area, lambda one: one.area_alone, lambda one: one.area_five, lambda one: one.caught,
                 lambda one: one.caught_five, lambda one: one.caught_low, lambda one: one.caught_low_five,
                 lambda one: one.degraded,
             ]  # fmt: skip
-            means = [format_rate(mean_rate([area(one) for one in inside])) for area in areas]
-            rows.append(["**mean**", *means, "", "", ""])
+            means = [format_rate(mean_rate([area(one) for one in several])) for area in areas]
+            rows.append([f"**mean, {kind}**", *means, "", "", ""])
         return Table(header, rows)
 
     def severity_table(self) -> Table:
@@ -177,7 +178,7 @@ class MonitorResults:
             for severity in severities:
                 case = Case("corruption", name, str(severity))
                 of_drive = np.array([one == case for one in conditions])[table.drive]
-                from_start.append((table.case == 0) & (table.frame > 0) & of_drive)
+                from_start.append((table.case == 0) & (table.frame >= ONSET) & of_drive)
                 half_way.append(table.is_case([case]))
             rows.append([name, *(words(mask) for mask in (*from_start, *half_way))])
             every = [total | mask for total, mask in zip(every, (*from_start, *half_way), strict=True)]
@@ -262,9 +263,7 @@ class MonitorResults:
         if not any((self.folder / FOLDER).glob(f"{RECORDED}-*.npz")):
             return None
         table = SweepTable.read(self.folder, RECORDED)
-        score = load_score(score_path(self.folder, ALL_FAMILIES))
-        alone = self._evaluation(ALL_FAMILIES, self.test, self.over_time)
-        return RecordedScores.of(table, score, self.whole.one_of_each_scene, alone.one_of_each_scene, self.over_time)
+        return RecordedScores.of(table, self._evaluation(ALL_FAMILIES, self.test, self.over_time))
 
     def evidence_table(self) -> Table:
         """Return how much of the area under the curve is lost without each kind of evidence."""
@@ -293,6 +292,11 @@ class MonitorResults:
                 f"{format_rate(whole[worst])} → {format_rate(without[worst])}",
             ])  # fmt: skip
         return Table(["evidence", "AUROC", "most is lost for", "its AUROC"], rows)
+
+
+def _kind_of(name: str) -> str:
+    """Return whose attacks a mean is over."""
+    return "informed" if name in INFORMED else "clean spoofer" if name.endswith(CLEAN) else "measured spoofer"
 
 
 def _located(scored: Scored, benign: NDArray[np.float32]) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.calibration import Calibration, Earlier, Group, alarm_limit
+from viewshed.integrity.calibration import Calibration, Group, alarm_limit
 from viewshed.integrity.score import EvidenceScore, pooled
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
@@ -196,9 +196,9 @@ class Evaluation:
 
     @cached_property
     def benign_calibration(self) -> Scored:
-        """All benign sweeps of the calibration drives but the first, before which nothing was measured."""
+        """All benign sweeps of the calibration drives before which enough was measured."""
         table = self.calibration
-        return Scored.of(self.model, table.rows((table.case == 0) & (table.frame > 0)), self.silent)
+        return Scored.of(self.model, table.rows((table.case == 0) & (table.frame >= ONSET)), self.silent)
 
     @cached_property
     def one_of_each_scene(self) -> Scored:
@@ -218,8 +218,8 @@ class Evaluation:
 
     @cached_property
     def benign(self) -> Scored:
-        """Benign sweeps of the test drives but the first of each."""
-        return self.tested.rows((self.test.case == 0) & (self.test.frame > 0))
+        """Benign sweeps of the test drives before which enough was measured."""
+        return self.tested.rows((self.test.case == 0) & (self.test.frame >= ONSET))
 
     def limits(self, verdict: int, rate: float, *, five: bool = False) -> Limits:
         """Return the limits of a verdict; of *degraded* from clear drives alone, for rain is no false alarm there.
@@ -252,24 +252,17 @@ class RecordedScores:
     p: Floats
 
     @classmethod
-    def of(
-        cls, table: SweepTable, score: EvidenceScore, posed: Scored, alone: Scored, over_time: Mask
-    ) -> RecordedScores:
-        """Return the sweeps of a table, with calibrations of one sweep a scene, with earlier sweeps and alone."""
+    def of(cls, table: SweepTable, alone: Evaluation) -> RecordedScores:
+        """Return the sweeps of a table by the limits of simulated sweeps before which nothing was measured."""
         benign: dict[Group, Floats] = {}
-        kinds: tuple[tuple[Earlier, Scored], ...] = (("posed", posed), ("none", alone))
-        for earlier, scored in kinds:
-            for sensor in np.unique(scored.sensors):
-                mine = scored.sensors == sensor
-                if mine.sum() >= 1 / RATE - 1:
-                    benign[Group(str(sensor), earlier)] = scored.scores[mine, INCONSISTENT].astype(np.float64)
+        scored = alone.one_of_each_scene
+        for sensor in np.unique(scored.sensors):
+            mine = scored.sensors == sensor
+            if mine.sum() >= 1 / RATE - 1:
+                benign[Group(str(sensor), "none")] = scored.scores[mine, INCONSISTENT].astype(np.float64)
         calibration = Calibration(benign, RATE)
-        rows = Scored.of(score, table)
-        has_earlier: Mask = np.isfinite(table.evidence[:, over_time]).reshape(len(table.evidence), -1).any(axis=1)
-        groups = tuple(
-            Group(str(sensor), "posed" if earlier else "none")
-            for sensor, earlier in zip(rows.sensors, has_earlier, strict=True)
-        )
+        rows = Scored.of(alone.model, table)
+        groups = tuple(Group(str(sensor), "none") for sensor in rows.sensors)
         scores = rows.scores[:, INCONSISTENT].astype(np.float64)
         p = np.array([calibration.p_value(*each) for each in zip(scores, groups, strict=True)])
         return cls(table, scores, groups, calibration, p)
