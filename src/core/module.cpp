@@ -27,4 +27,5 @@ NB_MODULE(_core, m) {
     viewshed::bind_concave_hull(m);
     viewshed::bind_polygons(m);
     viewshed::bind_files(m);
+    viewshed::bind_temporal_evidence(m);
 }

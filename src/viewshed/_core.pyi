@@ -510,3 +510,38 @@ def find_off_beam(
     columns: int,
 ) -> NDArray[np.bool_]: ...
 def measure_range_offset(points: NDArray[np.float32], sensor_height_m: float, sectors: int) -> NDArray[np.float32]: ...
+
+# temporal_evidence.cpp
+
+class SweepView:
+    def __init__(
+        self,
+        squared_m2: NDArray[np.float32],
+        phase: NDArray[np.float32],
+        elevation: NDArray[np.float32],
+        origin_m: NDArray[np.float32],
+        points: NDArray[np.float32],
+        height_m: NDArray[np.float32],
+        range_m: NDArray[np.float32],
+        azimuth: NDArray[np.float32],
+        isolated: NDArray[np.bool_],
+        sensor_from_level: NDArray[np.float32],
+    ) -> None: ...
+    @property
+    def obstacles(self) -> int: ...
+    def follow(
+        self,
+        views: Sequence[SweepView],
+        transforms: NDArray[np.float32],
+        gaps_s: NDArray[np.float32],
+        around: SweepView,
+        around_from_self: NDArray[np.float32],
+        sectors: int,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+    def jumps(
+        self, views: Sequence[SweepView], transforms: NDArray[np.float32], gaps_s: NDArray[np.float32], sectors: int
+    ) -> NDArray[np.float32]: ...
+    def repeats(self, views: Sequence[SweepView], sectors: int) -> NDArray[np.float32]: ...
+    def register_on(
+        self, views: Sequence[SweepView], transforms: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...

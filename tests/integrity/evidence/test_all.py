@@ -56,7 +56,7 @@ def test_one_and_two_threads_measure_the_same(name: str) -> None:
     np.testing.assert_array_equal(found[0], found[1])
 
 
-@every_evidence
+@pytest.mark.parametrize("name", [name for name, kind in EVIDENCE.items() if "{degrees" in kind.sentence])
 def test_the_sentence_has_the_strongest_sector(name: str) -> None:
     values = np.full(SECTORS, np.nan, np.float32)
     values[sector_at(42.0)], values[sector_at(-42.0)] = 0.75, 0.25
