@@ -113,7 +113,7 @@ class Drive:
 def _conditions(plan: MonitorPlan, key: tuple[str, str, int]) -> Case:
     """Return what a drive suffers: nothing in 70 %, in 30 % one of the corruptions at one of its five severities.
 
-    The first drives of a split, which are attacked, are clear.
+    Drives that are attacked are clear.
     """
     domain, split, number = key
     rng = generator(plan.seed, domain, split, "conditions", number)
