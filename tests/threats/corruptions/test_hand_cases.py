@@ -264,7 +264,7 @@ def test_what_stands_in_the_world_is_the_same_from_elsewhere(corruption: InTheWo
     """A sensor turned by a quarter sees the same things in the same places; the leaves stop every beam at once."""
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 360, endpoint=False), [-0.1, 0.0, 0.1])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], axis=-1).reshape(-1, 3)
-    sweep = Sweep(30.0 * directions)
+    sweep = Sweep((30.0 * directions).astype(np.float32))
     places = corruption.place(sweep, rng())
     now_from_before = Rigid.from_yaw(np.pi / 2)
     turned = sweep.replace(points=now_from_before @ sweep.points)
