@@ -200,7 +200,7 @@ class MonitorResults:
             rows.append([name, *(words(mask) for mask in (*from_start, *half_way))])
             every = [total | mask for total, mask in zip(every, (*from_start, *half_way), strict=True)]
         rows.append(["**all**", *map(words, every)])
-        header = [f"{word} {n}" for word in ("from the start", "half-way") for n in severities]
+        header = [f"{word} {n}" for word in ("from the start", "attacked drives") for n in severities]
         return Table(["corruption", *header], rows)
 
     def null_table(self) -> Table:

@@ -64,7 +64,7 @@ class MonitorPlan(Plan):
         attacks: names of ``ALL_ATTACKS``, each with its own budget.
         budgeted: names of those that are tried with ``BUDGETS`` as well.
         corruptions: names of ``CORRUPTIONS``.
-        severities: of the corruptions that begin in the middle of a drive.
+        severities: of the corruptions of such drives: faults begin in their middle, weather and things last.
         epochs: of the training.
         seed: of all that is random.
 
