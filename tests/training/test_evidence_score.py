@@ -27,7 +27,7 @@ def _examples(seed: int) -> ScoreExamples:
     evidence[:, 2] = np.nan
     return ScoreExamples(
         ("a", "b", "c"), evidence, (kind == 1).astype(np.float32), (kind == 2).astype(np.float32), sectors,
-        np.ones(COUNT, np.float32), kind != 1, np.zeros(3, np.bool_),
+        np.ones(COUNT, np.float32), kind == 0, np.zeros(3, np.bool_),
     )  # fmt: skip
 
 
