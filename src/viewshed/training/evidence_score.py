@@ -14,7 +14,10 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from viewshed.integrity.evidence import SECTORS
 from viewshed.integrity.score import SECTOR_FEATURES, SWEEP_FEATURES, EvidenceScore, SurpriseScale, features
 
-BATCH = 512
+BATCH = 256
+
+EPOCH = 16384
+"""Sweeps of an epoch at most; others are drawn in the next."""
 
 LEARNING_RATE = 2e-2
 
@@ -33,8 +36,14 @@ ABSTAIN_SHARE = 0.04
 SECTOR_SHARE = 0.5
 """Weight of the sectors' loss beside the sweeps'."""
 
-_PRIOR = ((0.5, 0.5, 0.0, 0.0, 0.0), (0.3, 0.3, 0.4, 0.0, 0.0))
-"""Of both outputs, weights of a unit's own evidence: sector, neighbors, median, maximum, share of raised sectors."""
+_PRIOR = ((0.5, 0.5, -1.0, 0.0, 0.0), (0.5, 0.5, 0.0, 0.0, 0.0), (0.3, 0.3, 0.4, 0.0, 0.0))
+"""Of three banks, weights of a unit's own evidence: sector, neighbors, median, maximum, share of raised sectors.
+
+The first bank looks at what a sector has beyond the rest of the sweep, the second at what it has, the third at the whole
+sweep."""
+
+_OUTPUT = (0, 0, 1)
+"""The output that each bank adds to."""
 
 _FEW = 20
 """Usual sweeps that evidence must speak of for its tail to be known."""
@@ -75,8 +84,8 @@ class ScoreExamples:
 class ScoreTrainer:
     """Trains scores on any part of some examples; scale and features are computed once.
 
-    There is a hidden unit for each evidence and output: what the evidence says of a sector, in surprises, beyond a
-    threshold. It never falls when a surprise rises, and training begins at, and is pulled back to, a prior that takes
+    There is a hidden unit for each evidence in each of three banks: what the evidence says of a sector, in surprises,
+    beyond a threshold. It never falls when a surprise rises, and training begins at, and is pulled back to, a prior that takes
     all evidence alike. The prior begins where one usual sweep in ten has a sector, and rises by 1 where e times fewer
     have: the sum over evidence is that of Fisher's method. So evidence that none of the attacks in training needed
     still counts against one that was never seen. What honest causes raise in the whole sweep is learned from the
@@ -111,7 +120,8 @@ class ScoreTrainer:
         clear = examples.usual & (examples.degraded == 0)
         tails = [
             _tails(examples.evidence[rows], of_sectors[rows], of_sweep[rows], prior)
-            for rows, prior in zip((examples.usual, clear if clear.any() else examples.usual), _PRIOR, strict=True)
+            for output, prior in zip(_OUTPUT, _PRIOR, strict=True)
+            for rows in [clear if output and clear.any() else examples.usual]
         ]
         return cls(examples, scale, torch.from_numpy(of_sectors), torch.from_numpy(of_sweep), np.stack(tails))
 
@@ -120,7 +130,7 @@ class ScoreTrainer:
         rng = np.random.Generator(np.random.PCG64(seed))
         units = _Units(self._tails)
         rows = np.flatnonzero(chosen)
-        steps = epochs * -(-len(rows) // BATCH)
+        steps = epochs * -(-min(len(rows), EPOCH) // BATCH)
         optimizer = torch.optim.Adam(units.parameters(), LEARNING_RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
         for batch in _batches(rows, epochs, rng):
@@ -155,10 +165,10 @@ class ScoreTrainer:
 
 
 class _Units(torch.nn.Module):
-    """A hidden unit for each evidence, once for each of both outputs."""
+    """A hidden unit for each evidence in each bank."""
 
     def __init__(self, tails: Floats) -> None:
-        """Begin at the prior of tails (2, E, 2): where each unit begins, and by how much it rises e-fold."""
+        """Begin at the prior of tails (banks, E, 2): where each unit begins, and by how much it rises e-fold."""
         super().__init__()
         self.count = count = tails.shape[1]
         self.widths = torch.from_numpy(tails[..., 1])
@@ -166,21 +176,22 @@ class _Units(torch.nn.Module):
         prior = torch.tensor(_PRIOR)[:, None].repeat(1, count, 1)
         self.prior = torch.cat([prior, begin[..., None]], -1)
         self.own = torch.nn.Parameter(self.prior.clone())
-        self.context = torch.nn.Parameter(torch.zeros(2, count, count))
-        self.heights = torch.nn.Parameter(torch.ones(2, count))
+        self.context = torch.nn.Parameter(torch.zeros(len(_PRIOR), count, count))
+        self.heights = torch.nn.Parameter(torch.ones(len(_PRIOR), count))
         self.offsets = torch.nn.Parameter(torch.full((2,), -3.0))
 
     def forward(self, of_sectors: torch.Tensor, of_sweep: torch.Tensor) -> torch.Tensor:
         """Return both outputs (N, SECTORS, 2) of features (N, SECTORS, 2 E) and (N, 3 E)."""
-        count, logits = self.count, []
+        count = self.count
+        logits = [self.offsets[output].expand(of_sectors.shape[:2]) for output in range(2)]
         sector, neighbors = of_sectors[..., :count], of_sectors[..., count:]
         median, maximum, raised = of_sweep[:, :count], of_sweep[:, count : 2 * count], of_sweep[:, 2 * count :]
-        for output in range(2):
-            width = self.widths[output]
-            a, b, c, d, e, limit = self.own[output].T
-            whole = (c * median + d * maximum + e * raised) / width + limit + median @ self.context[output]
+        for bank, output in enumerate(_OUTPUT):
+            width = self.widths[bank]
+            a, b, c, d, e, limit = self.own[bank].T
+            whole = (c * median + d * maximum + e * raised) / width + limit + median @ self.context[bank]
             units = torch.relu((a * sector + b * neighbors) / width + whole[:, None])
-            logits.append(units @ self.heights[output] + self.offsets[output])
+            logits[output] = logits[output] + units @ self.heights[bank]
         return torch.stack(logits, -1)
 
     def distance_from_prior(self) -> torch.Tensor:
@@ -196,24 +207,22 @@ class _Units(torch.nn.Module):
 
     def score(self, names: tuple[str, ...], scale: SurpriseScale, spoke: NDArray[np.bool_]) -> EvidenceScore:
         """Return the units as a score; evidence that never ``spoke`` (E,) adds nothing."""
-        count, kinds = self.count, SECTOR_FEATURES + SWEEP_FEATURES
+        count, kinds, banks = self.count, SECTOR_FEATURES + SWEEP_FEATURES, len(_PRIOR)
         own, context, heights, offsets = (
             values.detach().numpy() for values in (self.own, self.context, self.heights, self.offsets)
         )
-        weights = np.zeros((kinds, count, 2, count), np.float32)
-        for output in range(2):
+        weights, outputs = np.zeros((kinds, count, banks, count), np.float32), np.zeros((banks, count, 2), np.float32)
+        for bank, output in enumerate(_OUTPUT):
             for kind in range(kinds):
-                np.fill_diagonal(weights[kind, :, output], own[output, :, kind] / self.widths[output].numpy())
-            weights[SECTOR_FEATURES, :, output] += context[output]
+                np.fill_diagonal(weights[kind, :, bank], own[bank, :, kind] / self.widths[bank].numpy())
+            weights[SECTOR_FEATURES, :, bank] += context[bank]
+            outputs[bank, spoke, output] = heights[bank, spoke]
         weights[:, ~spoke] = 0.0
-        outputs = np.zeros((2, count, 2), np.float32)
-        for output in range(2):
-            outputs[output, spoke, output] = heights[output, spoke]
         features_count = kinds * count
         return EvidenceScore(
             names, scale, np.zeros(features_count, np.float32), np.ones(features_count, np.float32),
-            weights.reshape(features_count, 2 * count), own[..., -1].reshape(-1).astype(np.float32),
-            outputs.reshape(2 * count, 2), offsets.astype(np.float32),
+            weights.reshape(features_count, banks * count), own[..., -1].reshape(-1).astype(np.float32),
+            outputs.reshape(banks * count, 2), offsets.astype(np.float32),
         )  # fmt: skip
 
 
@@ -244,8 +253,8 @@ def _tails(
 
 def _batches(rows: NDArray[np.intp], epochs: int, rng: np.random.Generator) -> Iterator[NDArray[np.intp]]:
     for _ in range(epochs):
-        shuffled = rng.permutation(rows)
-        yield from np.array_split(shuffled, -(-len(rows) // BATCH))
+        shuffled = rng.permutation(rows)[:EPOCH]
+        yield from np.array_split(shuffled, -(-len(shuffled) // BATCH))
 
 
 def _masked_loss(logits: torch.Tensor, labels: Floats, weight: torch.Tensor) -> torch.Tensor:
