@@ -39,8 +39,8 @@ SECTOR_SHARE = 0.5
 _PRIOR = ((0.5, 0.5, -1.0, 0.0, 0.0), (0.5, 0.5, 0.0, 0.0, 0.0), (0.3, 0.3, 0.4, 0.0, 0.0))
 """Of three banks, weights of a unit's own evidence: sector, neighbors, median, maximum, share of raised sectors.
 
-The first bank looks at what a sector has beyond the rest of the sweep, the second at what it has, the third at the whole
-sweep."""
+The first bank looks at what a sector has beyond the rest of the sweep, the second at what it has, the third at the
+whole sweep."""
 
 _OUTPUT = (0, 0, 1)
 """The output that each bank adds to."""
@@ -85,8 +85,8 @@ class ScoreTrainer:
     """Trains scores on any part of some examples; scale and features are computed once.
 
     There is a hidden unit for each evidence in each of three banks: what the evidence says of a sector, in surprises,
-    beyond a threshold. It never falls when a surprise rises, and training begins at, and is pulled back to, a prior that takes
-    all evidence alike. The prior begins where one usual sweep in ten has a sector, and rises by 1 where e times fewer
+    beyond a threshold. It never falls when a surprise rises, and training begins at, and is pulled back to, a prior
+    that takes all evidence alike. The prior begins where one usual sweep in ten has a sector, and rises by 1 where e times fewer
     have: the sum over evidence is that of Fisher's method. So evidence that none of the attacks in training needed
     still counts against one that was never seen. What honest causes raise in the whole sweep is learned from the
     medians of all evidence, the context.
@@ -227,7 +227,10 @@ class _Units(torch.nn.Module):
 
 
 def _tails(
-    evidence: NDArray[np.floating[Any]], of_sectors: NDArray[np.float16], of_sweep: Floats, prior: Sequence[float]
+    evidence: NDArray[np.floating[Any]],
+    of_sectors: NDArray[np.floating[Any]],
+    of_sweep: NDArray[np.floating[Any]],
+    prior: Sequence[float],
 ) -> Floats:
     """Return for each evidence (E, 2) what one usual sweep in ten exceeds in a sector, and what e times fewer add.
 
