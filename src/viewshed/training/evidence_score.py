@@ -86,10 +86,10 @@ class ScoreTrainer:
 
     There is a hidden unit for each evidence in each of three banks: what the evidence says of a sector, in surprises,
     beyond a threshold. It never falls when a surprise rises, and training begins at, and is pulled back to, a prior
-    that takes all evidence alike. The prior begins where one usual sweep in ten has a sector, and rises by 1 where e times fewer
-    have: the sum over evidence is that of Fisher's method. So evidence that none of the attacks in training needed
-    still counts against one that was never seen. What honest causes raise in the whole sweep is learned from the
-    medians of all evidence, the context.
+    that takes all evidence alike. The prior begins where one usual sweep in ten has a sector, and rises by 1 where e
+    times fewer have: the sum over evidence is that of Fisher's method. So evidence that none of the attacks in
+    training needed still counts against one that was never seen. What honest causes raise in the whole sweep is
+    learned from the medians of all evidence, the context.
 
     Attributes:
         examples: to train on.
