@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -24,8 +23,9 @@ if TYPE_CHECKING:
     from viewshed.grid import BevGrid
     from viewshed.integrity import DeviationMonitor, IntegrityReport
     from viewshed.integrity.evidence import MonitoredSweep
+    from viewshed.integrity.over_time import EDetector
+    from viewshed.integrity.stream_monitor import EarlierSweeps
     from viewshed.integrity.sweep_monitor import BenignSweep, SweepMonitor
-    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
 
@@ -36,8 +36,8 @@ BaseMonitor = Annotated[
     typer.Option("--monitor", help="File of viewshed monitor calibrate or fit; the one in the box if not given."),
 ]
 
-NEXT_NS = 1_000_000_000
-"""A sweep that follows later does not go on the same drive."""
+FALSE_ALARMS_PER_HOUR, HZ = 1.0, 10.0
+"""Stated rate of false alarms over time, for a sensor that turns so often a second."""
 
 SCENE_NS = 20_000_000_000
 """A longer drive counts as several scenes."""
@@ -197,7 +197,7 @@ def explain(
     refuse_inputs((out,), [Path(source)])
     run = _SweepRun(_sweep_monitor(monitor), options.parse_grid(grid))
     for place, seen in enumerate(_Source((source,), split, sensor)):
-        monitored = run.drive.next(seen, run.grid)
+        monitored = run.drives.next(seen, run.grid)
         if place == number:
             report = run.monitor.check(monitored)
             line = verdict_line(seen.name, report)
@@ -249,39 +249,31 @@ class _Source:
 
 
 @dataclass(slots=True)
-class _Drive:
-    """The last sweeps of a drive, as a monitor is given them: the next one follows within a second."""
+class _Drives:
+    """Goes through sweeps drive by drive, and says what was measured before each of them."""
 
     name: str = ""
     began_ns: int = 0
-    earlier: deque[LeveledSweep] = field(default_factory=deque)
+    earlier: EarlierSweeps | None = None
+    goes_on: bool = False
 
     def next(self, seen: Seen, grid: BevGrid) -> MonitoredSweep:
-        """Return the next sweep, leveled, with those before it, and remember it."""
+        """Return the next sweep, leveled, with those before it, and keep it."""
         from viewshed.integrity.evidence import MonitoredSweep
-        from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS
+        from viewshed.integrity.stream_monitor import EarlierSweeps
         from viewshed.preprocess.leveling import level
 
-        t_ns, last = seen.sweep.t_ns, self.earlier[-1] if self.earlier else None
-        follows = last is not None and seen.drive == self.name and _follows(t_ns, last.sweep.t_ns)
-        if not follows:
-            self.name, self.began_ns, last = seen.drive, t_ns or 0, None
-            self.earlier.clear()
-        leveled = level(seen.sweep, grid, None if last is None else last.sensor_id.model)
-        monitored = MonitoredSweep(leveled, tuple(self.earlier))
-        if t_ns is not None:
-            self.earlier.append(leveled)
-        if len(self.earlier) > EARLIER_SWEEPS:
-            self.earlier.popleft()
+        leveled = level(seen.sweep, grid)
+        self.goes_on = self.earlier is not None and seen.drive == self.name and not self.earlier.why_anew(leveled)
+        if self.earlier is None or not self.goes_on:
+            self.name, self.began_ns, self.earlier = seen.drive, seen.sweep.t_ns or 0, EarlierSweeps()
+        monitored = MonitoredSweep(leveled, self.earlier.before(leveled))
+        self.earlier.add(leveled)
         return monitored
 
     def scene(self, seen: Seen) -> str:
         """Return the scene of a sweep: a piece of 20 s of its drive."""
-        return f"{seen.drive} {((seen.sweep.t_ns or 0) - self.began_ns) // SCENE_NS}"
-
-
-def _follows(t_ns: int | None, before_ns: int | None) -> bool:
-    return t_ns is not None and before_ns is not None and 0 < t_ns - before_ns <= NEXT_NS
+        return f"{seen.drive} {self.began_ns} {((seen.sweep.t_ns or 0) - self.began_ns) // SCENE_NS}"
 
 
 def _sweep_monitor(file: Path | None) -> SweepMonitor:
@@ -298,13 +290,13 @@ def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failu
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    drive = _Drive()
+    drives = _Drives()
     for seen in sources:
         try:
-            monitored = drive.next(seen, grid)
+            monitored = drives.next(seen, grid)
             if len(monitored.earlier) < EARLIER_SWEEPS:
                 monitored = replace(monitored, earlier=())
-            yield BenignSweep(drive.scene(seen), group_of(monitored), measure_all(monitored))
+            yield BenignSweep(drives.scene(seen), group_of(monitored), measure_all(monitored))
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
 
@@ -346,8 +338,10 @@ class _SweepRun:
     checked: int = 0
     inconsistent: int = 0
     degraded: int = 0
+    alarms: int = 0
+    detector: EDetector | None = None
     failures: Failures = field(default_factory=Failures)
-    drive: _Drive = field(default_factory=_Drive)
+    drives: _Drives = field(default_factory=_Drives)
     taken: set[str] = field(default_factory=set)
 
     def one(self, seen: Seen) -> None:
@@ -355,9 +349,9 @@ class _SweepRun:
         from viewshed._files import write_atomic
 
         try:
-            monitored = self.drive.next(seen, self.grid)
+            monitored = self.drives.next(seen, self.grid)
             report = self.monitor.check(monitored)
-            line = verdict_line(seen.name, report)
+            line = f"{verdict_line(seen.name, report)}{self._over_time(report)}"
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
                 write_atomic(place, self.picture(monitored, report, line))
@@ -370,9 +364,20 @@ class _SweepRun:
             self.inconsistent += report.inconsistent
             self.degraded += report.degraded
 
+    def _over_time(self, report: IntegrityReport) -> str:
+        """Return what the sweeps of the drive together say, if they speak against it."""
+        from viewshed.integrity.over_time import EDetector
+
+        if self.detector is None or not self.drives.goes_on:
+            self.detector = EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ)
+        alarm = self.detector.add(report.p_value)
+        self.alarms += alarm
+        return f"; ALARM over the last {self.detector.doubtful_sweeps} sweeps" if alarm else ""
+
     def summary(self) -> str:
         """Return how many sweeps were checked and what was found, in a line."""
-        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded"
+        over_time = f", {self.alarms} alarms over time" if self.alarms else ""
+        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{over_time}"
 
     def picture(self, monitored: MonitoredSweep, report: IntegrityReport, line: str) -> bytes:
         """Return the PNG of a report: suspect sectors on the map of the default estimate, and all evidence."""
