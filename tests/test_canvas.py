@@ -6,7 +6,7 @@ from matplotlib import colormaps
 from PIL import Image
 
 from viewshed._canvas import BLACK, WHITE, Canvas, text_width
-from viewshed.plot import _colors, _ticks, _value_pixels
+from viewshed.plot import _ticks, _value_pixels, color_map
 
 
 def _ink(canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
@@ -73,17 +73,17 @@ def test_a_veil_lets_shine_through() -> None:
 @pytest.mark.parametrize("name", ["viridis", "cividis", "magma"])
 def test_colors_are_those_of_matplotlib(name: str) -> None:
     expected = colormaps[name](np.arange(256))[:, :3] * 255
-    assert np.abs(_colors(name) - expected).max() < 12
-    assert np.abs(_colors(name) - expected).mean() < 0.6
+    assert np.abs(color_map(name) - expected).max() < 12
+    assert np.abs(color_map(name) - expected).mean() < 0.6
 
 
 def test_values_are_drawn_from_ahead_and_left_and_unknown_ones_white() -> None:
     values = np.array([[0.0, 0.5], [np.nan, 2.0]], np.float32)
     pixels = _value_pixels(values, "cividis", 1.0, 4)
-    assert (pixels[:2, :2] == _colors("cividis")[255]).all()  # the cell ahead at the left
+    assert (pixels[:2, :2] == color_map("cividis")[255]).all()  # the cell ahead at the left
     assert (pixels[:2, 2:] == 255).all()
-    assert (pixels[2:, :2] == _colors("cividis")[128]).all()
-    assert (pixels[2:, 2:] == _colors("cividis")[0]).all()
+    assert (pixels[2:, :2] == color_map("cividis")[128]).all()
+    assert (pixels[2:, 2:] == color_map("cividis")[0]).all()
 
 
 @pytest.mark.parametrize("top", [1.0, 0.25, 0.5, 0.001, 0.173, 3.0, 17.0])

@@ -4,11 +4,14 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib import import_module
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 from viewshed._extras import _DISTRIBUTIONS, EXTRAS, needed_for
 from viewshed.cli import main
@@ -36,8 +39,6 @@ NEEDS = [
     Need("zstandard", "info a.mcap", r"reading a bag packed by zstd needs zstandard: pip install 'viewshed\[bags\]'"),
     Need("velodyne_decoder", "info v.pcap",
          r"v.pcap: reading Velodyne packets needs velodyne-decoder: pip install 'viewshed\[packets\]'"),
-    Need("ouster", "info o.pcap",
-         r"o.pcap: reading Ouster packets needs ouster-sdk: pip install 'viewshed\[packets\]'"),
     Need("yaml", "info opv2v", r"reading OPV2V needs pyyaml: pip install 'viewshed\[opv2v\]'"),
     Need("ray", "simulate nuscenes --sweeps 2 --engine ray --out made",
          r"engine ray needs ray: pip install 'viewshed\[ray\]'"),
@@ -51,7 +52,7 @@ NEEDS = [
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("extras")
     samples = files.samples()
-    for name in ("argoverse2 lz4", "velodyne pcap", "ouster pcap"):
+    for name in ("argoverse2 lz4", "velodyne pcap"):
         for other, content in {samples[name].name: samples[name].content, **samples[name].beside}.items():
             (place / other).write_bytes(content)
     (place / "a.mcap").write_bytes(recordings.mcap("ZSTD"))
@@ -119,3 +120,42 @@ def test_a_public_name_that_needs_the_laboratory_says_so() -> None:
 def test_a_module_of_no_extra_is_missing_as_python_says() -> None:
     with pytest.raises(ModuleNotFoundError, match="No module named 'no_such_module'"), needed_for("a test"):
         import_module("no_such_module")
+
+
+APART = {"carla"}
+"""Extras whose packages fit the version of a server: they need not go together with the rest."""
+
+
+def test_extras_that_go_together_can_be_installed_together() -> None:
+    """No package that one of them installs pins another to a version that a second one excludes."""
+    wanted = [
+        Requirement(text)
+        for name, texts in PROJECT["optional-dependencies"].items() if name not in APART
+        for text in (*texts, *PROJECT["dependencies"])
+    ]  # fmt: skip
+    asked: dict[str, dict[str, SpecifierSet]] = {}
+    for requirement in wanted:
+        asked.setdefault(canonicalize_name(requirement.name), {})["viewshed"] = requirement.specifier
+        try:
+            needs = [Requirement(text) for text in metadata.requires(requirement.name) or ()]
+        except metadata.PackageNotFoundError:  # of an extra that is not installed here
+            continue
+        for need in needs:
+            if need.marker is None or need.marker.evaluate({"extra": ""}):
+                asked.setdefault(canonicalize_name(need.name), {})[requirement.name] = need.specifier
+    for package, rules in asked.items():
+        pinned = {one.version for rule in rules.values() for one in rule if one.operator == "=="}
+        for version in pinned - {"*"}:
+            if "*" not in version:
+                refused = {
+                    who: str(rule) for who, rule in rules.items() if not rule.contains(version, prereleases=True)
+                }
+                assert not refused, f"{package} {version}: {refused}"
+
+
+def test_bags_and_packets_go_together() -> None:
+    """The maker's decoder of Ouster packets pins an older rosbags: it may not be in any extra."""
+    extras = PROJECT["optional-dependencies"]
+    assert not any(Requirement(text).name == "ouster-sdk" for texts in extras.values() for text in texts)
+    [rosbags] = [each for each in map(Requirement, extras["bags"]) if each.name == "rosbags"]
+    assert not rosbags.specifier.contains("0.9.23")

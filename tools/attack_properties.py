@@ -16,12 +16,13 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from tests.threats.attacks.drawn import broken, drawn
+from tests.threats.attacks.drawn import broken, broken_by_null, drawn
 from tests.threats.attacks.oracle import Scene, scenes
 
 from viewshed._page import facts, page, table
-from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM
+from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED
 
+NAMES = (*ATTACKS, *INFORMED)
 WORKERS = 2
 PART = 500
 SAME_SCENE = 25
@@ -46,7 +47,10 @@ rows in firing order.
 
 **Rules for all**: the clean sweep is not modified; the same seed gives the same bytes, also for an equal sweep in other
 memory; rows that are not touched keep their bytes and their order; the masks fit; intensities are the sweep's own;
-never more points than the budget."""
+never more points than the budget.
+
+**Null attacks**: each draw is applied at zero strength as well. Rules on beams; rows keep their number, order, rings
+and times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +81,12 @@ def run(part: Part) -> Found:
     violations: Counter[str] = Counter()
     effective = 0
     for number in range(part.first, part.first + part.draws):
-        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([list(ATTACKS).index(part.name), number])))
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([NAMES.index(part.name), number])))
         scene = _scenes()[number // SAME_SCENE % len(_scenes())]
         attack, budget = drawn(part.name, scene, rng)
         rules, tampered = broken(part.name, scene, attack, budget, number)
         effective += bool(tampered.added.any() or tampered.removed.any())
+        rules += [f"null attack: {rule}" for rule in broken_by_null(part.name, scene, attack, number)]
         violations.update(re.sub(r"[0-9.]+", "…", rule) for rule in rules)
     return Found(part, effective, violations)
 
@@ -94,7 +99,7 @@ def _parts(name: str, draws: int) -> list[Part]:
 def report(found: list[Found], seconds: float) -> str:
     """Return the page."""
     rows = []
-    for name in ATTACKS:
+    for name in NAMES:
         mine = [one for one in found if one.part.name == name]
         broken_rules = sum((one.violations for one in mine), Counter[str]())
         rules = "for all" if name in FREE_FORM or name == "pose_spoof" else "on beams"
@@ -115,7 +120,7 @@ def main() -> None:
     """Draw, check, write."""
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     draws = int(sys.argv[2]) if len(sys.argv) > 2 else 10_000
-    parts = [part for name in ATTACKS for part in _parts(name, draws)]
+    parts = [part for name in NAMES for part in _parts(name, draws)]
     started = time.perf_counter()
     with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
         found = list(pool.map(run, parts))

@@ -165,9 +165,22 @@ def use_everything() -> None:
             estimator = viewshed.load_estimator(method)
             estimate = estimator.estimate(each)
     del estimate, History
+    for each in (sweep, noisy, shuffled):
+        _use_evidence(each)
     _use_features(sweep)
     _use_ground(sweep)
     _use_polygons(rng)
+
+
+def _use_evidence(sweep: Any) -> None:
+    """Measure all evidence of a sweep by itself."""
+    from viewshed import BevGrid
+    from viewshed.integrity.evidence import EVIDENCE, MonitoredSweep
+    from viewshed.preprocess.leveling import level
+
+    monitored = MonitoredSweep(level(sweep, BevGrid(64, 32.0)))
+    for evidence in EVIDENCE.values():
+        evidence.measure(monitored)
 
 
 def _use_features(sweep: Any) -> None:

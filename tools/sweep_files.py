@@ -192,18 +192,14 @@ def ouster_metadata(columns: int = 64) -> bytes:
 
 def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
     """Return lidar packets of some revolutions; frame f has every beam at 5000 + 1000 f millimeters."""
-    from ouster.sdk import core
-
-    info = core.SensorInfo(ouster_metadata(columns).decode())
     payloads: list[bytes] = []
-    for index in range(frames):
-        image = core.LidarFrame(info)
-        image.field(core.ChanField.RANGE)[:] = 5000 + 1000 * index
-        image.status[:] = 1
-        image.measurement_id[:] = np.arange(columns)
-        image.timestamp[:] = 1_000_000_000 * (index + 1) + np.arange(columns) * 1_000_000
-        image.frame_id = index + 1
-        payloads += [bytes(packet.buf) for packet in core.frame_to_packets(image, core.PacketFormat(info), 0, 123)]
+    for frame in range(1, frames + 1):
+        pixels = struct.pack("<IHHHH", 4000 + 1000 * frame, 0, 0, 0, 0) * 32
+        blocks = [
+            struct.pack("<QHHI", 1_000_000_000 * frame + 1_000_000 * column, column, frame, 0) + pixels + b"\xff" * 4
+            for column in range(columns)
+        ]
+        payloads += [b"".join(blocks[first : first + 16]) for first in range(0, columns, 16)]
     return payloads
 
 

@@ -37,7 +37,7 @@ constexpr double MOST_ABOVE = 0.2;
 constexpr double ALIGNED = 20.0 * std::numbers::pi / 180.0;
 
 // Points of a part that is worth a thread.
-constexpr std::size_t PART = 32768;
+constexpr std::size_t PART = 16384;
 
 // Points (3, BLOCK) in a level frame, and which of them are near.
 struct Block {

@@ -491,9 +491,14 @@ Ground estimate_ground(const Lattice& lattice, const Lows& lows, double height_m
     Walk walk(lattice, lows, patches, ground.carrier.plane);
     Buffer<bool> alone(size);
     walk.walk(nullptr, nullptr);
-    find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, alone);
-    std::copy_n(walk.accepted.data(), size, ground.seen.data());
-    attach(lows, ground.seen);
+    run_parts(2, [&](std::size_t part) {
+        if (part == 0) {
+            find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, alone);
+        } else {
+            std::copy_n(walk.accepted.data(), size, ground.seen.data());
+            attach(lows, ground.seen);
+        }
+    });
     walk.walk(ground.seen.data(), alone.data());
     std::copy_n(walk.accepted.data(), size, ground.seen.data());
     fill_ground(lattice, walk.height_m, ground.seen, ground.carrier.plane, ground.heights_m, ground.std_m);

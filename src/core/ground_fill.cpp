@@ -398,9 +398,16 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
         heights_m[at] = 0.0f;
         variance[at] = LEVEL_M * LEVEL_M;
     });
-    // 3. Heights over the base and their variance in between.
-    Buffer<float> scratch(4 * size + 3 * (n + 2));
-    fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
+    // 3. Heights over the base and their variance in between; beside it, what lies before and behind each gap.
+    Gaps gaps(profiles.bins);
+    run_parts(2, [&](std::size_t part) {
+        if (part == 0) {
+            Buffer<float> scratch(4 * size + 3 * (n + 2));
+            fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
+        } else {
+            find_gaps(profiles, gaps);
+        }
+    });
     add_base(over.base.data(), variance.data(), size, heights_m.data, std_m.data);
     std::vector<float> confirmed;
     confirmed.reserve(size);
@@ -413,8 +420,6 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
         std_m[at] = SEEN_STD_M;
     });
     // 4. Gaps along the lines of sight.
-    Gaps gaps(profiles.bins);
-    find_gaps(profiles, gaps);
     doubt_gaps(lattice, gaps, over.base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
 }
 

@@ -20,10 +20,12 @@ NB_MODULE(_core, m) {
     viewshed::bind_evidence(m);
     viewshed::bind_boxes(m);
     viewshed::bind_history(m);
+    viewshed::bind_integrity_evidence(m);
     viewshed::bind_features(m);
     viewshed::bind_mc_dropout(m);
     viewshed::bind_ray_trace(m);
     viewshed::bind_concave_hull(m);
     viewshed::bind_polygons(m);
     viewshed::bind_files(m);
+    viewshed::bind_temporal_evidence(m);
 }

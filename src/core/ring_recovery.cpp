@@ -10,6 +10,7 @@
 #include <numeric>
 
 #include "elevation_clusters.hpp"
+#include "parallel.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -48,6 +49,9 @@ constexpr double MOST_WAY = 1.5;
 // Rings told by the order of the points are taken at once where they change by less than this share of a step.
 constexpr double LITTLE = 0.3;
 
+// Points of a part that is worth a thread.
+constexpr std::size_t PART = 16384;
+
 // Columns of a revolution where neither the points nor a model tell, and elevation bins of a cloud without beams.
 constexpr std::size_t DEFAULT_COLUMNS = 1024, PSEUDO_RINGS = 64;
 
@@ -75,21 +79,23 @@ struct Order {
 // Of the step to a point: it passes the seam, or goes back over it.
 constexpr std::uint8_t WRAPS = 1, GOES_BACK = 2;
 
+// The angle of a point around the turn, past `start` in a sense.
+INLINE float angle_past(float x, float y, float start, float sense) {
+    const float a = sense * (azimuth_of(y, x) - start);
+    return a < 0.0f ? a + TURN : a;
+}
+
 // Mark the steps of a block of points (count, 3) that begin a ring, or go back to the one before, and count those against
-// the sense. The angle before the block is given, and replaced by its last one.
-MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float* before,
+// the sense. The angle before the block is given.
+MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float before,
                                     std::uint8_t* marked) {
     float x[BLOCK], y[BLOCK], angle[BLOCK + 1];
     for (std::size_t k = 0; k < count; ++k) {
         x[k] = points[3 * k];
         y[k] = points[3 * k + 1];
     }
-    angle[0] = *before;
-    for (std::size_t k = 0; k < count; ++k) {
-        const float a = sense * (azimuth_of(y[k], x[k]) - start);
-        angle[k + 1] = a < 0.0f ? a + TURN : a;
-    }
-    *before = angle[count];
+    angle[0] = before;
+    for (std::size_t k = 0; k < count; ++k) angle[k + 1] = angle_past(x[k], y[k], start, sense);
     std::int32_t backward = 0;
     for (std::size_t k = 0; k < count; ++k) {
         const float step = angle[k + 1] - angle[k];
@@ -105,46 +111,51 @@ MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, floa
 Order order_rings(View2<const float> points, float start, float sense) {
     const std::size_t count = points.rows;
     Order order;
-    std::size_t backward = 0, last_start = 0;
+    // 1. Mark the steps, block by block. Where those against the sense are many already, it is not looked further.
+    const std::size_t blocks = (count + BLOCK - 1) / BLOCK, parts = count_parts(count, PART);
+    const auto too_many = [&](std::size_t backward) { return double(backward) > MOST_BACKWARD * double(count); };
+    Buffer<std::uint8_t> marked((count + 7) / 8 * 8);
+    std::fill(marked.begin() + count, marked.end(), std::uint8_t{0});
+    std::vector<std::size_t> backward(parts, 0);
+    for_ranges(blocks, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
+        for (std::size_t block = begin; block < end && !too_many(backward[part]); ++block) {
+            const std::size_t first = block * BLOCK, size = std::min(BLOCK, count - first);
+            const float* before = points[first > 0 ? first - 1 : 0];
+            backward[part] += mark_steps(points[first], size, start, sense,
+                                         angle_past(before[0], before[1], start, sense), &marked[first]);
+        }
+    });
+    if (too_many(std::accumulate(backward.begin(), backward.end(), std::size_t{0}))) return {};
+    // 2. Follow them; most blocks of eight points hold no wrap.
+    std::size_t last_start = 0;
     std::int32_t wraps = 0, rising = 0, falling = 0;
     std::vector<Run>& runs = order.runs;
     runs.push_back({0, 0});
-    // 1. Follow the azimuth; most blocks of eight points hold no wrap.
-    const float first = sense * (azimuth_of(points(0, 1), points(0, 0)) - start);
-    float before = first < 0.0f ? first + TURN : first;
-    alignas(8) std::uint8_t marked[BLOCK];
-    for (std::size_t begin = 0; begin < count; begin += BLOCK) {
-        const std::size_t size = std::min(BLOCK, count - begin);
-        backward += mark_steps(points[begin], size, start, sense, &before, marked);
-        if (double(backward) > MOST_BACKWARD * double(count)) return {};
-        std::fill(marked + size, marked + (size + 7) / 8 * 8, std::uint8_t{0});
-        for (std::size_t eight = 0; eight < size; eight += 8) {
-            std::uint64_t any;
-            std::memcpy(&any, marked + eight, 8);
-            if (any == 0) continue;
-            for (std::size_t k = eight; k < eight + 8; ++k) {
-                if (marked[k] == 0) continue;
-                const std::size_t n = begin + k;
-                const double change = double(slope_of(points[n])) - double(slope_of(points[n - 1]));
-                if (marked[k] == WRAPS) {
-                    ++wraps;
-                    rising += change > LEAST_STEP;
-                    falling += change < -LEAST_STEP;
-                    last_start = n;
-                } else if (wraps > 0 && n - last_start < SOON) {
-                    --wraps;
-                    rising -= change < -LEAST_STEP;
-                    falling -= change > LEAST_STEP;
-                } else {
-                    continue;
-                }
-                if (wraps > std::int32_t(MOST_RINGS)) return {};
-                runs.push_back({n, wraps});
+    for (std::size_t eight = 0; eight < marked.size(); eight += 8) {
+        std::uint64_t any;
+        std::memcpy(&any, &marked[eight], 8);
+        if (any == 0) continue;
+        for (std::size_t n = eight; n < eight + 8; ++n) {
+            if (marked[n] == 0) continue;
+            const double change = double(slope_of(points[n])) - double(slope_of(points[n - 1]));
+            if (marked[n] == WRAPS) {
+                ++wraps;
+                rising += change > LEAST_STEP;
+                falling += change < -LEAST_STEP;
+                last_start = n;
+            } else if (wraps > 0 && n - last_start < SOON) {
+                --wraps;
+                rising -= change < -LEAST_STEP;
+                falling -= change > LEAST_STEP;
+            } else {
+                continue;
             }
+            if (wraps > std::int32_t(MOST_RINGS)) return {};
+            runs.push_back({n, wraps});
         }
     }
     if (wraps > 0) order.one_way = double(std::max(rising, falling)) / wraps;
-    // 2. Join stray first and last rings. Points of a wrap that was taken back at the very end are of the last ring.
+    // 3. Join stray first and last rings. Points of a wrap that was taken back at the very end are of the last ring.
     std::vector<std::size_t> sizes(std::size_t(wraps) + 1, 0);
     for (std::size_t k = 0; k < runs.size(); ++k) {
         runs[k].ring = std::min(runs[k].ring, wraps);
@@ -160,7 +171,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
         for (Run& run : runs) run.ring = std::max(run.ring - 1, 0);
     }
     order.rings = std::size_t(wraps) + 1;
-    // 3. Runs of the same ring are one.
+    // 4. Runs of the same ring are one.
     runs.erase(std::unique(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.ring == b.ring; }),
                runs.end());
     return order;

@@ -11,6 +11,7 @@
 #include "elevation_clusters.hpp"
 #include "random_rows.hpp"
 #include "sensor_motion.hpp"
+#include "parallel.hpp"
 #include "stages.hpp"
 
 namespace viewshed {
@@ -253,8 +254,11 @@ std::vector<int> likeliest(const std::vector<double>& scores) {
 // The table that the rings of a sample agree with and its score, none where they agree with none.
 Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, const BeamTables& tables) {
     // 1. Roughly, by the median slope and the median nearness of each ring.
-    const auto slopes = ring_medians(returns, [](std::size_t, float slope, float) { return slope; });
-    const auto nearness = ring_medians(returns, [](std::size_t, float, float near) { return near; });
+    std::vector<double> slopes, nearness;
+    run_parts(2, [&](std::size_t part) {
+        if (part == 0) slopes = ring_medians(returns, [](std::size_t, float slope, float) { return slope; });
+        if (part == 1) nearness = ring_medians(returns, [](std::size_t, float, float near) { return near; });
+    });
     std::vector<RingMedian> medians;
     for (std::size_t r = 0; r < rings.count; ++r) {
         if (std::isfinite(slopes[r])) medians.push_back({r, slopes[r], nearness[r]});
@@ -262,11 +266,14 @@ Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, con
     std::vector<double> near;
     for (const BeamTable& table : tables) near.push_back(-roughly_off(rings, medians, table));
     // 2. The likeliest tables, each ring seen from its own beam's origin.
+    const std::vector<int> likely = likeliest(near);
+    std::vector<double> scores(likely.size(), 0.0);
+    run_parts(likely.size(), [&](std::size_t k) {
+        if (std::isfinite(near[likely[k]])) scores[k] = ring_score(rings, returns, tables[likely[k]]);
+    });
     Scored best{NO_TABLE, 0.0};
-    for (const int likely : likeliest(near)) {
-        if (!std::isfinite(near[likely])) continue;
-        const double score = ring_score(rings, returns, tables[likely]);
-        if (score > best.second) best = {likely, score};
+    for (std::size_t k = 0; k < likely.size(); ++k) {
+        if (scores[k] > best.second) best = {likely[k], scores[k]};
     }
     return {best.second >= AGREEING ? best.first : NO_TABLE, best.second};
 }

@@ -19,11 +19,13 @@ void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
 void bind_boxes(nb::module_& m);
 void bind_history(nb::module_& m);
+void bind_integrity_evidence(nb::module_& m);
 void bind_features(nb::module_& m);
 void bind_mc_dropout(nb::module_& m);
 void bind_ray_trace(nb::module_& m);
 void bind_concave_hull(nb::module_& m);
 void bind_polygons(nb::module_& m);
 void bind_files(nb::module_& m);
+void bind_temporal_evidence(nb::module_& m);
 
 }  // namespace viewshed

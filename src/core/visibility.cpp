@@ -47,11 +47,15 @@ struct SortedKind {
     const std::uint32_t* first;  // (AZIMUTH_COLUMNS + 1,)
 };
 
+// Two vectors of four in one, for __builtin_shufflevector.
+#define JOINED 0, 1, 2, 3, 4, 5, 6, 7
+
 // What the segments are counted from, and where.
 struct Job {
     const CellWindows* windows;
     std::array<SortedKind, 3> kinds;
     const float* limits;  // (GROUND_SECTORS, LIMITS, stride)
+    const float* spans;   // (GROUND_SECTORS, 2, stride / VECTOR), see write_spans
     bool shifted;
     Row* rows;
     Row* totals;
@@ -75,9 +79,9 @@ INLINE void mix_nodes(const float* __restrict values, std::uint32_t nodes, std::
     }
 }
 
-// Write the limits (LIMITS, stride) of one sector, and return the steepest slope of a target's top.
-MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
-                                const float* deviations, std::size_t sector, float* limits) {
+// Write the limits (LIMITS, stride) of one sector.
+MULTIVERSION void write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
+                               const float* deviations, std::size_t sector, float* limits) {
     const double azimuth = (double(sector) + 0.5) * (2 * std::numbers::pi / GROUND_SECTORS) - std::numbers::pi;
     const auto x = float(std::cos(azimuth)), y = float(std::sin(azimuth));
     const auto nodes = std::uint32_t(ground.heights_m.columns);
@@ -115,18 +119,27 @@ MULTIVERSION float write_limits(const CellWindows& windows, const TargetGround& 
     for (std::size_t row = 0; row < LIMITS; ++row) {
         for (std::size_t k = bins; k < stride; ++k) limits[row * stride + k] = row % 2 == 0 ? INFINITE : -INFINITE;
     }
-    // The largest of each place in a vector, then of these.
-    float most[VECTOR];
-    for (float& one : most) one = -INFINITE;
-    for (std::size_t row = 1; row < LIMITS; row += 2) {
-        for (std::size_t start = 0; start < stride; start += VECTOR) {
-            for (std::size_t k = 0; k < VECTOR; ++k) {
-                const float top = limits[row * stride + start + k];
-                most[k] = top > most[k] ? top : most[k];
-            }
+}
+
+// Of one sector, write the highest top of a target in the bins up to each vector of bins, and the lowest foot in those from it
+// on: steeper beams pass above all before it, or end below all behind it. Return the highest top of all.
+MULTIVERSION float write_spans(const float* limits, std::size_t stride, float* highest_top, float* lowest_foot) {
+    const std::size_t vectors = stride / VECTOR;
+    for (std::size_t v = 0; v < vectors; ++v) {
+        float top[VECTOR], foot[VECTOR];
+        for (std::size_t k = 0; k < VECTOR; ++k) {
+            const float* at = limits + v * VECTOR + k;
+            const float foot_low = at[2 * stride] < at[0] ? at[2 * stride] : at[0];
+            const float top_low = at[3 * stride] > at[stride] ? at[3 * stride] : at[stride];
+            foot[k] = at[4 * stride] < foot_low ? at[4 * stride] : foot_low;
+            top[k] = at[5 * stride] > top_low ? at[5 * stride] : top_low;
         }
+        highest_top[v] = *std::max_element(top, top + VECTOR);
+        lowest_foot[v] = *std::min_element(foot, foot + VECTOR);
     }
-    return *std::max_element(most, most + VECTOR);
+    for (std::size_t v = 1; v < vectors; ++v) highest_top[v] = std::max(highest_top[v], highest_top[v - 1]);
+    for (std::size_t v = vectors - 1; v-- > 0;) lowest_foot[v] = std::min(lowest_foot[v], lowest_foot[v + 1]);
+    return highest_top[vectors - 1];
 }
 
 // 2. Beams by column.
@@ -205,19 +218,23 @@ struct SortedBeams {
 
 // 3. Sums over columns.
 
-// Count the beams [begin, end) in the range bins that they reach: their slope lies between foot and top, and they ended no
-// nearer. Return how many bins were looked at.
+// Count the beams of a column in the range bins that they reach: their slope lies between foot and top, and they ended no
+// nearer. `spans` are those of the sector. Return how many bins were looked at.
 template <bool SHIFTED>
 INLINE std::size_t count_kind(const SortedKind& kind, std::size_t column, const float* __restrict limits, std::size_t stride,
-                              std::int32_t* __restrict own, std::int32_t* __restrict lower,
-                              std::int32_t* __restrict higher) {
+                              const float* __restrict spans, std::int32_t* __restrict own,
+                              std::int32_t* __restrict lower, std::int32_t* __restrict higher) {
+    const std::size_t vectors = stride / VECTOR;
+    const float *highest_top = spans, *lowest_foot = spans + vectors;
     std::size_t most = 0;
     for (std::uint32_t n = kind.first[column]; n < kind.first[column + 1]; ++n) {
         const float s = kind.beams[n].slope;
         const std::int32_t last = kind.beams[n].last;
-        // Whole vectors: the bins beyond the last one are masked.
-        const std::size_t whole = std::size_t(last + std::int32_t(VECTOR)) / VECTOR * VECTOR;
-        for (std::size_t k = 0; k < whole; ++k) {
+        // Whole vectors: the bins beyond the last one are masked. Most beams pass above the first ones, or end before the last.
+        std::size_t begin = 0, end = std::size_t(last + std::int32_t(VECTOR)) / VECTOR;
+        while (begin < end && s > highest_top[begin]) ++begin;
+        while (begin < end && s < lowest_foot[end - 1]) --end;
+        for (std::size_t k = begin * VECTOR; k < end * VECTOR; ++k) {
             const bool reaches = std::int32_t(k) <= last;
             own[k] += (s >= limits[k]) & (s <= limits[stride + k]) & reaches;
             if constexpr (SHIFTED) {
@@ -225,9 +242,9 @@ INLINE std::size_t count_kind(const SortedKind& kind, std::size_t column, const 
                 higher[k] += (s >= limits[4 * stride + k]) & (s <= limits[5 * stride + k]) & reaches;
             }
         }
-        most = whole > most ? whole : most;
+        most = end > most ? end : most;
     }
-    return most;
+    return most * VECTOR;
 }
 
 // Turn four vectors of four into their columns.
@@ -274,6 +291,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
     const CellWindows& windows = *job.windows;
     const std::size_t bins = windows.bins, stride = windows.stride;
     constexpr std::size_t SECTORS = SEGMENT_COLUMNS / SECTOR_COLUMNS;
+    const std::size_t vectors = stride / VECTOR;
     // The sums over the columns before (stride,), what the column at hand adds to them, and the same lane by lane.
     Buffer<Row> sums(stride), added(stride);
     Buffer<std::int32_t> counts(AIMED * stride);
@@ -292,6 +310,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
     for (std::size_t step = 0; step < SECTORS; ++step) {
         const std::size_t sector = first_sector + step;
         const float* const limits = job.limits + sector * LIMITS * stride;
+        const float* const spans = job.spans + sector * 2 * vectors;
         // Beams that aim at a target in each bin: those below its top, less those below its foot. A sector weighs 1/2 and
         // its neighbors 1/4, since firings do not divide evenly among sectors; each of its columns has an equal share.
         const std::uint32_t *before = below[step % 3], *own = below[(step + 1) % 3];
@@ -301,26 +320,25 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
         for (std::size_t k = 0; k < bins; ++k) {
             aimed[k] = beams_below(smooth, limits[stride + k]) - beams_below(smooth, limits[k]);
         }
-        for (std::size_t k = 0; k < bins; ++k) added[k].back[1] = aimed[k];
+        for (std::size_t k = 0; k < bins; ++k) added[k][AIMED] = aimed[k];
 
         for (std::size_t c = 0; c < SECTOR_COLUMNS; ++c) {
             const std::size_t column = sector * SECTOR_COLUMNS + c;
             // Count the column's beams, then put the lanes of a bin side by side.
             std::int32_t *const lower = &counts[LOWER * stride], *const higher = &counts[HIGHER * stride];
-            const Four counted = {1, 0, 0, 0};  // of HIGHER, AIMED
             std::size_t most = 0;
             for (std::size_t kind = MEASURED; kind <= INFERRED; ++kind) {
                 std::int32_t* const own_counts = &counts[kind * stride];
                 const std::size_t looked_at =
-                    job.shifted ? count_kind<true>(job.kinds[kind], column, limits, stride, own_counts, lower,
-                                                   higher)
-                                : count_kind<false>(job.kinds[kind], column, limits, stride, own_counts,
-                                                    lower, higher);
+                    job.shifted
+                        ? count_kind<true>(job.kinds[kind], column, limits, stride, spans, own_counts, lower, higher)
+                        : count_kind<false>(job.kinds[kind], column, limits, stride, spans, own_counts, lower, higher);
                 most = looked_at > most ? looked_at : most;
             }
-            const std::size_t looked_at = count_kind<false>(job.kinds[UNRESOLVED], column, limits, stride,
+            const std::size_t looked_at = count_kind<false>(job.kinds[UNRESOLVED], column, limits, stride, spans,
                                                             &counts[UNRESOLVED * stride], lower, higher);
             most = looked_at > most ? looked_at : most;
+            const Row counted = {1, 1, 1, 1, 1, 0, 0, 0};
             for (std::size_t k = 0; k < most; k += FOUR) {
                 Four measured, inferred, unresolved, lower_four, higher_four, aimed_four;
                 take_counts(&counts[MEASURED * stride + k], measured);
@@ -330,48 +348,34 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
                 take_counts(higher + k, higher_four);
                 std::memcpy(&aimed_four, &aimed[k], sizeof(Four));
                 transpose(measured, inferred, unresolved, lower_four);
-                Row* const to = &added[k];
-                to[0].front = measured;
-                to[1].front = inferred;
-                to[2].front = unresolved;
-                to[3].front = lower_four;
                 const Four low = __builtin_shufflevector(higher_four, aimed_four, 0, 4, 1, 5);
                 const Four high = __builtin_shufflevector(higher_four, aimed_four, 2, 6, 3, 7), none{};
-                to[0].back = __builtin_shufflevector(low, none, 0, 1, 4, 5);
-                to[1].back = __builtin_shufflevector(low, none, 2, 3, 6, 7);
-                to[2].back = __builtin_shufflevector(high, none, 0, 1, 4, 5);
-                to[3].back = __builtin_shufflevector(high, none, 2, 3, 6, 7);
-                for (std::size_t b = 0; b < FOUR; ++b) {
-                    sums[k + b].front += to[b].front;
-                    sums[k + b].back += counted * to[b].back;
-                }
+                Row* const to = &added[k];
+                to[0] = __builtin_shufflevector(measured, __builtin_shufflevector(low, none, 0, 1, 4, 5), JOINED);
+                to[1] = __builtin_shufflevector(inferred, __builtin_shufflevector(low, none, 2, 3, 6, 7), JOINED);
+                to[2] = __builtin_shufflevector(unresolved, __builtin_shufflevector(high, none, 0, 1, 4, 5), JOINED);
+                to[3] = __builtin_shufflevector(lower_four, __builtin_shufflevector(high, none, 2, 3, 6, 7), JOINED);
+                for (std::size_t b = 0; b < FOUR; ++b) sums[k + b] += counted * to[b];
             }
-            for (std::size_t k = most; k < filled; ++k) {
-                added[k].front = Four{};
-                added[k].back[0] = 0.0f;
-            }
+            const Row aims = {0, 0, 0, 0, 0, 1, 0, 0};
+            for (std::size_t k = most; k < filled; ++k) added[k] *= aims;
             filled = most;
             // The sum before each window that begins or ends in this column: that behind the column, less the rest of it.
             // Beams that aim are spread over the sector, and summed behind it.
-            const Four scale = {1, 1.0f / SECTOR_COLUMNS, 0, 0}, offset = {-1, float(c) / SECTOR_COLUMNS, 0, 0};
+            const float share = 1.0f / SECTOR_COLUMNS;
+            const Row scale = {1, 1, 1, 1, 1, share, 0, 0}, offset = {-1, -1, -1, -1, -1, float(c) * share, 0, 0};
             for (std::size_t e = windows.first_begin[column]; e < windows.first_begin[column + 1]; ++e) {
                 const CellWindows::End& end = windows.begins[e];
-                const Row &sum = sums[end.bin], &more = added[end.bin];
-                Row& row = job.rows[end.row];
-                row.front = (1.0f - end.part) * more.front - sum.front;
-                row.back = -(sum.back + (scale * end.part + offset) * more.back);
+                job.rows[end.row] = -(sums[end.bin] + (scale * end.part + offset) * added[end.bin]);
             }
             for (std::size_t e = windows.first_end[column]; e < windows.first_end[column + 1]; ++e) {
                 const CellWindows::End& end = windows.ends[e];
-                const Row &sum = sums[end.bin], &more = added[end.bin];
-                Row& row = job.rows[end.row];
                 // The end of a window that crosses stands apart, since another thread may write its begin.
-                const Row before = end.row < windows.cells() ? row : Row{};
-                row.front = before.front + (sum.front - (1.0f - end.part) * more.front);
-                row.back = before.back + (sum.back + (scale * end.part + offset) * more.back);
+                const Row before = end.row < windows.cells() ? job.rows[end.row] : Row{};
+                job.rows[end.row] = before + (sums[end.bin] + (scale * end.part + offset) * added[end.bin]);
             }
         }
-        for (std::size_t k = 0; k < bins; ++k) sums[k].back[1] += aimed[k];
+        for (std::size_t k = 0; k < bins; ++k) sums[k][AIMED] += aimed[k];
     }
     std::memcpy(static_cast<void*>(job.totals + segment * bins), sums.data(), bins * sizeof(Row));
 }
@@ -445,10 +449,14 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
 void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const {
     for (std::size_t n = 0; n < count; n += FOUR) {
         const Row* const of = &rows[first + n];
-        Four one = of[0].front, two = of[1].front, three = of[2].front, four = of[3].front;
+        Four one, two, three, four;
+        std::memcpy(&one, &of[0], sizeof(Four));
+        std::memcpy(&two, &of[1], sizeof(Four));
+        std::memcpy(&three, &of[2], sizeof(Four));
+        std::memcpy(&four, &of[3], sizeof(Four));
         transpose(one, two, three, four);
-        const Four higher_aimed_low = __builtin_shufflevector(of[0].back, of[1].back, 0, 4, 1, 5);
-        const Four higher_aimed_high = __builtin_shufflevector(of[2].back, of[3].back, 0, 4, 1, 5);
+        const Four higher_aimed_low = __builtin_shufflevector(of[0], of[1], HIGHER, EIGHT + HIGHER, AIMED, EIGHT + AIMED);
+        const Four higher_aimed_high = __builtin_shufflevector(of[2], of[3], HIGHER, EIGHT + HIGHER, AIMED, EIGHT + AIMED);
         const Four higher = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 0, 1, 4, 5);
         const Four aimed = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 2, 3, 6, 7);
         std::memcpy(&lanes[MEASURED][n], &one, sizeof(Four));
@@ -464,13 +472,10 @@ void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK
     for (; at != windows->crossings.end() && at->cell < first + count; ++at) {
         Row sum = rows[windows->cells() + std::size_t(at - windows->crossings.begin())];
         for (std::uint32_t k = 0; k < at->count; ++k) {
-            const Row& segment = totals[(at->first + k) % SEGMENTS * windows->bins + at->bin];
-            sum.front += segment.front;
-            sum.back += segment.back;
+            sum += totals[(at->first + k) % SEGMENTS * windows->bins + at->bin];
         }
         const std::size_t n = at->cell - first;
-        for (std::size_t lane = 0; lane < FOUR; ++lane) lanes[lane][n] += sum.front[lane];
-        for (std::size_t lane = FOUR; lane < LANES; ++lane) lanes[lane][n] += sum.back[lane - FOUR];
+        for (std::size_t lane = 0; lane < LANES; ++lane) lanes[lane][n] += sum[lane];
     }
 }
 
@@ -480,12 +485,14 @@ CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& k
     const std::size_t parts = count_parts(beams + windows.cells(), WORTH);
 
     // 1. The slopes of a target's foot and top, by sector and range.
-    Buffer<float> limits(GROUND_SECTORS * LIMITS * windows.stride);
+    const std::size_t stride = windows.stride, vectors = stride / VECTOR;
+    Buffer<float> limits(GROUND_SECTORS * LIMITS * stride), spans(GROUND_SECTORS * 2 * vectors);
     std::array<float, GROUND_SECTORS> highest;
     for_ranges(GROUND_SECTORS, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t sector = begin; sector < end; ++sector) {
-            highest[sector] = write_limits(windows, ground, target_height_m, deviations ? deviations->data() : nullptr,
-                                           sector, &limits[sector * LIMITS * windows.stride]);
+            float *const of_sector = &limits[sector * LIMITS * stride], *const span = &spans[sector * 2 * vectors];
+            write_limits(windows, ground, target_height_m, deviations ? deviations->data() : nullptr, sector, of_sector);
+            highest[sector] = write_spans(of_sector, stride, span, span + vectors);
         }
     });
     // 2. Beams by column. Those above every target aim at none: by a bin of slope, which is interpolated.
@@ -493,7 +500,13 @@ CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& k
     const SortedBeams sorted(kinds, most, windows.cell_m, windows.bins);
     // 3. Sums over the columns of each segment.
     CellCounts counts{&windows, Buffer<Row>(windows.rows() + FOUR), Buffer<Row>(SEGMENTS * windows.bins)};
-    const Job job{&windows, {sorted.kind(0), sorted.kind(1), sorted.kind(2)}, limits.data(), deviations != nullptr, counts.rows.data(), counts.totals.data()};
+    const Job job{&windows,
+                  {sorted.kind(0), sorted.kind(1), sorted.kind(2)},
+                  limits.data(),
+                  spans.data(),
+                  deviations != nullptr,
+                  counts.rows.data(),
+                  counts.totals.data()};
     if (parts <= 1) {
         for (std::size_t segment = 0; segment < SEGMENTS; ++segment) sum_segment(job, segment);
     } else {

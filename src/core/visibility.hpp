@@ -33,10 +33,9 @@ enum Lane { MEASURED, INFERRED, UNRESOLVED, LOWER, HIGHER, AIMED, LANES };
 constexpr std::size_t FOUR = 4;
 typedef float Four __attribute__((vector_size(FOUR * sizeof(float))));
 
-// The sums of a cell or of a bin: measured to lower; higher, aimed, and two that are not used.
-struct Row {
-    Four front, back;
-};
+// The sums of a cell or of a bin, in the order of the lanes, and two that are not used: the widest vector of most processors.
+constexpr std::size_t EIGHT = 8;
+typedef float Row __attribute__((vector_size(EIGHT * sizeof(float))));
 
 // Columns of azimuth in which beams are counted, and parts of the turn that are summed each by itself, so that threads
 // share nothing and sums do not depend on how many there are.

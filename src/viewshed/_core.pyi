@@ -471,3 +471,82 @@ def all_finite(values: NDArray[np.float32]) -> bool: ...
 def plausible_rows(rows: NDArray[np.float32], columns: int) -> bool: ...
 def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None: ...
 def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int: ...
+
+# integrity_evidence.cpp
+
+_Counts = tuple[NDArray[np.int32], NDArray[np.int32]]
+
+def beam_image(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    rows: NDArray[np.int32],
+    height_m: NDArray[np.float32],
+    rings: int,
+    columns: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def count_chosen(points: NDArray[np.float32], chosen: NDArray[np.bool_], sectors: int) -> _Counts: ...
+def count_holes(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> _Counts: ...
+def count_specks(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> _Counts: ...
+def count_double_returns(
+    range_m: NDArray[np.float32], farthest_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
+) -> _Counts: ...
+def measure_noise(
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    sector: NDArray[np.int16],
+    below_m: float,
+    sectors: int,
+    bands: int,
+) -> NDArray[np.float32]: ...
+def measure_steps(
+    range_m: NDArray[np.float32], height_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
+) -> NDArray[np.float32]: ...
+def measure_breaks(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> NDArray[np.float32]: ...
+def measure_empty_runs(
+    range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
+) -> NDArray[np.float32]: ...
+def find_off_beam(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    origin_m: NDArray[np.float64],
+    rows: NDArray[np.int32],
+    columns: int,
+) -> NDArray[np.bool_]: ...
+def measure_range_offset(points: NDArray[np.float32], sensor_height_m: float, sectors: int) -> NDArray[np.float32]: ...
+
+# temporal_evidence.cpp
+
+class SweepView:
+    def __init__(
+        self,
+        squared_m2: NDArray[np.float32],
+        phase: NDArray[np.float32],
+        elevation: NDArray[np.float32],
+        origin_m: NDArray[np.float32],
+        points: NDArray[np.float32],
+        height_m: NDArray[np.float32],
+        range_m: NDArray[np.float32],
+        azimuth: NDArray[np.float32],
+        isolated: NDArray[np.bool_],
+        sensor_from_level: NDArray[np.float32],
+    ) -> None: ...
+    @property
+    def obstacles(self) -> int: ...
+    def follow(
+        self,
+        views: Sequence[SweepView],
+        transforms: NDArray[np.float32],
+        gaps_s: NDArray[np.float32],
+        around: SweepView,
+        around_from_self: NDArray[np.float32],
+        sectors: int,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+    def jumps(
+        self, views: Sequence[SweepView], transforms: NDArray[np.float32], gaps_s: NDArray[np.float32], sectors: int
+    ) -> NDArray[np.float32]: ...
+    def repeats(self, views: Sequence[SweepView], sectors: int) -> NDArray[np.float32]: ...
+    def register_on(
+        self, views: Sequence[SweepView], transforms: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...

@@ -10,12 +10,12 @@ EXTRAS = {
     "pyarrow": "data",
     "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
     "rosbags": "bags", "lz4": "bags", "zstandard": "bags",
-    "ouster": "packets", "velodyne_decoder": "packets",
+    "velodyne_decoder": "packets",
     "openvino": "openvino", "ray": "ray", "yaml": "opv2v",
 }  # fmt: skip
 """The extra that installs a package, by the name under which Python imports it."""
 
-_DISTRIBUTIONS = {"ouster": "ouster-sdk", "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml"}
+_DISTRIBUTIONS = {"velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml"}
 """What is installed, where that is not the name of the import."""
 
 

@@ -5,12 +5,25 @@ from __future__ import annotations
 import json
 import os
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 
 def write_atomic(path: str | Path, content: bytes) -> None:
     """Write ``content`` to a new file beside ``path`` and move it into place, so that nobody sees half of it.
+
+    Raises:
+        OSError: the folder does not exist or cannot be written; no file is left behind.
+    """
+    with open_atomic(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a new file beside ``path`` for writing; it is moved into place when the block ends without an error.
 
     Raises:
         OSError: the folder does not exist or cannot be written; no file is left behind.
@@ -21,7 +34,7 @@ def write_atomic(path: str | Path, content: bytes) -> None:
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
     try:
         with draft.open("xb") as file:
-            file.write(content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         draft.replace(target)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from viewshed._canvas import BLACK, WHITE, Canvas, Color, Pixels, text_width
 from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.grid import BevGrid
+from viewshed.integrity.report import IntegrityReport, cells_of_sectors
 from viewshed.preprocess.leveling import LeveledSweep
 
 COLORS = {
@@ -49,6 +50,12 @@ _ROW = 26
 
 _HEAD_COLOR, _LINE_COLOR = (237, 237, 237), (204, 204, 204)
 """Of a table: behind the heads of its columns, and between its cells."""
+
+_SUSPECT = (214, 39, 40)
+"""Color of suspect sectors."""
+
+_MOST_SURPRISE = 5.0
+"""Evidence as rare as once in a hundred thousand benign sectors has the brightest color."""
 
 _COLOR_STEPS = {
     "viridis": "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e "
@@ -108,6 +115,57 @@ def maps_picture(panel: Panel) -> bytes:
         page.text((left, above - 8), title, 10)
         _color_bar(page, colors, _ticks(top), top, (left + side + 10, above, 14, side))
     _legend(page, 4, {state: f"{estimate.share(state):.0%} " for state in CellState})
+    return page.png()
+
+
+def monitor_picture(
+    panel: Panel, report: IntegrityReport, names: Sequence[str], surprises: NDArray[np.float32]
+) -> bytes:
+    """Return a PNG of what a monitor says of a sweep: the map, suspect sectors in red, beside all evidence by azimuth.
+
+    Args:
+        panel: the estimate and its sweep.
+        report: of the monitor.
+        names: (E,) of the evidence.
+        surprises: (E, SECTORS) -log10 of the share of benign sectors as suspicious; NaN where evidence abstains.
+    """
+    side, row = 560, 22
+    lines = [*_title_lines(panel)]
+    above = _LINE * len(lines) + 16
+    names_width = round(max(text_width(name.replace("_", " "), 9) for name in names)) + 16
+    left = side + 40 + names_width
+    strip = np.repeat(surprises[:, ::-1], 5, axis=1)  # left is left: the azimuth falls from +180° to -180°
+    reasons = [_fit(f"{number}. {reason}") for number, reason in enumerate(report.reasons, 1)] or ["nothing unusual"]
+    table_bottom = above + row * len(names)
+    below = max(above + side, table_bottom + 60 + _LINE * len(reasons))
+    width = left + max(strip.shape[1] + 90, round(max(text_width(line, 9) for line in reasons)) - names_width + 20)
+    page = Canvas.blank(width, below + 68)
+    # 1. The map, with the suspect sectors in red.
+    suspect = cells_of_sectors(
+        report.suspect, BevGrid(side, panel.estimate.grid.half_extent_m, panel.estimate.grid.offset_m)
+    )
+    pixels = _map(panel, side).pixels().copy()
+    red = suspect[::-1, ::-1]
+    pixels[red] = (0.55 * pixels[red] + 0.45 * np.array(_SUSPECT)).astype(np.uint8)
+    page.paste(Canvas(pixels), 20, above)
+    _title(page, lines, 20, above, 9)
+    # 2. All evidence by azimuth: how rare it is on benign sweeps.
+    for number, name in enumerate(names):
+        page.text((left - 8, above + row * number + 15), name.replace("_", " "), 9, "rs")
+        values = np.repeat(strip[number][None], row - 4, axis=0)
+        known = np.isfinite(values)
+        shades = color_map("magma")[(np.clip(np.where(known, values, 0) / _MOST_SURPRISE, 0, 1) * 255).astype(np.intp)]
+        shown = np.where(known[..., None], shades, np.uint8(230)).astype(np.uint8)
+        page.paste(Canvas(shown), left, above + row * number)
+    for share, words in ((0.0, "behind"), (0.25, "left"), (0.5, "ahead"), (0.75, "right"), (1.0, "behind")):
+        page.text((left + share * strip.shape[1], table_bottom + 12), words, 8, "ms")
+    ticks = [(float(value), f"1 in {10**value:,}") for value in range(1, 6)]
+    _color_bar(page, "magma", ticks, _MOST_SURPRISE, (left + strip.shape[1] + 12, above, 14, row * len(names) - 4))
+    page.text((left + strip.shape[1] + 12, above - 8), "benign sectors", 8)
+    # 3. The reasons, the strongest first.
+    for number, line in enumerate(reasons):
+        page.text((side + 40, table_bottom + 44 + _LINE * number), line, 9)
+    _legend(page, 4, {state: f"{panel.estimate.share(state):.0%} " for state in CellState})
     return page.png()
 
 
@@ -227,12 +285,12 @@ def _paint_points(image: Pixels, leveled: LeveledSweep, fine: BevGrid) -> None:
 
 
 def _height_colors() -> Pixels:
-    return _colors("viridis")
+    return color_map("viridis")
 
 
 @lru_cache(maxsize=3)
-def _colors(name: str) -> Pixels:
-    """Return the (256, 3) colors of a map, from low to high."""
+def color_map(name: str) -> Pixels:
+    """Return the (256, 3) uint8 colors of ``viridis``, ``cividis`` or ``magma``, from low to high."""
     steps = np.array([list(bytes.fromhex(step)) for step in _COLOR_STEPS[name].split()])
     at = np.linspace(0, 255, len(steps))
     return np.stack([np.interp(np.arange(256), at, channel) for channel in steps.T], axis=1).round().astype(np.uint8)
@@ -244,7 +302,7 @@ def _value_pixels(values: NDArray[np.float32], colors: str, top: float, pixels: 
     shown = values[nearest][:, nearest][::-1, ::-1]
     known = np.isfinite(shown)
     level = np.clip(np.where(known, shown, 0.0) / top * 256, 0, 255).astype(np.intp)
-    return np.where(known[..., None], _colors(colors)[level], np.uint8(255)).astype(np.uint8)
+    return np.where(known[..., None], color_map(colors)[level], np.uint8(255)).astype(np.uint8)
 
 
 def _bytes(colors: NDArray[np.float64]) -> Pixels:
@@ -336,7 +394,7 @@ def _color_bar(
 ) -> None:
     """Draw the colors from 0 to ``top_value`` as a bar at (left, top, width, height), with ticks at its right."""
     left, top, width, height = place
-    shades = _colors(colors)[(np.arange(height)[::-1] * 256) // height]
+    shades = color_map(colors)[(np.arange(height)[::-1] * 256) // height]
     page.paste(Canvas(np.repeat(shades[:, None], width, axis=1)), left, top)
     for value, words in ticks:
         row = top + height * (1 - value / top_value)

@@ -201,6 +201,8 @@ class Sweep:
         origin = np.asarray(origin_m, np.float64)
         if origin.shape != (3,) or not np.isfinite(origin).all():
             raise ValueError(f"origin_m must be three finite numbers in meters, got {origin_m!r}")
+        if self.planar is not None:
+            raise ValueError("a scan in one plane must be seen from its own sensor; leave origin_m out")
         pose = self.world_from_sensor
         return self.replace(
             points=self.points - origin.astype(np.float32),

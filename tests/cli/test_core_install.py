@@ -53,6 +53,8 @@ def test_sweeps_are_read_estimated_compared_and_exported_by_the_core_install(tmp
             ["estimate", sweep, "--out", "out"],
             ["compare", sweep, "--methods", "all"],
             ["export", sweep, "--to", "cpm"],
+            ["view", sweep, "--html", "run.html"],
+            ["replay", sweep],
             ["demo"],
         ],
         set(), tmp_path,
@@ -60,6 +62,7 @@ def test_sweeps_are_read_estimated_compared_and_exported_by_the_core_install(tmp
     assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".png", ".geojson", ".npz"}
     for picture in ("compare.png", "demo/demo.png", "demo/demo_truth.png"):
         assert (tmp_path / picture).read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "run.html").read_text("utf-8").startswith("<!DOCTYPE html>")
     assert not [name for name in loaded if name.startswith(LABORATORY)]
     assert not {"onnxruntime", "viewshed.datasets"} & loaded
 

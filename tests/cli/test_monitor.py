@@ -85,6 +85,20 @@ def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.Capture
     assert total == "2 sweeps, 1 alarms"
 
 
+def test_a_page_shows_what_the_monitor_says(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, net = tmp_path / "run.html", ["--weights", str(place / "net.onnx")]
+    words = ["view", str(place / "calm.npz"), str(place / "cut.npz"), "--html", str(page), *net]
+    code, said, err = _run(capsys, *words, "--monitor", str(place / "monitor.npz"))
+    assert (code, err) == (0, "")
+    assert ["ALARM" in line for line in said.splitlines()] == [False, True, False]
+    calm, cut = map(json.loads, re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")))
+    assert calm["score"] <= calm["limit"] == cut["limit"] < cut["score"]
+    assert [len(about["alarms"]) for about in (calm, cut)] == [0, 1]
+    code, _, err = _run(capsys, *words, "--monitor", str(place / "monitor.npz"), "--method", "shadow_map")
+    assert code == 2
+    assert "--monitor was fitted on mc_dropout, got --method shadow_map" in err
+
+
 def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, said, _ = _run(capsys, *_check(place, "cut.npz"), "--out", str(tmp_path / "found"))
     assert code == 0
@@ -116,7 +130,7 @@ def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path, capsys: pyte
     (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
     code, _, err = _run(capsys, "monitor", "check", str(place / "calm.npz"), "--monitor", str(tmp_path / "bad.npz"))
     assert code == 2
-    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; fit it again\n", err)
+    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; calibrate it again\n", err)
     other = card(threshold=0.7)
     export_onnx(tmp_path / "other.onnx", other, _network())
     words = _check(place, "calm.npz")[:-1]

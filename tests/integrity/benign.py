@@ -4,24 +4,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.integrity.calibration import Group
-from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.integrity.evidence import SECTORS, Evidence, MonitoredSweep
 from viewshed.integrity.score import SWEEP_FEATURES, EvidenceScore, SurpriseScale, features_of
 from viewshed.integrity.sweep_monitor import BenignSweep
 
-NAMES = tuple(EVIDENCE)
+
+def _first(monitored: MonitoredSweep) -> NDArray[np.float32]:
+    """Return the share of all returns by sector: evidence that any sweep gives."""
+    count = np.histogram(monitored.leveled.azimuth, SECTORS, (-np.pi, np.pi))[0]
+    return np.asarray(count / max(count.sum(), 1), np.float32)
+
+
+def _over_time(monitored: MonitoredSweep) -> NDArray[np.float32]:
+    """Return the change of that share since the sweep before; abstains without one."""
+    if not monitored.earlier:
+        return np.full(SECTORS, np.nan, np.float32)
+    return np.asarray(np.abs(_first(monitored) - _first(MonitoredSweep(monitored.earlier[-1]))), np.float32)
+
+
+KINDS = {
+    "crowd": Evidence("crowd", _first, "{value:.2f} of the returns lie at {degrees:.0f}°"),
+    "change": Evidence("change", _over_time, "the returns at {degrees:.0f}° change by {value:.2f}"),
+    "third": Evidence("third", _first, "a third at {degrees:.0f}°"),
+}
+NAMES = tuple(KINDS)
 VLP, HDL = Group("VLP-16", "none"), Group("HDL-32E", "none")
 
 
 def evidence_of(rng: np.random.Generator, scale: float = 1.0) -> NDArray[np.float32]:
     """Return evidence (E, SECTORS), exponential; scenes differ by a factor that all their sectors share."""
     shared = scale * rng.lognormal(0.0, 0.3)
-    return (shared * rng.exponential(1.0, (len(NAMES), SECTORS))).astype(np.float32)
+    return np.asarray(shared * rng.exponential(1.0, (len(NAMES), SECTORS)), np.float32)
 
 
-def score_by_hand() -> EvidenceScore:
-    """Return a score whose sectors say the sum of their surprises (inconsistent) or of the medians (degraded)."""
+def score_by_hand(benign: NDArray[np.float32] | None = None) -> EvidenceScore:
+    """Return a score whose sectors say the sum of their surprises (inconsistent) or of the medians (degraded).
+
+    Args:
+        benign: (N, E, SECTORS) evidence by which numbers are surprising; drawn by :func:`evidence_of` if none is given.
+    """
     rng, kinds = np.random.default_rng(77), len(NAMES)
-    scale = SurpriseScale.fit(np.stack([evidence_of(rng) for _ in range(200)]))
+    scale = SurpriseScale.fit(np.stack([evidence_of(rng) for _ in range(200)]) if benign is None else benign)
     count = features_of(kinds)
     weights, outputs = np.zeros((count, 2), np.float32), np.eye(2, dtype=np.float32)
     weights[:kinds, 0] = 1.0

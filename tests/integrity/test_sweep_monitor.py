@@ -1,25 +1,38 @@
 """The monitor of a sweep: verdicts at their rates, sectors, reasons, its file, and what it refuses."""
 
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from tests.integrity.benign import HDL, VLP, benign_sweeps, evidence_of, score_by_hand
+from numpy.typing import NDArray
+from tests.integrity.benign import HDL, KINDS, VLP, benign_sweeps, evidence_of, score_by_hand
 
-from viewshed import BevGrid
-from viewshed.integrity import SweepMonitor
-from viewshed.integrity.sweep_monitor import Rates
+from viewshed import BevGrid, Sweep
+from viewshed.geometry import Rigid
+from viewshed.integrity import SweepMonitor, load_sweep_monitor, save_sweep_monitor
+from viewshed.integrity.calibration import Group, Per
+from viewshed.integrity.evidence import SECTORS, MonitoredSweep
+from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, Rates, group_of
+from viewshed.preprocess.leveling import LeveledSweep, level
+
+RATES = Rates(0.01, 0.02, 0.1)
+
+
+def _calibrated(sweeps: list[BenignSweep], **options: Any) -> SweepMonitor:
+    return SweepMonitor.calibrate(score_by_hand(), sweeps, np.random.default_rng(0), **({"rates": RATES} | options))
 
 
 @cache
 def _monitor() -> SweepMonitor:
     sweeps = benign_sweeps(150, 1) + benign_sweeps(99, 2, HDL, scale=3.0)
-    return SweepMonitor.calibrate(
-        score_by_hand(), sweeps, np.random.default_rng(0), rates=Rates(0.01, 0.02, 0.1), facts={"viewnet": "abc"}
-    )
+    return _calibrated(sweeps, facts={"viewnet": "abc"})
 
 
-def _attacked(seed: int = 5) -> tuple[np.ndarray, slice]:
+def _attacked(seed: int = 5) -> tuple[NDArray[np.float32], slice]:
     evidence, wedge = evidence_of(np.random.default_rng(seed)), slice(20, 30)
     evidence[0, wedge] = np.linspace(60.0, 70.0, 10)
     return evidence, wedge
@@ -27,13 +40,214 @@ def _attacked(seed: int = 5) -> tuple[np.ndarray, slice]:
 
 def test_an_attacked_wedge_is_inconsistent_and_found_with_its_reason() -> None:
     evidence, wedge = _attacked()
-    grid = BevGrid(40, 20.0)
-    report = _monitor().report(evidence, VLP, grid)
+    report = _monitor().report(evidence, VLP, BevGrid(40, 20.0), kinds=KINDS)
     assert report.inconsistent
     assert not report.degraded
     assert report.p_value == pytest.approx(1 / 151)
     assert report.suspect[wedge].all()
     assert report.suspect.sum() <= 12
     assert report.suspect_cells.any()
-    assert report.reasons[0].endswith("at -32° have no neighbor at a similar range")
+    assert report.reasons[0] == "70.00 of the returns lie at -32°"
     assert report.monitor == "sweep"
+
+
+def test_what_raises_all_sectors_a_little_is_degraded_and_no_reason_is_told_of_usual_evidence() -> None:
+    monitor, calm = _monitor(), evidence_of(np.random.default_rng(8))
+    report = monitor.report(calm, VLP, kinds=KINDS)
+    assert not report.inconsistent
+    assert not report.degraded
+    assert not report.suspect.any()
+    assert report.reasons == ()
+    assert monitor.report(calm * np.float32(6.0), VLP, kinds=KINDS).degraded
+
+
+@pytest.mark.parametrize("per", ["sweep", "drive"])
+def test_both_verdicts_keep_their_rates_on_further_scenes(per: Per) -> None:
+    """25 monitors of 99 scenes, each tried on 60 further ones; per drive any of its sweeps counts."""
+    alarms, each = np.zeros(2), 2 if per == "drive" else 1
+    for seed in range(25):
+        monitor = _calibrated(benign_sweeps(99, 100 + seed, each=2), per=per, rates=Rates(0.05, 0.1, 0.1))
+        raised: dict[str, set[str]] = {"inconsistent": set(), "degraded": set()}
+        for sweep in benign_sweeps(60, 10_000 + seed, each=each):
+            report = monitor.report(sweep.evidence, VLP, kinds=KINDS)
+            for name, scenes in raised.items():
+                if getattr(report, name):
+                    scenes.add(sweep.scene)
+        alarms += [len(scenes) for scenes in raised.values()]
+    # Three standard errors: of the mean of 25 betas, and of 1,500 scenes.
+    assert alarms[0] / 1500 == pytest.approx(0.05, abs=0.021)
+    assert alarms[1] / 1500 == pytest.approx(0.1, abs=0.03)
+
+
+def test_false_discoveries_of_sectors_stay_below_their_rate() -> None:
+    monitor, wrong, found = _monitor(), [], []
+    for seed in range(200):
+        evidence, wedge = _attacked(seed)
+        report = monitor.report(evidence, VLP, kinds=KINDS)
+        outside = report.suspect.copy()
+        outside[wedge] = False
+        wrong.append(outside.sum() / max(report.suspect.sum(), 1))
+        found.append(report.suspect[wedge].mean())
+    assert np.mean(wrong) <= 0.1
+    assert np.mean(found) > 0.95
+
+
+def test_an_unknown_sensor_takes_the_most_cautious_group_and_says_so() -> None:
+    evidence, _ = _attacked()
+    report = _monitor().report(evidence, Group("OS1-64", "none"), kinds=KINDS)
+    assert report.threshold == max(_monitor().inconsistent.limit(group) for group in (VLP, HDL))
+    assert report.notes[0].startswith("OS1-64, single sweeps was not calibrated: judged by the most cautious of VLP-16")
+
+
+def test_the_same_sweeps_give_the_same_file_and_the_file_the_same_monitor(tmp_path: Path) -> None:
+    real = [replace(sweep, scene=f"real {number}") for number, sweep in enumerate(benign_sweeps(9, 3, each=1))]
+    lenient = {name: replace(getattr(_monitor(), name), rate=0.1) for name in ("inconsistent", "degraded")}
+    corrected = replace(_monitor(), **lenient).corrected(real, np.random.default_rng(0))
+    for monitor in (_monitor(), corrected):
+        save_sweep_monitor(monitor, tmp_path / "one.npz")
+        save_sweep_monitor(monitor, tmp_path / "two.npz")
+        assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
+        again = load_sweep_monitor(tmp_path / "one.npz")
+        for evidence in (_attacked()[0], evidence_of(np.random.default_rng(9))):
+            before, after = (each.report(evidence, VLP, BevGrid(40, 20.0), kinds=KINDS) for each in (monitor, again))
+            assert str(before) == str(after)
+        assert again.promises() == monitor.promises()
+        assert (again.facts, again.per, again.warnings) == (monitor.facts, monitor.per, monitor.warnings)
+
+
+def _message(path: Path, content: bytes) -> str:
+    path.write_bytes(content)
+    try:
+        load_sweep_monitor(path)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def test_every_damaged_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "monitor.npz"
+    save_sweep_monitor(_calibrated(benign_sweeps(9, 1), rates=Rates(0.2, 0.2, 0.1)), path)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = [whole[:k] for k in range(0, len(whole), 997)] + [b"", b"monitor"]
+    places = rng.integers(0, len(whole), 150)
+    damaged += [whole[:k] + bytes([whole[k] ^ int(rng.integers(1, 256))]) + whole[k + 1 :] for k in places]
+    told = [_message(path, content) for content in damaged]
+    refused = [message for message in told if message]
+    assert all(message.startswith(f"{path} must be a whole monitor file") for message in refused)
+    assert not [message for message in refused if "\n" in message]
+    assert len(refused) > 0.7 * len(damaged), "a date or a flag that nobody reads is no damage"
+
+
+def test_a_file_of_another_version_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "monitor.npz"
+    save_sweep_monitor(replace(_monitor(), version="0.0.1"), path)
+    with pytest.raises(ValueError, match=r"version 1 of monitor sweep of viewshed 0.0.1; calibrate it again"):
+        load_sweep_monitor(path)
+    save_sweep_monitor(_monitor(), path)
+    monkeypatch.setattr("viewshed.integrity.sweep_monitor._MAX_BYTES", 1000)
+    with pytest.raises(ValueError, match="must be at most 1000 bytes"):
+        load_sweep_monitor(path)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: _calibrated(benign_sweeps(98, 1)),
+            "VLP-16, single sweeps: a false-alarm rate of 0.01 needs at least 99",
+        ),
+        (lambda: _calibrated([]), "must have benign scores of one group at least, got none"),
+        (
+            lambda: _calibrated([BenignSweep("a", VLP, np.zeros((9, SECTORS)))]),
+            r"evidence must be 3 lines of 72 sectors \(crowd, change, third\), got shape",
+        ),
+        (
+            lambda: replace(
+                _monitor(), score=replace(score_by_hand(), output_offsets=np.full(2, np.nan, np.float32))
+            ).report(_attacked()[0], VLP),
+            "scores must be finite, got",
+        ),
+        (
+            lambda: _monitor().report(_attacked()[0], Group("VLP-16", "posed"), kinds=KINDS),
+            "must be of a calibrated group",
+        ),
+        (
+            lambda: _monitor().require({"viewnet": "xyz"}),
+            "viewnet must be that of the monitor, abc, got xyz; calibrate",
+        ),
+        (lambda: replace(_monitor(), benign={}), "must be of the same groups"),
+        (lambda: replace(_monitor(), discovery_rate=0.0), r"discovery_rate must lie in \(0, 1\), got 0.0"),
+    ],
+)
+def test_what_is_refused_in_one_line(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_attacked_scenes_in_a_row_leave_a_warning() -> None:
+    assert _monitor().warnings == ()
+    attacked = [replace(s, scene=f"late {s.scene}", evidence=s.evidence * 20) for s in benign_sweeps(60, 4)]
+    warned = _calibrated(benign_sweeps(150, 1) + attacked, rates=Rates(0.05, 0.05, 0.1))
+    assert warned.warnings[0].startswith("benign scenes must be exchangeable, but their scores drift")
+
+
+def _leveled(number: int, *, posed: bool = True, points: int = 400) -> LeveledSweep:
+    rng = np.random.default_rng(number)
+    azimuth, range_m = rng.uniform(-np.pi, np.pi, points), rng.uniform(4, 30, points)
+    xyz = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), rng.uniform(-1.8, 1.0, points)])
+    pose = Rigid.identity() if posed else None
+    sweep = Sweep(
+        xyz.astype(np.float32),
+        sensor_height_m=1.8,
+        t_ns=number * 100_000_000,
+        world_from_sensor=pose,
+        infer_sensor=False,
+    )
+    return level(sweep, BevGrid(40, 20.0))
+
+
+def _on_history(histories: Mapping[str, int]) -> SweepMonitor:
+    """Return a monitor calibrated on single sweeps, or on sweeps with history, of a sensor that has no name."""
+    sweeps = []
+    for name in histories:
+        group = Group("unknown sensor without rings", name)  # type: ignore[arg-type]
+        for scene in range(20):
+            earlier = tuple(_leveled(scene * 10 + k, posed=name == "posed") for k in range(EARLIER_SWEEPS))
+            monitored = MonitoredSweep(_leveled(scene * 10 + 7), earlier if name != "none" else ())
+            assert group_of(monitored) == group
+            evidence = np.stack([kind.measure(monitored) for kind in KINDS.values()])
+            sweeps.append(BenignSweep(str(scene), group, evidence))
+    return _calibrated(sweeps, rates=Rates(0.1, 0.1, 0.1))
+
+
+def test_a_sweep_is_judged_with_as_much_history_as_the_monitor_was_calibrated_with() -> None:
+    now, posed = _leveled(1000), tuple(_leveled(2000 + k) for k in range(7))
+    blind = tuple(_leveled(2000 + k, posed=False) for k in range(7))
+    alone, both = _on_history({"none": 1}), _on_history({"none": 1, "posed": 1})
+    single = alone.check(MonitoredSweep(now), KINDS)
+    assert single.notes == ("judged without earlier sweeps: there are 0 of 5; evidence over time abstains",)
+    # Whoever knows single sweeps only, or is given too few, judges the sweep by itself.
+    for monitor, earlier in ((alone, posed), (both, posed[:4]), (both, blind)):
+        assert monitor.check(MonitoredSweep(now, earlier), KINDS).score == single.score
+    assert "they have no poses" in both.check(MonitoredSweep(now, blind), KINDS).notes[0]
+    found = both.check(MonitoredSweep(now, posed), KINDS)
+    assert found.notes == ()
+    assert found.score == both.check(MonitoredSweep(now, posed[2:]), KINDS).score
+    with pytest.raises(ValueError, match=r"sweep must have 5 earlier sweeps with poses, .* got 2, none"):
+        _on_history({"posed": 1}).check(MonitoredSweep(now, posed[:2]), KINDS)
+
+
+def test_what_check_refuses() -> None:
+    monitor, now = _on_history({"none": 1}), MonitoredSweep(_leveled(1))
+    with pytest.raises(
+        ValueError, match=r"evidence must be that of the monitor \(crowd, change, third\), got isolated"
+    ):
+        monitor.check(now)
+    with pytest.raises(ValueError, match=r"must be calibrated on this version's evidence, .* got 0.0.1"):
+        replace(monitor, version="0.0.1").check(now, KINDS)
+    with pytest.raises(ValueError, match="must have the estimates of viewnet, got none; estimate them first"):
+        replace(monitor, estimates=("viewnet",)).check(now, KINDS)
+    with pytest.raises(ValueError, match="sweep must have usable returns, got none"):
+        monitor.check(MonitoredSweep(_leveled(1, points=0)), KINDS)
+    assert monitor.check(MonitoredSweep(_leveled(1, points=1)), KINDS).score is not None

@@ -10,25 +10,23 @@ from hypothesis import strategies as st
 
 from viewshed import BevGrid
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.integrity import IntegrityReport
 from viewshed.integrity.evidence import SECTORS
-from viewshed.pipeline.reactions import Caution, ReactionRules, ReactionState, react, speed_for_view, withdraw
+from viewshed.pipeline.reactions import Caution, Finding, ReactionRules, ReactionState, react, speed_for_view, withdraw
 
 GRID = BevGrid(64, 32.0)
 FRONT = np.arange(SECTORS) // 4 == 9  # the four sectors left of straight ahead
 
 
-def report(level: int) -> IntegrityReport | None:
-    """Nothing found; degraded; inconsistent in front; inconsistent, nobody knows where. None is no answer."""
-    score = 2.0 if level >= 2 else 0.0
+def found(level: int) -> Finding:
+    """Nothing found; degraded; inconsistent in front; inconsistent, nobody knows where."""
     suspect = FRONT if level == 2 else np.zeros(SECTORS, np.bool_)
-    return IntegrityReport("by hand", score, 1.0, degraded=level == 1, suspect=suspect)
+    return Finding(degraded=level == 1, inconsistent=level >= 2, suspect=suspect)
 
 
 def states_after(levels: Sequence[int], rules: ReactionRules) -> list[ReactionState]:
     states = [ReactionState()]
     for level in levels:
-        states.append(react(report(level), states[-1], rules))
+        states.append(react(found(level), states[-1], rules))
     return states[1:]
 
 
@@ -41,7 +39,7 @@ RULES = st.builds(ReactionRules, st.integers(1, 6), st.integers(1, 5), st.intege
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=40), RULES)
-def test_worse_reports_never_claim_more(pairs: list[tuple[int, int]], rules: ReactionRules) -> None:
+def test_worse_findings_never_claim_more(pairs: list[tuple[int, int]], rules: ReactionRules) -> None:
     better = states_after([min(pair) for pair in pairs], rules)
     worse = states_after([max(pair) for pair in pairs], rules)
     for one, other in zip(better, worse, strict=True):
@@ -55,7 +53,7 @@ def test_worse_reports_never_claim_more(pairs: list[tuple[int, int]], rules: Rea
 def test_calm_sweeps_bring_every_claim_back(levels: list[int], rules: ReactionRules) -> None:
     state = states_after(levels, rules)[-1]
     for _ in range(int(state.caution) * rules.recover_sweeps):
-        state = react(report(0), state, rules)
+        state = react(found(0), state, rules)
     assert state.caution == Caution.KEEP
     assert withdraw(all_free(), state, None, rules).visible().all()
 
@@ -93,10 +91,11 @@ def test_a_suspect_place_stays_withdrawn_until_caution_falls() -> None:
     ] * 2
 
 
-def test_no_answer_asks_others_and_an_unknown_place_leaves_what_is_confirmed() -> None:
-    assert react(None, ReactionState()).caution == Caution.ASK
-    assert react(report(1), ReactionState()).caution == Caution.ASK
-    assert react(report(3), ReactionState()).caution == Caution.CONFIRMED
+def test_a_worse_view_asks_others_and_an_unknown_place_or_a_lasting_doubt_leaves_what_is_confirmed() -> None:
+    assert react(found(1), ReactionState()).caution == Caution.ASK
+    assert react(found(3), ReactionState()).caution == Caution.CONFIRMED
+    lasting = Finding(inconsistent=True, lasting=True, suspect=FRONT)
+    assert react(lasting, ReactionState()).caution == Caution.CONFIRMED
 
 
 def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.integrity import IntegrityReport
 from viewshed.integrity.evidence import SECTORS
+from viewshed.integrity.stream_monitor import StreamMonitor, StreamReport
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, Caution, Pipeline
 from viewshed.preprocess.leveling import LeveledSweep
@@ -32,15 +34,21 @@ def at(seconds: float, sweep: Sweep = SMALL) -> Sweep:
 
 
 class Alarms:
-    """A monitor that alarms in some sweeps."""
+    """A monitor that finds something in some sweeps."""
 
     def __init__(self, *numbers: int) -> None:
         self.numbers, self.count = numbers, -1
 
-    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> IntegrityReport:
+    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> StreamReport:
         self.count += 1
         suspect = np.arange(SECTORS) == 40
-        return IntegrityReport("by hand", float(self.count in self.numbers), 0.5, suspect=suspect)
+        now = IntegrityReport("by hand", float(self.count in self.numbers), 0.5, suspect=suspect)
+        return StreamReport(now, False, 0.0, 100.0, 0.0, ("noted",) if now.inconsistent else ())
+
+
+def alarming(*numbers: int) -> StreamMonitor:
+    monitor: Any = Alarms(*numbers)
+    return cast(StreamMonitor, monitor)
 
 
 def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
@@ -135,11 +143,12 @@ def test_the_newest_sweep_wins_while_the_estimator_is_busy() -> None:
 
 def test_an_alarm_withdraws_claims_until_sweeps_were_calm() -> None:
     answers: list[Answer] = []
-    with Pipeline(shadow_map(), answers.append, monitor=Alarms(1), lossless=True) as pipeline:
+    with Pipeline(shadow_map(), answers.append, monitor=alarming(1), lossless=True) as pipeline:
         for n in range(13):
             pipeline.put(at(n))
     cautions = [answer.reaction.caution for answer in answers]
     assert cautions == [Caution.KEEP] + [Caution.WIDEN] * 10 + [Caution.ASK] * 2
+    assert [answer.notes for answer in answers[:3]] == [(), ("noted",), ()]
     clean, alarmed = answers[0].estimate, answers[1].estimate
     assert clean is not None
     assert alarmed is not None
@@ -162,7 +171,7 @@ def test_what_publish_raises_is_raised_by_close() -> None:
 
 def test_agents_are_remembered_apart_and_not_without_end() -> None:
     answers: list[Answer] = []
-    pipeline = Pipeline(shadow_map(), answers.append, monitor=Alarms(0), lossless=True)
+    pipeline = Pipeline(shadow_map(), answers.append, monitor=alarming(0), lossless=True)
     tiny = SMALL.select(np.arange(0, len(SMALL), 50))
     for n in range(70):
         pipeline.put(at(1.0, tiny), f"agent {n}")

@@ -202,23 +202,14 @@ class Run:
         """Level one sweep, estimate, write the results, and return the estimate and its summary line."""
         from viewshed.preprocess.leveling import level
 
-        self._warm_up(sweep)
+        if not self._is_warm:
+            warm_up(self.estimator, sweep)
+            self._is_warm = True
         start = time.perf_counter()
         leveled = level(sweep, self.estimator.grid)
         estimate = self.estimator.estimate(leveled)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         return estimate, self.write(leveled, name, estimate, elapsed_ms)
-
-    def _warm_up(self, sweep: Sweep) -> None:
-        """Load compiled code on every eighth return, once: the time that is printed is that of the estimator.
-
-        Without its time a sweep is not remembered by an estimator that keeps a history.
-        """
-        import numpy as np
-
-        if not self._is_warm:
-            self.estimator.estimate(sweep.select(np.arange(0, len(sweep), 8)).replace(t_ns=None))
-            self._is_warm = True
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
         """Estimate in batches and write in threads."""
@@ -271,6 +262,16 @@ class Run:
             write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
         remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
         return f"{name}: {summary}{remarks} → {self.out / name}.{self.results[0]}"
+
+
+def warm_up(estimator: Estimator, sweep: Sweep) -> None:
+    """Load compiled code on every eighth return: the time that is printed is that of the estimator.
+
+    Without its time a sweep is not remembered by an estimator that keeps a history.
+    """
+    import numpy as np
+
+    estimator.estimate(sweep.select(np.arange(0, len(sweep), 8)).replace(t_ns=None))
 
 
 def report_doubts(leveled: LeveledSweep, name: str) -> None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
     AUTO,
-    BAD_INPUTS,
     AbstainBelow,
     Device,
     HistorySweeps,
@@ -22,23 +20,8 @@ from viewshed.cli._options import (
     Seed,
     Weights,
 )
-from viewshed.cli._outputs import (
-    Failures,
-    Named,
-    Run,
-    free_name,
-    output_names,
-    parse_results,
-    refuse_inputs,
-    with_bar,
-)
-
-if TYPE_CHECKING:
-    from viewshed.io import IndexEntry
-    from viewshed.sweep import Sweep
-
-    Job = tuple[Path, IndexEntry | None]
-
+from viewshed.cli._outputs import Failures, Run, output_names, parse_results, refuse_inputs
+from viewshed.cli._stream import named_sweeps
 
 Files = Annotated[
     list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
@@ -115,34 +98,7 @@ def estimate(
     refuse_inputs((out / f"{name}.{kind}" for name in names for kind in kinds), (file for file, _ in jobs))
     out.mkdir(parents=True, exist_ok=True)
     failures = Failures()
-    for line in run.lines(_sweeps(reading, jobs, names, failures), failures, batch):
+    for line in run.lines(named_sweeps(reading, jobs, names, failures), failures, batch):
         typer.echo(line)
     if failures.count:
         raise typer.Exit(2)
-
-
-def _sweeps(reading: Reading, jobs: list[Job], names: list[str], failures: Failures) -> Iterator[Named]:
-    """Yield every sweep that can be read."""
-    taken = {name.casefold() for name in names}
-    for (file, entry), name in zip(with_bar(jobs, len(jobs)), names, strict=True):
-        try:
-            yield from (Named(sweep, own, file) for sweep, own in _named(reading.sweeps(file, entry), name, taken))
-        except BAD_INPUTS as error:
-            failures.report(file, error)
-
-
-def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
-    """Yield each sweep with the name of its results: the file's, or numbered ones where it holds several."""
-    first = next(sweeps)
-    try:
-        second = next(sweeps, None)
-    except BAD_INPUTS:
-        yield first, name
-        raise
-    if second is None:
-        yield first, name
-        return
-    yield first, free_name(f"{name}_000", taken)
-    yield second, free_name(f"{name}_001", taken)
-    for number, sweep in enumerate(sweeps, start=2):
-        yield sweep, free_name(f"{name}_{number:03}", taken)

@@ -63,6 +63,9 @@ def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
     from viewshed.preprocess.sensor_identification import infer_sensor
     from viewshed.sensors import lidar_model
 
+    if sweep.planar is not None:
+        yield "plane", f"one; {len(sweep.planar.open_azimuth)} beams met nothing up to {sweep.planar.max_range_m:g} m"
+        return
     if sensor == AUTO:
         model, score = infer_sensor(sweep.points, sweep.ring)
         name = f"{model.name} (inferred, score {score:.2f})" if model else f"not known (best score {score:.2f})"

@@ -1,34 +1,51 @@
-"""``viewshed monitor``: learn what doubt is usual on benign sweeps, and alarm where there is more."""
+"""``viewshed monitor``: is this sweep inconsistent or degraded, where and why; and how often that is said wrongly."""
 
 from __future__ import annotations
 
 import hashlib
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol
 
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights
+from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights, complain
 from viewshed.cli._outputs import Failures, free_name, refuse_inputs, stem_of, with_bar
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from viewshed.estimators.unet import UnetEstimator
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.grid import BevGrid
     from viewshed.integrity import DeviationMonitor, IntegrityReport
+    from viewshed.integrity.evidence import MonitoredSweep
+    from viewshed.integrity.sweep_monitor import BenignSweep, SweepMonitor
+    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
 
-monitor_app = typer.Typer(help="Learn what doubt is usual, and alarm where there is more.")
-Named = tuple[str, "Sweep"]
+monitor_app = typer.Typer(help="Is a sweep inconsistent or degraded, where and why.")
+
+BaseMonitor = Annotated[
+    Path | None,
+    typer.Option("--monitor", help="File of viewshed monitor calibrate or fit; the one in the box if not given."),
+]
+
+NEXT_NS = 1_000_000_000
+"""A sweep that follows later does not go on the same drive."""
+
+SCENE_NS = 20_000_000_000
+"""A longer drive counts as several scenes."""
 
 
 @monitor_app.callback()
 def monitor() -> None:
-    """Learn what doubt is usual, and alarm where there is more."""
+    """Is a sweep inconsistent or degraded, where and why."""
 
 
 @monitor_app.command()
@@ -61,7 +78,7 @@ def fit(
     )  # fmt: skip
     count = sum(1 for _ in sweeps)
     alarms_allowed(count - count // 2, false_alarm_rate, unit="sweeps")
-    estimates = (estimator.estimate(sweep) for _, sweep in with_bar(sweeps, count))
+    estimates = (estimator.estimate(sweep) for _, _, sweep in with_bar(sweeps, count))
     made = DeviationMonitor.fit(islice(estimates, count // 2), rule).calibrated(estimates, false_alarm_rate)
     facts = {"network": _identity(estimator), "target": target, "passes": str(passes or PASSES), "seed": str(seed or 0)}
     save_monitor(replace(made, facts=facts), out)
@@ -72,46 +89,143 @@ def fit(
 
 
 @monitor_app.command()
+def calibrate(
+    sources: options.Sources,
+    out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
+    rate: Annotated[
+        float, typer.Option(help="Share of benign sweeps that may be called inconsistent, or degraded.")
+    ] = 0.01,
+    per: Annotated[str, typer.Option(help="What the rate counts: sweep, or scene (a drive of 20 s).")] = "sweep",
+    confident: Annotated[
+        bool, typer.Option("--confident", help="Keep the rate with probability .9, not only on average.")
+    ] = False,
+    correct: Annotated[
+        bool,
+        typer.Option("--correct", help="Correct the simulated calibration by these few scenes; do not replace it."),
+    ] = False,
+    monitor: BaseMonitor = None,
+    split: options.Split = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    seed: Seed = None,
+) -> None:
+    """Calibrate the monitor on sweeps that nobody attacked: a rate of false alarms that holds on more like these.
+
+    What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
+    of one recording are alike; the rate then holds for that place and time.
+
+    Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
+    """
+    import numpy as np
+
+    from viewshed.integrity.sweep_monitor import Rates, SweepMonitor, save_sweep_monitor
+
+    if per not in ("sweep", "scene"):
+        raise ValueError(f"--per must be sweep or scene, got {per!r}")
+    refuse_inputs((out,), map(Path, sources))
+    base, rng = _sweep_monitor(monitor), np.random.default_rng(seed or 0)
+    failures = Failures()
+    benign = list(_benign(_Source(tuple(sources), split, sensor), options.parse_grid(grid), base, failures))
+    if correct:
+        made = base.corrected(benign, rng)
+    else:
+        made = SweepMonitor.calibrate(
+            base.score, benign, rng, rates=Rates(rate, rate), promise="confident" if confident else "expected",
+            per="drive" if per == "scene" else "sweep", estimates=base.estimates, facts=base.facts,
+        )  # fmt: skip
+    save_sweep_monitor(made, out)
+    for warning in made.warnings:
+        complain(f"warning: {warning}")
+    scenes = len({sweep.scene for sweep in benign})
+    typer.echo(f"{out}: calibrated on {len(benign)} sweeps of {scenes} scenes")
+    for line in made.promises():
+        typer.echo(f"  {line}")
+    if failures.count:
+        raise typer.Exit(2)
+
+
+@monitor_app.command()
 def check(
     sources: options.Sources,
-    monitor: Annotated[Path, typer.Option(help="File of viewshed monitor fit.")] = Path("monitor.npz"),
+    monitor: BaseMonitor = None,
     split: options.Split = None,
+    grid: options.GridName = "road",
     weights: Weights = None,
     sensor: options.SensorName = AUTO,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
 ) -> None:
-    """Check sweeps with a fitted monitor: score, alarm and suspect area of each, one line a sweep.
+    """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
 
-    A sweep that cannot be checked costs one line on standard error and does not stop the others; the exit code is then
-    2. An alarm does not change the exit code.
+    The monitor in the box, if no file is given. Sweeps of a recording are judged with those before them. A sweep that
+    cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2. An alarm
+    does not change the exit code.
 
     Example: viewshed monitor check drive --monitor monitor.npz
     """
-    from viewshed.integrity import load_monitor
-
-    run = _Run.of(load_monitor(monitor), weights, out)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
+    run = _watching(monitor, options.parse_grid(grid), weights, out)
     for source in sources:
         try:
-            for name, sweep in _Source((source,), split, sensor):
-                run.one(name, sweep)
+            for seen in _Source((source,), split, sensor):
+                run.one(seen)
         except BAD_INPUTS as error:
             run.failures.report(source, error)
-    typer.echo(f"{run.checked} sweeps, {run.alarms} alarms")
+    typer.echo(run.summary())
     if run.failures.count:
         raise typer.Exit(2)
 
 
+@monitor_app.command()
+def explain(
+    source: Annotated[str, typer.Argument(metavar="SRC", help="A sweep, or a recording or data set.")],
+    number: Annotated[int, typer.Option(min=0, help="Of the sweep in its recording, from 0.")] = 0,
+    monitor: BaseMonitor = None,
+    split: options.Split = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("explained.png"),
+) -> None:
+    """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
+
+    The monitor in the box, if no file is given. A sweep of a recording is judged with those before it.
+
+    Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
+    """
+    from viewshed._files import write_atomic
+
+    refuse_inputs((out,), [Path(source)])
+    run = _SweepRun(_sweep_monitor(monitor), options.parse_grid(grid))
+    for place, seen in enumerate(_Source((source,), split, sensor)):
+        monitored = run.drive.next(seen, run.grid)
+        if place == number:
+            report = run.monitor.check(monitored)
+            line = verdict_line(seen.name, report)
+            write_atomic(out, run.picture(monitored, report, line))
+            typer.echo(f"{line} → {out}")
+            for reason in report.reasons[1:]:
+                typer.echo(f"  {reason}")
+            return
+    raise ValueError(f"number must be below the sweeps of {source}, got {number}")
+
+
+class Seen(NamedTuple):
+    """A sweep with the drive that it is of and its own name."""
+
+    drive: str
+    name: str
+    sweep: Sweep
+
+
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """Sweeps that can be gone through more than once."""
+    """Sweeps that can be gone through more than once, in their order."""
 
     places: tuple[str, ...]
     split: str | None
     sensor: str
 
-    def __iter__(self) -> Iterator[Named]:
+    def __iter__(self) -> Iterator[Seen]:
         for place in self.places:
             if options.is_data_set(place):
                 yield from self._archived(place)
@@ -120,22 +234,196 @@ class _Source:
             else:
                 yield from self._read(Path(place))
 
-    def _archived(self, place: str) -> Iterator[Named]:
+    def _archived(self, place: str) -> Iterator[Seen]:
         from viewshed.datasets import Archive
 
         archive = Archive.open(place)
         for number, sample in enumerate(archive if self.split is None else archive.split(self.split)):
-            yield f"{sample.scene} {number:05}", sample.sweep
+            yield Seen(f"{place} {sample.scene} {sample.sweep.agent}", f"{sample.scene} {number:05}", sample.sweep)
 
-    def _read(self, path: Path) -> Iterator[Named]:
+    def _read(self, path: Path) -> Iterator[Seen]:
         several = path.is_dir()
         for number, sweep in enumerate(Reading(self.sensor).sweeps(path)):
-            yield f"{path.name} {number:05}" if several or number else path.name, sweep
+            name = f"{path.name} {number:05}" if several or number else path.name
+            yield Seen(f"{path} {sweep.agent}", name, sweep)
 
 
 @dataclass(slots=True)
-class _Run:
-    """A monitor at work."""
+class _Drive:
+    """The last sweeps of a drive, as a monitor is given them: the next one follows within a second."""
+
+    name: str = ""
+    began_ns: int = 0
+    earlier: deque[LeveledSweep] = field(default_factory=deque)
+
+    def next(self, seen: Seen, grid: BevGrid) -> MonitoredSweep:
+        """Return the next sweep, leveled, with those before it, and remember it."""
+        from viewshed.integrity.evidence import MonitoredSweep
+        from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS
+        from viewshed.preprocess.leveling import level
+
+        t_ns, last = seen.sweep.t_ns, self.earlier[-1] if self.earlier else None
+        follows = last is not None and seen.drive == self.name and _follows(t_ns, last.sweep.t_ns)
+        if not follows:
+            self.name, self.began_ns, last = seen.drive, t_ns or 0, None
+            self.earlier.clear()
+        leveled = level(seen.sweep, grid, None if last is None else last.sensor_id.model)
+        monitored = MonitoredSweep(leveled, tuple(self.earlier))
+        if t_ns is not None:
+            self.earlier.append(leveled)
+        if len(self.earlier) > EARLIER_SWEEPS:
+            self.earlier.popleft()
+        return monitored
+
+    def scene(self, seen: Seen) -> str:
+        """Return the scene of a sweep: a piece of 20 s of its drive."""
+        return f"{seen.drive} {((seen.sweep.t_ns or 0) - self.began_ns) // SCENE_NS}"
+
+
+def _follows(t_ns: int | None, before_ns: int | None) -> bool:
+    return t_ns is not None and before_ns is not None and 0 < t_ns - before_ns <= NEXT_NS
+
+
+def _sweep_monitor(file: Path | None) -> SweepMonitor:
+    """Return the monitor in a file, or the one in the box."""
+    from viewshed.integrity.sweep_monitor import load_sweep_monitor, shipped_monitor
+
+    return shipped_monitor() if file is None else load_sweep_monitor(file)
+
+
+def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
+    """Yield what all evidence measures of each sweep that can be read and leveled."""
+    from viewshed.integrity.score import measure_all
+    from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, group_of
+
+    if base.estimates:
+        raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
+    drive = _Drive()
+    for seen in sources:
+        try:
+            monitored = drive.next(seen, grid)
+            if len(monitored.earlier) < EARLIER_SWEEPS:
+                monitored = replace(monitored, earlier=())
+            yield BenignSweep(drive.scene(seen), group_of(monitored), measure_all(monitored))
+        except BAD_INPUTS as error:
+            failures.report(seen.name, error)
+
+
+class _Watching(Protocol):
+    """A monitor at work, of either kind."""
+
+    failures: Failures
+
+    def one(self, seen: Seen) -> None:
+        """Say what the monitor finds in a sweep."""
+        ...
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and what was found, in a line."""
+        ...
+
+
+def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Watching:
+    """Return the monitor in a file at work, whichever kind it is; None is the one in the box."""
+    from viewshed.integrity.deviation import NAME, load_monitor
+    from viewshed.integrity.sweep_monitor import kind_of_monitor
+
+    if file is not None and kind_of_monitor(file) == NAME:
+        fitted = load_monitor(file)
+        return _DeviationRun(fitted, estimator_of(fitted, weights), out)
+    if weights is not None:
+        raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
+    return _SweepRun(_sweep_monitor(file), grid, out)
+
+
+@dataclass(slots=True)
+class _SweepRun:
+    """The monitor of all evidence at work."""
+
+    monitor: SweepMonitor
+    grid: BevGrid
+    out: Path | None = None
+    checked: int = 0
+    inconsistent: int = 0
+    degraded: int = 0
+    failures: Failures = field(default_factory=Failures)
+    drive: _Drive = field(default_factory=_Drive)
+    taken: set[str] = field(default_factory=set)
+
+    def one(self, seen: Seen) -> None:
+        """Say what the monitor finds in a sweep."""
+        from viewshed._files import write_atomic
+
+        try:
+            monitored = self.drive.next(seen, self.grid)
+            report = self.monitor.check(monitored)
+            line = verdict_line(seen.name, report)
+            if self.out is not None:
+                place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
+                write_atomic(place, self.picture(monitored, report, line))
+                line = f"{line} → {place}"
+            typer.echo(line)
+        except BAD_INPUTS as error:
+            self.failures.report(seen.name, error)
+        else:
+            self.checked += 1
+            self.inconsistent += report.inconsistent
+            self.degraded += report.degraded
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and what was found, in a line."""
+        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded"
+
+    def picture(self, monitored: MonitoredSweep, report: IntegrityReport, line: str) -> bytes:
+        """Return the PNG of a report: suspect sectors on the map of the default estimate, and all evidence."""
+        from viewshed.estimators import load_estimator
+        from viewshed.integrity.score import measure_all
+        from viewshed.plot import Panel, monitor_picture
+
+        estimate = load_estimator(grid=self.grid).estimate(monitored.leveled)
+        score = self.monitor.score
+        surprises = score.scale(measure_all(monitored)[None])[0]
+        return monitor_picture(
+            Panel(estimate, line, monitored.leveled, estimate.threshold), report, score.names, surprises
+        )
+
+
+def verdict_line(name: str, report: IntegrityReport) -> str:
+    """Return what a monitor says of a sweep in a line: verdicts, p-value, suspect azimuths, and the first reason.
+
+    >>> import numpy as np
+    >>> from viewshed.integrity import IntegrityReport
+    >>> suspect = np.arange(72) == 40
+    >>> reasons = ("7 % of the returns at 22° lie on no beam",)
+    >>> verdict_line("a.bin", IntegrityReport("sweep", 3.0, 2.0, 0.002, suspect=suspect, reasons=reasons))
+    'a.bin: INCONSISTENT (p = 0.002) at 20° to 25°: 7 % of the returns at 22° lie on no beam'
+    """
+    verdicts = [word for word, said in (("INCONSISTENT", report.inconsistent), ("DEGRADED", report.degraded)) if said]
+    where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
+    why = f": {report.reasons[0]}" if report.reasons and verdicts else ""
+    notes = "".join(f"; {note}" for note in report.notes)
+    return f"{name}: {' and '.join(verdicts) or 'nothing found'} (p = {report.p_value:.2g}){where}{why}{notes}"
+
+
+def azimuths(suspect: NDArray[Any]) -> str:
+    """Return which azimuths some sectors (SECTORS,) cover, in degrees counter-clockwise from ahead.
+
+    >>> import numpy as np
+    >>> azimuths(np.isin(np.arange(72), [0, 1, 40]))
+    '-180° to -170°, 20° to 25°'
+    """
+    import numpy as np
+
+    width = 360 // len(suspect)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], suspect, [False]])))
+    return ", ".join(
+        f"{first * width - 180}° to {last * width - 180}°" for first, last in edges.reshape(-1, 2).tolist()
+    )
+
+
+@dataclass(slots=True)
+class _DeviationRun:
+    """The published detector at work, with the network that it was fitted on."""
 
     monitor: DeviationMonitor
     estimator: UnetEstimator
@@ -145,29 +433,9 @@ class _Run:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
 
-    @classmethod
-    def of(cls, monitor: DeviationMonitor, weights: str | None, out: Path | None) -> _Run:
-        """Return the run of a monitor with the network that it was fitted on."""
-        from viewshed.estimators.unet import load_network
-
-        if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
-            raise ValueError(
-                "monitor must name its network, passes and seed, got none; fit it with viewshed monitor fit"
-            )
-        facts = monitor.facts
-        estimator = load_network(
-            "mc_dropout", monitor.grid, options.parse_target(facts["target"]), weights=weights,
-            passes=int(facts["passes"]), seed=int(facts["seed"]),
-        )  # fmt: skip
-        if _identity(estimator) != facts["network"]:
-            raise ValueError(
-                f"weights must be those of the monitor, {facts['network']}, got {_identity(estimator)}; give --weights,"
-                " or fit a monitor for these"
-            )
-        return cls(monitor, estimator, out)
-
-    def one(self, name: str, sweep: Sweep) -> None:
+    def one(self, seen: Seen) -> None:
         """Say what the monitor finds in a sweep."""
+        _, name, sweep = seen
         try:
             found = self.estimator.estimate(sweep)
             report = self.monitor.check(found)
@@ -179,6 +447,10 @@ class _Run:
         else:
             self.checked += 1
             self.alarms += report.alarm
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and how many alarmed, in a line."""
+        return f"{self.checked} sweeps, {self.alarms} alarms"
 
     def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
         """Write picture and suspect cells of a sweep and return where the picture is."""
@@ -193,6 +465,29 @@ class _Run:
         write_atomic(place, maps_picture(panel))
         write_atomic(place.with_name(f"{stem}.geojson"), suspects_geojson(report))
         return place
+
+
+def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimator:
+    """Return the network that a monitor was fitted on.
+
+    Raises:
+        ValueError: the monitor does not name it, or the weights are others.
+    """
+    from viewshed.estimators.unet import load_network
+
+    if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
+        raise ValueError("monitor must name its network, passes and seed, got none; fit it with viewshed monitor fit")
+    facts = monitor.facts
+    estimator = load_network(
+        "mc_dropout", monitor.grid, options.parse_target(facts["target"]), weights=weights,
+        passes=int(facts["passes"]), seed=int(facts["seed"]),
+    )  # fmt: skip
+    if _identity(estimator) != facts["network"]:
+        raise ValueError(
+            f"weights must be those of the monitor, {facts['network']}, got {_identity(estimator)}; give --weights,"
+            " or fit a monitor for these"
+        )
+    return estimator
 
 
 def _identity(estimator: UnetEstimator) -> str:

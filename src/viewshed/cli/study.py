@@ -176,12 +176,16 @@ def monitor(
     workers: Workers = None,
     engine: EngineName = "local",
     page: Pages = None,
+    recorded: Annotated[
+        Path | None, typer.Option(metavar="INDEX", help="Index of measured sweeps that are tried as well.")
+    ] = None,
 ) -> None:
     """The monitor of all evidence: drives attacked and corrupted, a score trained on them, its rates and misses.
 
     Example: viewshed study monitor --preset tiny --out study
     """
     from viewshed._jobs import engine_named
+    from viewshed.studies.monitor.archive import FOLDER
     from viewshed.studies.monitor.jobs import run_study
     from viewshed.studies.monitor.page import page_of
     from viewshed.studies.monitor.plan import STEPS, MonitorPlan
@@ -190,6 +194,10 @@ def monitor(
     steps, folder = _steps(only, STEPS), _folder(out, "monitor")
     store, runner = ResultStore.open(folder, MonitorPlan.load(preset)), engine_named(engine, workers)
     failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if recorded is not None:
+        from viewshed.studies.monitor.recorded import measure_recorded
+
+        measure_recorded(recorded, folder / FOLDER, store.plan)
     if "page" in steps:
         _write(page or folder, {"monitor.md": page_of(store).encode()})
         typer.echo(f"Look at {(page or folder) / 'monitor.md'}")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from viewshed.integrity.deviation import DeviationMonitor, Rule, load_monitor, save_monitor
 from viewshed.integrity.report import IntegrityReport
+from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import SweepMonitor, load_sweep_monitor, save_sweep_monitor
 
 __all__ = [
     "DeviationMonitor",
     "IntegrityReport",
     "Rule",
+    "StreamMonitor",
     "SweepMonitor",
     "load_monitor",
     "load_sweep_monitor",

@@ -219,41 +219,77 @@ def one_per_scene(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealScores:
-    """A few real benign scenes, by their p-values among the simulated ones: what corrects a simulated calibration.
+    """A few real benign scenes among the simulated ones: what corrects a simulated calibration.
 
-    The p-value u of a sweep among simulated scenes is only as good as the simulation. But among the u of m real scenes
-    it is exchangeable, whatever the simulation. So the real ones give its rank, 1 / (m + 1) apart, and the simulated
+    The p-value of a real sweep among simulated scenes is only as good as the simulation. But among m real scenes its
+    rank is uniform, whatever the simulation. So the real ones give its rank, in steps of 1 / (m + 1), and the simulated
     ones say where it lies between its two real neighbors. (The idea to correct synthetic by few real calibration scores
     is that of C-PP-COAD, arXiv 2505.01783; the construction is ours.) Exactly, for a benign real sweep:
 
     1. P(p ≤ k / (m + 1)) ≤ k / (m + 1) for every whole k, however wrong the simulation is; so an alarm at rate α has an
        expected rate of at most ⌈α (m + 1)⌉ / (m + 1).
     2. P(p ≤ α) ≤ α for every α if, in one group, simulated and real scores are exchangeable *between* real neighbors,
-       that is, if the simulation has the right shape there; it may be wrong about how often scores are so high.
-       Where real scenes are of several groups, 2 holds up to a factor of 1 + (m + 1) / (n + 1), n simulated scenes.
+       that is, if the simulation has the right shape there; it may be wrong about how often scores are so high. Scores
+       must not tie; where they do, p is too large rather than too small. Where real scenes are of several groups,
+       2 holds up to a factor of 1 + (m + 1) / (n + 1), n simulated scenes.
 
     Attributes:
-        strict: (m,) ascending: p-values that count simulated scores above the real one only.
-        weak: (m,) the same that count equal ones as well, in the same order.
+        place: (m,) where each stands among the simulated scores of its group, smaller where it is higher; see
+            :func:`_place`.
+        strict: (m,) p-values that count simulated scores above the real one only.
+        weak: (m,) p-values that count equal ones as well.
+
+    Raises:
+        ValueError: they are no p-values, or strict ones are larger.
     """
 
+    place: Floats
     strict: Floats
     weak: Floats
 
-    def correct(self, p: ArrayLike, simulated: int) -> Floats:
-        """Return the corrected p-values (M,) of p-values (M,) among ``simulated`` scores."""
-        asked, step = np.asarray(p, np.float64), 1.0 / (simulated + 1)
-        slack = 1e-9 * step
-        count = np.searchsorted(self.strict, asked + slack, "right")
-        # The nearest real scores above and below; without any, where the simulated ones end.
-        highest = np.append(-np.inf, np.maximum.accumulate(self.weak))[count]
-        low, high = np.maximum(highest, step), np.append(self.strict, 1.0)[count]
-        between = np.minimum((asked - low + step) / (high - low + step), 1.0)
-        share = np.where(highest >= asked - slack, 1.0, between)
-        return np.minimum((count + share) / (len(self.weak) + 1), 1.0)
+    def __post_init__(self) -> None:
+        if self.place.ndim != 1 or not self.place.shape == self.strict.shape == self.weak.shape:
+            raise ValueError(f"real scores must be three rows alike, got {self.place.shape} and {self.weak.shape}")
+        if not ((self.strict > 0) & (self.strict <= self.weak) & (self.weak <= 1) & (self.place >= 0)).all():
+            raise ValueError("real scores must be p-values in (0, 1], strict ones no larger than weak ones, got others")
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.place)
+
+    def correct(self, place: float, p: float, simulated: int) -> float:
+        """Return the corrected p-value of a score with that place and p-value among ``simulated`` scores."""
+        step, counted = 1.0 / (simulated + 1), self.place <= place
+        # The nearest real scores above and below it; without one, where the simulated scores end.
+        above = np.flatnonzero(counted & (self.place == self.place[counted].max(initial=-1.0)))
+        low = max(self.weak[above].max(initial=0.0), step)
+        high = self.strict[~counted].min(initial=1.0)
+        # Below a real score that simulated ones equal nobody can tell how many of these lie between.
+        tied = (self.strict[above] < self.weak[above] - 1e-9 * step).any()
+        share = 1.0 if tied else min((max(p - low, 0.0) + step) / (max(high - low, 0.0) + step), 1.0)
+        return float(min((counted.sum() + share) / (len(self) + 1), 1.0))
 
 
-NO_REAL_SCORES = RealScores(np.zeros(0), np.zeros(0))
+NO_REAL_SCORES = RealScores(np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+def _place(ordered: Floats, score: float) -> tuple[float, float, float]:
+    """Return where a score stands among ascending ones: its place, strict and weak p-value, all falling as it rises.
+
+    The place is the share of the scores above, linear between two of them and going on beyond the highest, so that two
+    scores which no third one separates have two places.
+    """
+    count = len(ordered)
+    weak, strict = count - np.searchsorted(ordered, score, "left"), count - np.searchsorted(ordered, score, "right")
+    spread = float(ordered[-1] - ordered[count // 2]) or 1.0
+    if score > ordered[-1]:
+        rank = 1.0 / (1.0 + (score - float(ordered[-1])) / spread)
+    elif score <= ordered[0]:
+        rank = count + 1.0 - 1.0 / (1.0 + (float(ordered[0]) - score) / spread)
+    else:
+        below, above = float(ordered[count - weak - 1]), float(ordered[count - weak])
+        rank = weak + (above - score) / (above - below)
+    return rank / (count + 1), (1 + int(strict)) / (count + 1), (1 + int(weak)) / (count + 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,35 +324,39 @@ class Calibration:
             raise ValueError("a calibration must have benign scores of one group at least, got none")
         ordered = {group: np.sort(_checked(str(group), scores)) for group, scores in self.scores.items()}
         object.__setattr__(self, "scores", ordered)
-        object.__setattr__(self, "_limits", {group: self._limit(group) for group in ordered})
+        limits = {}
+        for group, scores in ordered.items():
+            try:
+                limit = (
+                    self._corrected_limit(group)
+                    if len(self.real)
+                    else alarm_limit(scores, self.rate, self.promise, unit="scenes")
+                )
+            except ValueError as error:
+                raise ValueError(f"{group}: {error}") from None
+            limits[group] = (limit, len(scores) - int(np.searchsorted(scores, limit, "right")))
+        object.__setattr__(self, "_limits", limits)
 
-    def _limit(self, group: Group) -> tuple[float, int]:
-        """Return the limit of a group and how many of its scores lie above it."""
+    def _corrected_limit(self, group: Group) -> float:
+        """Return the limit of a group above which the corrected p-value is low enough."""
+        level, real = self.rate, len(self.real)
+        if self.promise == "confident":
+            level = (alarms_allowed(real, self.rate, self.promise, unit="real scenes") + 1) / (real + 1)
+        if self.p_value(math.inf, group) > level + 1e-12:
+            raise ValueError(
+                f"a false-alarm rate of {self.rate:g} needs simulated scores beyond those of the {real} real scenes,"
+                f" got too few; ask for a rate of {1 / (real + 1):.3g} or give more real scenes"
+            )
         scores = self.scores[group]
-        try:
-            if not len(self.real.weak):
-                allowed = alarms_allowed(len(scores), self.rate, self.promise)
-            else:
-                # As many of the simulated scores as leave the corrected p-value of a score above them low enough.
-                above = np.arange(len(scores)) + 1.0
-                enough = self.real.correct(above / (len(scores) + 1), len(scores)) <= self._real_level() + 1e-12
-                allowed = int(enough.sum()) - 1
-                if allowed < 0:
-                    raise ValueError(
-                        f"a false-alarm rate of {self.rate:g} needs simulated scores beyond those of the"
-                        f" {len(self.real.weak)} real scenes, got too few; ask for a rate of"
-                        f" {1 / (len(self.real.weak) + 1):.3g} or give more real scenes"
-                    )
-        except ValueError as error:
-            raise ValueError(f"{group}: {error}") from None
-        return float(scores[len(scores) - 1 - allowed]), allowed
-
-    def _real_level(self) -> float:
-        """Return the corrected p-value up to which it alarms."""
-        if self.promise == "expected":
-            return self.rate
-        real = len(self.real.weak)
-        return (alarms_allowed(real, self.rate, self.promise, unit="real scenes") + 1) / (real + 1)
+        low, high = float(scores[0]) - 1.0, float(scores[-1]) + 1.0
+        while self.p_value(high, group) > level + 1e-12:
+            low, high = high, 2.0 * high - float(scores[0])
+        while self.p_value(low, group) <= level + 1e-12:
+            low, high = 2.0 * low - float(scores[-1]), low
+        # The p-value falls as the score rises: halve until two neighboring numbers are left.
+        while low < (middle := 0.5 * (low + high)) < high:
+            low, high = (low, middle) if self.p_value(middle, group) <= level + 1e-12 else (middle, high)
+        return low
 
     def alike(self, group: Group) -> tuple[Group, ...]:
         """Return the groups that stand for a group: itself, or all of the same history where it was not calibrated.
@@ -342,8 +382,9 @@ class Calibration:
             raise ValueError("score must be a number, got NaN")
         found = []
         for each in self.alike(group):
-            p = p_values(self.scores[each], [score], rng)
-            found.append(float((self.real.correct(p, len(self.scores[each])) if len(self.real.weak) else p)[0]))
+            scores = self.scores[each]
+            p = float(p_values(scores, [score], rng)[0])
+            found.append(self.real.correct(_place(scores, score)[0], p, len(scores)) if len(self.real) else p)
         return max(found)
 
     def limit(self, group: Group) -> float:
@@ -351,7 +392,7 @@ class Calibration:
         return max(self._limits[each][0] for each in self.alike(group))
 
     def promised(self, group: Group) -> Promised:
-        """Return what is promised for a calibrated group; of simulated scores, for simulated scenes."""
+        """Return what is promised for a calibrated group; corrected by real scenes, see :class:`RealScores` instead."""
         return Promised(len(self.scores[group]), self._limits[group][1])
 
     def corrected(self, real: Iterable[tuple[Group, float]]) -> Self:
@@ -360,17 +401,18 @@ class Calibration:
         Raises:
             ValueError: there are none, one is NaN or of no calibrated group, or they leave no limit for the rate.
         """
-        strict, weak = [], []
+        return replace(self, real=self.real_scores(real))
+
+    def real_scores(self, real: Iterable[tuple[Group, float]]) -> RealScores:
+        """Return the p-values of real scenes among these scores. Raises as :meth:`corrected` does, but for the rate."""
+        found = []
         for group, score in real:
             _checked("real scores", np.array([score]))
             # A sensor that was not simulated takes its largest p-value, as it will when it is checked.
-            benign = [self.scores[each] for each in self.alike(group)]
-            strict.append(max((1.0 + (scores > score).sum()) / (len(scores) + 1.0) for scores in benign))
-            weak.append(max((1.0 + (scores >= score).sum()) / (len(scores) + 1.0) for scores in benign))
-        if not weak:
+            found.append(np.max([_place(self.scores[each], score) for each in self.alike(group)], axis=0))
+        if not found:
             raise ValueError("real benign scenes must be one at least, got none")
-        order = np.argsort(strict, kind="stable")
-        return replace(self, real=RealScores(np.array(strict)[order], np.array(weak)[order]))
+        return RealScores(*np.array(found).T.copy())
 
 
 def betting_martingale(p: ArrayLike) -> Floats:
@@ -410,7 +452,8 @@ def drift_warning(scores: Mapping[Group, ArrayLike], rng: np.random.Generator) -
     Promises rest on scenes that are exchangeable. A part of them that was attacked, or another place, sensor or weather
     shows as a run of high or low scores. What is attacked at random throughout the set does not show.
     """
-    wealth = betting_martingale(np.concatenate([online_p_values(each, rng) for each in scores.values()]))
+    p = [online_p_values(each, rng) for each in scores.values()]
+    wealth = betting_martingale(np.concatenate([*p, np.zeros(0)]))
     if not wealth.size or wealth.max() < WORRYING:
         return None
     return (

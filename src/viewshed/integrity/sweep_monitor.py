@@ -20,7 +20,6 @@ from viewshed import __version__
 from viewshed._files import write_atomic
 from viewshed.grid import BevGrid
 from viewshed.integrity.calibration import (
-    NO_REAL_SCORES,
     Calibration,
     Earlier,
     Group,
@@ -287,7 +286,7 @@ class SweepMonitor:
         """Return a line for each group and verdict: the limit and both promises."""
         return [
             f"{group}: {name} above {calibration.limit(group):.4g}; {calibration.promised(group)} per {self.per}"
-            for group in self.benign
+            for group in sorted(self.benign)
             for name, calibration in (("inconsistent", self.inconsistent), ("degraded", self.degraded))
         ]
 
@@ -385,6 +384,9 @@ def _row(score: EvidenceScore, evidence: NDArray[np.floating[Any]]) -> Floats:
 
 FORMAT_VERSION = 1
 
+SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
+"""The monitor in the box."""
+
 _MAX_BYTES = 1 << 26
 """Largest part of a file, unpacked: a hundred thousand scenes by 72 sectors."""
 
@@ -418,7 +420,7 @@ def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
         }
     for name in ("inconsistent", "degraded"):
         real = getattr(monitor, name).real
-        arrays[f"real.{name}"] = np.stack([real.strict, real.weak])
+        arrays[f"real.{name}"] = np.stack([real.place, real.strict, real.weak])
     arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
@@ -448,6 +450,28 @@ def load_sweep_monitor(path: str | Path) -> SweepMonitor:
         ) from error
 
 
+def shipped_monitor() -> SweepMonitor:
+    """Return the monitor in the box, calibrated on simulated scenes; see docs/monitor.md for its measured rates."""
+    return load_sweep_monitor(SHIPPED)
+
+
+def kind_of_monitor(path: str | Path) -> str:
+    """Return the name of the monitor that wrote a file; empty where none did.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    raw = Path(path).read_bytes()
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            if archive.getinfo("about.npy").file_size > _MAX_BYTES:
+                return ""
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
+            return str(json.loads(file["about"].tobytes())["monitor"])
+    except _BROKEN:
+        return ""
+
+
 def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMonitor:
     found = (about["version"], about["monitor"], about["viewshed"])
     if found != (FORMAT_VERSION, NAME, __version__):
@@ -457,8 +481,7 @@ def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMon
 
     def verdict(name: str, rate: float) -> Calibration:
         scores = {group: arrays[f"{number}.{name}"] for number, group in enumerate(groups)}
-        strict, weak = np.asarray(arrays[f"real.{name}"], np.float64)
-        return Calibration(scores, rate, about["promise"], RealScores(strict, weak) if weak.size else NO_REAL_SCORES)
+        return Calibration(scores, rate, about["promise"], RealScores(*np.asarray(arrays[f"real.{name}"], np.float64)))
 
     inconsistent, degraded = verdict("inconsistent", rates.inconsistent), verdict("degraded", rates.degraded)
     benign = {}

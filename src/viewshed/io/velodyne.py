@@ -6,7 +6,7 @@ UDP payloads of a packet capture (libpcap's classic format), with IPv4 fragments
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -130,7 +130,9 @@ def _join_fragments(
 
 PACKET_BYTES = 1206
 
-_MODELS = {0x21: "HDL32E", 0x22: "VLP16", 0x24: "PuckHiRes", 0x28: "VLP32C", 0x31: "AlphaPrime"}
+_BANKS = (b"\xff\xee", b"\xff\xdd", b"\xff\xcc", b"\xff\xbb")
+
+_MODELS = {0x21: "HDL32E", 0x22: "VLP16", 0x24: "PuckHiRes", 0x28: "VLP32C", 0xA1: "VLS128"}
 
 _TABLES = {"HDL32E": "HDL-32E", "VLP16": "VLP-16", "VLP32C": "VLP-32C"}
 
@@ -138,8 +140,11 @@ _NO_AZIMUTH_OFFSET = {"HDL32E", "VLP16", "PuckHiRes"}
 
 
 def is_velodyne(payload: bytes) -> bool:
-    """Return whether a UDP payload is a Velodyne data packet: 1206 bytes, twelve blocks that begin with ff ee."""
-    return len(payload) == PACKET_BYTES and payload[:2] == b"\xff\xee" and payload[1100:1102] == b"\xff\xee"
+    """Return whether a UDP payload is a Velodyne data packet: 1206 bytes, twelve blocks that name their bank of lasers.
+
+    The first bank is ff ee; models with more lasers than a block holds have ff dd, ff cc and ff bb as well.
+    """
+    return len(payload) == PACKET_BYTES and payload[:2] == b"\xff\xee" and payload[1100:1102] in _BANKS
 
 
 def looks_like_payloads(size: int, head: bytes) -> bool:
@@ -164,6 +169,25 @@ def _bare(content: bytes) -> Iterator[tuple[float, bytes]]:
         yield int.from_bytes(payload[1200:1204], "little") * 1e-6, payload
 
 
+def revolution_of_packets(packets: Sequence[tuple[float, bytes]]) -> Columns:
+    """Return the one revolution of some packets: (seconds, payload of 1206 bytes) each.
+
+    Raises:
+        ValueError: they are of different models or of an unknown one, or the decoder refuses them.
+    """
+    with needed_for("reading Velodyne packets"):
+        import velodyne_decoder
+    products = {payload[-1] for _, payload in packets}
+    if len(products) > 1:
+        raise ValueError(
+            f"packets must be of one model, got products {', '.join(f'0x{each:02x}' for each in products)}"
+        )
+    name = _model_name(packets[0][1])
+    decoder = velodyne_decoder.ScanDecoder(_config(velodyne_decoder, name))
+    together = velodyne_decoder.PacketVector([velodyne_decoder.VelodynePacket(*each) for each in packets])
+    return _columns(_call(decoder.decode, together), name, IDENTITY)
+
+
 def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) -> Iterator[Columns]:
     with needed_for("reading Velodyne packets"):
         import velodyne_decoder
@@ -174,7 +198,7 @@ def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) ->
             continue
         if decoder is None:
             name = _model_name(payload)
-            decoder = _decoder(velodyne_decoder, name)
+            decoder = velodyne_decoder.StreamDecoder(_config(velodyne_decoder, name))
         scan = _call(decoder.decode, seconds, payload)
         if scan is not None and len(scan[1]):
             any_returns = True
@@ -195,8 +219,8 @@ def _model_name(payload: bytes) -> str:
     return _MODELS[product]
 
 
-def _decoder(library: Any, name: str) -> Any:
-    return library.StreamDecoder(library.Config(model=getattr(library.Model, name)))
+def _config(library: Any, name: str) -> Any:
+    return library.Config(model=getattr(library.Model, name))
 
 
 def _call(function: Any, *arguments: Any) -> Any:

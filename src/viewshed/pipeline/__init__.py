@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from viewshed.pipeline.reactions import Caution, ReactionRules, ReactionState, react, speed_for_view, withdraw
+from viewshed.pipeline.reactions import Caution, Finding, ReactionRules, ReactionState, react, speed_for_view, withdraw
 from viewshed.pipeline.stream import Answer, Pipeline, Statistics
 
 __all__ = [
-    "Answer", "Caution", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "react", "speed_for_view",
-    "withdraw",
+    "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "react",
+    "speed_for_view", "withdraw",
 ]  # fmt: skip

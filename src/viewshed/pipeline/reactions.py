@@ -1,6 +1,6 @@
-"""What follows from a monitor's report: which claims still hold, whom to ask, how fast to drive.
+"""What follows from what a monitor finds: which claims still hold, whom to ask, how fast to drive.
 
-A pure function from report and state to the next state (:func:`react`), and what its caution does to an estimate
+A pure function from finding and state to the next state (:func:`react`), and what its caution does to an estimate
 (:func:`withdraw`) and to the speed (:func:`speed_for_view`). Caution rises at once and falls by one step after some
 calm sweeps in a row, so that between two rises to the same step there are always more sweeps than that.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.integrity.evidence.base import SECTORS
-from viewshed.integrity.report import IntegrityReport, cells_of_sectors
+from viewshed.integrity.report import cells_of_sectors
 
 
 class Caution(IntEnum):
@@ -29,6 +29,23 @@ class Caution(IntEnum):
     """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN."""
     CONFIRMED = 3
     """It goes on being impossible, or nobody knows where: what no earlier sweep confirms is UNKNOWN as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """What was found in one sweep, as far as reactions ask.
+
+    Attributes:
+        degraded: the view is worse than usual, or there is none.
+        inconsistent: something is impossible in this sweep, or in the stream.
+        lasting: it is the stream as a whole that is impossible.
+        suspect: (SECTORS,) bool, where; nowhere where that is not known.
+    """
+
+    degraded: bool = False
+    inconsistent: bool = False
+    lasting: bool = False
+    suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,24 +92,22 @@ class ReactionState:
 RULES = ReactionRules()
 
 
-def react(report: IntegrityReport | None, state: ReactionState, rules: ReactionRules = RULES) -> ReactionState:
-    """Return the state after the next sweep's report; None is a sweep without an answer, which is a worse view."""
-    inconsistent = state.inconsistent + 1 if report is not None and report.inconsistent else 0
-    if report is None:
-        asked = Caution.ASK
-    elif report.inconsistent:
-        is_known_where = bool(report.suspect.any()) and inconsistent < rules.persist_sweeps
+def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) -> ReactionState:
+    """Return the state after what was found in the next sweep."""
+    inconsistent = state.inconsistent + 1 if found.inconsistent else 0
+    if found.inconsistent:
+        is_known_where = bool(found.suspect.any()) and not found.lasting and inconsistent < rules.persist_sweeps
         asked = Caution.WIDEN if is_known_where else Caution.CONFIRMED
     else:
-        asked = Caution.ASK if report.degraded else Caution.KEEP
+        asked = Caution.ASK if found.degraded else Caution.KEEP
     # Caution rises at once, and falls by one step after enough calm sweeps in a row.
     caution, calm = asked, 0
     if asked < state.caution:
         falls = state.calm + 1 >= rules.recover_sweeps
         caution, calm = (Caution(state.caution - 1), 0) if falls else (state.caution, state.calm + 1)
     suspect = state.suspect if state.caution >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)
-    if report is not None and report.inconsistent:
-        suspect = suspect | report.suspect
+    if found.inconsistent:
+        suspect = suspect | found.suspect
     return ReactionState(caution, calm, inconsistent, suspect)
 
 
@@ -106,7 +121,7 @@ def withdraw(
 
     Args:
         estimate: what was estimated.
-        state: after the sweep's report.
+        state: after the sweep.
         confirmed: (cells, cells) bool, what earlier sweeps saw as well; None where there are none: nothing is.
         rules: how many sectors beside a suspect one are not trusted.
     """

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from queue import Queue
 from threading import Lock, Thread
 from types import TracebackType
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from viewshed.estimators.base import Estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.fov.estimate import FovEstimate
-from viewshed.integrity.report import IntegrityReport
+from viewshed.integrity.stream_monitor import StreamMonitor, StreamReport
 from viewshed.io import read_sweep
 from viewshed.io.samples import junction_path
 from viewshed.pipeline.clocks import Clocks
 from viewshed.pipeline.inbox import Inbox
 from viewshed.pipeline.latency import Latencies
-from viewshed.pipeline.reactions import RULES, Caution, ReactionRules, ReactionState, react, speed_for_view, withdraw
+from viewshed.pipeline.reactions import (
+    RULES,
+    Caution,
+    Finding,
+    ReactionRules,
+    ReactionState,
+    react,
+    speed_for_view,
+    withdraw,
+)
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -35,17 +43,6 @@ REASONS = 50
 """Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
 
 OTHER_REASONS = "for other reasons"
-
-NOTHING_FOUND = IntegrityReport("no monitor", 0.0, math.inf)
-"""What is reacted to where nobody looks."""
-
-
-class StreamMonitor(Protocol):
-    """What watches a stream."""
-
-    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> IntegrityReport:
-        """Return what is to be doubted in the next sweep of its agent."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +66,7 @@ class Answer:
     number: int
     leveled: LeveledSweep | None
     estimate: FovEstimate | None
-    report: IntegrityReport | None
+    report: StreamReport | None
     reaction: ReactionState
     speed_mps: float
     notes: tuple[str, ...]
@@ -255,8 +252,8 @@ class Pipeline:
                 estimate, report, refused = None, None, _in_one_line(error)
         # 3. React: caution follows from the report, and what does not hold any more is withdrawn.
         before = self._reactions.get(step.agent, ReactionState())
-        is_unwatched = self._monitor is None and estimate is not None
-        reaction = react(NOTHING_FOUND if is_unwatched else report, before, self._rules)
+        found = _finding(estimate, report)
+        reaction = react(found, before, self._rules)
         _remember(self._reactions, step.agent, reaction)
         if estimate is not None and reaction.caution >= Caution.WIDEN:
             confirmed = None
@@ -265,7 +262,7 @@ class Pipeline:
             estimate = withdraw(estimate, reaction, confirmed, self._rules)
         speed_mps = 0.0 if estimate is None else speed_for_view(estimate)
         latency_s = time.perf_counter() - step.put_s
-        notes = (step.note,) if step.note else ()
+        notes = (step.note,) if step.note else () if report is None else report.notes
         return Answer(
             step.agent, step.number, leveled, estimate, report, reaction, speed_mps, notes, refused, latency_s
         )
@@ -279,6 +276,16 @@ class Pipeline:
                 except BaseException as error:
                     self._failure = error
                     self._inbox.close()
+
+
+def _finding(estimate: FovEstimate | None, report: StreamReport | None) -> Finding:
+    """Return what is reacted to: no answer is a worse view, and where nobody looks nothing is found."""
+    if estimate is None:
+        return Finding(degraded=True)
+    if report is None:
+        return Finding()
+    now = report.now
+    return Finding(now.degraded, now.inconsistent or report.alarm, report.alarm, now.suspect)
 
 
 def _remember(known: OrderedDict[str, Value], agent: str, value: Value) -> None:

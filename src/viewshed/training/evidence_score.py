@@ -75,7 +75,7 @@ class ScoreTrainer:
 
     Attributes:
         examples: to train on.
-        scale: of their benign sweeps.
+        scale: of their benign sweeps of a good view, so that bad weather is a surprise in all sectors.
     """
 
     examples: ScoreExamples
@@ -87,12 +87,13 @@ class ScoreTrainer:
         """Return the trainer of some examples.
 
         Raises:
-            ValueError: none is benign.
+            ValueError: none is benign with a good view.
         """
         benign = examples.inconsistent == 0
-        if not benign.any():
-            raise ValueError("a score needs benign sweeps to train on, got none")
-        scale = SurpriseScale.fit(examples.evidence[benign])
+        clear = benign & (examples.degraded == 0)
+        if not clear.any():
+            raise ValueError("a score needs benign sweeps of a good view to train on, got none")
+        scale = SurpriseScale.fit(examples.evidence[clear])
         return cls(examples, scale, _features_of(examples, scale, benign))
 
     def train(self, chosen: NDArray[np.bool_], epochs: int, seed: int) -> EvidenceScore:
@@ -114,9 +115,12 @@ class ScoreTrainer:
         weights, offsets, out, out_offsets = (
             values.detach().numpy() for values in (hidden.weight.T, hidden.bias, outputs.weight.T, outputs.bias)
         )
+        # What evidence says that never spoke in training must not count.
+        spoke = np.isfinite(self.examples.evidence).any(axis=(0, 2))
+        heard = np.tile(spoke, SECTOR_FEATURES + SWEEP_FEATURES)[:, None]
         return EvidenceScore(
             self.examples.names, self.scale, self._features.mean, self._features.spread,
-            np.ascontiguousarray(weights), offsets, np.ascontiguousarray(out), out_offsets,
+            np.ascontiguousarray(weights * heard, np.float32), offsets, np.ascontiguousarray(out), out_offsets,
         )  # fmt: skip
 
     def _loss(

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from viewshed.datasets.recording import open_recording
 from viewshed.datasets.recordings import open_source
@@ -24,6 +25,7 @@ from viewshed.sweep import Sweep
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not tested")
 pytest.importorskip("mcap", reason="mcap is not installed: its files are not compared")
 recording_files: Any = import_module("recording_files")
+sweep_files: Any = import_module("sweep_files")
 CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 S = 1_000_000_000
 POINTS = np.array([[5.0, 3.0, -1.5], [8.0, -2.0, 0.5], [-4.0, 1.0, 0.25]], np.float32)
@@ -474,20 +476,19 @@ def test_empty_topics_and_bags_without_clouds(tmp_path: Path, ros: Ros, write: W
     source = open_source(place)
     assert len(source.refs("a")) == 1
     assert any("topic /none has no cloud" in line for line in source.damage())
-    with pytest.raises(ValueError, match=r"no topic has .*PointCloud2; topics that exist: /o \(nav_msgs/msg/Odom"):
+    with pytest.raises(
+        ValueError, match=r"no topic has .*PointCloud2 or .* packets; topics that exist: /o \(nav_msgs/msg/Odom"
+    ):
         open_source(write(tmp_path / "b", [("/o", 1, pose)]))
 
 
 def test_unknown_types_are_left_alone_and_packets_are_named(tmp_path: Path) -> None:
-    class Packets:
-        __msgtype__ = "velodyne_msgs/msg/VelodyneScan"
-
-    content = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S)), ("/packets", 2, Packets.__msgtype__),
+    content = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S)), ("/packets", 2, "pandar_msgs/msg/PandarScan"),
                                           ("/own", 3, "my_msgs/msg/Own")])  # fmt: skip
     source = open_source(content)
     assert len(source.refs("a")) == 1
     [line] = [line for line in source.damage() if "topic" in line]
-    assert "/packets has velodyne_msgs/msg/VelodyneScan, which is not read" in line
+    assert "/packets has Hesai packets (pandar_msgs/msg/PandarScan), which are not read; record PointCloud2" in line
 
 
 def test_one_damaged_cloud_does_not_stop_the_others(tmp_path: Path) -> None:
@@ -506,3 +507,141 @@ def test_reading_leaves_no_file_behind(tmp_path: Path) -> None:
     [(_, sweep)] = each_sweep(open_source(place))
     assert isinstance(sweep, Sweep)
     assert sorted(path.name for path in place.iterdir()) == before
+
+
+VELODYNE, SCAN, STRING = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
+OUSTER = ("ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
+
+
+def _register(ros: Ros) -> dict[str, Any]:
+    """Return the types of a ROS version, with those of packets."""
+    from rosbags.typesys import get_types_from_msg
+
+    if VELODYNE not in ros.store.types:
+        for kind, definition in (
+            ("velodyne_msgs/msg/VelodynePacket", "builtin_interfaces/Time stamp\nuint8[1206] data"),
+            (VELODYNE, "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets"),
+            *((kind, "uint8[] buf") for kind in OUSTER),
+        ):
+            ros.store.register(get_types_from_msg(definition, kind))
+    types: dict[str, Any] = ros.store.types
+    return types
+
+
+def _velodyne(ros: Ros, t_ns: int) -> Any:
+    types = _register(ros)
+    stamp = types["builtin_interfaces/msg/Time"](t_ns // S, t_ns % S)
+    make = types["velodyne_msgs/msg/VelodynePacket"]
+    packets = [make(stamp, np.frombuffer(each, np.uint8)) for each in sweep_files.vlp16_turns(turns=1.0)]
+    return types[VELODYNE](ros.header(t_ns, "lidar"), packets)
+
+
+def _scan(ros: Ros, t_ns: int, ranges: list[float]) -> Any:
+    kind = _register(ros)[SCAN]
+    step, none = 0.1, np.zeros(0, np.float32)
+    last = step * (len(ranges) - 1)
+    return kind(ros.header(t_ns, "laser"), 0.0, last, step, 0.0, 0.1, 0.1, 30.0, np.array(ranges, np.float32), none)
+
+
+def _ouster(ros: Ros, frames: int, kind: str) -> list[Any]:
+    make = _register(ros)[kind]
+    return [make(np.frombuffer(each, np.uint8)) for each in sweep_files.ouster_payloads(frames)]
+
+
+@KINDS
+def test_velodyne_scans_are_sweeps(tmp_path: Path, ros: Ros, write: Write) -> None:
+    at = ros.tf(0, "map", "lidar", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    place = write(tmp_path / "a", [("/tf_static", 0, at), ("/packets", 1, _velodyne(ros, 5 * S))])
+    [(ref, sweep)] = each_sweep(open_source(place))
+    assert (ref.sensor, sweep.t_ns) == ("/packets", 5 * S)
+    np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 5.0, atol=0.03)
+    assert sweep.world_from_sensor is not None
+    assert sweep.world_from_sensor.translation.tolist() == [1.0, 2.0, 3.0]
+
+
+@KINDS
+def test_laser_scans_are_sweeps_in_a_plane(tmp_path: Path, ros: Ros, write: Write) -> None:
+    footprint = ros.tf(0, "base_footprint", "laser", (0.2, 0.0, 0.18), (0.0, 0.0, 0.0, 1.0))
+    scan = _scan(ros, 3 * S, [2.0, np.inf, np.nan, 4.0])
+    source = open_source(write(tmp_path / "a", [("/tf_static", 0, footprint), ("/scan", 1, scan)]))
+    [(_, sweep)] = each_sweep(source)
+    assert sweep.planar is not None
+    assert sweep.sensor_height_m == pytest.approx(0.18)
+    assert sweep.planar.max_range_m == 30.0
+    np.testing.assert_allclose(sweep.planar.open_azimuth, [0.1], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), [2.0, 4.0], rtol=1e-6)
+
+
+@KINDS
+@pytest.mark.parametrize("kind", OUSTER)
+def test_ouster_packets_are_sweeps(tmp_path: Path, ros: Ros, write: Write, kind: str) -> None:
+    packets = _ouster(ros, 3, kind)[2:]  # the first revolution is cut off
+    entries: list[Entry] = [("/os/lidar_packets", k * S, packet) for k, packet in enumerate(packets)]
+    imu = _register(ros)[kind](np.zeros(48, np.uint8))
+    about = _register(ros)[STRING](sweep_files.ouster_metadata().decode())
+    place = write(tmp_path / "a", [*entries, ("/os/imu_packets", 0, imu), ("/os/metadata", 1, about)])
+    source = pickle.loads(pickle.dumps(open_source(place)))  # noqa: S301
+    found = list(each_sweep(source))
+    assert [(ref.sensor, ref.t_ns) for ref, _ in found] == [("/os/lidar_packets", 2 * S), ("/os/lidar_packets", 6 * S)]
+    for (_, sweep), distance_m in zip(found, (6.0, 7.0), strict=True):
+        assert len(sweep) == 32 * 64
+        np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), distance_m, atol=0.05)
+
+
+def test_metadata_of_ouster_packets_may_lie_beside_the_bag(tmp_path: Path) -> None:
+    entries: list[Entry] = [("/lidar_packets", k, packet) for k, packet in enumerate(_ouster(ROS2, 1, OUSTER[1]))]
+    place = write_mcap(tmp_path / "a", entries)
+    with pytest.raises(ValueError, match=r"cannot be read: its metadata must be in the bag or beside it as a\.json"):
+        open_source(place)
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(ValueError, match="cannot be read: beam_altitude_angles must be a list"):
+        open_source(place)
+    (tmp_path / "a.json").write_bytes(sweep_files.ouster_metadata())
+    [(_, sweep)] = each_sweep(open_source(place))
+    assert len(sweep) == 32 * 64
+
+
+def test_what_a_sensor_tells_twice_is_read_once(tmp_path: Path) -> None:
+    place = write_mcap(
+        tmp_path / "a",
+        [("/points", 1, ROS2.cloud(S)), ("/packets", 2, _velodyne(ROS2, S)), ("/scan", 3, _scan(ROS2, S, [2.0]))],
+    )
+    source = open_source(place)
+    assert [ref.sensor for ref in source.refs("a")] == ["/points"]
+    for topic in ("/packets", "/scan"):
+        assert any(f"topic {topic} (" in line and "is not read beside /points" in line for line in source.damage())
+
+
+def test_real_bags_of_packets_and_scans(real_data: Path) -> None:
+    recordings = real_data.parent / "recordings"
+    if not recordings.is_dir():
+        pytest.skip("no recordings")
+    bags = {
+        "tier4__nebula/velodyne/vlp32/1713492677464078412": (5, 25_000, 32),
+        "tier4__nebula/velodyne/vls128/1614315746471294674": (4, 130_000, 127),
+        "ouster-lidar__ouster-sdk/tests/bags/512x10_raw.bag": (1, 4_000, 32),
+    }
+    for name, (count, fewest, rings) in bags.items():
+        sweeps = [sweep for _, sweep in each_sweep(open_source(recordings / name))]
+        assert len(sweeps) == count, name
+        for sweep in sweeps:
+            assert sweep.ring is not None
+            assert len(sweep) > fewest, name
+            assert len(np.unique(sweep.ring)) >= rings, name
+    scans = [
+        sweep
+        for _, sweep in each_sweep(open_source(recordings / "facontidavide__PlotJuggler/datasamples/tilt_laser.bag"))
+    ]
+    assert len(scans) == 178
+    assert all(sweep.planar is not None and len(sweep) > 300 for sweep in scans)
+    with pytest.raises(ValueError, match=r"Hesai packets \(pandar_msgs/msg/PandarScan\), which are not read"):
+        open_source(recordings / "tier4__nebula/hesai/qt64/1673401195788312575")
+
+
+def test_packets_decoded_by_others_lie_at_the_same_points(real_data: Path) -> None:
+    """A VLP-16 that stands still, decoded by Autoware's driver: one of its turns beside ours."""
+    theirs = read_sweep(real_data / "nebula" / "vlp16.pcd")
+    sweeps = [sweep for _, sweep in each_sweep(open_source(real_data / "nebula" / "vlp16_packets_0.db3"))]
+    assert len(sweeps) == 4
+    near_m = [np.quantile(KDTree(sweep.points).query(theirs.points)[0], 0.9) for sweep in sweeps]
+    assert min(near_m) < 0.02

@@ -1,6 +1,7 @@
 """LaserScan: messages made by hand, and the field of view in the plane that comes of them."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed import PEDESTRIAN, BevGrid, CellState, Rigid, Sweep, load_estimator
+from viewshed.cli import main
 from viewshed.estimators import CLASSICAL
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
+from viewshed.io import read_sweep, write_sweep
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.plausibility import doubts
+from viewshed.sweep import PlanarScan
 
 GRID = BevGrid(128, 16.0)
 
@@ -184,3 +188,30 @@ def test_a_scan_without_returns_and_one_without_beams() -> None:
     assert not ShadowMap(GRID).estimate(empty).visible().any()
     nothing: Sweep = sweep_of_scan(Scan(np.full(1080, np.nan, np.float32)))
     assert not ShadowMap(GRID).estimate(nothing).visible().any()
+
+
+def test_a_scan_in_one_plane_as_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "scan.npz"
+    write_sweep(sweep_of_scan(walls()), file)
+    np.testing.assert_array_equal(
+        ShadowMap(GRID).estimate(read_sweep(file)).state, ShadowMap(GRID).estimate(sweep_of_scan(walls())).state
+    )
+    with pytest.raises(SystemExit) as stopped:
+        main(["info", str(file)])
+    assert stopped.value.code in (0, None)
+    said = capsys.readouterr()
+    assert "plane:       one; 942 beams met nothing up to 30 m\n" in said.out
+    assert said.err == ""
+    with pytest.raises(ValueError, match="a scan in one plane must be seen from its own sensor"):
+        read_sweep(file).seen_from((0.0, 0.0, 1.0))
+    with pytest.raises(ValueError, match="file_frame must be left out for a scan in one plane"):
+        read_sweep(file, file_frame="nuscenes")
+
+
+@pytest.mark.parametrize("azimuth", [np.array([7.0]), np.array([np.nan]), np.zeros((2, 2)), np.array(["a"])])
+def test_planar_scans_are_checked(azimuth: NDArray[Any]) -> None:
+    with pytest.raises(ValueError, match="open_azimuth must be"):
+        PlanarScan(azimuth, 30.0)
+    for range_m in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="max_range_m must be positive"):
+            PlanarScan(np.zeros(1, np.float32), range_m)

@@ -17,11 +17,11 @@ from viewshed.studies.monitor.archive import FOLDER, DriveEvidence, SweepTable
 from viewshed.studies.monitor.drives import Drive, measure_drive
 from viewshed.studies.monitor.examples import examples_of, is_trained_on
 from viewshed.studies.monitor.jobs import run_study
-from viewshed.studies.monitor.plan import FRAMES, ONSET, SPLITS, MonitorPlan, family_of
+from viewshed.studies.monitor.plan import ALL_ATTACKS, FRAMES, ONSET, SPLITS, MonitorPlan, family_of
+from viewshed.studies.monitor.recorded import measure_recorded_drive
 from viewshed.studies.monitor.results import INCONSISTENT, Limits, Rate, Scored, placements
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.store import ResultStore
-from viewshed.threats.attacks import ATTACKS
 
 TINY = MonitorPlan.load("tiny")
 
@@ -95,11 +95,22 @@ def test_labels_by_hand(measured: DriveEvidence) -> None:
     assert_allclose(examples.weight[honest].sum(), 0.5 * len(honest), rtol=1e-5)
 
 
+def test_measured_sweeps_are_attacked_one_by_one(drive: Drive) -> None:
+    found = measure_recorded_drive(TINY, 3, list(drive.sweeps[:3]))
+    assert (found.scene, found.benign.shape[0]) == ("recorded recorded 3", 3)
+    assert found.cases == (Case("attack", "ghost_wall", "default"),)
+    assert found.refused == (Case("attack", "replay", "default"),), "there is none before the first"
+    table = SweepTable.of([found])
+    assert_array_equal(table.frame, [0, 1, 2, 0, 1, 2])
+    assert table.touched[3:].any(axis=1).all()
+
+
 def _scored(values: list[float], sensors: list[str]) -> Scored:
     """Return a row of a drive of its own for each value."""
     drives = [
         DriveEvidence(
-            "rooms", "test", n, sensor, BENIGN, ("a",), np.zeros((FRAMES, 1, SECTORS)), (),
+            "rooms", "test", n, sensor, BENIGN, ("a",), np.zeros((FRAMES, 1, SECTORS)),
+            np.zeros((1, SECTORS)), (),
             np.zeros((0, FRAMES - ONSET, 1, SECTORS)), np.zeros((0, FRAMES - ONSET, SECTORS), np.bool_), (),
         )
         for n, sensor in enumerate(sensors)
@@ -134,7 +145,7 @@ def test_every_attack_is_tried_in_its_turn() -> None:
     plan = replace(MonitorPlan.load("small"), attacked=(400, 70))
     every = plan.all_cases()
     assert len(set(every)) == len(every)
-    assert {case.name for case in every if case.kind == "attack"} == set(ATTACKS)
+    assert {case.name for case in every if case.kind == "attack"} == set(ALL_ATTACKS)
     tried = [case for number in range(200) for case in plan.cases_of("drives", "test", number)]
     counts = {case: tried.count(case) for case in every}
     assert max(counts.values()) - min(counts.values()) <= 1

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from tests.threats.attacks.oracle import COLUMNS, Scene, broken_by_any, broken_on_beams
 
-from viewshed.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Attack, Knowledge, Spoofer, Tampered
+from viewshed.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, INFORMED, Attack, Knowledge, Spoofer, Tampered
+from viewshed.threats.attacks.null import null_of
 
 BUDGETS = (None, 0, 1, 7, 50, 150, 1000, FULL_WEDGE)
 RANGES: dict[str, tuple[float, float]] = {
@@ -24,7 +25,7 @@ def drawn(name: str, scene: Scene, rng: np.random.Generator) -> tuple[Attack, in
     budget = BUDGETS[rng.integers(len(BUDGETS))]
     if name in FREE_FORM and budget == FULL_WEDGE:
         budget = 1500
-    attack: Any = ATTACKS[name](budget, Knowledge((scene.earlier,), None, scene.half_extent_m))
+    attack: Any = (ATTACKS | INFORMED)[name](budget, Knowledge((scene.earlier,), None, scene.half_extent_m))
     known = {field.name for field in fields(attack)}
     changes: dict[str, Any] = {
         key: float(rng.uniform(*RANGES[key])) for key in sorted(known & RANGES.keys()) if rng.random() < 0.5
@@ -48,6 +49,22 @@ def broken(name: str, scene: Scene, attack: Attack, budget: int | None, seed: in
     else:
         found += broken_on_beams(scene, tampered, budget)
     return found, tampered
+
+
+def broken_by_null(name: str, scene: Scene, attack: Attack, seed: int) -> list[str]:
+    """Return what an attack at zero strength broke: rows stay in number, order, rings and times, and on their beams."""
+    if name == "pose_spoof":
+        return []
+    tampered = null_of(attack, scene.remeasured).apply(scene.sweep, _generator(seed))
+    found = broken_on_beams(scene, tampered, None)
+    if len(tampered.sweep) != len(scene.sweep):
+        return [*found, "another number of rows"]
+    if not (tampered.added == tampered.removed).all():
+        found.append("rows in another order")
+    for column in ("ring", "time_s"):
+        if getattr(tampered.sweep, column).tobytes() != getattr(scene.sweep, column).tobytes():
+            found.append(f"{column} changed")
+    return found
 
 
 def same(one: Tampered, other: Tampered) -> bool:

@@ -23,7 +23,7 @@ from viewshed.threats.attacks import (
     smallest_budget,
     tripped_shares,
 )
-from viewshed.threats.attacks.informed import EXACT_SPOOFER, CopiedObject, VanishedObject
+from viewshed.threats.attacks.informed import CopiedObject, VanishedObject
 
 
 def _rng(*seed: int) -> np.random.Generator:
@@ -39,7 +39,7 @@ def _pixels(sweep: Sweep) -> dict[tuple[int, int], np.ndarray]:
 
 def test_a_wall_vanishes_and_leaves_flat_ground(flat_scene: FlatScene) -> None:
     """What is left is the scene without the wall, beam by beam."""
-    attack = VanishedObject(sector_deg=60.0, spoofer=EXACT_SPOOFER)
+    attack = VanishedObject(sector_deg=60.0)
     tampered = attack.apply(flat_scene(12.0), _rng(1))
     now, without = _pixels(tampered.sweep), _pixels(flat_scene())
     assert tampered.removed.sum() > 900
@@ -48,6 +48,22 @@ def test_a_wall_vanishes_and_leaves_flat_ground(flat_scene: FlatScene) -> None:
     assert off_m.max() < 0.3  # at 51 m, where 1 cm of height is 30 cm along the beam
     made = tampered.sweep.points[tampered.added]
     assert np.abs(made[:, 2] + SENSOR_M).max() < 0.012
+
+
+def test_noise_behind_what_vanishes_is_that_beside_it(flat_scene: FlatScene) -> None:
+    """A sensor with 2 cm on the ground: so has the ground that is made."""
+    clean = flat_scene(12.0)
+    depth_m = np.linalg.norm(clean.points, axis=1, keepdims=True)
+    noisy = clean.replace(
+        points=(clean.points * (1 + 0.02 * _rng(5).normal(size=depth_m.shape) / depth_m)).astype("f4")
+    )
+    tampered = VanishedObject(sector_deg=60.0).apply(noisy, _rng(1))
+    without = _pixels(flat_scene())
+    made = tampered.sweep.select(np.flatnonzero(tampered.added))
+    off_m = [np.linalg.norm(point) - np.linalg.norm(without[beam]) for beam, point in _pixels(made).items()]
+    near = [off for off, point in zip(off_m, made.points, strict=True) if np.linalg.norm(point) < 20.0]
+    assert len(near) > 200
+    assert np.std(near) == pytest.approx(0.02, rel=0.3)
 
 
 def test_a_copy_is_the_wall_turned(flat_scene: FlatScene) -> None:
@@ -63,6 +79,34 @@ def test_a_copy_is_the_wall_turned(flat_scene: FlatScene) -> None:
     columns = {at for _, at in _pixels(tampered.sweep.select(np.flatnonzero(tampered.added)))}
     behind = [point for (_, at), point in _pixels(tampered.sweep).items() if at in columns]
     assert np.linalg.norm(np.array(behind)[:, :2], axis=1).max() < 13.6
+
+
+def test_a_copy_stands_before_what_is_there(flat_scene: FlatScene) -> None:
+    """Behind the sensor the view is open; with a post there, 10° wide and 5 m away, a wall of 45° does not fit."""
+    clean = flat_scene(12.0)
+    attack = CopiedObject(sector_deg=60.0, azimuth=np.pi)
+    assert attack.apply(clean, _rng(1)).added.any()
+    x, y, _ = clean.points.T
+    post = (np.abs(np.arctan2(y, -x)) < np.deg2rad(5.0)) & (np.hypot(x, y) > 5.0)
+    scale = np.where(post, 5.0 / np.hypot(x, y), 1.0)[:, None]
+    tampered = attack.apply(clean.replace(points=(clean.points * scale).astype(np.float32)), _rng(1))
+    assert not tampered.added.any()
+
+
+def test_a_lasting_attack_keeps_its_place(simulated: list[Scene]) -> None:
+    """At the azimuth of an earlier one the same object vanishes, and a copy stands where it stood."""
+    placed = 0
+    for seed, scene in enumerate(simulated):
+        for attack in (VanishedObject(), CopiedObject()):
+            first = attack.apply(scene.sweep, _rng(seed))
+            if not first.added.any() or first.wedge is None:
+                continue
+            again = replace(attack, azimuth=first.wedge.azimuth).apply(scene.sweep, _rng(seed, 1))
+            assert again.wedge is not None
+            apart = (again.wedge.azimuth - first.wedge.azimuth + np.pi) % (2 * np.pi) - np.pi
+            assert abs(apart) < np.deg2rad(3.0), (scene.name, attack)
+            placed += 1
+    assert placed >= 6
 
 
 def test_budgets_leave_larger_objects(flat_scene: FlatScene) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from viewshed import Sweep
 from viewshed._page import table
-from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, Knowledge
+from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, Knowledge
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "attacks.md"
 NOT_TOLD = {"spoofer", "mode", "earlier", "first", "first_ns"}
@@ -19,7 +19,7 @@ def attacks_table() -> str:
     """The table as the page must have it."""
     knowledge = Knowledge((Sweep([[1.0, 0.0, 0.0]]),))  # type: ignore[arg-type]
     rows = []
-    for name, make in ATTACKS.items():
+    for name, make in (ATTACKS | INFORMED).items():
         attack: Any = make(None, knowledge)
         told = [f"`{f.name}` {_text(getattr(attack, f.name))}" for f in fields(attack) if f.name not in NOT_TOLD]
         what = str(type(attack).__doc__).splitlines()[0].split(": ")[0].removesuffix(".")

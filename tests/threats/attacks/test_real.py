@@ -8,11 +8,14 @@ import pytest
 from viewshed import Sweep
 from viewshed.io import read_index, read_indexed
 from viewshed.preprocess.ring_recovery import recover_rings
-from viewshed.threats.attacks import ATTACKS, FREE_FORM, Knowledge
+from viewshed.threats.attacks import ATTACKS, FREE_FORM, INFORMED, Knowledge
 
 pytestmark = pytest.mark.slow
 
-MOVE_RETURNS = {"frustum", "frustum_before", "far_wall", "far_wall_aimed", "removal", "removal_aimed", "relay"}
+MOVE_RETURNS = {
+    "frustum", "frustum_before", "far_wall", "far_wall_aimed", "far_wall_clean", "removal", "removal_aimed", "relay",
+}  # fmt: skip
+ALL = ATTACKS | INFORMED
 FILES = ("nuscenes", "kitti/odometry00", "ouster/decoded/OS-1-128", "outdoor_vlp16_apollo")
 
 
@@ -24,9 +27,9 @@ def sweep(request: pytest.FixtureRequest, real_data: Path) -> Sweep:
     return read_indexed(entry)
 
 
-@pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))
+@pytest.mark.parametrize("name", sorted(set(ALL) - {"pose_spoof"}))
 def test_untouched_returns_stay_and_beams_stay_single(name: str, sweep: Sweep) -> None:
-    attack, rng = ATTACKS[name](None, Knowledge((sweep,))), np.random.default_rng(2)
+    attack, rng = ALL[name](None, Knowledge((sweep,))), np.random.default_rng(2)
     if recover_rings(sweep).source == "elevation bins" and name not in FREE_FORM | MOVE_RETURNS:
         with pytest.raises(ValueError, match="beams of this sweep must be known"):
             attack.apply(sweep, rng)

@@ -456,7 +456,7 @@ class SqliteBag:
             if any(hidden for (hidden,) in columns):
                 raise ValueError("must have a table of messages without computed columns")
             rows = self._base.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000").fetchall()
-        topics = {int(number): (str(name), str(kind), str(form)) for number, name, kind, form in rows}
+        topics = {int(number): (str(name), str(kind), str(form) or "cdr") for number, name, kind, form in rows}
         self.types = {topic: kind for topic, kind, _ in topics.values()}
         return topics
 

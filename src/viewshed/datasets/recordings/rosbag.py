@@ -1,14 +1,14 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files: PointCloud2 as sweeps, poses from tf and odometry."""
+"""ROS 1 bags, ROS 2 bags and MCAP files: clouds, packets and laser scans as sweeps, poses from tf and odometry."""
 
 from __future__ import annotations
 
 import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from viewshed._extras import needed_for
 from viewshed.datasets.recordings.bag_files import BagFile, Message, bags_in, open_bag
@@ -16,17 +16,24 @@ from viewshed.datasets.recordings.source import ObjectBox, SweepRef, note_damage
 from viewshed.datasets.recordings.tf_tree import WORLDS, TransformBuffer
 from viewshed.geometry import Rigid
 from viewshed.io._input import one_line
+from viewshed.io.messages.laserscan import sweep_of_scan
+from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velodyne
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
+from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.sweep import Sweep
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
 TRANSFORMS = (TF, "tf/msg/tfMessage")
 
-PACKETS = ("velodyne_msgs/msg/VelodyneScan", "pandar_msgs/msg/PandarScan", "ouster_ros/msg/PacketMsg",
-           "ouster_sensor_msgs/msg/PacketMsg", "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg",
-           "nebula_msgs/msg/NebulaPackets")  # fmt: skip
-"""Types of messages that hold a LiDAR's returns and are not read."""
+VELODYNE, SCAN, STRING = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
+OUSTER = ("ouster_sensor_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg")
+
+RETURNS = ((CLOUD,), (VELODYNE, *OUSTER), (SCAN,))
+"""Types of messages that hold a LiDAR's returns, the preferred ones first: what one sensor tells twice is read once."""
+
+OUSTER_FRAME = "os_sensor"
+"""The frame of the returns that Ouster's packets hold: their messages have no header."""
 
 FOOTPRINT = "base_footprint"
 """The frame on the ground below a robot (ROS enhancement proposal 120); it tells the height of the sensor."""
@@ -43,15 +50,30 @@ def decoder(encoding: str) -> Callable[[bytes, str], Any]:
         store = get_typestore(Stores.ROS1_NOETIC)
         if TF not in store.types:
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
-        return store.deserialize_ros1
-    return get_typestore(Stores.ROS2_FOXY).deserialize_cdr
+    else:
+        store = get_typestore(Stores.ROS2_FOXY)
+    for kind, definition in _DEFINITIONS.items():
+        store.register(get_types_from_msg(definition, kind))
+    return store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
+
+
+_DEFINITIONS = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+    VELODYNE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    **dict.fromkeys(OUSTER, "uint8[] buf"),
+}
+"""Of messages that rosbags does not bring."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cloud:
-    """One cloud as listed: its topic, its header, where it is."""
+    """One sweep as listed: topic and type of its message, its header, and where it is.
+
+    That of a revolution in several messages names all their places, with blanks between.
+    """
 
     topic: str
+    kind: str
     t_ns: int
     frame: str
     where: str
@@ -65,6 +87,7 @@ class _Contents:
     transforms: TransformBuffer = field(default_factory=TransformBuffer)
     odometry: dict[str, list[Any]] = field(default_factory=dict)
     worlds: list[str] = field(default_factory=lambda: list(WORLDS))
+    metadata: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +101,8 @@ class Bag:
         poses: ``world_from_sensor`` of each, or None.
         heights_m: height of the sensor above the ground at each, or None.
         encoding: how its messages are written, ``cdr`` or ``ros1``.
+        kinds: type of the messages of each topic with sweeps.
+        metadata: of each topic with Ouster packets.
     """
 
     root: Path
@@ -86,6 +111,8 @@ class Bag:
     poses: tuple[Rigid | None, ...]
     heights_m: tuple[float | None, ...]
     encoding: str
+    kinds: Mapping[str, str]
+    metadata: Mapping[str, str]
 
 
 def scan_bag(root: Path, scene: str, path: Path, damage: list[str]) -> Bag | None:
@@ -97,9 +124,11 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str]) -> Bag | Non
         return None
     contents, encoding = _Contents(), "cdr"
     try:
-        for message in file.messages((CLOUD, ODOMETRY, *TRANSFORMS)):
+        for message in file.messages((CLOUD, VELODYNE, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
+        if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
+            encoding = _add_ouster(contents, file, path, damage)
     except (ValueError, OSError) as error:
         note_damage(damage, f"{one_line(error)}; {len(contents.clouds)} clouds before that are kept")
         if not contents.clouds:
@@ -115,9 +144,13 @@ def _add_message(contents: _Contents, message: Message, damage: list[str]) -> No
     try:
         if message.encoding not in ("cdr", "ros1"):
             raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
-        if message.kind == CLOUD:
+        if message.kind in (CLOUD, VELODYNE, SCAN):
             t_ns, frame = _header(message)
-            contents.clouds.append(_Cloud(message.topic, t_ns, frame, message.where))
+            contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
+            return
+        if message.kind == STRING:
+            if message.topic.endswith(_METADATA):
+                contents.metadata[message.topic] = decoder(message.encoding)(message.raw, STRING).data
             return
         decoded = decoder(message.encoding)(message.raw, TF if message.kind in TRANSFORMS else message.kind)
         if message.kind == ODOMETRY:
@@ -158,16 +191,81 @@ def _add(buffer: TransformBuffer, header: Any, child: str, where: Any, turn: Any
     )
 
 
+_METADATA = "/metadata"
+"""End of the topic on which Ouster's drivers publish the metadata of the packets beside it."""
+
+
+def _add_ouster(contents: _Contents, file: BagFile, path: Path, damage: list[str]) -> str:
+    """Add the revolutions of Ouster packets, and return how their messages are written.
+
+    A revolution that is cut off by the beginning or the end of the bag is left out where there is another.
+    """
+    encoding = "cdr"
+    decoders: dict[str, OusterDecoder | None] = {}
+    turns: dict[str, list[list[_Cloud]]] = {}
+    numbers: dict[str, int] = {}
+    for message in file.messages(OUSTER):
+        topic, encoding = message.topic, message.encoding
+        if topic not in decoders:
+            decoders[topic] = _ouster_decoder(contents, topic, path, damage)
+        decode = decoders[topic]
+        number = None if decode is None else decode.frame_number(_packet_of(message.raw, encoding))
+        if number is None:
+            continue
+        packet = _Cloud(topic, message.kind, message.t_ns, OUSTER_FRAME, message.where)
+        if numbers.get(topic) != number:
+            turns.setdefault(topic, []).append([])
+            numbers[topic] = number
+        turns[topic][-1].append(packet)
+    for of_topic in turns.values():
+        most = max(map(len, of_topic))
+        for place, turn in enumerate(of_topic):
+            if len(turn) == most or place not in (0, len(of_topic) - 1):
+                contents.clouds.append(replace(turn[0], where=" ".join(packet.where for packet in turn)))
+    return encoding
+
+
+def _ouster_decoder(contents: _Contents, topic: str, path: Path, damage: list[str]) -> OusterDecoder | None:
+    """Return what decodes the packets of a topic, by the metadata of the bag or by those beside it."""
+    try:
+        own = contents.metadata.get(topic.rpartition("/")[0] + _METADATA)
+        if own is None:
+            beside = path.with_suffix(".json")
+            if not beside.is_file():
+                raise ValueError(f"its metadata must be in the bag or beside it as {beside.name}")
+            own = beside.read_text(encoding="utf-8")
+        found = OusterDecoder(OusterMetadata.parse(own))
+    except ValueError as error:
+        note_damage(damage, f"topic {topic} has Ouster packets that cannot be read: {one_line(error)}")
+        return None
+    contents.metadata[topic] = own
+    return found
+
+
+def _packet_of(raw: bytes, encoding: str) -> bytes:
+    """Return the packet in the bytes of a PacketMsg, which is one array."""
+    start = 4 if encoding == "ros1" else 8
+    order: Literal["little", "big"] = "little" if encoding == "ros1" or raw[1:2] in (b"\x01", b"\x03") else "big"
+    return raw[start : start + int.from_bytes(raw[start - 4 : start], order)]
+
+
 def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str]) -> None:
+    """Keep the preferred messages, and say which topics are not read."""
+    held = {cloud.kind for cloud in contents.clouds}
+    preferred = next((kinds for kinds in RETURNS if held & set(kinds)), ())
+    contents.clouds = [cloud for cloud in contents.clouds if cloud.kind in preferred]
     with_clouds = {cloud.topic for cloud in contents.clouds}
     for topic, kind in sorted(types.items()):
-        if kind == CLOUD and topic not in with_clouds:
+        if kind in UNREAD:
+            note_damage(damage, f"topic {topic} has {UNREAD[kind]} ({kind}), which are not read; record PointCloud2")
+        elif kind == CLOUD and topic not in with_clouds:
             note_damage(damage, f"topic {topic} has no cloud")
-        elif kind in PACKETS:
-            note_damage(damage, f"topic {topic} has {kind}, which is not read; record PointCloud2")
+        elif preferred and kind in (VELODYNE, SCAN) and topic not in with_clouds:
+            note_damage(damage, f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}")
     if not with_clouds and CLOUD not in types.values():
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
-        note_damage(damage, f"no topic has {CLOUD}; topics that exist: {topics}")
+        wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, Velodyne or Ouster packets"
+        note_damage(damage, f"no topic has {wanted}; topics that exist: {topics}")
 
 
 def _add_odometry(contents: _Contents, damage: list[str]) -> None:
@@ -207,7 +305,10 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         if at.count(None):
             problem = "lie outside the times of the transforms and have no pose"
             note_damage(damage, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
-    return Bag(root, path, refs, poses, tuple(_height_m(contents, cloud) for cloud in clouds), encoding)
+    heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
+    kinds = {cloud.topic: cloud.kind for cloud in clouds}
+    metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
+    return Bag(root, path, refs, poses, heights_m, encoding, kinds, metadata)
 
 
 def _world(contents: _Contents, frame: str, damage: list[str]) -> str | None:
@@ -228,8 +329,19 @@ def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
     return None if pose is None or pose.translation[2] <= 0 else float(pose.translation[2])
 
 
+_SWEEP_OF: dict[str, Callable[[Any], Sweep]] = {
+    CLOUD: sweep_of_cloud, VELODYNE: sweep_of_velodyne, SCAN: sweep_of_scan,
+}  # fmt: skip
+"""From a message to its sweep, by type."""
+
+
+@lru_cache(maxsize=4)
+def _cached_decoder(metadata: str) -> OusterDecoder:
+    return OusterDecoder(OusterMetadata.parse(metadata))
+
+
 class BagRecording:
-    """One bag or several, from :meth:`open`; each is a scene, each topic of PointCloud2 an agent.
+    """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
     One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when asked for.
     """
@@ -266,9 +378,8 @@ class BagRecording:
         """Return a sweep in the frame of its header, with its pose where transforms lead to it."""
         bag = self._bags[ref.scene]
         try:
-            cloud = decoder(bag.encoding)(self._file(bag).message(ref.key), CLOUD)
-            sweep = sweep_of_cloud(cloud)
-        except OSError:
+            sweep = self._sweep(bag, ref)
+        except (OSError, ImportError):
             raise
         except Exception as error:  # the decoder of rosbags raises a dozen types on damaged messages
             raise ValueError(f"{ref.file}: {ref.sensor} at {ref.t_ns} ns: {one_line(error)}") from error
@@ -276,6 +387,13 @@ class BagRecording:
             agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=bag.poses[ref.index],
             sensor_height_m=bag.heights_m[ref.index],
         )  # fmt: skip
+
+    def _sweep(self, bag: Bag, ref: SweepRef) -> Sweep:
+        kind, decode = bag.kinds[ref.sensor], decoder(bag.encoding)
+        messages = [decode(self._file(bag).message(where), kind) for where in ref.key.split(" ")]
+        if kind in OUSTER:
+            return sweep_of_ouster(messages, _cached_decoder(bag.metadata[ref.sensor]))
+        return _SWEEP_OF[kind](messages[0])
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return None: bags hold no annotations that are read."""

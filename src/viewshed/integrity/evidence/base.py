@@ -70,17 +70,12 @@ def sector_of(azimuth: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
     return np.floor((np.asarray(azimuth, np.float64) + np.pi) * (SECTORS / (2 * np.pi))).astype(np.intp) % SECTORS
 
 
-def share_by_sector(chosen: NDArray[np.bool_], sector: NDArray[np.intp], least: int = 1) -> Floats:
-    """Return the share (SECTORS,) of the rows of each sector that are chosen; 0 where it has fewer than ``least``.
+def damped_share(some: NDArray[np.integer[Any]], every: NDArray[np.integer[Any]], few: int) -> Floats:
+    """Return some (SECTORS,) as a share of every (SECTORS,), drawn toward 0 by ``few`` more that are not chosen.
 
-    Args:
-        chosen: (N,) bool.
-        sector: (N,) the sector of each row.
-        least: rows that a sector must have for its share to mean anything.
+    A chance find in a sector of few returns then counts little.
 
-    >>> share_by_sector(np.array([True, False, True]), np.array([3, 3, 4]))[[3, 4, 5]].tolist()
-    [0.5, 1.0, 0.0]
+    >>> damped_share(np.array([0, 5, 15]), np.array([0, 5, 55]), 5).tolist()
+    [0.0, 0.5, 0.25]
     """
-    every = np.bincount(sector, minlength=SECTORS)
-    share = np.bincount(sector[chosen], minlength=SECTORS) / np.maximum(every, 1)
-    return np.where(every >= least, share, 0.0).astype(np.float32)
+    return np.asarray(some / (every + few), np.float32)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from viewshed.integrity.evidence.base import ABSTAINS, Floats, MonitoredSweep, sector_of, share_by_sector
+from viewshed import _core
+from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
 
 _LEAST_RETURNS = 20
 """Returns that a sector must have for its share to mean anything."""
@@ -12,8 +13,9 @@ _LEAST_RETURNS = 20
 
 def measure_isolated(monitored: MonitoredSweep) -> Floats:
     """Return the share of isolated returns by sector (SECTORS,); abstains where the rings are not known."""
-    leveled = monitored.leveled
-    image, points = leveled.range_image, leveled.sweep.points
+    image = monitored.leveled.range_image
     if image is None:
         return ABSTAINS
-    return share_by_sector(image.isolated, sector_of(np.arctan2(points[:, 1], points[:, 0])), _LEAST_RETURNS)
+    isolated, every = _core.count_chosen(monitored.leveled.sweep.points, image.isolated, SECTORS)
+    share = isolated / np.maximum(every, 1)
+    return np.where(every >= _LEAST_RETURNS, share, 0.0).astype(np.float32)

@@ -13,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
-from viewshed.studies.monitor.plan import FRAMES, ONSET
 from viewshed.studies.records import BENIGN, Case
 
 FOLDER = "drives"
+
+RECORDED = "recorded"
+"""Domain and split of drives that were measured, not simulated."""
 
 Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveEvidence:
-    """All evidence of the ten sweeps of a drive, and of the last five in several cases.
+    """All evidence of the sweeps of a drive, ten if it was simulated, and of the last five or all in several cases.
 
     Attributes:
         domain: preset that it is of.
@@ -32,10 +34,11 @@ class DriveEvidence:
         sensor: that measured.
         conditions: what the drive suffered from its first frame on.
         names: (E,) of the evidence.
-        benign: (FRAMES, E, SECTORS) of the sweeps as they were measured.
-        cases: what was done from frame ``ONSET`` on.
-        evidence: (C, FRAMES - ONSET, E, SECTORS) in these cases.
-        touched: (C, FRAMES - ONSET, SECTORS) bool, sectors with a return that an attacker added or removed.
+        benign: (F, E, SECTORS) of the sweeps as they were measured.
+        unposed: (E, SECTORS) of the last sweep, where none of them has a pose.
+        cases: what was done to the last G of them.
+        evidence: (C, G, E, SECTORS) in these cases.
+        touched: (C, G, SECTORS) bool, sectors with a return that an attacker added or removed.
         refused: cases that could not be made of this drive.
     """
 
@@ -46,6 +49,7 @@ class DriveEvidence:
     conditions: Case
     names: tuple[str, ...]
     benign: Floats
+    unposed: Floats
     cases: tuple[Case, ...]
     evidence: Floats
     touched: NDArray[np.bool_]
@@ -72,12 +76,13 @@ class DriveEvidence:
             "conditions": astuple(self.conditions), "cases": [astuple(case) for case in self.cases],
             "refused": [astuple(case) for case in self.refused],
         }  # fmt: skip
-        file, largest = io.BytesIO(), float(np.finfo(np.float16).max)
+        file = io.BytesIO()
         np.savez_compressed(
             file,
             about=np.frombuffer(json.dumps(about).encode(), np.uint8),
-            benign=np.clip(self.benign, -largest, largest).astype(np.float16),
-            evidence=np.clip(self.evidence, -largest, largest).astype(np.float16),
+            benign=_halved(self.benign),
+            unposed=_halved(self.unposed),
+            evidence=_halved(self.evidence),
             touched=np.packbits(self.touched, axis=-1),
         )
         write_atomic(folder / self.file, file.getvalue())
@@ -95,9 +100,15 @@ class DriveEvidence:
             touched = np.unpackbits(file["touched"], axis=-1).astype(np.bool_)
             return cls(
                 domain, split, number, sensor, Case(*about["conditions"]), tuple(about["names"]), file["benign"],
-                tuple(Case(*case) for case in about["cases"]), file["evidence"], touched,
+                file["unposed"], tuple(Case(*case) for case in about["cases"]), file["evidence"], touched,
                 tuple(Case(*case) for case in about["refused"]),
             )  # fmt: skip
+
+
+def _halved(values: Floats) -> NDArray[np.float16]:
+    """Return values in half precision, those beyond its range at its ends."""
+    largest = float(np.finfo(np.float16).max)
+    return np.clip(values, -largest, largest).astype(np.float16)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +123,7 @@ class SweepTable:
         case: (N,) which of ``cases`` it is in; 0 is the drive as it was measured.
         frame: (N,) number in the drive.
         drives: without their arrays.
+        unposed: (D, E, SECTORS) float16 of the last benign sweep of each drive, without poses.
         cases: all that occur, ``BENIGN`` first.
     """
 
@@ -123,6 +135,7 @@ class SweepTable:
     frame: NDArray[np.int32]
     drives: tuple[DriveAbout, ...]
     cases: tuple[Case, ...]
+    unposed: NDArray[np.float16]
 
     @classmethod
     def of(cls, drives: Iterable[DriveEvidence]) -> Self:
@@ -132,7 +145,7 @@ class SweepTable:
             ValueError: there are none, or their evidence differs.
         """
         places: dict[Case, int] = {BENIGN: 0}
-        evidence, touched, columns, about = [], [], [], list[DriveAbout]()
+        evidence, touched, columns, unposed, about = [], [], [], [], list[DriveAbout]()
         names: tuple[str, ...] = ()
         for number, drive in enumerate(drives):
             if names not in ((), drive.names):
@@ -140,18 +153,23 @@ class SweepTable:
             names = drive.names
             about.append(DriveAbout(drive.domain, drive.split, drive.number, drive.sensor, drive.conditions))
             evidence.append(drive.benign)
-            touched.append(np.zeros((FRAMES, drive.touched.shape[-1]), np.bool_))
-            columns += [(number, 0, frame) for frame in range(FRAMES)]
+            unposed.append(drive.unposed)
+            frames = len(drive.benign)
+            touched.append(np.zeros((frames, drive.touched.shape[-1]), np.bool_))
+            columns += [(number, 0, frame) for frame in range(frames)]
             for case, of_case, of_touched in zip(drive.cases, drive.evidence, drive.touched, strict=True):
                 evidence.append(of_case)
                 touched.append(of_touched)
-                columns += [(number, places.setdefault(case, len(places)), frame) for frame in range(ONSET, FRAMES)]
+                columns += [
+                    (number, places.setdefault(case, len(places)), frame)
+                    for frame in range(frames - len(of_case), frames)
+                ]
         if not about:
             raise ValueError("a table of sweeps needs drives, got none; run the study")
         drive_of, case_of, frame_of = np.array(columns, np.int32).T
         return cls(
             names, np.concatenate(evidence), np.concatenate(touched), drive_of, case_of, frame_of, tuple(about),
-            tuple(places),
+            tuple(places), np.stack(unposed),
         )  # fmt: skip
 
     @classmethod
@@ -164,7 +182,7 @@ class SweepTable:
         """Return the table of the rows of a mask (N,)."""
         return type(self)(
             self.names, self.evidence[mask], self.touched[mask], self.drive[mask], self.case[mask], self.frame[mask],
-            self.drives, self.cases,
+            self.drives, self.cases, self.unposed,
         )  # fmt: skip
 
     def is_case(self, chosen: Sequence[Case]) -> NDArray[np.bool_]:
@@ -182,3 +200,8 @@ class DriveAbout:
     number: int
     sensor: str
     conditions: Case
+
+    @property
+    def scene(self) -> str:
+        """Name of its scene, no other drive has it."""
+        return f"{self.domain} {self.split} {self.number}"

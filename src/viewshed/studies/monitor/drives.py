@@ -13,18 +13,26 @@ from viewshed.datasets.simulated import ScenePlan, measure_frame
 from viewshed.geometry import Rigid
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, MonitoredSweep, sector_of
 from viewshed.integrity.score import measure_all
+from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, group_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.studies.cases import generator, untouched
 from viewshed.studies.monitor.archive import DriveEvidence
-from viewshed.studies.monitor.plan import BEFORE, CORRUPTED, FRAMES, FROZEN, OLDER, ONSET, SPLITS, MonitorPlan
+from viewshed.studies.monitor.plan import (
+    ALL_ATTACKS,
+    BEFORE,
+    CORRUPTED,
+    FRAMES,
+    FROZEN,
+    OLDER,
+    ONSET,
+    SPLITS,
+    MonitorPlan,
+)
 from viewshed.studies.records import BENIGN, Case
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks import ATTACKS, NULL, Knowledge, at_severity
+from viewshed.threats.attacks import NULL, Knowledge, at_severity
 from viewshed.threats.attacks.base import Attack, Tampered
 from viewshed.threats.corruptions import CORRUPTIONS
-
-EARLIER = 5
-"""Earlier sweeps that the evidence is given."""
 
 STEADY = ("dropped_sectors", "dead_rings", "fewer_beams", "attitude", "slope", "motion", "pose_spoof")
 """What is drawn once for a whole drive: which rings are dead, which way the road rises, which way a pose is shifted."""
@@ -91,7 +99,7 @@ class Drive:
         if case.kind == "strength":
             attribute, value = case.level.split()
             return at_severity(case.name, attribute, int(value) if value.isdecimal() else float(value), known)
-        return ATTACKS[case.name](int(case.level) if case.level.isdecimal() else None, known)
+        return ALL_ATTACKS[case.name](int(case.level) if case.level.isdecimal() else None, known)
 
     def _known(self, case: Case, frame: int) -> Sweep:
         """Return the sweep that the attacker knows beside the one that is attacked."""
@@ -135,6 +143,7 @@ def measure_drive(drive: Drive, cases: Sequence[Case]) -> DriveEvidence:
     grid = drive.scene.preset.grid
     clean = [level(sweep, grid) for sweep in drive.sweeps]
     benign = np.stack([_measure(clean, frame) for frame in range(FRAMES)])
+    unposed = [level(sweep.replace(world_from_sensor=None), grid) for sweep in drive.sweeps[-EARLIER_SWEEPS - 1 :]]
     made, evidence, touched, refused = list[Case](), [], [], list[Case]()
     nothing = np.zeros(SECTORS, np.bool_)
     for case in cases:
@@ -153,15 +162,22 @@ def measure_drive(drive: Drive, cases: Sequence[Case]) -> DriveEvidence:
             for frame, one in enumerate(tampered, ONSET)
         ])  # fmt: skip
     return DriveEvidence(
-        *drive.key, drive.scene.preset.sensors[drive.scene.sensor], drive.conditions, tuple(EVIDENCE), benign,
+        *drive.key, sensor_of(clean[0]), drive.conditions, tuple(EVIDENCE), benign,
+        _measure(unposed, EARLIER_SWEEPS),
         tuple(made), np.array(evidence, np.float32).reshape(-1, FRAMES - ONSET, len(EVIDENCE), SECTORS),
         np.array(touched, np.bool_).reshape(-1, FRAMES - ONSET, SECTORS), tuple(refused),
     )  # fmt: skip
 
 
+def sensor_of(leveled: LeveledSweep) -> str:
+    """Return the name of the sensor with whose sweeps a sweep is calibrated."""
+    return group_of(MonitoredSweep(leveled)).sensor
+
+
 def _measure(seen: Sequence[LeveledSweep], frame: int) -> NDArray[np.float32]:
-    """Return all evidence (E, SECTORS) of one of the sweeps that were seen, with those before it."""
-    return measure_all(MonitoredSweep(seen[frame], tuple(seen[max(frame - EARLIER, 0) : frame])))
+    """Return all evidence (E, SECTORS) of one of the sweeps that were seen, with five before it if there are."""
+    earlier = seen[frame - EARLIER_SWEEPS : frame] if frame >= EARLIER_SWEEPS else ()
+    return measure_all(MonitoredSweep(seen[frame], tuple(earlier)))
 
 
 def touched_sectors(tampered: Tampered, clean: LeveledSweep, seen: LeveledSweep) -> Mask:

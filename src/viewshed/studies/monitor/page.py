@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from viewshed._page import Table, facts, to_markdown
 from viewshed.integrity.calibration import p_values
 from viewshed.integrity.sectors import discoveries
 from viewshed.studies.cases import DEFAULT
 from viewshed.studies.formatting import commits, format_interval, format_rate
-from viewshed.studies.monitor.archive import SweepTable
+from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable
 from viewshed.studies.monitor.examples import LOSSES, evidence_over_time
 from viewshed.studies.monitor.jobs import load_score, score_path
-from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, MonitorPlan, family_of
+from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, CLEAN, ONSET, MonitorPlan, family_of
 from viewshed.studies.monitor.results import (
     DEGRADED,
     INCONSISTENT,
@@ -27,6 +28,7 @@ from viewshed.studies.monitor.results import (
     Detection,
     Evaluation,
     Rate,
+    RecordedScores,
     Scored,
     detect,
     mean_rate,
@@ -35,6 +37,7 @@ from viewshed.studies.monitor.results import (
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
+from viewshed.threats.attacks import INFORMED
 
 FALSE_DISCOVERIES = 0.1
 
@@ -98,21 +101,21 @@ class MonitorResults:
         """Return what is found of each attack with its own budget, and the mean."""
         header = ["attack", "AUROC", "alone", "five", "caught at 1 %", "five", "at .1 %", "five", "degraded", "delay",
                   "idle", "scenes"]  # fmt: skip
-        rows, inside = [], list[Detection]()
+        rows, inside = [], dict[str, list[Detection]]()
         for case, found in self.detections.items():
             if case.kind == "attack" and not case.level.isdecimal():
                 level = "" if case.level == DEFAULT else f", {case.level}"
                 rows.append([f"{case.name}{level} ({family_of(case.name)})", *_words(found)])
                 if case.name not in APART:
-                    inside.append(found)
-        if inside:
+                    inside.setdefault(_kind_of(case.name), []).append(found)
+        for kind, several in inside.items():
             areas: list[Callable[[Detection], Rate]] = [
                 lambda one: one.area, lambda one: one.area_alone, lambda one: one.area_five, lambda one: one.caught,
                 lambda one: one.caught_five, lambda one: one.caught_low, lambda one: one.caught_low_five,
                 lambda one: one.degraded,
             ]  # fmt: skip
-            means = [format_rate(mean_rate([area(one) for one in inside])) for area in areas]
-            rows.append(["**mean**", *means, "", "", ""])
+            means = [format_rate(mean_rate([area(one) for one in several])) for area in areas]
+            rows.append([f"**mean, {kind}**", *means, "", "", ""])
         return Table(header, rows)
 
     def severity_table(self) -> Table:
@@ -175,7 +178,7 @@ class MonitorResults:
             for severity in severities:
                 case = Case("corruption", name, str(severity))
                 of_drive = np.array([one == case for one in conditions])[table.drive]
-                from_start.append((table.case == 0) & (table.frame > 0) & of_drive)
+                from_start.append((table.case == 0) & (table.frame >= ONSET) & of_drive)
                 half_way.append(table.is_case([case]))
             rows.append([name, *(words(mask) for mask in (*from_start, *half_way))])
             every = [total | mask for total, mask in zip(every, (*from_start, *half_way), strict=True)]
@@ -218,6 +221,50 @@ class MonitorResults:
             rows.append(["**mean**", format_rate(float(np.mean(overlaps))), format_rate(float(np.mean(false))), ""])
         return Table(["attack", "overlap", "false discoveries", "sweeps that alarm"], rows)
 
+    def recorded_table(self) -> Table | None:
+        """Return how many measured sweeps are called inconsistent by sensor; None without any."""
+        found = self.recorded
+        if found is None:
+            return None
+        benign = found.table.case == 0
+        corrected = found.corrected_p_values()
+        rows = []
+        for sensor in (*sorted(set(found.sensors[benign])), ""):
+            mine = benign & ((found.sensors == sensor) | (sensor == ""))
+            drives = np.unique(found.table.drive[mine])
+            alarms = [int((p[mine] <= RATE).sum()) for p in (found.p, corrected)]
+            low, high = binomtest(alarms[0], int(mine.sum())).proportion_ci(0.95)
+            rows.append([
+                sensor or "**all**", str(len(drives)), str(int(mine.sum())), str(alarms[0]),
+                f"[{format_rate(low, 2)}, {format_rate(high, 2)}]", str(alarms[1]),
+                format_rate(float(np.median(found.p[mine])), 2),
+            ])  # fmt: skip
+        header = ["sensor", "drives", "sweeps", "inconsistent", "rate, 95 %", "corrected", "median p"]
+        return Table(header, rows)
+
+    def recorded_attacks_table(self) -> Table | None:
+        """Return what is found of attacks on measured sweeps; None without any."""
+        found = self.recorded
+        if found is None:
+            return None
+        benign, rows = -np.log(found.p[found.table.case == 0]), []
+        for name in self.plan.attacks:
+            mask = found.table.is_case([Case("attack", name, DEFAULT)]) & found.table.touched.any(axis=1)
+            if mask.any():
+                drive = found.table.drive[mask]
+                below = [((benign < one).mean() + (benign <= one).mean()) / 2 for one in -np.log(found.p[mask])]
+                area, caught = Rate.of(np.array(below), drive), Rate.of((found.p[mask] <= RATE) * 1.0, drive)
+                rows.append([f"{name} ({family_of(name)})", _interval(area), _interval(caught), str(int(mask.sum()))])
+        return Table(["attack", "AUROC", "caught at 1 %", "sweeps"], rows)
+
+    @cached_property
+    def recorded(self) -> RecordedScores | None:
+        """Measured sweeps; None where the study has none."""
+        if not any((self.folder / FOLDER).glob(f"{RECORDED}-*.npz")):
+            return None
+        table = SweepTable.read(self.folder, RECORDED)
+        return RecordedScores.of(table, self._evaluation(ALL_FAMILIES, self.test, self.over_time))
+
     def evidence_table(self) -> Table:
         """Return how much of the area under the curve is lost without each kind of evidence."""
         cases = [
@@ -245,6 +292,11 @@ class MonitorResults:
                 f"{format_rate(whole[worst])} → {format_rate(without[worst])}",
             ])  # fmt: skip
         return Table(["evidence", "AUROC", "most is lost for", "its AUROC"], rows)
+
+
+def _kind_of(name: str) -> str:
+    """Return whose attacks a mean is over."""
+    return "informed" if name in INFORMED else "clean spoofer" if name.endswith(CLEAN) else "measured spoofer"
 
 
 def _located(scored: Scored, benign: NDArray[np.float32]) -> tuple[float, float]:
@@ -302,6 +354,8 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "corruptions": results.corruption_table,
         "nulls": results.null_table,
         "where": results.where_table,
+        "recorded": results.recorded_table,
+        "recorded_attacks": results.recorded_attacks_table,
         "evidence": results.evidence_table,
     })  # fmt: skip
     tables = {"calibration": results.calibration, "test": results.test}

@@ -11,7 +11,7 @@ from viewshed.integrity.evidence import EVIDENCE
 from viewshed.studies.cases import DEFAULT, corruption_cases, generator, strength_cases
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 from viewshed.studies.records import Case
-from viewshed.threats.attacks import ATTACKS, FAMILY
+from viewshed.threats.attacks import ATTACKS, FAMILY, INFORMED
 from viewshed.threats.corruptions import CORRUPTIONS
 
 SPLITS = ("train", "calibration", "test")
@@ -42,6 +42,9 @@ ALL_FAMILIES = "all"
 
 STEPS = ("drives", "score", "page")
 
+ALL_ATTACKS = ATTACKS | INFORMED
+"""Attacks by name, those of attackers who know what a monitor looks at among them."""
+
 BUDGETS = (10, 30, 100, 300, 1000)
 """Returns that an attacker touches, to find the smallest number that raises an alarm."""
 
@@ -58,7 +61,7 @@ class MonitorPlan(Plan):
         attacked: drives of each domain, in training and in test, that are tried in several cases as well.
         cases: of each such drive, in turn.
         evidence: that is measured, all there is.
-        attacks: names of ``ATTACKS``, each with its own budget.
+        attacks: names of ``ALL_ATTACKS``, each with its own budget.
         budgeted: names of those that are tried with ``BUDGETS`` as well.
         corruptions: names of ``CORRUPTIONS``.
         severities: of the corruptions that begin in the middle of a drive.
@@ -71,7 +74,7 @@ class MonitorPlan(Plan):
 
     FOLDER: ClassVar[str] = "studies/monitor/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
-        "attacks": ATTACKS,
+        "attacks": ALL_ATTACKS,
         "corruptions": CORRUPTIONS,
         "evidence": EVIDENCE,
     }
@@ -95,7 +98,7 @@ class MonitorPlan(Plan):
     def __post_init__(self) -> None:
         check_names("domains", self.domains, preset_names(), once=True)
         check_names("evidence", self.evidence, EVIDENCE, once=True)
-        check_names("attacks", self.attacks, ATTACKS)
+        check_names("attacks", self.attacks, ALL_ATTACKS)
         check_names("budgeted", self.budgeted, ATTACKS)
         check_names("corruptions", self.corruptions, CORRUPTIONS)
         check_names("severities", self.severities, (1, 2, 3, 4, 5))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.calibration import alarm_limit
+from viewshed.integrity.calibration import Calibration, Group, alarm_limit
 from viewshed.integrity.score import EvidenceScore, pooled
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
@@ -196,9 +196,9 @@ class Evaluation:
 
     @cached_property
     def benign_calibration(self) -> Scored:
-        """All benign sweeps of the calibration drives but the first, before which nothing was measured."""
+        """All benign sweeps of the calibration drives before which enough was measured."""
         table = self.calibration
-        return Scored.of(self.model, table.rows((table.case == 0) & (table.frame > 0)), self.silent)
+        return Scored.of(self.model, table.rows((table.case == 0) & (table.frame >= ONSET)), self.silent)
 
     @cached_property
     def one_of_each_scene(self) -> Scored:
@@ -218,8 +218,8 @@ class Evaluation:
 
     @cached_property
     def benign(self) -> Scored:
-        """Benign sweeps of the test drives but the first of each."""
-        return self.tested.rows((self.test.case == 0) & (self.test.frame > 0))
+        """Benign sweeps of the test drives before which enough was measured."""
+        return self.tested.rows((self.test.case == 0) & (self.test.frame >= ONSET))
 
     def limits(self, verdict: int, rate: float, *, five: bool = False) -> Limits:
         """Return the limits of a verdict; of *degraded* from clear drives alone, for rain is no false alarm there.
@@ -231,6 +231,62 @@ class Evaluation:
         """
         scored = self.benign_calibration.of_drives() if five else self.one_of_each_scene
         return Limits.of(scored.rows(scored.is_clear) if verdict == DEGRADED else scored, verdict, rate)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedScores:
+    """Measured sweeps by their p-values among simulated ones.
+
+    Attributes:
+        table: of the sweeps.
+        scores: (N,) what is inconsistent.
+        groups: (N,) sensor and history of each sweep.
+        calibration: of simulated scenes.
+        p: (N,) p-values among these.
+    """
+
+    table: SweepTable
+    scores: Floats
+    groups: tuple[Group, ...]
+    calibration: Calibration
+    p: Floats
+
+    @classmethod
+    def of(cls, table: SweepTable, alone: Evaluation) -> RecordedScores:
+        """Return the sweeps of a table by the limits of simulated sweeps before which nothing was measured."""
+        benign: dict[Group, Floats] = {}
+        scored = alone.one_of_each_scene
+        for sensor in np.unique(scored.sensors):
+            mine = scored.sensors == sensor
+            if mine.sum() >= 1 / RATE - 1:
+                benign[Group(str(sensor), "none")] = scored.scores[mine, INCONSISTENT].astype(np.float64)
+        calibration = Calibration(benign, RATE)
+        rows = Scored.of(alone.model, table)
+        groups = tuple(Group(str(sensor), "none") for sensor in rows.sensors)
+        scores = rows.scores[:, INCONSISTENT].astype(np.float64)
+        p = np.array([calibration.p_value(*each) for each in zip(scores, groups, strict=True)])
+        return cls(table, scores, groups, calibration, p)
+
+    @property
+    def sensors(self) -> NDArray[np.str_]:
+        """Sensor (N,) of each sweep."""
+        return np.array([group.sensor for group in self.groups])
+
+    def corrected_p_values(self) -> Floats:
+        """Return p-values (N,) corrected by one sweep of each drive of the other half; NaN where too few."""
+        corrected = np.full(len(self.p), np.nan)
+        half = self.table.drive % 2
+        for fold in (0, 1):
+            others = (half != fold) & (self.table.case == 0)
+            _, first = np.unique(self.table.drive[others], return_index=True)
+            real = [(self.groups[k], self.scores[k]) for k in np.flatnonzero(others)[first]]
+            try:
+                calibration = self.calibration.corrected(real)
+            except ValueError:
+                continue
+            for k in np.flatnonzero(half == fold):
+                corrected[k] = calibration.p_value(self.scores[k], self.groups[k])
+        return corrected
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ A whole object vanishes before the background that its neighborhood shows; a rea
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
@@ -18,7 +19,7 @@ from viewshed.sweep import Sweep
 from viewshed.threats.attacks.adaptive import Objective
 from viewshed.threats.attacks.assembly import untouched
 from viewshed.threats.attacks.base import Attack, Tampered, Wedge
-from viewshed.threats.attacks.beam_lattice import Rays, rays_in
+from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, rays_in
 from viewshed.threats.attacks.spoofer import (
     FULL_CIRCLE,
     LEAVE,
@@ -28,7 +29,7 @@ from viewshed.threats.attacks.spoofer import (
     level_rays,
     scene_of,
 )
-from viewshed.threats.parameters import Between, Budget, Checked, Range, Sector
+from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector
 
 Floats = NDArray[np.float64]
 
@@ -36,11 +37,8 @@ Ints = NDArray[np.intp]
 
 Mask = NDArray[np.bool_]
 
-SURE_SPOOFER = Spoofer(1.0, None, 0.0)
-"""One that wins every beam it aims at, with no noise but the sensor's."""
-
 EXACT_SPOOFER = Spoofer(1.0, 0.0, 0.0)
-"""The same without any noise, for ranges that have it from the sensor already."""
+"""One that wins every beam it aims at and adds no noise: its ranges have that of the sensor already."""
 
 _JUMP_M = 1.2
 """Returns of neighboring beams belong to one object where their depths differ by less."""
@@ -51,7 +49,7 @@ _REACH = 2
 _SKIRT_M = 0.5
 """Returns below an object, too low for an obstacle, that are less than this nearer or farther than it are its own."""
 
-_SIDE = 6
+_SIDE = 8
 """Columns to either side of a gap whose beams tell what is behind it."""
 
 _BEHIND_M = 0.3
@@ -59,6 +57,9 @@ _BEHIND_M = 0.3
 
 _FEWEST = 12
 """Returns of the smallest object that is worth an attack."""
+
+_VANISHING_SHARE = 0.5
+"""An object vanishes where something is known to lie behind so many of its beams."""
 
 _DOWN = -0.005
 """Beams that fall by less than this a meter show no ground that could be continued."""
@@ -111,7 +112,8 @@ def _image_of(sweep: Sweep) -> _BeamImage:
     """Return the beams of a sweep with its objects: obstacles that hang together in depth."""
     rays = rays_in(sweep, FULL_CIRCLE, empty=True)
     rays = rays.select(rays.ring >= 0)
-    shape = (int(rays.ring.max(initial=-1)) + 1, int(rays.column.max(initial=-1)) + 1)
+    lattice = lattice_of(sweep)
+    shape = (0, 0) if lattice is None else lattice.rows.shape
     number = np.full(shape, -1)
     number[rays.ring, rays.column] = np.arange(len(rays))
     depth_m, obstacle = np.full(shape, np.inf), np.zeros(shape, np.bool_)
@@ -211,38 +213,60 @@ class VanishedObject(Checked):
     """A whole object vanishes: each of its beams reports what the same ring shows beside the object.
 
     Ground goes on where both sides show ground, at the heights that they show; else the farther side goes on. No part
-    of the object is left, nothing lies below the ground, nothing is seen through, no beam is lost. Without an object
-    that fits into the sector nothing is done.
+    of the object is left, nothing lies below the ground, nothing is seen through; noise and lost beams are as beside
+    it. Without an object that fits into the sector nothing is done.
 
     Attributes:
         budget: objects with more beams stay; None for any.
         sector_deg: objects must be narrower than this.
+        azimuth: the object nearest to it in the sensor's frame vanishes; None draws one.
         near_m: objects nearer than this vanish.
         spoofer: how well the beams are won.
     """
 
     budget: Budget = None
     sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
     near_m: Range = 25.0
-    spoofer: Spoofer = SURE_SPOOFER
+    spoofer: Spoofer = EXACT_SPOOFER
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
-        if not objects:
-            return untouched(sweep)
-        chosen = _draw(objects, rng)
-        wanted_m = np.full(len(image.rays), LEAVE)
-        number, background_m = _background(sweep, image, chosen)
-        wanted_m[number] = np.where(background_m > image.rays.depth_m[number] + _BEHIND_M, background_m, LEAVE)
-        return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
+        for chosen in _drawn(objects, rng) if self.azimuth is None else _nearest_first(image, objects, self.azimuth):
+            number, background_m = _background(sweep, image, chosen, rng)
+            behind = background_m > image.rays.depth_m[number] + _BEHIND_M
+            if behind.mean() > _VANISHING_SHARE:
+                wanted_m = np.full(len(image.rays), LEAVE)
+                wanted_m[number] = np.where(behind, background_m, LEAVE)
+                return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
+        return untouched(sweep)
 
 
-def _draw(objects: list[_Object], rng: np.random.Generator) -> _Object:
-    """Return one of the objects, drawn in proportion to their returns: large ones hide more."""
-    size = np.array([len(one.ring) for one in objects], np.float64)
-    return objects[rng.choice(len(objects), p=size / size.sum())]
+def _drawn(objects: list[_Object], rng: np.random.Generator) -> list[_Object]:
+    """Return the objects in an order drawn at random, as :func:`_random_one` draws them."""
+    left, order = list(objects), list[_Object]()
+    while left:
+        order.append(left.pop(_random_one(left, rng)))
+    return order
+
+
+def _random_one(objects: list[_Object], rng: np.random.Generator) -> int:
+    """Return the number of an object drawn in proportion to its returns: large ones hide more."""
+    returns = np.array([len(one.ring) for one in objects], np.float64)
+    return int(rng.choice(len(objects), p=returns / returns.sum()))
+
+
+def _nearest_first(image: _BeamImage, objects: list[_Object], azimuth: float) -> list[_Object]:
+    """Return the objects by how far their middle is from an azimuth."""
+    return sorted(objects, key=lambda one: abs((_azimuth_of(image, one) - azimuth + np.pi) % (2 * np.pi) - np.pi))
+
+
+def _azimuth_of(image: _BeamImage, one: _Object) -> float:
+    """Return the azimuth of an object's middle in the sensor's frame."""
+    number = image.number[one.ring, (one.first + one.column) % image.depth_m.shape[1]]
+    return _wedge_of(image, number[number >= 0]).azimuth
 
 
 def _wedge_of(image: _BeamImage, number: Ints) -> Wedge:
@@ -254,59 +278,96 @@ def _wedge_of(image: _BeamImage, number: Ints) -> Wedge:
     return Wedge(middle, min(2 * float(apart.max()) + np.deg2rad(_ROOM_DEG), 2 * np.pi))
 
 
-def _background(sweep: Sweep, image: _BeamImage, chosen: _Object) -> tuple[Ints, Floats]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Side:
+    """What the beams of a ring show beside a gap.
+
+    Attributes:
+        depth_m: their median depth, +inf where most did not return.
+        height_m: their median height in the level frame where they show ground, else NaN.
+        residual_m: (S,) how far each return is behind a straight line through them.
+        lost_share: of the beams, those that did not return.
+    """
+
+    depth_m: float
+    height_m: float
+    residual_m: Floats
+    lost_share: float
+
+
+_NOTHING_SEEN = _Side(np.inf, np.nan, np.zeros(1), 0.0)
+
+
+def _background(sweep: Sweep, image: _BeamImage, chosen: _Object, rng: np.random.Generator) -> tuple[Ints, Floats]:
     """Return the rays (P,) of an object and what they would report without it, in meters, by the beams beside it."""
     circle = image.depth_m.shape[1]
-    pixel = (chosen.ring, (chosen.first + chosen.column) % circle)
-    number = image.number[pixel]
+    number = image.number[chosen.ring, (chosen.first + chosen.column) % circle]
     start, direction = level_rays(sweep, image.rays)
     background_m = np.full(len(number), NO_RETURN)
-    for ring in np.unique(chosen.ring):
+    for ring in np.unique(chosen.ring[number >= 0]):
         mine = (chosen.ring == ring) & (number >= 0)
         ahead = chosen.column[mine]
-        if not len(ahead):
-            continue
         low, high = int(ahead.min()), int(ahead.max())
         left, right = (
             _side(image, start, direction, ring, (chosen.first + first + np.arange(_SIDE)) % circle)
             for first in (low - _SIDE, high + 1)
         )
         share = (ahead - low + 1) / (high - low + 2)
-        background_m[mine] = _between(left, right, share, start[number[mine], 2], direction[number[mine], 2])
+        background_m[mine] = _between(left, right, share, start[number[mine], 2], direction[number[mine], 2], rng)
     fired = number >= 0
     return number[fired], background_m[fired]
 
 
-def _side(image: _BeamImage, start: Floats, direction: Floats, ring: int, columns: Ints) -> tuple[float, float]:
-    """Return the depth beside a gap, +inf without returns, and for ground its height in the level frame, else NaN."""
+def _side(image: _BeamImage, start: Floats, direction: Floats, ring: int, columns: Ints) -> _Side:
+    """Return what the beams of a ring show in some columns (_SIDE,)."""
     number = image.number[ring, columns]
     number = number[number >= 0]
-    depth_m = image.rays.depth_m[number]
-    seen = np.isfinite(depth_m)
-    if seen.sum() * 2 < len(columns):
-        return np.inf, np.nan
-    ground = seen & ~image.obstacle[ring, image.rays.column[number]] & (direction[number, 2] < _DOWN)
-    if ground.sum() * 2 > seen.sum():
-        height_m = start[number, 2] + depth_m * direction[number, 2]
-        return float(np.median(depth_m[ground])), float(np.median(height_m[ground]))
-    return float(np.median(depth_m[seen])), np.nan
+    seen = number[np.isfinite(image.rays.depth_m[number])]
+    if len(seen) * 2 < len(columns):
+        return _NOTHING_SEEN
+    lost_share = 1.0 - len(seen) / len(number)
+    ground = ~image.obstacle[ring, image.rays.column[seen]] & (direction[seen, 2] < _DOWN)
+    if ground.sum() * 2 <= len(seen):
+        depth_m = image.rays.depth_m[seen]
+        return _Side(float(np.median(depth_m)), np.nan, _residuals(depth_m), lost_share)
+    seen = seen[ground]
+    depth_m = image.rays.depth_m[seen]
+    height_m = float(np.median(start[seen, 2] + depth_m * direction[seen, 2]))
+    off_m = depth_m - (height_m - start[seen, 2]) / direction[seen, 2]
+    return _Side(float(np.median(depth_m)), height_m, _residuals(off_m), lost_share)
+
+
+def _residuals(depth_m: Floats) -> Floats:
+    """Return how far depths (S,) are off a straight line through them, as large as their noise is."""
+    if len(depth_m) < 4:
+        return np.zeros(1)
+    along = np.arange(len(depth_m))
+    slope, at_first_m = np.polyfit(along, depth_m, 1)
+    off_m: Floats = (depth_m - at_first_m - slope * along) * np.sqrt(len(depth_m) / (len(depth_m) - 2))
+    return off_m
 
 
 def _between(
-    left: tuple[float, float], right: tuple[float, float], share: Floats, start_z: Floats, down: Floats
+    left: _Side, right: _Side, share: Floats, start_z: Floats, down: Floats, rng: np.random.Generator
 ) -> Floats:
     """Return depths (P,) between two sides, ``share`` (P,) of the way from left to right.
 
     Ground between ground, its height by that of both; a surface between two of about the same depth; else what is
-    farther goes on to the other side's edge. Rays start at ``start_z`` (P,) and fall by ``down`` (P,) a meter.
+    farther goes on to the other side's edge. Noise and losses are those of the sides. Rays start at ``start_z`` (P,)
+    and fall by ``down`` (P,) a meter.
     """
-    (left_m, left_z), (right_m, right_z) = left, right
-    if np.isfinite(left_z) and np.isfinite(right_z):
-        return _to_ground(left_z + share * (right_z - left_z), start_z, down)
-    if abs(left_m - right_m) < 0.1 * min(left_m, right_m) and np.isfinite(left_m):
-        return left_m + share * (right_m - left_m)
-    depth_m, height_m = max(left, right, key=lambda side: side[0])
-    return _to_ground(height_m, start_z, down) if np.isfinite(height_m) else np.full(len(share), depth_m)
+    sides = [left, right]
+    if np.isfinite(left.height_m) and np.isfinite(right.height_m):
+        depth_m = _to_ground(left.height_m + share * (right.height_m - left.height_m), start_z, down)
+    elif abs(left.depth_m - right.depth_m) < 0.1 * min(left.depth_m, right.depth_m) and np.isfinite(left.depth_m):
+        depth_m = left.depth_m + share * (right.depth_m - left.depth_m)
+    else:
+        sides = [max(sides, key=lambda side: side.depth_m)]
+        ground_m = _to_ground(sides[0].height_m, start_z, down)
+        depth_m = ground_m if np.isfinite(sides[0].height_m) else np.full(len(share), sides[0].depth_m)
+    residual_m = np.concatenate([side.residual_m for side in sides])
+    lost = rng.random(len(share)) < np.mean([side.lost_share for side in sides])
+    return np.where(lost, NO_RETURN, depth_m + rng.choice(residual_m, len(share)))
 
 
 def _to_ground(height_m: Floats | float, start_z: Floats, down: Floats) -> Floats:
@@ -323,12 +384,14 @@ class CopiedObject(Checked):
     Attributes:
         budget: objects with more beams stay; None for any.
         sector_deg: objects must be narrower than this.
+        azimuth: middle of the copy in the sensor's frame, where the largest object that fits is shown; None draws both.
         near_m: objects nearer than this are copied.
         spoofer: how well the beams are won.
     """
 
     budget: Budget = None
     sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
     near_m: Range = 25.0
     spoofer: Spoofer = EXACT_SPOOFER
 
@@ -337,8 +400,7 @@ class CopiedObject(Checked):
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
         circle = image.depth_m.shape[1]
-        for _ in range(_PLACES if objects else 0):
-            chosen, turn = _draw(objects, rng), int(rng.integers(circle))
+        for chosen, turn in self._places(image, objects, rng):
             column = (chosen.first + chosen.column) % circle
             number = image.number[chosen.ring, (column + turn) % circle]
             depth_m = image.depth_m[chosen.ring, column]
@@ -351,6 +413,18 @@ class CopiedObject(Checked):
                 wanted_m[number] = np.where(image.rays.depth_m[number] > depth_m - _SKIRT_M, depth_m, LEAVE)
                 return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
         return untouched(sweep)
+
+    def _places(
+        self, image: _BeamImage, objects: list[_Object], rng: np.random.Generator
+    ) -> Iterator[tuple[_Object, int]]:
+        """Yield objects and the columns by which each is turned: as it comes, or the largest first to one azimuth."""
+        circle = image.depth_m.shape[1]
+        if self.azimuth is None:
+            for turn in rng.integers(circle, size=_PLACES if objects else 0):
+                yield objects[_random_one(objects, rng)], int(turn)
+            return
+        for one in sorted(objects, key=lambda one: -len(one.ring)):
+            yield one, round((self.azimuth - _azimuth_of(image, one)) * circle / (2 * np.pi)) % circle
 
 
 def _is_open(sweep: Sweep, image: _BeamImage, chosen: _Object, turn: int, depth_m: Floats, number: Ints) -> bool:

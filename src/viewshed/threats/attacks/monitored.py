@@ -51,6 +51,7 @@ def tripped_shares(
     *,
     mode: Mode = "beam_constrained",
     budgets: Sequence[int] = BITS,
+    places: int = 4,
     queries: int = 40,
     spoofer: Spoofer = MEASURED_SPOOFER,
 ) -> NDArray[np.float64]:
@@ -64,14 +65,16 @@ def tripped_shares(
         rng: all that is random.
         mode: how the attacker spoofs.
         budgets: returns, ascending.
-        queries: most questions to the monitor for each sweep and budget.
+        places: wedges that the attacker tries, of which the one that promises most is attacked.
+        queries: most questions to the monitor for each wedge.
         spoofer: how well the beams are won.
     """
     tripped = np.zeros((len(budgets), len(watched)), np.bool_)
     for column, (sweep, score) in enumerate(watched):
         for row, budget in enumerate(budgets):
             attack = BlackBox(Trip(score), budget, queries, mode=mode, spoofer=spoofer)
-            if score(attack.apply(sweep, rng).sweep) > limit:
+            plans = [attack.search(sweep, rng) for _ in range(places)]
+            if score(max(plans, key=lambda plan: plan.value).tampered.sweep) > limit:
                 tripped[row:, column] = True
                 break
     shares: NDArray[np.float64] = tripped.mean(axis=1)

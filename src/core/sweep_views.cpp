@@ -1,0 +1,232 @@
+#include "sweep_views.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+constexpr float NONE = std::numeric_limits<float>::infinity();
+
+// Returns between these heights above the ground are obstacles; at most so many of a sweep are compared.
+constexpr float LEAST_HEIGHT_M = 0.3f, MOST_HEIGHT_M = 3.0f;
+constexpr std::size_t MOST_OBSTACLES = 2200;
+
+// Directions in which it is known how far the air is free.
+constexpr int DIRECTIONS = 360;
+
+// Nothing is seen of what is nearer to the sensor than this.
+constexpr float BLIND_M = 2.5f;
+
+// A return belongs to a surface within this distance and share of the range; beams pass freely if they end farther beyond
+// than this.
+constexpr float SAME_M = 0.5f, SAME_SHARE = 0.02f, BEYOND_M = 1.0f, BEYOND_SHARE = 0.04f;
+
+// Half the width of what beams must pass beside a place to show that it is free, and the most columns to either side.
+constexpr float HALF_WIDTH_M = 0.4f;
+constexpr int MOST_COLUMNS = 4;
+
+// Returns that show a free passage, of them in the ring itself.
+constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
+
+// Columns beside a beam in which the nearest range is looked for; farther than this it is another surface.
+constexpr int BESIDE = 2;
+constexpr float NEAR_M = 1.0f;
+
+int direction_of(Point3 level) {
+    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(DIRECTIONS) / (2 * PI)), DIRECTIONS);
+}
+
+}  // namespace
+
+SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, View1<const float> elevation,
+                     View1<const float> origin_m, View2<const float> points, View1<const float> height_m, View1<const float> range_m,
+                     View1<const float> azimuth, View1<const bool> isolated, const Transform& sensor_from_level)
+    : rings_(squared_m2.rows),
+      columns_(squared_m2.columns),
+      range_m_(squared_m2.size()),
+      phase_(phase.begin(), phase.end()),
+      sine_(rings_),
+      cosine_(rings_),
+      spacing_(rings_),
+      origin_m_(origin_m.begin(), origin_m.end()),
+      ring_of_sine_(SINES, -1),
+      cover_m_(DIRECTIONS, NONE),
+      sensor_from_level_(sensor_from_level) {
+    // 1. Ranges of the pixels; the ring whose beams have an elevation: the nearest, no farther than the rings are apart.
+    for (std::size_t k = 0; k < range_m_.size(); ++k) range_m_[k] = std::sqrt(squared_m2.data[k]);
+    std::vector<std::pair<float, std::int16_t>> order;
+    for (std::size_t r = 0; r < rings_; ++r) {
+        sine_[r] = std::sin(elevation[r]);
+        cosine_[r] = std::cos(elevation[r]);
+        order.emplace_back(sine_[r], std::int16_t(r));
+    }
+    std::sort(order.begin(), order.end());
+    for (std::size_t k = 0; k < order.size(); ++k) {
+        const float sine = order[k].first;
+        const float below = k > 0 ? sine - order[k - 1].first : NONE;
+        const float above = k + 1 < order.size() ? order[k + 1].first - sine : NONE;
+        const float alone = order.size() > 1 ? std::min(below, above) : 0.02f;
+        const float low = sine - 0.5f * (below < NONE ? below : alone);
+        const float high = sine + 0.5f * (above < NONE ? above : alone);
+        spacing_[std::size_t(order[k].second)] = high - low;
+        const int first = std::clamp(int(std::ceil((low + 1.0f) * (SINES / 2))), 0, SINES - 1);
+        const int last = std::clamp(int(std::floor((high + 1.0f) * (SINES / 2))), 0, SINES - 1);
+        for (int s = first; s <= last; ++s) ring_of_sine_[std::size_t(s)] = order[k].second;
+    }
+
+    // 2. The obstacles, and by direction the nearest of them, or the farthest ground where there is none.
+    std::vector<float> ground_m(DIRECTIONS, 0.0f);
+    std::vector<std::size_t> rows;
+    constexpr float per_rad = float(DIRECTIONS) / (2 * PI);
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        const auto direction = std::size_t(bin_of((azimuth[n] + PI) * per_rad, DIRECTIONS));
+        if (height_m[n] <= LEAST_HEIGHT_M) {
+            ground_m[direction] = std::max(ground_m[direction], range_m[n]);
+        } else if (height_m[n] < MOST_HEIGHT_M) {
+            cover_m_[direction] = std::min(cover_m_[direction], range_m[n]);
+            if (!isolated[n]) rows.push_back(n);
+        }
+    }
+    for (std::size_t k = 0; k < DIRECTIONS; ++k) {
+        if (cover_m_[k] == NONE) cover_m_[k] = ground_m[k];
+    }
+    obstacle_step_ = rows.size() / MOST_OBSTACLES + 1;
+    obstacles_.reserve(rows.size() / obstacle_step_ + 1);
+    // One of each step's, not always the same: else only some rings, or some columns, would be taken.
+    std::uint32_t random = 1;
+    for (std::size_t k = 0; k < rows.size(); k += obstacle_step_) {
+        random = random * 1664525u + 1013904223u;
+        const float* p = points[rows[std::min(k + (random >> 16) % obstacle_step_, rows.size() - 1)]];
+        obstacles_.push_back(sensor_from_level({p[0], p[1], p[2]}));
+    }
+}
+
+SweepView::Pixel SweepView::pixel_of(Point3 p) const {
+    const float range_m = std::sqrt(p.x * p.x + p.y * p.y + p.z * p.z);
+    if (!(range_m > 1e-3f && range_m < 1e6f)) return {-1, 0, 0.0f, range_m};
+    // The ring seen from the sensor's origin, then from where the beams of that ring start.
+    int ring = ring_at(p.z / range_m);
+    if (ring < 0) return {-1, 0, 0.0f, range_m};
+    if (origin_m_[std::size_t(ring)] != 0.0f) {
+        const float z = p.z - origin_m_[std::size_t(ring)];
+        ring = ring_at(z / std::sqrt(p.x * p.x + p.y * p.y + z * z));
+        if (ring < 0) return {-1, 0, 0.0f, range_m};
+    }
+    const float column = (azimuth_of(p.y, p.x) + PI) * (float(columns_) / (2 * PI)) + 0.5f - phase_[std::size_t(ring)];
+    const float whole = std::floor(column);
+    return {ring, wrapped(int(whole)), column - whole - 0.5f, range_m};
+}
+
+float SweepView::area_of_pixel(Point3 p) const {
+    const Pixel pixel = pixel_of(p);
+    if (pixel.ring < 0) return 0.0f;
+    return pixel.range_m * pixel.range_m * (2 * PI / float(columns_)) * spacing_[std::size_t(pixel.ring)];
+}
+
+Point3 SweepView::at(int ring, int column, float range_m) const {
+    const auto r = std::size_t(ring);
+    const float azimuth = (float(column) + phase_[r]) * (2 * PI / float(columns_)) - PI;
+    const float level_m = range_m * cosine_[r];
+    return {level_m * std::cos(azimuth), level_m * std::sin(azimuth), range_m * sine_[r] + origin_m_[r]};
+}
+
+Seen SweepView::look_at(Point3 p) const {
+    const Pixel pixel = pixel_of(p);
+    if (pixel.ring < 0) return Seen::UNKNOWN;
+    // Most places are those of a surface that this sweep saw with the same beam.
+    const float same_m = SAME_M + SAME_SHARE * pixel.range_m;
+    if (std::fabs(ring(std::size_t(pixel.ring))[pixel.column] - pixel.range_m) <= same_m) return Seen::OCCUPIED;
+    // The ring at the place and the one above it, as many columns to either side as half a meter is wide. Beams of the ring
+    // below may end on the ground before it.
+    const float step_m = pixel.range_m * (2 * PI / float(columns_));
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
+    int returns = 0, beyond = 0, beyond_in_ring = 0;
+    float nearest_m = NONE, farthest_m = 0.0f;
+    for (int r = pixel.ring; r <= std::min(pixel.ring + 1, int(rings_) - 1); ++r) {
+        const float* row = ring(std::size_t(r));
+        for (int k = -half; k <= half; ++k) {
+            const float range_m = row[wrapped(pixel.column + k)];
+            if (range_m == NONE) continue;
+            ++returns;
+            beyond += range_m > beyond_m;
+            beyond_in_ring += range_m > beyond_m && r == pixel.ring;
+            nearest_m = std::min(nearest_m, range_m);
+            farthest_m = std::max(farthest_m, range_m);
+        }
+    }
+    if (returns == 0) return is_covered(p) ? Seen::UNKNOWN : Seen::SILENT;
+    if (nearest_m <= pixel.range_m + same_m && farthest_m >= pixel.range_m - same_m) return Seen::OCCUPIED;
+    if (beyond == returns && beyond >= LEAST_BEYOND && beyond_in_ring >= LEAST_IN_RING) return Seen::FREE;
+    return Seen::UNKNOWN;
+}
+
+bool SweepView::is_covered(Point3 p) const {
+    const Point3 level = leveled(p);
+    const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
+    const int middle = direction_of(level);
+    for (const int direction : {middle - 1, middle, middle + 1}) {
+        const float cover_m = cover_m_[std::size_t((direction + DIRECTIONS) % DIRECTIONS)];
+        if (cover_m > 0.0f && cover_m < range_m - SAME_M) return true;
+    }
+    return false;
+}
+
+bool SweepView::is_pierced(Point3 p) const {
+    const Pixel pixel = pixel_of(p);
+    if (pixel.ring < 0) return false;
+    const float* row = ring(std::size_t(pixel.ring));
+    const float same_m = SAME_M + SAME_SHARE * pixel.range_m;
+    const float own_m = row[pixel.column];
+    if (!(own_m < NONE && own_m > pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m)) return false;
+    const auto ends_here = [&](int step) {
+        for (int k = 1; k <= BESIDE; ++k) {
+            if (std::fabs(row[wrapped(pixel.column + step * k)] - pixel.range_m) < same_m) return true;
+        }
+        return false;
+    };
+    return ends_here(-1) && ends_here(1);
+}
+
+float SweepView::range_difference(Point3 p) const {
+    const Pixel pixel = pixel_of(p);
+    if (pixel.ring < 0) return std::numeric_limits<float>::quiet_NaN();
+    const float* row = ring(std::size_t(pixel.ring));
+    const float own_m = row[pixel.column], next_m = row[wrapped(pixel.column + (pixel.aside < 0.0f ? -1 : 1))];
+    const float difference = pixel.range_m - (own_m + (next_m - own_m) * std::fabs(pixel.aside));
+    const bool is_one = std::fabs(next_m - own_m) < SAME_M && std::fabs(difference) < NEAR_M;
+    return is_one ? difference : std::numeric_limits<float>::quiet_NaN();
+}
+
+Point3 SweepView::leveled(Point3 p) const {
+    const auto& m = sensor_from_level_.m;  // its rotation, transposed
+    return {m[0] * p.x + m[4] * p.y + m[8] * p.z, m[1] * p.x + m[5] * p.y + m[9] * p.z,
+            m[2] * p.x + m[6] * p.y + m[10] * p.z};
+}
+
+float SweepView::distance_to_cover(Point3 p) const {
+    const Point3 level = leveled(p);
+    const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
+    const int middle = direction_of(level);
+    float least = std::min(cover_m_[std::size_t(middle)] - range_m, range_m - BLIND_M);
+    // Directions to either side, until the distance to their lines is greater than what was found.
+    for (int k = 1; k <= DIRECTIONS / 2 && least > 0.0f; ++k) {
+        const float turn = float(k) * (2 * PI / float(DIRECTIONS));
+        const float aside = k < DIRECTIONS / 4 ? range_m * std::sin(turn) : range_m;
+        if (aside >= least) break;
+        const float along = range_m * std::cos(turn);
+        for (const int direction : {middle - k, middle + k}) {
+            const float cover_m = cover_m_[std::size_t((direction + DIRECTIONS) % DIRECTIONS)];
+            const float ahead = std::max(cover_m - along, 0.0f);
+            const float across = range_m * std::sin(turn);
+            least = std::min(least, std::sqrt(ahead * ahead + across * across));
+        }
+    }
+    return std::max(least, 0.0f);
+}
+
+}  // namespace viewshed

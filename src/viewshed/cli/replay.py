@@ -1,0 +1,125 @@
+"""``viewshed replay``: the sweeps of a recording at the pace at which they were measured."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
+from viewshed.cli._outputs import Failures, Named, output_names
+from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli.estimate import Files, Method
+
+if TYPE_CHECKING:
+    from viewshed.pipeline import Answer
+
+USUAL_PERIOD_S = 0.1
+"""Between two sweeps whose times are not known or do not rise."""
+
+LONGEST_PERIOD_S = 2.0
+"""Longer gaps, as between the scenes of a recording, are cut to this."""
+
+
+@dataclass(slots=True)
+class Pace:
+    """Hands sweeps on when they are due.
+
+    Attributes:
+        rate: so many times as fast as they were measured; 0 waits for none.
+        time_s: of the last sweep that was handed on, since the first.
+    """
+
+    rate: float
+    time_s: float = 0.0
+
+    def kept(self, sweeps: Iterable[Named]) -> Iterator[Named]:
+        """Yield each sweep when it is due, at once if that is past."""
+        begun, last_ns = None, None
+        for named in sweeps:
+            if begun is None:
+                begun = time.monotonic()
+            else:
+                self.time_s += _period_s(last_ns, named.sweep.t_ns)
+            if self.rate:
+                time.sleep(max(0.0, begun + self.time_s / self.rate - time.monotonic()))
+            last_ns = named.sweep.t_ns
+            yield named
+
+
+def _period_s(last_ns: int | None, now_ns: int | None) -> float:
+    """Return the seconds between two sweeps.
+
+    >>> _period_s(0, 50_000_000), _period_s(None, 0), _period_s(5, 0), _period_s(0, 10**12)
+    (0.05, 0.1, 0.1, 2.0)
+    """
+    if last_ns is None or now_ns is None or now_ns <= last_ns:
+        return USUAL_PERIOD_S
+    return min((now_ns - last_ns) / 1e9, LONGEST_PERIOD_S)
+
+
+def replay(
+    files: Files = None,
+    method: Method = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    index: options.Index = None,
+    target: options.TargetName = "car",
+    history: HistorySweeps = 0,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Times as fast as it was measured.")] = 1.0,
+    as_fast: Annotated[bool, typer.Option("--as-fast", help="Wait for nothing, whatever --rate.")] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
+) -> None:
+    """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
+
+    A sweep that is not begun when the next one is due is dropped and counted, unless --as-fast.
+
+    Example: viewshed replay drive.mcap --rate 2
+    """
+    from viewshed.pipeline import Pipeline
+
+    estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
+    buffer = history_buffer(estimator, history)
+    reading, failures = Reading(sensor), Failures()
+    jobs = list(options.chosen(files or [], index))
+    names = output_names([file for file, _ in jobs])
+
+    def read() -> Iterator[Named]:
+        """Yield the sweeps once, or again and again as long as any can be read."""
+        is_any = True
+        while is_any:
+            is_any = False
+            for named in named_sweeps(reading, jobs, names, failures):
+                is_any = loop
+                yield named
+
+    due_s: dict[int, float] = {}
+    pace = Pace(0.0 if as_fast else rate)
+    publish = partial(_print, due_s=due_s, failures=failures)
+    pipeline = Pipeline(estimator, publish, history=buffer, lossless=as_fast)
+    try:
+        with pipeline:
+            for number, named in enumerate(pace.kept(read())):
+                due_s[number] = pace.time_s
+                pipeline.put(named.sweep, named.sweep.agent)
+    finally:
+        typer.echo(pipeline.statistics().line())
+    if failures.count:
+        raise typer.Exit(2)
+
+
+def _print(answer: Answer, due_s: dict[int, float], failures: Failures) -> None:
+    """Print the line of a sweep, and forget when it and those before it, which may have been dropped, were due."""
+    begin_s = due_s[answer.number]
+    for number in [number for number in due_s if number <= answer.number]:
+        del due_s[number]
+    if answer.estimate is None:
+        failures.report(f"{begin_s:.3f} s", ValueError(answer.refused))
+        return
+    visible = f"visible {answer.estimate.area_m2():.0f} m²"
+    typer.echo(f"{begin_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms")

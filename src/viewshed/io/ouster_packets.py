@@ -1,0 +1,376 @@
+"""Ouster's lidar packets: from UDP payloads and the sensor's metadata to the points of each revolution; numpy alone.
+
+Layouts as in Ouster's software user manual ("Lidar Data Packet Format"), geometry as in its "Lidar Range to XYZ"; tests
+hold both against ouster-sdk.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io._columns import IDENTITY, Columns
+from viewshed.io._input import one_line
+from viewshed.sensors import LidarModel
+
+_ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 columns; tables take 48 bytes a pixel
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """The bytes of a lidar packet: a header, columns (a header, pixels, a footer each), a footer.
+
+    Attributes:
+        pixel: bytes of a pixel; its first (or strongest) return is read.
+        range: type of the range at byte 0 of a pixel.
+        range_bits: how many of its bits are the range.
+        unit_mm: what one of the range stands for.
+        reflectivity: byte of the pixel where its reflectivity stands, one byte.
+        signal: byte where its signal stands, two bytes; None where it has none.
+        frame: byte of the packet and type of the revolution's number.
+        sender: bytes of the packet at which the number of the sensor's start (three bytes) and its serial number (five)
+            stand; None where it names no sender.
+        header, column_header, column_footer, footer: bytes.
+    """
+
+    pixel: int
+    range: str = "<u4"
+    range_bits: int = 19
+    unit_mm: int = 1
+    reflectivity: int = 4
+    signal: int | None = 6
+    frame: tuple[int, str] = (2, "<u2")
+    sender: tuple[int, int] | None = (4, 7)
+    header: int = 32
+    column_header: int = 12
+    column_footer: int = 0
+    footer: int = 32
+
+
+def _low_rate(pixel: int) -> Profile:
+    return Profile(pixel, "<u2", 15, 8, 2, None)
+
+
+PROFILES = {
+    "LEGACY": Profile(12, range_bits=20, frame=(10, "<u2"), sender=None, header=0, column_header=16, column_footer=4,
+                      footer=0),
+    "RNG19_RFL8_SIG16_NIR16": Profile(12),
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": Profile(12),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(16, reflectivity=3, signal=8),
+    "RNG15_RFL8_NIR8": _low_rate(4),
+    "RNG15_RFL8_WIN8": _low_rate(4),
+    "RNG15_RFL8_NIR8_DUAL": _low_rate(8),
+    "RNG15_RFL8_NIR8_ZONE16": _low_rate(8),
+    "FUSA_RNG15_RFL8_NIR8_DUAL": Profile(8, "<u2", 15, 8, 2, None, frame=(4, "<u4"), sender=(1, 11)),
+}  # fmt: skip
+"""Layouts by the metadata's ``udp_profile_lidar``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OusterMetadata:
+    """What the sensor's metadata say of its packets and beams; the highest beam first.
+
+    Attributes:
+        profile: layout of the packets.
+        columns: of a revolution.
+        columns_per_packet: of a packet.
+        window: first and last column that is measured; the first may be behind the last.
+        altitude: (rows,) float64 radians above the sensor's horizon.
+        azimuth: (rows,) float64 radians by which a beam is turned from its column, counter-clockwise.
+        origin_mm: where a beam starts in the plane of its column: distance from the axis, and height.
+        sensor_from_lidar: (4, 4) float64, millimeters.
+        product: name of the product line.
+        start: number of the sensor's start, 0 where it is not said.
+        serial: serial number, 0 where it is not said.
+    """
+
+    profile: Profile
+    columns: int
+    columns_per_packet: int
+    window: tuple[int, int]
+    altitude: NDArray[np.float64]
+    azimuth: NDArray[np.float64]
+    origin_mm: tuple[float, float]
+    sensor_from_lidar: NDArray[np.float64]
+    product: str
+    start: int
+    serial: int
+
+    @classmethod
+    def parse(cls, text: str) -> OusterMetadata:
+        """Return the metadata in a JSON text, of any firmware from 1.13 on.
+
+        Raises:
+            ValueError: it is no JSON, something is missing or out of range, or the profile is not known.
+        """
+        try:
+            found = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"is no JSON: {one_line(error, 80)}") from error
+        if not isinstance(found, dict):
+            raise ValueError(f"must be an object, got {type(found).__name__}")
+        # Newer firmware sorts the same entries into sections.
+        groups = ("sensor_info", "beam_intrinsics", "lidar_intrinsics")
+        flat = {**found, **{key: value for group in groups for key, value in _section(found, group).items()}}
+        layout = _section(found, "data_format") or _section(found, "lidar_data_format")
+        altitude, azimuth = _numbers(flat, "beam_altitude_angles"), _numbers(flat, "beam_azimuth_angles")
+        rows = _whole(layout, "pixels_per_column", len(altitude), _ROWS_MAX)
+        if len(altitude) != rows or len(azimuth) != rows:
+            raise ValueError(f"must name {rows} beam angles of each kind, got {len(altitude)} and {len(azimuth)}")
+        columns = _whole(layout, "columns_per_frame", _columns_of_mode(flat), _COLUMNS_MAX)
+        if rows * columns > _PIXELS_MAX:
+            raise ValueError(f"a revolution must have at most {_PIXELS_MAX} pixels, got {rows} × {columns}")
+        profile = layout.get("udp_profile_lidar", "LEGACY")
+        if not isinstance(profile, str) or profile not in PROFILES:
+            raise ValueError(f"udp_profile_lidar must be one of {', '.join(PROFILES)}, got {one_line(profile, 40)}")
+        return cls(
+            PROFILES[profile], columns, _whole(layout, "columns_per_packet", 16, _COLUMNS_MAX),
+            _window(layout, columns), np.deg2rad(altitude), -np.deg2rad(azimuth), _origin_mm(flat),
+            _transform(flat, "lidar_to_sensor_transform", _SENSOR_FROM_LIDAR), str(flat.get("prod_line", "")),
+            _number_or_0(flat, "initialization_id"), _number_or_0(flat, "prod_sn"),
+        )  # fmt: skip
+
+
+_SENSOR_FROM_LIDAR = (-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1)
+"""Of sensors whose metadata do not say it."""
+
+
+def _section(found: dict[str, Any], name: str) -> dict[str, Any]:
+    section = found.get(name, {})
+    if not isinstance(section, dict):
+        raise ValueError(f"{name} must be an object, got {type(section).__name__}")
+    return section
+
+
+def _numbers(found: dict[str, Any], name: str) -> NDArray[np.float64]:
+    values = found.get(name)
+    if not isinstance(values, list) or not 1 <= len(values) <= _ROWS_MAX or not all(map(_is_finite, values)):
+        raise ValueError(f"{name} must be a list of 1 to {_ROWS_MAX} numbers")
+    return np.array(values, np.float64)
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and bool(abs(value) < 1e6)
+
+
+def _whole(found: dict[str, Any], name: str, otherwise: int, most: int) -> int:
+    value = found.get(name, otherwise)
+    if not isinstance(value, int) or not 1 <= value <= most:
+        raise ValueError(f"{name} must be a whole number in [1, {most}], got {one_line(value, 40)}")
+    return value
+
+
+def _columns_of_mode(found: dict[str, Any]) -> int:
+    """Return the columns that a mode such as 1024x10 names."""
+    columns = str(found.get("lidar_mode", "")).partition("x")[0]
+    return int(columns) if columns.isascii() and columns.isdigit() and len(columns) < 6 else 0
+
+
+def _window(layout: dict[str, Any], columns: int) -> tuple[int, int]:
+    window = layout.get("column_window", [0, columns - 1])
+    fits = isinstance(window, list) and len(window) == 2
+    if not fits or not all(isinstance(each, int) and 0 <= each < columns for each in window):
+        raise ValueError(f"column_window must be two columns in [0, {columns}), got {one_line(window, 40)}")
+    return window[0], window[1]
+
+
+def _origin_mm(found: dict[str, Any]) -> tuple[float, float]:
+    if "beam_to_lidar_transform" in found:
+        transform = _transform(found, "beam_to_lidar_transform", ())
+        return float(transform[0, 3]), float(transform[2, 3])
+    radius_mm = found.get("lidar_origin_to_beam_origin_mm")
+    if not _is_finite(radius_mm):
+        raise ValueError(f"lidar_origin_to_beam_origin_mm must be a number, got {one_line(radius_mm, 40)}")
+    return float(radius_mm), 0.0  # type: ignore[arg-type]
+
+
+def _transform(found: dict[str, Any], name: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
+    values = found.get(name, otherwise)
+    if len(values) != 16 if isinstance(values, list | tuple) else True:
+        raise ValueError(f"{name} must be 16 numbers, got {one_line(values, 40)}")
+    if not all(map(_is_finite, values)):
+        raise ValueError(f"{name} must be finite numbers, got {one_line(values, 40)}")
+    return np.array(values, np.float64).reshape(4, 4)
+
+
+def _number_or_0(found: dict[str, Any], name: str) -> int:
+    """Return a whole number, or the digits of a text."""
+    text = str(found.get(name, ""))
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else 0
+
+
+class OusterDecoder:
+    """Decodes the packets of one sensor, revolution by revolution.
+
+    Args:
+        metadata: the sensor's.
+        frame: ``sensor_from_columns`` that the columns are given.
+    """
+
+    def __init__(self, metadata: OusterMetadata, frame: Rigid = IDENTITY) -> None:
+        self.metadata, self.frame = metadata, frame
+        self._packet = _packet_type(metadata)
+        self._direction, self._start_m = _beams(metadata)
+        self._rank = np.argsort(np.argsort(metadata.altitude))
+        self._azimuth = _column_azimuth(metadata.columns)
+        self._model = _model(metadata)
+
+    @property
+    def packet_bytes(self) -> int:
+        """Length of a lidar packet; other packets are of another kind or of another sensor."""
+        return self._packet.itemsize
+
+    def frame_number(self, packet: bytes) -> int | None:
+        """Return the number of the revolution that a packet belongs to; None if it is no lidar packet of the sensor."""
+        profile = self.metadata.profile
+        if len(packet) != self.packet_bytes:
+            return None
+        if profile.sender is not None:
+            start, serial = (
+                int.from_bytes(packet[at : at + size], "little")
+                for at, size in zip(profile.sender, (3, 5), strict=True)
+            )
+            known = ((start, self.metadata.start), (serial, self.metadata.serial))
+            if any(one and other and one != other for one, other in known):
+                return None
+        at, kind = profile.frame
+        return int.from_bytes(packet[at : at + np.dtype(kind).itemsize], "little")
+
+    def revolutions(self, packets: Iterable[bytes]) -> Iterator[Columns]:
+        """Yield the revolutions of packets in their order; incomplete ones only where there is no other.
+
+        Late packets of the revolution before are left out, and so is what is not a lidar packet of this sensor.
+
+        Raises:
+            ValueError: there is no such packet.
+        """
+        complete = 0
+        rest = None
+        for together in self.grouped(packets):
+            columns, is_complete = self.decode(together)
+            complete += is_complete
+            if is_complete:
+                yield columns
+            else:
+                rest = columns
+        if rest is None and not complete:
+            raise ValueError("holds no lidar packets that agree with the metadata")
+        if rest is not None and not complete:
+            yield rest
+
+    def grouped(self, packets: Iterable[bytes]) -> Iterator[list[bytes]]:
+        """Yield the packets of one revolution after the other."""
+        together: list[bytes] = []
+        number = last = None
+        for packet in packets:
+            of = self.frame_number(packet)
+            if of is None or of == last:
+                continue
+            if of != number and together:
+                yield together
+                together, last = [], number
+            number = of
+            together.append(packet)
+        if together:
+            yield together
+
+    def decode(self, packets: list[bytes]) -> tuple[Columns, bool]:
+        """Return the returns of the packets of one revolution, column by column, and whether it is complete."""
+        measured = np.frombuffer(b"".join(packets), self._packet)["columns"].reshape(-1)
+        known = ((measured["status"] & 1) > 0) & (measured["number"] < self.metadata.columns)
+        # Of a column that was sent twice the later one counts.
+        last = np.full(self.metadata.columns, -1)
+        last[measured["number"][known]] = np.flatnonzero(known)
+        numbers = np.flatnonzero(last >= 0)
+        measured = measured[last[numbers]]
+        pixels, profile = measured["pixels"], self.metadata.profile
+        range_mm = (pixels["range"] & (2**profile.range_bits - 1)).astype(np.float64) * profile.unit_mm
+        at, row = np.nonzero(range_mm)
+        column = numbers[at]
+        points = range_mm[at, row, None] * 1e-3 * self._direction[column, row] + self._start_m[column, row]
+        stamp = measured["stamp"].astype(np.int64)
+        start = int(stamp.min()) if len(stamp) else 0
+        return Columns(
+            points.astype(np.float32), pixels["intensity"][at, row].astype(np.float32),
+            ring=self._rank[row].astype(np.int16), azimuth=self._azimuth[column],
+            time_s=((stamp[at] - start) * 1e-9).astype(np.float32), t_ns=start, model=self._model, frame=self.frame,
+        ), self._is_complete(last >= 0)  # fmt: skip
+
+    def _is_complete(self, known: NDArray[np.bool_]) -> bool:
+        first, last = self.metadata.window
+        return bool(known[first : last + 1].all() if first <= last else known[first:].all() and known[: last + 1].all())
+
+
+def _packet_type(metadata: OusterMetadata) -> np.dtype[Any]:
+    """Return the structured type of a packet."""
+    profile = metadata.profile
+    intensity = (profile.reflectivity, "u1") if profile.signal is None else (profile.signal, "<u2")
+    pixel = np.dtype({
+        "names": ["range", "intensity"], "formats": [profile.range, intensity[1]], "offsets": [0, intensity[0]],
+        "itemsize": profile.pixel,
+    })  # fmt: skip
+    rows = len(metadata.altitude)
+    pixels_end = profile.column_header + rows * profile.pixel
+    # Whether a column is valid stands after its pixels in the oldest layout, in its header since.
+    status = (pixels_end, "<u4") if profile.column_footer else (10, "<u2")
+    column = np.dtype({
+        "names": ["stamp", "number", "status", "pixels"], "formats": ["<u8", "<u2", status[1], (pixel, (rows,))],
+        "offsets": [0, 8, status[0], profile.column_header], "itemsize": pixels_end + profile.column_footer,
+    })  # fmt: skip
+    count = metadata.columns_per_packet
+    return np.dtype({
+        "names": ["columns"], "formats": [(column, (count,))], "offsets": [profile.header],
+        "itemsize": profile.header + count * column.itemsize + profile.footer,
+    })  # fmt: skip
+
+
+def _beams(metadata: OusterMetadata) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the directions (columns, rows, 3) of the beams in the sensor's frame, and where range 0 lies in meters."""
+    turn = 2 * np.pi * (1 - np.arange(metadata.columns) / metadata.columns)[:, None]
+    azimuth, altitude = turn + metadata.azimuth, np.broadcast_to(metadata.altitude, (len(turn), len(metadata.altitude)))
+    direction = np.stack(
+        [np.cos(azimuth) * np.cos(altitude), np.sin(azimuth) * np.cos(altitude), np.sin(altitude)], axis=-1
+    )
+    # Ranges count from the axis: a beam starts that much farther out.
+    out_mm, up_mm = metadata.origin_mm
+    origin_mm = np.stack([out_mm * np.cos(turn), out_mm * np.sin(turn), np.full_like(turn, up_mm)], axis=-1)
+    start_mm = origin_mm - direction * np.hypot(out_mm, up_mm)
+    rotation, translation = metadata.sensor_from_lidar[:3, :3], metadata.sensor_from_lidar[:3, 3]
+    return direction @ rotation.T, (start_mm @ rotation.T + translation) * 1e-3
+
+
+_RANGES_M: dict[str, tuple[float, float | None, str]] = {
+    "OS-0": (50.0, 22.0, "Ouster OS0 datasheet, 10 % target"),
+    "OS-1": (120.0, 45.0, "Ouster OS1 datasheet, 10 % target"),
+    "OS-2": (240.0, 80.0, "Ouster OS2 datasheet, 10 % target"),
+}
+"""Beginning of the product line → maximum range, reach and where the reach comes from; the metadata tell neither."""
+
+
+def _model(metadata: OusterMetadata) -> LidarModel | None:
+    """Return the beams as the metadata describe them, or None where two beams share one elevation."""
+    order = np.argsort(metadata.altitude)
+    altitude = metadata.altitude[order]
+    if (np.diff(altitude) <= 0).any():
+        return None
+    # Beams start on a circle around the axis, so that they meet the axis below the height at which they start.
+    shift_m = float(metadata.sensor_from_lidar[2, 3]) * 1e-3
+    most_m, reach_m, source = _RANGES_M.get(metadata.product[:4], (300.0, None, ""))
+    return LidarModel(
+        name=metadata.product or "Ouster", elevation=altitude, azimuth_columns=metadata.columns,
+        azimuth_offset=metadata.azimuth[order],
+        origin_m=shift_m - float(metadata.origin_mm[0]) * 1e-3 * np.tan(altitude), min_range_m=0.3, max_range_m=most_m,
+        source="metadata of the sensor", reach_m=reach_m, reach_source=source,
+    )  # fmt: skip
+
+
+def _column_azimuth(columns: int) -> NDArray[np.float32]:
+    """Return the encoder's angle of each column in the sensor's frame: 2 π (1 - column / columns) + π, clockwise."""
+    angle = np.pi - 2 * np.pi * np.arange(columns) / columns
+    return np.where(angle <= -np.pi, angle + 2 * np.pi, angle).astype(np.float32)

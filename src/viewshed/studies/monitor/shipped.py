@@ -1,0 +1,55 @@
+"""The monitor that is shipped: the score of all families, calibrated by group on the drives set aside for that."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from viewshed.integrity.calibration import Group
+from viewshed.integrity.score import EvidenceScore
+from viewshed.integrity.sweep_monitor import RATES, BenignSweep, Rates, SweepMonitor
+from viewshed.studies.cases import generator
+from viewshed.studies.monitor.archive import SweepTable
+from viewshed.studies.monitor.plan import ONSET
+from viewshed.studies.records import BENIGN
+
+
+def monitor_of(score: EvidenceScore, calibration: SweepTable, seed: int, rates: Rates = RATES) -> SweepMonitor:
+    """Return a score calibrated on the benign sweeps of a table: with five earlier ones, without their poses, alone.
+
+    What is degraded is calibrated on clear drives alone: in bad weather that verdict is no false alarm. Sensors with
+    too few clear drives for the rate are left out.
+
+    Args:
+        score: of all evidence.
+        calibration: drives that it was not trained on.
+        seed: draws one sweep of each drive.
+        rates: of false alarms.
+
+    Raises:
+        ValueError: no sensor has drives enough.
+    """
+    clear = np.array([drive.conditions == BENIGN for drive in calibration.drives])
+    scenes = Counter(drive.sensor for drive, is_clear in zip(calibration.drives, clear, strict=True) if is_clear)
+    needed = 1.0 / min(rates.inconsistent, rates.degraded) - 1.0 - 1e-9
+    kept = np.array([scenes[drive.sensor] >= needed for drive in calibration.drives])
+    if not kept.any():
+        raise ValueError(f"a sensor must have {needed:.0f} clear drives to calibrate on, got {max(scenes.values())}")
+    monitor = SweepMonitor.calibrate(score, _sweeps(calibration, kept), generator(seed, "monitor"), rates=rates)
+    of_clear = SweepMonitor.calibrate(
+        score, _sweeps(calibration, kept & clear), generator(seed, "degraded"), rates=rates
+    )
+    return replace(monitor, degraded=of_clear.degraded)
+
+
+def _sweeps(table: SweepTable, kept: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Iterator[BenignSweep]:
+    """Yield the benign sweeps of the kept drives (D,), each in its group."""
+    for row in np.flatnonzero((table.case == 0) & kept[table.drive]):
+        drive = table.drives[table.drive[row]]
+        group = Group(drive.sensor, "posed" if table.frame[row] >= ONSET else "none")
+        yield BenignSweep(drive.scene, group, table.evidence[row].astype(np.float32))
+    for drive, evidence in zip(np.array(table.drives, object)[kept], table.unposed[kept], strict=True):
+        yield BenignSweep(drive.scene, Group(drive.sensor, "unposed"), evidence.astype(np.float32))
