@@ -17,6 +17,7 @@ from geometry_msgs.msg import Point, Point32, Polygon, PolygonStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
+from shapely.geometry.base import BaseGeometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -32,9 +33,6 @@ UNKNOWN = -1
 
 STATE_VALUES = {CellState.UNKNOWN: UNKNOWN, CellState.FREE: 0, CellState.HIDDEN: 50, CellState.SURFACE: 100}
 """Of the layer ``state``: HIDDEN is told from UNKNOWN."""
-
-MOST_VERTICES = 100
-"""Of the inner polygon, all parts together."""
 
 SLIT_M = 0.02
 """Width of the slit by which a hole of the inner polygon is opened."""
@@ -133,29 +131,37 @@ def _grid(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_gr
 
 
 def inner_polygon(view: View) -> PolygonStamped:
-    """Return the largest part of the inner polygon, its holes opened by slits: it claims no cell too much."""
+    """Return the largest part of the view, its holes opened by slits as a Polygon has none: it claims no cell too much."""
+    parts = view.estimate.polygon().geoms
     corners = np.zeros((0, 2))
-    parts = [opened(part) for part in view.estimate.inner_polygon(MOST_VERTICES).geoms]
     if parts:
-        corners = np.asarray(max(parts, key=lambda part: part.area).exterior.coords)[:-1]
-    points = [Point32(x=x, y=y, z=z) for x, y, z in _in_frame(view, corners).tolist()]
+        corners = np.asarray(opened(max(parts, key=lambda part: part.area)).exterior.coords)[:-1]
+    on_ground = view.frame_from_level @ np.column_stack([corners, np.zeros(len(corners))])
+    points = [Point32(x=x, y=y, z=z) for x, y, z in on_ground.tolist()]
     return PolygonStamped(header=view.header(), polygon=Polygon(points=points))
 
 
 def opened(polygon: shapely.Polygon) -> shapely.Polygon:
-    """Return the largest part of a polygon from whose holes slits lead outward, away from x: it has no hole left.
+    """Return the largest part of a polygon without holes: from each a slit leads to the nearest other ring.
 
     >>> ring = shapely.box(0, 0, 3, 3).difference(shapely.box(1, 1, 2, 2))
-    >>> len(opened(ring).interiors), round(opened(ring).area, 2)
-    (0, 7.98)
+    >>> len(opened(ring).interiors), round(opened(ring).area, 1)
+    (0, 7.8)
     """
-    out_m = polygon.bounds[0] - 1.0
-    for hole in polygon.interiors:
-        inside = shapely.Polygon(hole).representative_point()
-        slit = shapely.box(out_m, inside.y - SLIT_M / 2, inside.x, inside.y + SLIT_M / 2)
-        rest = polygon.difference(slit)
-        polygon = max(shapely.get_parts(rest).tolist(), key=lambda part: part.area)
+    # Rings that touch at corners are parted first: a slit between them would have no length.
+    polygon = _largest(polygon.buffer(-SLIT_M / 2, join_style="mitre"))
+    for _ in polygon.interiors:
+        if not polygon.interiors:
+            break
+        hole, *others = polygon.interiors
+        to_other = shapely.shortest_line(hole, shapely.multilinestrings([polygon.exterior, *others]))
+        polygon = _largest(polygon.difference(to_other.buffer(SLIT_M / 2, quad_segs=1)))
     return polygon
+
+
+def _largest(shape: BaseGeometry) -> shapely.Polygon:
+    parts = shapely.get_parts(shape)
+    return parts[shapely.area(parts).argmax()] if len(parts) else shapely.Polygon()
 
 
 def markers(view: View) -> MarkerArray:
@@ -203,10 +209,6 @@ def clearing(view: View) -> PointCloud2:
     message.row_step = 12 * len(points)
     message.data = array("B", points.astype("<f4").tobytes())
     return message
-
-
-def _in_frame(view: View, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    return view.frame_from_level @ np.column_stack([corners, np.zeros(len(corners))])
 
 
 @dataclass(frozen=True, slots=True)

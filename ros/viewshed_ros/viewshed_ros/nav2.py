@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,17 +118,28 @@ BLIND_MOST_M = 5.0
 
 def _free_rays(estimate: FovEstimate) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return for each ray where its FREE cells end and begin, and its angle; an end of 0 where it has none."""
-    grid = estimate.grid
-    rays = math.ceil(_STEPS_A_CELL * 2.0 * math.pi * grid.half_extent_m / grid.cell_m)
-    angle = np.linspace(-np.pi, np.pi, rays, endpoint=False)
-    range_m = np.arange(0.0, math.sqrt(2.0) * grid.half_extent_m, grid.cell_m / _STEPS_A_CELL)
-    # 1. The state along each ray, (rays, samples); outside the grid nothing is FREE.
-    xy = np.stack([np.outer(np.cos(angle), range_m), np.outer(np.sin(angle), range_m)], axis=-1)
-    cells, inside = grid.index(xy)
-    free = inside & (estimate.state[cells[..., 0], cells[..., 1]] == CellState.FREE)
+    angle, range_m, number = _rays(estimate.grid)
+    # 1. Which samples of each ray are FREE; those outside the grid have the number of a cell that is not.
+    free = np.append(estimate.state == CellState.FREE, False)[number]
     # 2. The first FREE sample, and the first one after it that is not.
     begin = free.argmax(axis=1)
     ended = ~free & (np.arange(len(range_m)) > begin[:, None])
-    end = np.where(ended.any(axis=1), ended.argmax(axis=1), len(range_m))
+    end = ended.argmax(axis=1)
     seen = free.any(axis=1) & (range_m[begin] <= BLIND_MOST_M)
     return np.where(seen, range_m[end - 1], 0.0), range_m[begin], angle
+
+
+@lru_cache(maxsize=4)
+def _rays(grid: BevGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """Return angles (R,) and ranges (S,) of rays from the sensor to beyond the grid, and the cells (R, S) that they
+    cross as row numbers of the flattened grid; the last one stands for all outside.
+    """
+    farthest_m = math.hypot(*(grid.half_extent_m + abs(offset_m) for offset_m in grid.offset_m)) + grid.cell_m
+    rays = math.ceil(_STEPS_A_CELL * 2.0 * math.pi * grid.half_extent_m / grid.cell_m)
+    angle = np.linspace(-np.pi, np.pi, rays, endpoint=False)
+    range_m = np.arange(0.0, farthest_m, grid.cell_m / _STEPS_A_CELL)
+    cells, inside = grid.index(
+        np.stack([np.outer(np.cos(angle), range_m), np.outer(np.sin(angle), range_m)], axis=-1)
+    )  # fmt: skip
+    number = np.where(inside, cells[..., 0] * grid.cells + cells[..., 1], grid.cells**2)
+    return angle, range_m, number
