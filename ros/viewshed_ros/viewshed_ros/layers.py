@@ -17,7 +17,7 @@ from geometry_msgs.msg import Point, Point32, Polygon, PolygonStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
-from shapely.geometry.base import BaseGeometry
+from shapely.geometry.polygon import orient
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -33,9 +33,6 @@ UNKNOWN = -1
 
 STATE_VALUES = {CellState.UNKNOWN: UNKNOWN, CellState.FREE: 0, CellState.HIDDEN: 50, CellState.SURFACE: 100}
 """Of the layer ``state``: HIDDEN is told from UNKNOWN."""
-
-SLIT_M = 0.02
-"""Width of the slit by which a hole of the inner polygon is opened."""
 
 _VALUES = np.array([STATE_VALUES[CellState(state)] for state in range(len(CellState))], np.int8)
 
@@ -131,37 +128,37 @@ def _grid(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_gr
 
 
 def inner_polygon(view: View) -> PolygonStamped:
-    """Return the largest part of the view, its holes opened by slits as a Polygon has none: it claims no cell too much."""
+    """Return the largest part of the view as one ring, see :func:`keyhole`: it claims no cell too much."""
     parts = view.estimate.polygon().geoms
-    corners = np.zeros((0, 2))
-    if parts:
-        corners = np.asarray(opened(max(parts, key=lambda part: part.area)).exterior.coords)[:-1]
+    corners = keyhole(max(parts, key=lambda part: part.area)) if parts else np.zeros((0, 2))
     on_ground = view.frame_from_level @ np.column_stack([corners, np.zeros(len(corners))])
     points = [Point32(x=x, y=y, z=z) for x, y, z in on_ground.tolist()]
     return PolygonStamped(header=view.header(), polygon=Polygon(points=points))
 
 
-def opened(polygon: shapely.Polygon) -> shapely.Polygon:
-    """Return the largest part of a polygon without holes: from each a slit leads to the nearest other ring.
-
-    >>> ring = shapely.box(0, 0, 3, 3).difference(shapely.box(1, 1, 2, 2))
-    >>> len(opened(ring).interiors), round(opened(ring).area, 1)
-    (0, 7.8)
+def keyhole(polygon: shapely.Polygon) -> NDArray[np.float64]:
+    """Return a polygon with holes as one ring (N, 2) of the same area, as a message has no holes: bridges without width
+    lead to each hole and back.
     """
-    # Rings that touch at corners are parted first: a slit between them would have no length.
-    polygon = _largest(polygon.buffer(-SLIT_M / 2, join_style="mitre"))
-    for _ in polygon.interiors:
-        if not polygon.interiors:
-            break
-        hole, *others = polygon.interiors
-        to_other = shapely.shortest_line(hole, shapely.multilinestrings([polygon.exterior, *others]))
-        polygon = _largest(polygon.difference(to_other.buffer(SLIT_M / 2, quad_segs=1)))
-    return polygon
+    polygon = orient(polygon)  # holes turn the other way
+    ring, holes = np.asarray(polygon.exterior.coords)[:-1], list(polygon.interiors)
+    while holes:
+        # The hole nearest to what is joined already: the shortest bridge crosses nothing.
+        outline = shapely.linestrings(np.vstack([ring, ring[:1]]))
+        hole = holes.pop(int(shapely.distance(outline, holes).argmin()))
+        here, there = np.asarray(shapely.shortest_line(outline, hole).coords)
+        inner = np.asarray(hole.coords)[:-1]
+        cut, begin = _edge_at(ring, here) + 1, _edge_at(inner, there) + 1
+        ring = np.vstack([ring[:cut], here, there, np.roll(inner, -begin, axis=0), there, here, ring[cut:]])
+    return ring
 
 
-def _largest(shape: BaseGeometry) -> shapely.Polygon:
-    parts = shapely.get_parts(shape)
-    return parts[shapely.area(parts).argmax()] if len(parts) else shapely.Polygon()
+def _edge_at(ring: NDArray[np.float64], point: NDArray[np.float64]) -> int:
+    """Return the number of the edge of a ring (N, 2) that passes nearest to a point (2,)."""
+    along, to_point = np.roll(ring, -1, axis=0) - ring, point - ring
+    share = (to_point * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-12)
+    missed = to_point - np.clip(share, 0.0, 1.0)[:, None] * along
+    return int((missed * missed).sum(axis=1).argmin())
 
 
 def markers(view: View) -> MarkerArray:

@@ -22,8 +22,8 @@ NO_LIMIT = 0
 NOTHING_KNOWN = -1
 """Of any mask: the filter leaves the cell as it is."""
 
-_STEPS_A_CELL = 2.0
-"""Samples along a ray, for each cell that it crosses."""
+_RAYS_A_CELL, _STEPS_A_CELL = 2.0, 4.0
+"""Rays for each cell at the grid's nearest edge, and samples along a ray for each cell's side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ def _rays(grid: BevGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDAr
     cross as row numbers of the flattened grid; the last one stands for all outside.
     """
     farthest_m = math.hypot(*(grid.half_extent_m + abs(offset_m) for offset_m in grid.offset_m)) + grid.cell_m
-    rays = math.ceil(_STEPS_A_CELL * 2.0 * math.pi * grid.half_extent_m / grid.cell_m)
+    rays = math.ceil(_RAYS_A_CELL * 2.0 * math.pi * grid.half_extent_m / grid.cell_m)
     angle = np.linspace(-np.pi, np.pi, rays, endpoint=False)
     range_m = np.arange(0.0, farthest_m, grid.cell_m / _STEPS_A_CELL)
     cells, inside = grid.index(
