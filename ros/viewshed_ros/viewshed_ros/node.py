@@ -150,7 +150,7 @@ class FieldOfView(LifecycleNode):
 
     def _monitor(self, settings: Settings) -> StreamMonitor | None:
         """Return what watches the streams; None where it is off, or only wished for and there is none in the box."""
-        wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "on"
+        wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
         if not wished:
             return None
         if settings.monitor == OF_PROFILE and not settings.monitor_file and not SHIPPED.exists():

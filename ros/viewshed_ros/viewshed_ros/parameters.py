@@ -32,6 +32,7 @@ class Parameter:
 OF_PROFILE = "profile"
 """The value of a parameter that leaves it to the profile."""
 
+# No value is on, off, yes or no: on a command line these are true and false, not text.
 PARAMETERS: dict[str, Parameter] = {
     "profile": Parameter("robot", "What the pipeline is for: robot, infrastructure, mapping or contested."),
     "method": Parameter(OF_PROFILE, "Name of the estimator, or profile."),
@@ -39,7 +40,7 @@ PARAMETERS: dict[str, Parameter] = {
     "target": Parameter("car", "What would have to be seen: car or pedestrian."),
     "history": Parameter(-1, "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile."),
     "rate_hz": Parameter(-1.0, "Sweeps of a sensor estimated in a second; 0 for all, -1 leaves it to the profile."),
-    "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "on", "off")),
+    "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
     "monitor_file": Parameter("", "File of viewshed monitor calibrate; empty for the monitor in the box."),
     "sensors": Parameter(["lidar"], "Names of the sensors; each has the parameters and topics below its name."),
     "pose_source": Parameter("none", "Where poses are from.", ("none", "tf", *POSE_TOPICS)),
