@@ -1,10 +1,11 @@
 """The ROS 2 package around viewshed: ``colcon build``, or ``pip install`` where ROS comes as wheels."""
 
-from glob import glob
+from pathlib import Path
 
 from setuptools import setup
 
 NAME = "viewshed_ros"
+FOLDERS = ("launch", "config", "rviz")
 
 setup(
     name=NAME,
@@ -13,9 +14,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/launch", glob("launch/*.py")),
-        (f"share/{NAME}/config", glob("config/*")),
-        (f"share/{NAME}/rviz", glob("rviz/*.rviz")),
+        *((f"share/{NAME}/{folder}", [str(file) for file in sorted(Path(folder).iterdir())]) for folder in FOLDERS),
     ],
     install_requires=["setuptools", "viewshed"],
     zip_safe=True,

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
 from launch_ros.actions import Node
+
+from launch import LaunchDescription
 
 SERVERS = ["keepout_filter_info_server", "speed_filter_info_server"]
 

@@ -51,8 +51,9 @@ def scan() -> LaserScan:
 
 
 def truth() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which cells the laser sees to be free, and which are hidden by a wall or the body, exactly; on the rest, the
-    cells that walls stand in or that are cut by the edge of a shadow, nothing is asked.
+    """Return which cells the laser sees to be free, and which a wall or the body hides, exactly.
+
+    Of the rest, where walls stand or the edge of a shadow cuts the cell, nothing is asked.
     """
     corners = GRID.centers[..., None, :] + GRID.cell_m / 2 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
     angle, range_m = np.arctan2(corners[..., 1], corners[..., 0]), np.hypot(corners[..., 0], corners[..., 1])

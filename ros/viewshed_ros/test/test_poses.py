@@ -36,7 +36,9 @@ def test_between_two_poses_the_pose_is_interpolated_and_the_mounting_added() -> 
     mounting = Rigid(np.eye(3), np.array([0.0, 1.0, 2.0]))
     poses = buffer(0, 400_000_000, mounting={"lidar": mounting})
     found = poses.world_from_sensor("lidar", 100_000_000)
-    np.testing.assert_allclose(found.as_matrix(), (Rigid.from_yaw(0.1, (0.1, 0.0, 0.0)) @ mounting).as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(
+        found.as_matrix(), (Rigid.from_yaw(0.1, (0.1, 0.0, 0.0)) @ mounting).as_matrix(), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,7 +75,7 @@ class StandIn:
     def __init__(self, transforms: TransformBuffer) -> None:
         self.transforms = transforms
 
-    def lookup_transform(self, target, source, time, timeout):  # noqa: ANN001, ANN201, ARG002
+    def lookup_transform(self, target, source, time, timeout):
         found = self.transforms.lookup(target, source, time.nanoseconds)
         if found is None:
             raise RuntimeError("Lookup would require extrapolation")
@@ -94,7 +96,9 @@ def test_poses_come_from_the_transforms_of_a_real_bag() -> None:
         for each in decoder(message.encoding)(message.raw, TF).transforms:
             at, where, turn = each.header, each.transform.translation, each.transform.rotation
             t_ns = nanoseconds_of(SimpleNamespace(sec=at.stamp.sec, nanosec=at.stamp.nanosec))
-            transforms.add(at.frame_id, each.child_frame_id, t_ns, (where.x, where.y, where.z), (turn.w, turn.x, turn.y, turn.z))
+            transforms.add(
+                at.frame_id, each.child_frame_id, t_ns, (where.x, where.y, where.z), (turn.w, turn.x, turn.y, turn.z)
+            )
             times.append((t_ns, at.frame_id, each.child_frame_id))
     assert len(times) > 100
     t_ns, parent, child = times[len(times) // 2]

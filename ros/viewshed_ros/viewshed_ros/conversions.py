@@ -1,4 +1,4 @@
-"""Sweeps, times and poses from messages, and back. Nothing of an estimate: :mod:`viewshed_ros.layers` publishes those."""
+"""Sweeps, times and poses from messages, and back; messages of estimates are in :mod:`viewshed_ros.layers`."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Input:
         return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Cloud:
     """A cloud whose data numpy sees without a copy."""
 

@@ -95,15 +95,16 @@ def in_the_map(
 
 
 def clearing_ends(estimate: FovEstimate) -> NDArray[np.float64]:
-    """Return the ends (K, 2) of virtual beams in ``level``, meters: between the first FREE cell of a ray and its end
-    lie FREE cells alone.
+    """Return the ends (K, 2) of virtual beams in ``level``, meters.
 
-    A costmap that clears from the sensor to each end clears besides what lies before the first FREE cell, which the
-    sensor looks over: its least range of clearing (``raytrace_min_range``, or :func:`blind_m`) keeps that.
+    Between the first FREE cell of a ray and its end lie FREE cells alone. A costmap that clears from the sensor to each
+    end clears besides what lies before the first FREE cell, which the sensor looks over: its least range of clearing
+    (``raytrace_min_range``, see :func:`blind_m`) keeps that.
     """
     ends_m, _, angle = _free_rays(estimate)
     kept = ends_m > 0.0
-    return ends_m[kept, None] * np.column_stack([np.cos(angle[kept]), np.sin(angle[kept])])
+    ends: NDArray[np.float64] = ends_m[kept, None] * np.column_stack([np.cos(angle[kept]), np.sin(angle[kept])])
+    return ends
 
 
 def blind_m(estimate: FovEstimate) -> float:
@@ -131,8 +132,9 @@ def _free_rays(estimate: FovEstimate) -> tuple[NDArray[np.float64], NDArray[np.f
 
 @lru_cache(maxsize=4)
 def _rays(grid: BevGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
-    """Return angles (R,) and ranges (S,) of rays from the sensor to beyond the grid, and the cells (R, S) that they
-    cross as row numbers of the flattened grid; the last one stands for all outside.
+    """Return angles (R,) and ranges (S,) of rays from the sensor to beyond the grid, and the cells (R, S) they cross.
+
+    Cells are numbers of the flattened grid; the one after the last stands for all outside.
     """
     farthest_m = math.hypot(*(grid.half_extent_m + abs(offset_m) for offset_m in grid.offset_m)) + grid.cell_m
     rays = math.ceil(_RAYS_A_CELL * 2.0 * math.pi * grid.half_extent_m / grid.cell_m)

@@ -154,7 +154,7 @@ class FieldOfView(LifecycleNode):
         if not wished:
             return None
         if settings.monitor == OF_PROFILE and not settings.monitor_file and not SHIPPED.exists():
-            self.get_logger().warning("nobody watches the streams: there is no monitor in the box, and monitor_file is empty")
+            self.get_logger().warning("nobody watches the streams: no monitor is in the box, and monitor_file is empty")
             return None
         path = Path(settings.monitor_file) if settings.monitor_file else SHIPPED
         return StreamMonitor(load_sweep_monitor(path), EDetector(FALSE_ALARM_SWEEPS))
@@ -199,12 +199,12 @@ class FieldOfView(LifecycleNode):
     def _release(self) -> None:
         """Undo what was configured, the threads first: they use the rest."""
         self._stop_listening()
-        if self._pipeline is not None:
-            self._pipeline.close()
-        for destroy in self._destroy:
-            destroy()
-        self._pipeline, self._poses, self._settings = None, None, None
-        self._sensors, self._destroy = {}, []
+        pipeline, destroy, self._pipeline, self._destroy = self._pipeline, self._destroy, None, []
+        if pipeline is not None:
+            pipeline.close()
+        for each in destroy:
+            each()
+        self._sensors, self._poses, self._settings = {}, None, None
 
     # Messages in
 
@@ -212,11 +212,11 @@ class FieldOfView(LifecycleNode):
         """Put a message in, unless it comes sooner after the one before than the rate allows."""
         sensor.counts.received += 1
         settings, t_ns = self._settings_now(), nanoseconds_of(message.header.stamp)
-        if settings.rate_hz and sensor.last_ns is not None:
-            # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
-            if 0 < t_ns - sensor.last_ns < 0.9e9 / settings.rate_hz:
-                sensor.counts.skipped += 1
-                return
+        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
+        least_ns = 0.9e9 / settings.rate_hz if settings.rate_hz else 0.0
+        if sensor.last_ns is not None and 0 < t_ns - sensor.last_ns < least_ns:
+            sensor.counts.skipped += 1
+            return
         sensor.last_ns = t_ns
         if self._pipeline is not None:
             self._pipeline.put(partial(self._sweep, sensor, message), sensor.settings.name)
@@ -264,7 +264,8 @@ class FieldOfView(LifecycleNode):
     def _publish(self, answer: Answer) -> None:
         """Publish of an answer what somebody listens to; the pipeline calls this in its thread."""
         sensor = self._sensors[answer.agent]
-        self._publish_one(sensor, sensor.alarm, lambda: status.alarm(f"{self.get_name()}: {answer.agent}", answer))
+        name = f"{self.get_name()}: {answer.agent}"
+        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=True)
         if answer.notes:
             sensor.counts.last_note = answer.notes[0]
         if answer.estimate is None:
@@ -277,15 +278,16 @@ class FieldOfView(LifecycleNode):
         except ValueError as error:
             sensor.counts.count(str(error))
             return
-        for name, layer in LAYERS.items():
-            publisher = sensor.publishers[name]
-            if publisher.get_subscription_count():
-                self._publish_one(sensor, publisher, partial(layer.make, view))
+        for topic, layer in LAYERS.items():
+            self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
 
-    def _publish_one(self, sensor: Sensor, publisher: Any, make: Callable[[], Any]) -> None:
-        """Publish a message; one that cannot be made is counted, and the others go out."""
+    def _publish_one(
+        self, sensor: Sensor, publisher: Any, make: Callable[[], Any], *, always: bool = False
+    ) -> None:  # fmt: skip
+        """Make and publish a message where somebody listens; one that cannot be made is counted, the others go out."""
         try:
-            publisher.publish(make())
+            if always or publisher.get_subscription_count():
+                publisher.publish(make())
         except Exception as error:
             sensor.counts.count(f"not published: {error}")
 
@@ -328,9 +330,9 @@ def main(arguments: list[str] | None = None) -> None:
     rclpy.init(args=arguments or sys.argv)
     node = FieldOfView()
     try:
-        if node.get_parameter("autostart").value:
-            if node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-                node.trigger_activate()
+        is_wanted = node.get_parameter("autostart").value
+        if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            node.trigger_activate()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

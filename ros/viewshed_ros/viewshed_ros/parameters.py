@@ -38,7 +38,9 @@ PARAMETERS: dict[str, Parameter] = {
     "method": Parameter(OF_PROFILE, "Name of the estimator, or profile."),
     "grid": Parameter(OF_PROFILE, "road, indoor, paper, paper_indoor, or profile."),
     "target": Parameter("car", "What would have to be seen: car or pedestrian."),
-    "history": Parameter(-1, "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile."),
+    "history": Parameter(
+        -1, "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile."
+    ),
     "rate_hz": Parameter(-1.0, "Sweeps of a sensor estimated in a second; 0 for all, -1 leaves it to the profile."),
     "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
     "monitor_file": Parameter("", "File of viewshed monitor calibrate; empty for the monitor in the box."),

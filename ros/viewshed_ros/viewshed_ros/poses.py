@@ -52,7 +52,9 @@ class PoseTopic:
 
 
 POSE_TOPICS = {
-    "odometry": PoseTopic(Odometry, lambda message: rigid_of(message.pose.pose.position, message.pose.pose.orientation)),
+    "odometry": PoseTopic(
+        Odometry, lambda message: rigid_of(message.pose.pose.position, message.pose.pose.orientation)
+    ),
     "pose": PoseTopic(PoseStamped, lambda message: rigid_of(message.pose.position, message.pose.orientation)),
     "transform": PoseTopic(
         TransformStamped, lambda message: rigid_of(message.transform.translation, message.transform.rotation)
