@@ -18,7 +18,7 @@ from messages import cloud
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import LaserScan, PointCloud2
 
 import viewshed
 from viewshed.geometry import Rigid
@@ -41,6 +41,7 @@ class Robot:
         self.got: dict[str, list[Any]] = {}
         self.t_ns = 10**12
         self.clouds = self.publisher()
+        self.scans = self.node.create_publisher(LaserScan, "laser/points", qos_profile_sensor_data)
         self.odometry = self.node.create_publisher(Odometry, "odometry", 10)
         for name, layer in LAYERS.items():
             self.subscribe(layer.message_type, f"front/{name}", LATCHED if layer.latched else 10)
@@ -118,8 +119,9 @@ def pose_at(t_ns: int) -> Rigid:
 def robot() -> Iterator[Robot]:
     """A node under way in a namespace, its topics remapped, and the robot around it."""
     parameters = {
-        "sensors": "[front]", "profile": "contested", "history": "2", "monitor": "never", "pose_source": "odometry",
-        "front.topic": "cloud", "diagnostics_hz": "5.0", "pose_wait_s": "0.2",
+        "sensors": "[front, laser]", "profile": "contested", "history": "2", "monitor": "never",
+        "pose_source": "odometry", "pose_wait_s": "0.2", "front.topic": "cloud", "laser.type": "scan",
+        "diagnostics_hz": "5.0",
     }  # fmt: skip
     given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     command = [sys.executable, "-m", "viewshed_ros.node", "--ros-args", "-r", "__ns:=/bot", "-r", "cloud:=lidar_front"]
@@ -163,6 +165,27 @@ def test_every_layer_and_the_alarm_come(robot: Robot) -> None:
     assert {pair.key for pair in alarm.values} >= {"caution", "speed in m/s", "latency in ms"}
     assert robot.got["speed_mask"][-1].header.frame_id == "map"
     assert len(robot.got["clearing"][-1].data) > 1000
+
+
+def test_a_laser_in_the_same_process_has_its_own_view(robot: Robot) -> None:
+    robot.subscribe(OccupancyGrid, "laser/visibility", LATCHED)
+    robot.got["scans"], robot.got["visibility"] = robot.got["visibility"], []
+    step = 2 * np.pi / 720
+    scan = LaserScan(angle_min=-np.pi, angle_max=np.pi - step, angle_increment=step, range_min=0.1, range_max=30.0)
+    scan.ranges = [8.0] * 720
+    scan.header.frame_id = "laser"
+
+    def came() -> bool:
+        robot.t_ns += STEP_NS
+        scan.header.stamp = stamp_of(robot.t_ns)
+        robot.scans.publish(scan)
+        return any(message.header.frame_id == "laser" for message in robot.got["scans"])
+
+    robot.until(came)
+    grid = next(message for message in robot.got["scans"] if message.header.frame_id == "laser")
+    seen = np.array(grid.data, np.int8).reshape(256, 256) > 50
+    assert seen.sum() * 0.25 == pytest.approx(np.pi * 8.0**2, rel=0.15)
+    robot.answer()
 
 
 def test_ten_clouds_a_second_are_answered(robot: Robot) -> None:

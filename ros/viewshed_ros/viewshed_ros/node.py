@@ -26,7 +26,7 @@ from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
 from viewshed.pipeline import Answer, Pipeline
 from viewshed.sweep import Sweep
-from viewshed_ros import costmap_filters, parameters, poses, status
+from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
 from viewshed_ros.layers import LAYERS, View
 from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
@@ -51,6 +51,7 @@ class Sensor:
     counts: status.SensorCounts = field(default_factory=status.SensorCounts)
     frame: str = ""
     last_ns: int | None = None
+    last_view: View | None = None
     subscription: Any = None
 
 
@@ -278,6 +279,7 @@ class FieldOfView(LifecycleNode):
         except ValueError as error:
             sensor.counts.count(str(error))
             return
+        sensor.last_view = view
         for topic, layer in LAYERS.items():
             self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
 
@@ -320,9 +322,17 @@ class FieldOfView(LifecycleNode):
         message.header.stamp = self.get_clock().now().to_msg()
         message.status = [
             status.pipeline_status(self.get_name(), self._pipeline.statistics(), self._facts),
-            *(each.counts.status(f"{self.get_name()}: {name}", passed_s) for name, each in self._sensors.items()),
+            *(self._sensor_status(name, each, passed_s) for name, each in self._sensors.items()),
         ]
         publisher.publish(message)
+
+    def _sensor_status(self, name: str, sensor: Sensor, passed_s: float) -> DiagnosticStatus:
+        view, facts = sensor.last_view, dict[str, object]()
+        if view is not None:
+            facts["least range of clearing in m"] = f"{nav2.blind_m(view.estimate):.2f}"
+            if view.estimate.basis is not None:
+                facts["rests on"] = f"{view.estimate.basis.height_line}; {view.estimate.basis.view_line}"
+        return sensor.counts.status(f"{self.get_name()}: {name}", passed_s, facts)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -36,8 +36,8 @@ class SensorCounts:
             known = reason in self.reasons or len(self.reasons) < MOST_REASONS
             self.reasons[reason if known else OTHER_REASONS] += 1
 
-    def status(self, name: str, passed_s: float) -> DiagnosticStatus:
-        """Return the status of the time since the last call, in seconds."""
+    def status(self, name: str, passed_s: float, facts: Mapping[str, object]) -> DiagnosticStatus:
+        """Return the status of the time since the last call, in seconds, with facts beside."""
         with self._lock:
             reasons = dict(self.reasons)
         rate_hz = (self.answered - self._answered_before) / max(passed_s, 1e-3)
@@ -49,7 +49,7 @@ class SensorCounts:
             level, message = DiagnosticStatus.WARN, f"{rate_hz:.1f} Hz, {sum(reasons.values())} times not as it should"
         values = {
             "rate in Hz": f"{rate_hz:.1f}", "messages": self.received, "beyond the rate": self.skipped,
-            "answered": self.answered, "last note": self.last_note, **reasons,
+            "answered": self.answered, "last note": self.last_note, **facts, **reasons,
         }  # fmt: skip
         return DiagnosticStatus(level=level, name=name, message=message, values=key_values(values))
 
