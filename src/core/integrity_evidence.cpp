@@ -36,6 +36,9 @@ constexpr int LEAST_NEIGHBORS = 2;
 constexpr std::size_t STRETCH = 7, STRIDE = 3, LEAST_STRETCHES = 6;
 constexpr float STEP_M = 0.4f, STEP_SHARE = 0.02f;
 
+// Ground for noise is lower than this above local ground; surfaces are near up to this range.
+constexpr float NOISE_GROUND_M = 0.3f, NEAR_M = 20.0f;
+
 // Ground is what lies within this of the local ground; it is compared across columns up to this range, by the medians of
 // three columns, where so many rings show it. A common jump counts against its spread and this much.
 constexpr float GROUND_M = 0.25f, GROUND_RANGE_M = 25.0f, STEP_SPREAD_M = 0.1f;
@@ -302,6 +305,14 @@ MULTIVERSION void find_noise(const float* range_m, std::size_t stretches, float*
     }
 }
 
+// The lower quartile of the noise of stretches, which are put into another order; NaN for too few.
+float lower_quartile(std::vector<float>& noise) {
+    if (noise.size() < LEAST_STRETCHES) return NO_NUMBER;
+    const auto quartile = noise.begin() + std::ptrdiff_t((noise.size() - 1) / 4);
+    std::nth_element(noise.begin(), quartile, noise.end());
+    return *quartile;
+}
+
 // Write for each column of a ring whether the step to the next is that of one surface.
 MULTIVERSION void find_connected(const float* range_m, std::size_t columns, std::uint8_t* connected) {
     for (std::size_t c = 0; c + 1 < columns; ++c) {
@@ -311,7 +322,7 @@ MULTIVERSION void find_connected(const float* range_m, std::size_t columns, std:
 
 }  // namespace
 
-void measure_noise(const Image& image, View2<const float> height_m, float below_m, View2<float> noise_m) {
+void measure_noise(const Image& image, View2<const float> height_m, View3<float> noise_m) {
     const auto& range_m = image.range_m;
     const std::size_t columns = range_m.columns, sectors = noise_m.rows, bands = noise_m.columns;
     std::fill_n(noise_m.data, noise_m.size(), NO_NUMBER);
@@ -319,9 +330,10 @@ void measure_noise(const Image& image, View2<const float> height_m, float below_
     for_ranges(bands, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         Buffer<std::uint8_t> connected(columns, 0);
         Buffer<float> noise_of(columns);
+        std::vector<std::vector<float>> all(sectors), near(sectors), ground(sectors);
         for (std::size_t band = begin; band < end; ++band) {
             // 1. The noise of each stretch of the band's rings, by sector.
-            std::vector<std::vector<float>> noise(sectors);
+            for (std::size_t s = 0; s < sectors; ++s) all[s].clear(), near[s].clear(), ground[s].clear();
             for (std::size_t r = range_m.rows * band / bands; r < range_m.rows * (band + 1) / bands; ++r) {
                 find_connected(range_m[r], columns, connected.data());
                 if (columns >= STRETCH) find_noise(range_m[r], columns - STRETCH + 1, noise_of.data());
@@ -329,17 +341,18 @@ void measure_noise(const Image& image, View2<const float> height_m, float below_
                 for (std::size_t c = 1; c < columns; ++c) {
                     length = connected[c - 1] ? length + 1 : 1;
                     if (length < STRETCH || c % STRIDE != 0) continue;
-                    const std::size_t middle = c - STRETCH / 2;
-                    if (!(height_m(r, middle) < below_m)) continue;
-                    noise[std::size_t(image.sector[middle])].push_back(noise_of[c + 1 - STRETCH]);
+                    const std::size_t middle = c - STRETCH / 2, s = std::size_t(image.sector[middle]);
+                    const float noise = noise_of[c + 1 - STRETCH];
+                    all[s].push_back(noise);
+                    if (range_m(r, middle) < NEAR_M) near[s].push_back(noise);
+                    if (height_m(r, middle) < NOISE_GROUND_M) ground[s].push_back(noise);
                 }
             }
             // 2. Its lower quartile: rough surfaces among smooth ones do not matter.
             for (std::size_t s = 0; s < sectors; ++s) {
-                if (noise[s].size() < LEAST_STRETCHES) continue;
-                const auto quartile = noise[s].begin() + std::ptrdiff_t((noise[s].size() - 1) / 4);
-                std::nth_element(noise[s].begin(), quartile, noise[s].end());
-                noise_m(s, band) = *quartile;
+                noise_m(0, s, band) = lower_quartile(ground[s]);
+                noise_m(1, s, band) = lower_quartile(near[s]);
+                noise_m(2, s, band) = lower_quartile(all[s]);
             }
         }
     });
@@ -756,20 +769,20 @@ void bind_integrity_evidence(nb::module_& m) {
         "Pixels (A, columns) that returned twice, and pixels that returned, by sector (sectors,).");
     m.def(
         "measure_noise",
-        [](In2<float> range_m, In2<float> height_m, In1<std::int16_t> sector, float below_m, std::size_t sectors,
-           std::size_t bands) {
+        [](In2<float> range_m, In2<float> height_m, In1<std::int16_t> sector, std::size_t sectors, std::size_t bands) {
             const Image image = checked_image(range_m, sector, sectors);
             require_alike(range_m, height_m, "height_m must have the shape of range_m");
             require(bands >= 1 && bands <= 256, "bands must lie in [1, 256]");
-            Buffer<float> noise_m(sectors * bands);
+            Buffer<float> noise_m(3 * sectors * bands);
             {
                 nb::gil_scoped_release unlocked;
-                measure_noise(image, view(height_m), below_m, noise_m.view(sectors, bands));
+                measure_noise(image, view(height_m), {noise_m.data(), 3, sectors, bands});
             }
-            return std::move(noise_m).array({sectors, bands});
+            return std::move(noise_m).array({3, sectors, bands});
         },
-        "range_m"_a.noconvert(), "height_m"_a.noconvert(), "sector"_a.noconvert(), "below_m"_a, "sectors"_a, "bands"_a,
-        "Lower quartile (sectors, bands) of the noise of range in meters along rings (A, columns); NaN for too few.");
+        "range_m"_a.noconvert(), "height_m"_a.noconvert(), "sector"_a.noconvert(), "sectors"_a, "bands"_a,
+        "Lower quartile of the noise of range in meters along rings (A, columns), of ground, near and all returns (3, "
+        "sectors, bands); NaN for too few.");
     m.def(
         "measure_steps",
         [](In2<float> range_m, In2<float> height_m, In1<std::int16_t> sector, std::size_t sectors) {

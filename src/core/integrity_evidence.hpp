@@ -42,9 +42,9 @@ void count_specks(const Image& image, const Counts& counts);
 // Count the pixels with returns at two ranges (farthest_m as range_m), none of which is a neighbor's, and all.
 void count_double_returns(const Image& image, View2<const float> farthest_m, const Counts& counts);
 
-// Write the lower quartile of the noise of range in meters along rings, by sector and band of rings (sectors, bands); NaN
-// for too few stretches. Only returns less than below_m above local ground (height_m as range_m) are taken.
-void measure_noise(const Image& image, View2<const float> height_m, float below_m, View2<float> noise_m);
+// Write the lower quartile of the noise of range in meters along rings, by sector and band of rings (3, sectors, bands): of
+// ground (height_m as range_m), of near returns, of all; NaN for too few stretches.
+void measure_noise(const Image& image, View2<const float> height_m, View3<float> noise_m);
 
 // Write the largest common jump of the ground rings between two columns of each sector, in units of its spread.
 void measure_steps(const Image& image, View2<const float> height_m, View1<float> steps);

@@ -492,12 +492,7 @@ def count_double_returns(
     range_m: NDArray[np.float32], farthest_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
 ) -> _Counts: ...
 def measure_noise(
-    range_m: NDArray[np.float32],
-    height_m: NDArray[np.float32],
-    sector: NDArray[np.int16],
-    below_m: float,
-    sectors: int,
-    bands: int,
+    range_m: NDArray[np.float32], height_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int, bands: int
 ) -> NDArray[np.float32]: ...
 def measure_steps(
     range_m: NDArray[np.float32], height_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int

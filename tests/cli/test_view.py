@@ -14,6 +14,11 @@ from tests.cli.test_networks import run
 from viewshed import Sweep, read_sweep, write_sweep
 from viewshed.cli._outputs import Named
 from viewshed.cli.replay import Pace
+from viewshed.integrity import SweepMonitor, save_sweep_monitor
+from viewshed.integrity.calibration import Group
+from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.integrity.score import EvidenceScore, SurpriseScale, features_of
+from viewshed.integrity.sweep_monitor import BenignSweep, Rates
 from viewshed.io.samples import junction_path
 
 recordings: Any = import_module("recording_files")
@@ -92,6 +97,28 @@ def test_history_is_for_estimators_that_use_it(drive: list[Path], tmp_path: Path
         code, _, err = run(*words, drive[0], "--history", 2, "--method", "majority_vote")
         assert code == 2
         assert "--history helps viewnet and shadow_map, got majority_vote" in err
+
+
+def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path) -> None:
+    rng, kinds = np.random.default_rng(0), len(EVIDENCE)
+    evidence = rng.exponential(1.0, (60, kinds, SECTORS)).astype(np.float32)
+    count = features_of(kinds)
+    zeros, ones, none = np.zeros(count, np.float32), np.ones(count, np.float32), np.zeros(2, np.float32)
+    weights = np.zeros((count, 2), np.float32)
+    weights[:kinds, 0] = 1.0
+    outputs = np.eye(2, dtype=np.float32)
+    scale = SurpriseScale.fit(evidence)
+    score = EvidenceScore(tuple(EVIDENCE), scale, zeros, ones, weights, none, outputs, none)
+    benign = [BenignSweep(f"{k}", Group("VLP-16", "none"), each) for k, each in enumerate(evidence)]
+    save_sweep_monitor(SweepMonitor.calibrate(score, benign, rng, rates=Rates(0.1, 0.1)), tmp_path / "monitor.npz")
+    page = tmp_path / "run.html"
+    code, _, err = run("view", *drive[:2], "--html", page, "--monitor", tmp_path / "monitor.npz")
+    assert code == 0, err
+    for text in re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")):
+        about = json.loads(text)
+        assert about["method"] == "shadow_map"
+        assert (about["score"] > about["limit"]) == any("inconsistent" in each["verdict"] for each in about["alarms"])
+        assert any("was not calibrated" in note for note in about["notes"])
 
 
 def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from tests.integrity.benign import HDL, KINDS, VLP, benign_sweeps, evidence_of, 
 from viewshed import BevGrid, Sweep
 from viewshed.geometry import Rigid
 from viewshed.integrity import SweepMonitor, load_sweep_monitor, save_sweep_monitor
-from viewshed.integrity.calibration import Group, Per
+from viewshed.integrity.calibration import Calibration, Group, Per
 from viewshed.integrity.evidence import SECTORS, MonitoredSweep
 from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, Rates, group_of
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -113,6 +113,19 @@ def test_the_same_sweeps_give_the_same_file_and_the_file_the_same_monitor(tmp_pa
             assert str(before) == str(after)
         assert again.promises() == monitor.promises()
         assert (again.facts, again.per, again.warnings) == (monitor.facts, monitor.per, monitor.warnings)
+
+
+def test_promises_are_told_for_each_group_and_verdict() -> None:
+    lines = _monitor().promises()
+    assert len(lines) == 4
+    assert lines[0].startswith("HDL-32E, single sweeps: inconsistent above ")
+    assert lines[0].endswith("expected rate at most 1.000%, at most 2.299% with probability 0.9")
+    scores = {VLP: np.arange(999.0)}
+    real = [(VLP, 10.0 * number + 0.5) for number in range(53)]
+    told = Calibration(scores, 0.01).corrected(real).promise_of(VLP)
+    assert told.startswith(
+        "corrected by 53 real scenes: expected rate at most 1.852% however wrong the simulation is, 1."
+    )
 
 
 def _message(path: Path, content: bytes) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -28,8 +29,13 @@ from viewshed.cli.monitor import estimator_of
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.temporal import SweepBuffer
-    from viewshed.integrity import DeviationMonitor
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.integrity import IntegrityReport
+    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.view import PackedFrame
+
+    Check = Callable[[LeveledSweep, FovEstimate], IntegrityReport]
+    """What a monitor says of the next sweep and its estimate."""
 
 Every = Annotated[int, typer.Option(min=1, help="Take every so many sweeps.")]
 
@@ -55,7 +61,7 @@ def view(
     passes: Passes = None,
     seed: Seed = None,
     monitor: Annotated[
-        Path | None, typer.Option(help="File of viewshed monitor fit; it brings its method, grid and target.")
+        Path | None, typer.Option(help="File of monitor calibrate, or of monitor fit, which brings method and grid.")
     ] = None,
     history: HistorySweeps = 0,
     every: Every = 1,
@@ -67,20 +73,14 @@ def view(
 
     Example: viewshed view drive.mcap --html run.html --every 5
     """
-    from viewshed.integrity import load_monitor
     from viewshed.view import write_page
 
     if html is None:
         raise ValueError("name the page to write: --html run.html")
     reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    fitted = None if monitor is None else load_monitor(monitor)
-    if fitted is None:
-        network = NetworkOptions(weights, passes, seed)
-        estimator: Estimator = network.estimator(method, options.parse_grid(grid), target)
-    elif method in {None, "mc_dropout"}:
-        estimator = estimator_of(fitted, weights)
-    else:
-        raise ValueError(f"--monitor was fitted on mc_dropout, got --method {method}; leave it out")
+    own, check = (None, None) if monitor is None else _monitored(monitor, weights, method)
+    network = NetworkOptions(weights, passes, seed)
+    estimator = own or network.estimator(method, options.parse_grid(grid), target)
     buffer = history_buffer(estimator, history)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
@@ -89,17 +89,34 @@ def view(
     named = named_sweeps(reading, jobs, output_names(places), failures)
     taken = islice(named, 0, None if sweeps is None else every * sweeps, every)
     title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
-    size = write_page(html, _packed(taken, estimator, buffer, fitted, failures), title)
+    size = write_page(html, _packed(taken, estimator, buffer, check, failures), title)
     typer.echo(f"{html}: {size / 1e6:.2f} MB")
     if failures.count:
         raise typer.Exit(2)
+
+
+def _monitored(file: Path, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
+    """Return the estimator that a monitor was fitted on, if it was on one, and what the monitor says of each sweep."""
+    from viewshed.integrity import StreamMonitor, load_monitor, load_sweep_monitor
+    from viewshed.integrity.deviation import NAME as DEVIATION
+    from viewshed.integrity.over_time import EDetector
+    from viewshed.integrity.sweep_monitor import kind_of_monitor
+
+    if kind_of_monitor(file) == DEVIATION:
+        if method not in {None, "mc_dropout"}:
+            raise ValueError(f"--monitor was fitted on mc_dropout, got --method {method}; leave it out")
+        fitted = load_monitor(file)
+        return estimator_of(fitted, weights), lambda _, estimate: fitted.check(estimate)
+    # The page shows sweep by sweep: doubt that adds up over them is not asked for.
+    stream = StreamMonitor(load_sweep_monitor(file), EDetector(limit=math.inf))
+    return None, lambda leveled, estimate: stream.check(leveled, {estimate.method: estimate}).now
 
 
 def _packed(
     sweeps: Iterable[Named],
     estimator: Estimator,
     buffer: SweepBuffer | None,
-    monitor: DeviationMonitor | None,
+    check: Check | None,
     failures: Failures,
 ) -> Iterator[PackedFrame]:
     """Yield each sweep as the page holds it, and print its line; the sensor of the one before is expected first."""
@@ -118,7 +135,7 @@ def _packed(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
-            report = None if monitor is None else monitor.check(estimate)
+            report = None if check is None else check(leveled, estimate)
         except BAD_INPUTS as error:
             failures.report(named.file, error)
             continue

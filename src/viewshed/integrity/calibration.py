@@ -395,6 +395,17 @@ class Calibration:
         """Return what is promised for a calibrated group; corrected by real scenes, see :class:`RealScores` instead."""
         return Promised(len(self.scores[group]), self._limits[group][1])
 
+    def promise_of(self, group: Group) -> str:
+        """Return what is promised for a calibrated group in a line."""
+        if not len(self.real):
+            return str(self.promised(group))
+        steps = len(self.real) + 1
+        return (
+            f"corrected by {len(self.real)} real scenes: expected rate at most"
+            f" {math.ceil(self.rate * steps - 1e-9) / steps:.3%} however wrong the simulation is, {self.rate:.3%} if it"
+            " has the right shape between them"
+        )
+
     def corrected(self, real: Iterable[tuple[Group, float]]) -> Self:
         """Return the calibration corrected by the scores of real benign scenes, one each, see :class:`RealScores`.
 

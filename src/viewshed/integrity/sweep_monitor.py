@@ -285,7 +285,7 @@ class SweepMonitor:
     def promises(self) -> list[str]:
         """Return a line for each group and verdict: the limit and both promises."""
         return [
-            f"{group}: {name} above {calibration.limit(group):.4g}; {calibration.promised(group)} per {self.per}"
+            f"{group}: {name} above {calibration.limit(group):.4g}; per {self.per}: {calibration.promise_of(group)}"
             for group in sorted(self.benign)
             for name, calibration in (("inconsistent", self.inconsistent), ("degraded", self.degraded))
         ]

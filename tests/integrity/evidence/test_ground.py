@@ -19,7 +19,7 @@ from viewshed.integrity.evidence.below_ground import measure_below_ground
 from viewshed.integrity.evidence.beyond_ground import measure_beyond_ground
 from viewshed.integrity.evidence.common_steps import measure_common_steps
 from viewshed.integrity.evidence.empty_runs import measure_empty_runs
-from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_surface_noise
+from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_near_noise, measure_surface_noise
 from viewshed.integrity.evidence.range_offset import measure_range_offset
 from viewshed.integrity.evidence.straight_edges import measure_straight_edges
 
@@ -136,6 +136,18 @@ def test_noise_of_a_spoofed_wall_is_that_of_surfaces() -> None:
     assert found[AHEAD] > 2.5
     assert found[BEHIND] < 1.5
     assert np.nanmax(measured(measure_ground_noise, noisy(GROUND_RINGS + 1, 16, 0.1))) < 2.0
+
+
+def test_noise_of_near_surfaces_alone() -> None:
+    rng = np.random.default_rng(1)
+    near = wall(street(), -60.0, 60.0, 8.0)
+    forged = near + np.where(columns_at(-15.0, 15.0), 0.1, 0.02) * rng.standard_normal(near.shape)
+    found = measured(measure_near_noise, forged)
+    assert found[AHEAD] > 2.5
+    assert found[sector_at(40.0)] < 1.5
+    # The same noise at the wall at 40 m is too far away.
+    far = measured(measure_near_noise, noisy(GROUND_RINGS, 16, 0.1))
+    assert not np.nanmax(far) > 2.0
 
 
 def test_leaves_are_too_rough_to_be_noise() -> None:

@@ -21,7 +21,7 @@ from viewshed.integrity.evidence.isolated import measure_isolated
 from viewshed.integrity.evidence.lost_view import measure_lost_view
 from viewshed.integrity.evidence.off_beam import measure_off_beam
 from viewshed.integrity.evidence.phantom_shadow import measure_phantom_shadow
-from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_surface_noise
+from viewshed.integrity.evidence.range_noise import measure_ground_noise, measure_near_noise, measure_surface_noise
 from viewshed.integrity.evidence.range_offset import measure_range_offset
 from viewshed.integrity.evidence.registration import measure_registration
 from viewshed.integrity.evidence.same_noise import measure_same_noise
@@ -55,6 +55,11 @@ _ALL = (
     Evidence("empty_runs", measure_empty_runs, "{value:.0f}° around {degrees:.0f}° hardly returned anything"),
     Evidence(
         "ground_noise", measure_ground_noise, "ground at {degrees:.0f}° is {value:.1f} times as noisy as all around"
+    ),
+    Evidence(
+        "near_noise",
+        measure_near_noise,
+        "surfaces within 20 m at {degrees:.0f}° are {value:.1f} times as noisy as the smoothest",
     ),
     Evidence(
         "surface_noise",

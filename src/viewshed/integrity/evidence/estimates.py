@@ -8,6 +8,7 @@ detector's (arXiv 2503.07375).
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ def _sectors_of_cells(grid: BevGrid) -> tuple[NDArray[np.intp], NDArray[np.intp]
     return sector, np.bincount(sector, minlength=SECTORS)
 
 
-def _mean_by_sector(grid: BevGrid, values: NDArray[np.floating]) -> Floats:
+def _mean_by_sector(grid: BevGrid, values: NDArray[np.floating[Any]]) -> Floats:
     """Return the mean (SECTORS,) of values of cells (cells, cells); NaN in sectors without a cell."""
     sector, cells = _sectors_of_cells(grid)
     total = np.bincount(sector, values.ravel(), SECTORS)

@@ -9,18 +9,18 @@ of rain or of the sensor, cancels.
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
-from viewshed.integrity.evidence.beam_image import beam_image_of
+from viewshed.integrity.evidence.beam_image import BeamImage, beam_image_of
 
 _BANDS = 8
 """Bands of rings, each with its own quartile."""
-
-_GROUND_M = 0.3
-"""Returns lower than this above local ground are ground."""
 
 _MOST_M = 0.3
 """A larger quartile is no noise of a sensor or spoofer, but a rough surface."""
@@ -31,36 +31,57 @@ _FLOOR_M = 0.01
 
 def measure_ground_noise(monitored: MonitoredSweep) -> Floats:
     """Return the noise of ground returns (SECTORS,) against that all around; NaN for too few, or without rings."""
-    noise_m = _noise_of(monitored, _GROUND_M)
-    return ABSTAINS if noise_m is None else _second_largest(noise_m / (_median(noise_m, 0) + _FLOOR_M))
+    image = beam_image_of(monitored.leveled)
+    if image is None:
+        return ABSTAINS
+    noise_m = _noise_of(image)[0]
+    return _largest_two(noise_m / (_median_around(noise_m) + _FLOOR_M))
+
+
+def measure_near_noise(monitored: MonitoredSweep) -> Floats:
+    """Return the noise of returns up to 20 m (SECTORS,) against the smoothest; NaN for too few, or without rings."""
+    return _against_smoothest(monitored, 1)
 
 
 def measure_surface_noise(monitored: MonitoredSweep) -> Floats:
-    """Return the noise of all returns (SECTORS,) against the sweep's smoothest; NaN for too few, or without rings."""
-    noise_m = _noise_of(monitored, np.inf)
-    if noise_m is None or np.isnan(noise_m).all():
+    """Return the noise of all returns (SECTORS,) against the smoothest; NaN for too few, or without rings."""
+    return _against_smoothest(monitored, 2)
+
+
+def _against_smoothest(monitored: MonitoredSweep, kind: int) -> Floats:
+    image = beam_image_of(monitored.leveled)
+    if image is None:
+        return ABSTAINS
+    noise_m = _noise_of(image)[kind]
+    if np.isnan(noise_m).all():
         return ABSTAINS
     return _second_largest(noise_m / (np.nanquantile(noise_m, 0.25) + _FLOOR_M))
 
 
-def _noise_of(monitored: MonitoredSweep, below_m: float) -> Floats | None:
-    """Return the noise in meters (SECTORS, _BANDS) of returns lower than this; NaN where too few or too rough."""
-    image = beam_image_of(monitored.leveled)
-    if image is None:
-        return None
-    noise_m = _core.measure_noise(image.range_m, image.height_m, image.sector, below_m, SECTORS, _BANDS)
+@lru_cache(maxsize=2)
+def _noise_of(image: BeamImage) -> Floats:
+    """Return the noise in meters (3, SECTORS, _BANDS) of ground, near and all; NaN where too few or too rough."""
+    noise_m = _core.measure_noise(image.range_m, image.height_m, image.sector, SECTORS, _BANDS)
     return np.where(noise_m < _MOST_M, noise_m, np.nan).astype(np.float32)
 
 
-def _median(values: Floats, axis: int) -> Floats:
-    """Return the median along an axis without NaN; NaN where there is nothing else."""
-    ordered, count = np.sort(values, axis), np.isfinite(values).sum(axis, keepdims=True)
-    low, high = (np.take_along_axis(ordered, np.maximum(k, 0), axis) for k in ((count - 1) // 2, count // 2))
-    return np.where(count > 0, (low + np.where(count > 0, high, low)) / 2, np.nan).astype(np.float32)
+def _median_around(noise_m: Floats) -> Floats:
+    """Return the median (_BANDS,) over the sectors that have a number; NaN where none has."""
+    ordered, count = np.sort(noise_m, axis=0), np.isfinite(noise_m).sum(axis=0)
+    band = np.arange(noise_m.shape[1])
+    low, high = ordered[np.maximum(count - 1, 0) // 2, band], ordered[np.minimum(count // 2, len(noise_m) - 1), band]
+    return np.where(count > 0, (low + high) / 2, np.nan).astype(np.float32)
 
 
-def _second_largest(values: NDArray[np.floating]) -> Floats:
+def _second_largest(values: NDArray[np.floating[Any]]) -> Floats:
     """Return the second largest of each row without NaN: a patch reaches over several bands. NaN for none."""
     known = np.isfinite(values)
     second = np.sort(np.where(known, values, 0.0), axis=1)[:, -2]
     return np.where(known.any(axis=1), second, np.nan).astype(np.float32)
+
+
+def _largest_two(values: NDArray[np.floating[Any]]) -> Floats:
+    """Return the mean of the two largest of each row, 0 for one that is missing; NaN for none."""
+    known = np.isfinite(values)
+    two = np.sort(np.where(known, values, 0.0), axis=1)[:, -2:].mean(axis=1)
+    return np.where(known.any(axis=1), two, np.nan).astype(np.float32)

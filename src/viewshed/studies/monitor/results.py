@@ -81,18 +81,17 @@ class Scored:
         return np.array([drive.conditions == BENIGN for drive in self.table.drives])[self.table.drive]
 
     def of_drives(self) -> Scored:
-        """Return one row for each drive and case: the mean score of frames ``ONSET`` to the last."""
+        """Return one row for each drive and case: the largest scores of frames ``ONSET`` to the last."""
         late = self.rows(self.table.frame >= ONSET)
         key = late.table.drive.astype(np.int64) * len(self.table.cases) + late.table.case
         _, first, place = np.unique(key, return_index=True, return_inverse=True)
-        mean = np.zeros((len(first), 2))
-        np.add.at(mean, place, late.scores)
-        counted = np.bincount(place)[:, None]
+        largest = np.full((len(first), 2), -np.inf, np.float32)
+        np.maximum.at(largest, place, late.scores)
         chosen = np.zeros(len(key), np.bool_)
         chosen[first] = True
         order = np.argsort(first)
         one = late.rows(chosen)
-        return Scored(one.table, (mean / counted)[order].astype(np.float32), one.sectors)
+        return Scored(one.table, largest[order], one.sectors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +226,7 @@ class Evaluation:
         Args:
             verdict: ``INCONSISTENT`` or ``DEGRADED``.
             rate: of false alarms.
-            five: of the mean over the last five sweeps of a drive, not of single ones.
+            five: of the largest of the last five sweeps of a drive, not of single ones.
         """
         scored = self.benign_calibration.of_drives() if five else self.one_of_each_scene
         return Limits.of(scored.rows(scored.is_clear) if verdict == DEGRADED else scored, verdict, rate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.integrity.evidence import MonitoredSweep
-from viewshed.preprocess.leveling import level
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks.adaptive import BlackBox, Trip, Value
 from viewshed.threats.attacks.points import Mode
@@ -39,9 +40,15 @@ class MonitorScore:
 
     def __call__(self, sweep: Sweep) -> float:
         """Return the score of a sweep."""
-        earlier = tuple(level(before, self.grid) for before in self.earlier)
+        earlier = tuple(_leveled(before, self.grid) for before in self.earlier)
         estimates = {name: one.estimate(sweep) for name, one in self.estimators.items()}
         return float(self.score(MonitoredSweep(level(sweep, self.grid), earlier, estimates)))
+
+
+@lru_cache(maxsize=16)
+def _leveled(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
+    """Return a sweep leveled; the earlier ones are the same for every question."""
+    return level(sweep, grid)
 
 
 def tripped_shares(
