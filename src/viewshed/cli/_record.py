@@ -1,0 +1,126 @@
+"""Running a pipeline over sweeps with the answers handed to recorders, for ``replay``, ``record`` and ``view``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from viewshed.cli._outputs import Failures, refuse_inputs
+
+if TYPE_CHECKING:
+    from viewshed.datasets.recorder.moment import DriveTruth, Moment, RisingTimes
+    from viewshed.integrity import StreamMonitor
+    from viewshed.pipeline import Answer
+    from viewshed.sweep import Sweep
+
+    Record = Callable[[Moment], None]
+
+To = Annotated[
+    Path | None, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")
+]
+SchemaNames = Annotated[str, typer.Option("--schemas", help="Messages of the bag: ros, or foxglove (NAME.mcap).")]
+MonitorFile = Annotated[
+    str | None, typer.Option("--monitor", help="File of monitor calibrate, or shipped: watch the stream.")
+]
+
+
+def stream_monitor(name: str | None) -> StreamMonitor | None:
+    """Return what watches a stream: a file of ``monitor calibrate``, or ``shipped``; None for nothing.
+
+    Raises:
+        ValueError: the file is no such monitor.
+        OSError: it cannot be read.
+    """
+    if name is None:
+        return None
+    from viewshed.integrity import StreamMonitor, load_sweep_monitor
+    from viewshed.integrity.over_time import EDetector
+    from viewshed.integrity.sweep_monitor import shipped_monitor
+
+    monitor = shipped_monitor() if name == "shipped" else load_sweep_monitor(name)
+    return StreamMonitor(monitor, EDetector(limit=ALARM_LIMIT))
+
+
+ALARM_LIMIT = 10_000.0
+"""Mean number of sweeps between false alarms of a stream at least: a quarter of an hour at 10 Hz."""
+
+
+class Awaited(NamedTuple):
+    """A sweep whose answer is awaited: of whom, when it was due since the first, and what a simulation tells of it."""
+
+    agent: str
+    due_s: float
+    sweep: Sweep
+    truth: DriveTruth | None
+
+
+class Listener:
+    """Prints the line of each answer and hands it, with its sweep, to what records.
+
+    Args:
+        records: what takes the moments.
+        failures: count the sweeps that were refused.
+        is_live: whether latencies are recorded.
+    """
+
+    def __init__(self, records: Sequence[Record], failures: Failures, *, is_live: bool) -> None:
+        self._records, self._failures, self._is_live = records, failures, is_live
+        self._awaited: dict[int, Awaited] = {}
+        self._times: RisingTimes | None = None
+
+    def expect(self, number: int, awaited: Awaited) -> None:
+        """Keep a sweep until its answer comes, or that of a later one of its agent."""
+        self._awaited[number] = awaited
+
+    def __call__(self, answer: Answer) -> None:
+        """Take an answer."""
+        awaited = self._awaited[answer.number]
+        # Earlier sweeps of the agent have no answer any more: they were dropped.
+        for number in [k for k, each in self._awaited.items() if each.agent == awaited.agent and k <= answer.number]:
+            del self._awaited[number]
+        if answer.estimate is None:
+            self._failures.report(f"{awaited.due_s:.3f} s", ValueError(answer.refused))
+        else:
+            alarm = ", ALARM" if answer.report is not None and (answer.report.alarm or answer.report.now.alarm) else ""
+            visible = f"visible {answer.estimate.area_m2():.0f} m²"
+            typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{alarm}")
+        if self._records:
+            self._record(answer, awaited)
+
+    def _record(self, answer: Answer, awaited: Awaited) -> None:
+        from viewshed.datasets.recorder.moment import Moment, RisingTimes
+
+        self._times = self._times or RisingTimes()
+        t_ns = self._times.of(awaited.agent, awaited.sweep.t_ns)
+        moment = Moment(awaited.agent, t_ns, awaited.sweep, answer, awaited.truth, self._is_live)
+        for record in self._records:
+            record(moment)
+
+
+@contextmanager
+def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
+    """Open the bag that was asked for, if any.
+
+    Raises:
+        ValueError: it would replace an input, or its name is that of no bag.
+    """
+    if to is None:
+        if schemas != "ros":
+            raise ValueError("--schemas goes with --to")
+        yield []
+        return
+    from viewshed.datasets.recorder.recorder import open_recorder
+
+    refuse_inputs([to], inputs)
+    with open_recorder(to, schemas) as record:
+        yield [record]
+
+
+def written_line(place: Path) -> str:
+    """Return what was written, and how much it is."""
+    files = [place] if place.is_file() else sorted(place.iterdir())
+    return f"{place}: {sum(file.stat().st_size for file in files) / 1e6:.2f} MB"
