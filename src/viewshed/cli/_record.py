@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from viewshed.cli._outputs import Failures, refuse_inputs
+from viewshed.cli._outputs import Failures, Named, refuse_inputs
 
 if TYPE_CHECKING:
     from viewshed.datasets.recorder.moment import DriveTruth, Moment, RisingTimes
     from viewshed.integrity import StreamMonitor
-    from viewshed.pipeline import Answer
+    from viewshed.pipeline import Answer, Pipeline
     from viewshed.sweep import Sweep
 
     Record = Callable[[Moment], None]
@@ -55,7 +55,7 @@ class Awaited(NamedTuple):
     agent: str
     due_s: float
     sweep: Sweep
-    truth: DriveTruth | None
+    truth: DriveTruth | None = None
 
 
 class Listener:
@@ -124,3 +124,27 @@ def written_line(place: Path) -> str:
     """Return what was written, and how much it is."""
     files = [place] if place.is_file() else sorted(place.iterdir())
     return f"{place}: {sum(file.stat().st_size for file in files) / 1e6:.2f} MB"
+
+
+def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Named]:
+    """Yield the sweeps once, or again and again as long as any can be read."""
+    is_any = True
+    while is_any:
+        is_any = False
+        for named in read():
+            is_any = loop
+            yield named
+
+
+def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited]) -> int:
+    """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were."""
+    count = 0
+    try:
+        with pipeline:
+            for each in sweeps:
+                listener.expect(count, each)
+                pipeline.put(each.sweep, each.agent)
+                count += 1
+    finally:
+        typer.echo(pipeline.statistics().line())
+    return count

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +18,7 @@ from viewshed.cli._record import (
     MonitorFile,
     SchemaNames,
     recorders,
+    run,
     stream_monitor,
     written_line,
 )
@@ -70,25 +71,24 @@ def record(
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
         stream = _read(Reading(sensor), files, failures)
-    count, begin_ns = 0, 0
     with recorders(to, schemas, [] if is_simulated else files) as records:
         listener = Listener(records, failures, is_live=False)
         pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=True)
-        try:
-            with pipeline:
-                for sweep, truth in islice(stream, sweeps):
-                    begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
-                    due_s = count * USUAL_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
-                    listener.expect(count, Awaited(sweep.agent, due_s, sweep, truth))
-                    pipeline.put(sweep, sweep.agent)
-                    count += 1
-        finally:
-            typer.echo(pipeline.statistics().line())
+        count = run(pipeline, listener, _timed(islice(stream, sweeps)))
         if not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     typer.echo(written_line(to))
     if failures.count:
         raise typer.Exit(2)
+
+
+def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaited]:
+    """Yield sweeps with their times since the first; those without a time come a tenth of a second apart."""
+    begin_ns = 0
+    for count, (sweep, truth) in enumerate(stream):
+        begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
+        due_s = count * USUAL_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
+        yield Awaited(sweep.agent, due_s, sweep, truth)
 
 
 def _read(reading: Reading, files: list[Path], failures: Failures) -> Iterator[tuple[Sweep, DriveTruth | None]]:

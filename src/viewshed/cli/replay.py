@@ -19,6 +19,8 @@ from viewshed.cli._record import (
     SchemaNames,
     To,
     recorders,
+    repeated,
+    run,
     stream_monitor,
     written_line,
 )
@@ -101,26 +103,14 @@ def replay(
     names = output_names([file for file, _ in jobs])
 
     def read() -> Iterator[Named]:
-        """Yield the sweeps once, or again and again as long as any can be read."""
-        is_any = True
-        while is_any:
-            is_any = False
-            for named in named_sweeps(reading, jobs, names, failures):
-                is_any = loop
-                yield named
+        return named_sweeps(reading, jobs, names, failures)
 
-    pace, count = Pace(0.0 if as_fast else rate), 0
+    pace = Pace(0.0 if as_fast else rate)
     with recorders(to, schemas, [file for file, _ in jobs]) as records:
         listener = Listener(records, failures, is_live=not as_fast)
         pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=as_fast)
-        try:
-            with pipeline:
-                for named in pace.kept(read()):
-                    listener.expect(count, Awaited(named.sweep.agent, pace.time_s, named.sweep, None))
-                    pipeline.put(named.sweep, named.sweep.agent)
-                    count += 1
-        finally:
-            typer.echo(pipeline.statistics().line())
+        taken = pace.kept(repeated(read, loop=loop))
+        count = run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken))
         if to is not None and not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     if to is not None:

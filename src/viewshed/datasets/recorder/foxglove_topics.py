@@ -184,8 +184,10 @@ def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Mo
         host: where it listens; the own machine alone unless told.
 
     Raises:
+        ImportError: foxglove-sdk is not installed.
         OSError: the port cannot be had.
     """
+    foxglove_types()
     import foxglove
 
     context = foxglove.Context()
