@@ -118,8 +118,10 @@ def test_agents_are_bounded_and_bad_settings_refused() -> None:
     for k in range(5):
         stream.check(_leveled(9000 + k, _time_ns(k), agent=f"agent {k}"))
     assert list(stream._agents) == ["agent 3", "agent 4"]
-    with pytest.raises(ValueError, match="every_s and jump_s must be positive and agents 1 at least"):
+    with pytest.raises(ValueError, match="agents must be 1 at least, got 0"):
         _stream(agents=0)
+    with pytest.raises(ValueError, match="every_s and jump_s must be positive, got 0.0 and 0.5"):
+        _stream(every_s=0.0)
 
 
 def test_a_sweep_that_cannot_be_checked_leaves_the_stream_as_it_was() -> None:

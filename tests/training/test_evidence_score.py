@@ -27,7 +27,7 @@ def _examples(seed: int) -> ScoreExamples:
     evidence[:, 2] = np.nan
     return ScoreExamples(
         ("a", "b", "c"), evidence, (kind == 1).astype(np.float32), (kind == 2).astype(np.float32), sectors,
-        np.ones(COUNT, np.float32), np.zeros(3, np.bool_),
+        np.ones(COUNT, np.float32), kind == 0, np.zeros(3, np.bool_),
     )  # fmt: skip
 
 
@@ -57,6 +57,6 @@ def test_the_same_seed_gives_the_same_score_and_silence_stays_silent() -> None:
 
 def test_only_attacked_sweeps_are_refused() -> None:
     examples = _examples(0)
-    examples.inconsistent[:] = 1.0
+    examples.usual[:] = False
     with pytest.raises(ValueError, match="a score needs benign sweeps to train on, got none"):
         ScoreTrainer.of(examples)

@@ -20,6 +20,7 @@ from viewshed.cli._options import BAD_INPUTS, complain, one_line
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
+    from viewshed.cli._verdicts import Judge
     from viewshed.datasets import Archive
     from viewshed.datasets.archive.build import ShardResult
     from viewshed.estimators import Estimator
@@ -179,12 +180,14 @@ class Run:
         threshold: probability from which a cell counts as visible.
         out: folder of the results.
         results: which of ``RESULTS`` are written.
+        judge: the monitor that says what it finds in each sweep; None without one.
     """
 
     estimator: Estimator
     threshold: float
     out: Path
     results: tuple[str, ...] = RESULTS
+    judge: Judge | None = None
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
@@ -209,7 +212,10 @@ class Run:
         leveled = level(sweep, self.estimator.grid)
         estimate = self.estimator.estimate(leveled)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
-        return estimate, self.write(leveled, name, estimate, elapsed_ms)
+        line = self.write(leveled, name, estimate, elapsed_ms)
+        if self.judge is not None:
+            line = f"{line}; {self.judge.judge(leveled, sweep.agent)[2]}"
+        return estimate, line
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
         """Estimate in batches and write in threads."""

@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 
 import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights, complain
 from viewshed.cli._outputs import Failures, free_name, refuse_inputs, stem_of, with_bar
+from viewshed.cli._verdicts import Drives, Judge, monitor_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from viewshed.estimators.unet import UnetEstimator
     from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.integrity import DeviationMonitor, IntegrityReport
     from viewshed.integrity.evidence import MonitoredSweep
     from viewshed.integrity.sweep_monitor import BenignSweep, SweepMonitor
-    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
 
@@ -35,12 +32,6 @@ BaseMonitor = Annotated[
     Path | None,
     typer.Option("--monitor", help="File of viewshed monitor calibrate or fit; the one in the box if not given."),
 ]
-
-NEXT_NS = 1_000_000_000
-"""A sweep that follows later does not go on the same drive."""
-
-SCENE_NS = 20_000_000_000
-"""A longer drive counts as several scenes."""
 
 
 @monitor_app.callback()
@@ -123,7 +114,7 @@ def calibrate(
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
     refuse_inputs((out,), map(Path, sources))
-    base, rng = _sweep_monitor(monitor), np.random.default_rng(seed or 0)
+    base, rng = monitor_of(monitor), np.random.default_rng(seed or 0)
     failures = Failures()
     benign = list(_benign(_Source(tuple(sources), split, sensor), options.parse_grid(grid), base, failures))
     if correct:
@@ -193,16 +184,15 @@ def explain(
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """
     from viewshed._files import write_atomic
+    from viewshed.preprocess.leveling import level
 
     refuse_inputs((out,), [Path(source)])
-    run = _SweepRun(_sweep_monitor(monitor), options.parse_grid(grid))
+    judge = Judge(monitor_of(monitor))
     for place, seen in enumerate(_Source((source,), split, sensor)):
-        monitored = run.drive.next(seen, run.grid)
+        monitored, report, said = judge.judge(level(seen.sweep, options.parse_grid(grid)), seen.drive)
         if place == number:
-            report = run.monitor.check(monitored)
-            line = verdict_line(seen.name, report)
-            write_atomic(out, run.picture(monitored, report, line))
-            typer.echo(f"{line} → {out}")
+            write_atomic(out, explaining_picture(judge.monitor, monitored, report, f"{seen.name}: {said}"))
+            typer.echo(f"{seen.name}: {said} → {out}")
             for reason in report.reasons[1:]:
                 typer.echo(f"  {reason}")
             return
@@ -248,63 +238,21 @@ class _Source:
             yield Seen(f"{path} {sweep.agent}", name, sweep)
 
 
-@dataclass(slots=True)
-class _Drive:
-    """The last sweeps of a drive, as a monitor is given them: the next one follows within a second."""
-
-    name: str = ""
-    began_ns: int = 0
-    earlier: deque[LeveledSweep] = field(default_factory=deque)
-
-    def next(self, seen: Seen, grid: BevGrid) -> MonitoredSweep:
-        """Return the next sweep, leveled, with those before it, and remember it."""
-        from viewshed.integrity.evidence import MonitoredSweep
-        from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS
-        from viewshed.preprocess.leveling import level
-
-        t_ns, last = seen.sweep.t_ns, self.earlier[-1] if self.earlier else None
-        follows = last is not None and seen.drive == self.name and _follows(t_ns, last.sweep.t_ns)
-        if not follows:
-            self.name, self.began_ns, last = seen.drive, t_ns or 0, None
-            self.earlier.clear()
-        leveled = level(seen.sweep, grid, None if last is None else last.sensor_id.model)
-        monitored = MonitoredSweep(leveled, tuple(self.earlier))
-        if t_ns is not None:
-            self.earlier.append(leveled)
-        if len(self.earlier) > EARLIER_SWEEPS:
-            self.earlier.popleft()
-        return monitored
-
-    def scene(self, seen: Seen) -> str:
-        """Return the scene of a sweep: a piece of 20 s of its drive."""
-        return f"{seen.drive} {((seen.sweep.t_ns or 0) - self.began_ns) // SCENE_NS}"
-
-
-def _follows(t_ns: int | None, before_ns: int | None) -> bool:
-    return t_ns is not None and before_ns is not None and 0 < t_ns - before_ns <= NEXT_NS
-
-
-def _sweep_monitor(file: Path | None) -> SweepMonitor:
-    """Return the monitor in a file, or the one in the box."""
-    from viewshed.integrity.sweep_monitor import load_sweep_monitor, shipped_monitor
-
-    return shipped_monitor() if file is None else load_sweep_monitor(file)
-
-
 def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
     """Yield what all evidence measures of each sweep that can be read and leveled."""
     from viewshed.integrity.score import measure_all
     from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, group_of
+    from viewshed.preprocess.leveling import level
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    drive = _Drive()
+    drives = Drives()
     for seen in sources:
         try:
-            monitored = drive.next(seen, grid)
+            monitored = drives.next(level(seen.sweep, grid), seen.drive)
             if len(monitored.earlier) < EARLIER_SWEEPS:
                 monitored = replace(monitored, earlier=())
-            yield BenignSweep(drive.scene(seen), group_of(monitored), measure_all(monitored))
+            yield BenignSweep(drives.scene(monitored.leveled), group_of(monitored), measure_all(monitored))
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
 
@@ -333,92 +281,52 @@ def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path |
         return _DeviationRun(fitted, estimator_of(fitted, weights), out)
     if weights is not None:
         raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
-    return _SweepRun(_sweep_monitor(file), grid, out)
+    return _SweepRun(Judge(monitor_of(file)), grid, out)
 
 
 @dataclass(slots=True)
 class _SweepRun:
     """The monitor of all evidence at work."""
 
-    monitor: SweepMonitor
+    judge: Judge
     grid: BevGrid
     out: Path | None = None
-    checked: int = 0
-    inconsistent: int = 0
-    degraded: int = 0
     failures: Failures = field(default_factory=Failures)
-    drive: _Drive = field(default_factory=_Drive)
     taken: set[str] = field(default_factory=set)
 
     def one(self, seen: Seen) -> None:
         """Say what the monitor finds in a sweep."""
         from viewshed._files import write_atomic
+        from viewshed.preprocess.leveling import level
 
         try:
-            monitored = self.drive.next(seen, self.grid)
-            report = self.monitor.check(monitored)
-            line = verdict_line(seen.name, report)
+            monitored, report, said = self.judge.judge(level(seen.sweep, self.grid), seen.drive)
+            line = f"{seen.name}: {said}"
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
-                write_atomic(place, self.picture(monitored, report, line))
+                write_atomic(place, explaining_picture(self.judge.monitor, monitored, report, line))
                 line = f"{line} → {place}"
             typer.echo(line)
         except BAD_INPUTS as error:
             self.failures.report(seen.name, error)
-        else:
-            self.checked += 1
-            self.inconsistent += report.inconsistent
-            self.degraded += report.degraded
 
     def summary(self) -> str:
         """Return how many sweeps were checked and what was found, in a line."""
-        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded"
-
-    def picture(self, monitored: MonitoredSweep, report: IntegrityReport, line: str) -> bytes:
-        """Return the PNG of a report: suspect sectors on the map of the default estimate, and all evidence."""
-        from viewshed.estimators import load_estimator
-        from viewshed.integrity.score import measure_all
-        from viewshed.plot import Panel, monitor_picture
-
-        estimate = load_estimator(grid=self.grid).estimate(monitored.leveled)
-        score = self.monitor.score
-        surprises = score.scale(measure_all(monitored)[None])[0]
-        return monitor_picture(
-            Panel(estimate, line, monitored.leveled, estimate.threshold), report, score.names, surprises
-        )
+        return self.judge.summary()
 
 
-def verdict_line(name: str, report: IntegrityReport) -> str:
-    """Return what a monitor says of a sweep in a line: verdicts, p-value, suspect azimuths, and the first reason.
+def explaining_picture(monitor: SweepMonitor, monitored: MonitoredSweep, report: IntegrityReport, line: str) -> bytes:
+    """Return the PNG of a report: suspect sectors on the map of the default estimate, and all evidence."""
+    from viewshed.estimators import load_estimator
+    from viewshed.grid import BevGrid
+    from viewshed.integrity.score import measure_all
+    from viewshed.plot import Panel, monitor_picture
 
-    >>> import numpy as np
-    >>> from viewshed.integrity import IntegrityReport
-    >>> suspect = np.arange(72) == 40
-    >>> reasons = ("7 % of the returns at 22° lie on no beam",)
-    >>> verdict_line("a.bin", IntegrityReport("sweep", 3.0, 2.0, 0.002, suspect=suspect, reasons=reasons))
-    'a.bin: INCONSISTENT (p = 0.002) at 20° to 25°: 7 % of the returns at 22° lie on no beam'
-    """
-    verdicts = [word for word, said in (("INCONSISTENT", report.inconsistent), ("DEGRADED", report.degraded)) if said]
-    where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
-    why = f": {report.reasons[0]}" if report.reasons and verdicts else ""
-    notes = "".join(f"; {note}" for note in report.notes)
-    return f"{name}: {' and '.join(verdicts) or 'nothing found'} (p = {report.p_value:.2g}){where}{why}{notes}"
-
-
-def azimuths(suspect: NDArray[Any]) -> str:
-    """Return which azimuths some sectors (SECTORS,) cover, in degrees counter-clockwise from ahead.
-
-    >>> import numpy as np
-    >>> azimuths(np.isin(np.arange(72), [0, 1, 40]))
-    '-180° to -170°, 20° to 25°'
-    """
-    import numpy as np
-
-    width = 360 // len(suspect)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], suspect, [False]])))
-    return ", ".join(
-        f"{first * width - 180}° to {last * width - 180}°" for first, last in edges.reshape(-1, 2).tolist()
-    )
+    grid = BevGrid(256, monitored.leveled.ground.half_extent_m)
+    estimate = load_estimator(grid=grid).estimate(monitored.leveled)
+    surprises = monitor.score.scale(measure_all(monitored)[None])[0]
+    panel = Panel(estimate, line, monitored.leveled, estimate.threshold)
+    return monitor_picture(panel, report, monitor.score.names, surprises)
 
 
 @dataclass(slots=True)

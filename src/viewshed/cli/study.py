@@ -324,6 +324,11 @@ def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
     bars = Progress(*columns, console=Console(stderr=True))
 
     def on_progress(step: str, done: int, total: int) -> None:
+        if not bars.console.is_terminal:
+            # A log gets a line for every fiftieth of the jobs.
+            if done == total or done * 50 // total > (done - 1) * 50 // total:
+                typer.echo(f"{step}: {done} of {total}", err=True)
+            return
         if not tasks:
             bars.start()
         if step not in tasks:

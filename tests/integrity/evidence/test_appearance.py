@@ -111,6 +111,12 @@ def test_a_surface_with_holes_is_pierced() -> None:
     assert measure("phantom_shadow", look((*YARD, PLATE), 0), whole)[AHEAD] == 0.0
 
 
+def test_the_edge_of_a_surface_is_not_pierced() -> None:
+    # A tenth of a meter narrower on either side: beams pass there, and on one side of them others still end.
+    narrower = Box(10.05, 1.0, 0.1, 3.8, 1.5)
+    assert measure("phantom_shadow", look((*YARD, PLATE), 0), look((*YARD, narrower), 1)).max() == 0.0
+
+
 def test_a_surface_that_jumps_is_measured() -> None:
     def plate(x_m: float) -> Box:
         return Box(x_m, 1.0, 0.1, 4.0, 1.5)

@@ -19,6 +19,7 @@ from viewshed.threats.corruptions import (
     DroppedSectors,
     FewerBeams,
     GlassPatches,
+    InTheWorld,
     Miscalibration,
     MotionDistortion,
     RangeNoise,
@@ -256,3 +257,19 @@ def test_parameters_out_of_range_are_one_clear_line(make: object, message: str) 
     assert callable(make)
     with pytest.raises(ValueError, match=f"^{message}$"):
         make()
+
+
+@pytest.mark.parametrize("corruption", [GlassPatches(3, 2.0), Slope(0.1, 5.0), Vegetation(4, 1.5, per_m=1e6)])
+def test_what_stands_in_the_world_is_the_same_from_elsewhere(corruption: InTheWorld) -> None:
+    """A sensor turned by a quarter sees the same things in the same places; the leaves stop every beam at once."""
+    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 360, endpoint=False), [-0.1, 0.0, 0.1])
+    directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], axis=-1).reshape(-1, 3)
+    sweep = Sweep((30.0 * directions).astype(np.float32))
+    places = corruption.place(sweep, rng())
+    now_from_before = Rigid.from_yaw(np.pi / 2)
+    turned = sweep.replace(points=now_from_before @ sweep.points)
+    expected = now_from_before @ corruption.apply_at(sweep, places, rng()).points
+    seen = corruption.apply_at(turned, now_from_before @ places, rng()).points
+    assert len(seen) == len(expected)
+    np.testing.assert_allclose(seen, expected, atol=1e-4)
+    assert not np.array_equal(expected, now_from_before @ sweep.points)

@@ -32,10 +32,13 @@ from viewshed.studies.records import BENIGN, Case
 from viewshed.sweep import Sweep
 from viewshed.threats.attacks import NULL, Knowledge, at_severity
 from viewshed.threats.attacks.base import Attack, Tampered
-from viewshed.threats.corruptions import CORRUPTIONS
+from viewshed.threats.corruptions import CORRUPTIONS, InTheWorld, Slope
 
-STEADY = ("dropped_sectors", "dead_rings", "fewer_beams", "attitude", "slope", "motion", "pose_spoof")
-"""What is drawn once for a whole drive: which rings are dead, which way the road rises, which way a pose is shifted."""
+STEADY = ("dropped_sectors", "dead_rings", "fewer_beams", "attitude", "motion", "pose_spoof")
+"""What is drawn once for a whole drive: which rings are dead, which way a pose is shifted."""
+
+LASTING = ("rain", "fog", "snow", "glass", "vegetation", "slope")
+"""Corruptions that do not come up between two sweeps: weather, and things that stand in the world."""
 
 HONEST = ("benign", "corruption", "null")
 """Kinds of cases in which nothing is inconsistent."""
@@ -79,17 +82,37 @@ class Drive:
             ValueError: the case cannot be made of these sweeps.
         """
         azimuth: float | None = None
+        corruption = CORRUPTIONS[case.name](int(case.level)) if case.kind == "corruption" else None
+        if isinstance(corruption, InTheWorld):
+            yield from map(untouched, self._with_things(corruption, case, first))
+            return
         for frame in range(first, FRAMES):
             word = "steady" if case.name in STEADY else str(frame)
             rng = generator(self.plan.seed, *self.key, case.kind.replace("strength", "attack"), case.name, word)
             sweep = self.sweeps[frame]
-            if case.kind == "corruption":
-                yield untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
+            if corruption is not None:
+                yield untouched(corruption.apply(sweep, rng))
                 continue
             tampered = _kept_at(self._attack(case, frame), azimuth).apply(sweep, rng)
             if azimuth is None and tampered.wedge is not None:
                 azimuth = tampered.wedge.azimuth
             yield tampered
+
+    def _with_things(self, corruption: InTheWorld, case: Case, first: int) -> Iterator[Sweep]:
+        """Yield the sweeps from frame ``first`` on with things that stand still while the sensor passes."""
+        poses = [pose for sweep in self.sweeps if (pose := sweep.world_from_sensor) is not None]
+        if len(poses) < FRAMES:
+            raise ValueError("sweeps must have poses for things to stand still")
+        rng = generator(self.plan.seed, *self.key, case.kind, case.name, "steady")
+        places = poses[first] @ corruption.place(self.sweeps[first], rng)
+        if isinstance(corruption, Slope):
+            # The sensor's own poses are level: the slope begins beyond all of them.
+            foot, above = places
+            reached_m = max(float((pose.translation - foot) @ (above - foot)) for pose in poses)
+            places = places + max(reached_m + corruption.start_m, 0.0) * (above - foot)
+        for frame in range(first, FRAMES):
+            rng = generator(self.plan.seed, *self.key, case.kind, case.name, str(frame))
+            yield corruption.apply_at(self.sweeps[frame], poses[frame].inverse() @ places, rng)
 
     def _attack(self, case: Case, frame: int) -> Attack:
         """Return the attack of a case on one frame: phantoms appear at the onset, replays play what was before."""
@@ -113,7 +136,7 @@ class Drive:
 def _conditions(plan: MonitorPlan, key: tuple[str, str, int]) -> Case:
     """Return what a drive suffers: nothing in 70 %, in 30 % one of the corruptions at one of its five severities.
 
-    The first drives of a split, which are attacked, are clear.
+    Drives that are attacked are clear.
     """
     domain, split, number = key
     rng = generator(plan.seed, domain, split, "conditions", number)
@@ -147,19 +170,20 @@ def measure_drive(drive: Drive, cases: Sequence[Case]) -> DriveEvidence:
     made, evidence, touched, refused = list[Case](), [], [], list[Case]()
     nothing = np.zeros(SECTORS, np.bool_)
     for case in cases:
+        first = 0 if case.kind == "corruption" and case.name in LASTING else ONSET
         try:
-            tampered = list(drive.tamper(case))
+            tampered = list(drive.tamper(case, first))
         except ValueError:
             refused.append(case)
             continue
         # What the victim saw: clean sweeps up to the onset, then those of the attacker.
-        seen = clean[:ONSET] + [level(one.sweep, grid) for one in tampered]
+        seen = clean[:first] + [level(one.sweep, grid) for one in tampered]
         made.append(case)
         evidence.append(np.stack([_measure(seen, frame) for frame in range(ONSET, FRAMES)]))
         # What a corruption does is no attacker's, and a null attack leaves all as it would have been measured.
         touched.append([
             touched_sectors(one, clean[frame], seen[frame]) if case.kind not in HONEST else nothing
-            for frame, one in enumerate(tampered, ONSET)
+            for frame, one in enumerate(tampered[-(FRAMES - ONSET):], ONSET)
         ])  # fmt: skip
     return DriveEvidence(
         *drive.key, sensor_of(clean[0]), drive.conditions, tuple(EVIDENCE), benign,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from viewshed.studies.monitor.archive import SweepTable
 from viewshed.studies.monitor.drives import HONEST
-from viewshed.studies.monitor.plan import family_of
+from viewshed.studies.monitor.plan import CORRUPTED, family_of
 from viewshed.studies.records import BENIGN, Case
 from viewshed.training.evidence_score import ScoreExamples
 
@@ -31,7 +31,14 @@ def examples_of(table: SweepTable) -> ScoreExamples:
     degraded = np.where(table.case == 0, of_drive, degraded).astype(np.float32)
     sectors = np.where(inconsistent[:, None] == 1, table.touched, inconsistent[:, None]).astype(np.float32)
     return ScoreExamples(
-        table.names, table.evidence, inconsistent, degraded, sectors, _weights(table), evidence_over_time(table)
+        table.names,
+        table.evidence,
+        inconsistent,
+        degraded,
+        sectors,
+        _weights(table),
+        table.case == 0,
+        evidence_over_time(table),
     )
 
 
@@ -74,12 +81,17 @@ def _is_degraded(case: Case) -> float:
 
 
 def _weights(table: SweepTable) -> NDArray[np.float32]:
-    """Return the weight (N,) of each sweep, 1 on average: half for all that is honest, half for families alike."""
+    """Return the weight (N,) of each sweep, 1 on average: half for all that is honest, half for families alike.
+
+    Of the honest ones, corrupted sweeps have the weight ``CORRUPTED`` together.
+    """
     families = families_of(table)[table.case]
     weight = np.zeros(len(families))
     attacks = [family for family in np.unique(families) if family]
     honest = (families == "") & ~np.array([case.kind == "null" for case in table.cases])[table.case]
-    weight[honest] = (0.5 if attacks else 1.0) / honest.sum()
+    clear = np.array([drive.conditions == BENIGN for drive in table.drives])[table.drive] & (table.case == 0)
+    for mask, share in ((honest & clear, 1.0 - CORRUPTED), (honest & ~clear, CORRUPTED)):
+        weight[mask] = (0.5 if attacks else 1.0) * share / max(mask.sum(), 1)
     for family in attacks:
         of_family = families == family
         weight[of_family] = 0.5 / len(attacks) / of_family.sum()

@@ -13,13 +13,14 @@ from scipy.stats import binomtest
 
 from viewshed._page import Table, facts, to_markdown
 from viewshed.integrity.calibration import p_values
+from viewshed.integrity.over_time import EDetector, measure_false_alarms
 from viewshed.integrity.sectors import discoveries
-from viewshed.studies.cases import DEFAULT
+from viewshed.studies.cases import DEFAULT, generator
 from viewshed.studies.formatting import commits, format_interval, format_rate
 from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable
 from viewshed.studies.monitor.examples import LOSSES, evidence_over_time
 from viewshed.studies.monitor.jobs import load_score, score_path
-from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, CLEAN, ONSET, MonitorPlan, family_of
+from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, CLEAN, INTERVAL_S, ONSET, MonitorPlan, family_of
 from viewshed.studies.monitor.results import (
     DEGRADED,
     INCONSISTENT,
@@ -40,6 +41,9 @@ from viewshed.studies.templates import fill_template
 from viewshed.threats.attacks import INFORMED
 
 FALSE_DISCOVERIES = 0.1
+
+PER_HOUR = 1.0
+"""False alarms that a detector over time is asked for."""
 
 APART = ("relay", "replay", "pose_spoof", *LOSSES, "jamming")
 """Attacks that are no part of the mean: they are seen over time, or are no more than a degraded view."""
@@ -158,6 +162,19 @@ class MonitorResults:
                   "degraded at 1 %, clear"]  # fmt: skip
         return Table(header, rows)
 
+    def over_time_line(self) -> str:
+        """Return a line of the false alarms of an e-detector on the benign test drives, one after the other."""
+        limits, hz = self.whole.one_of_each_scene, round(1.0 / INTERVAL_S)
+        benign = self.whole.benign
+        p = np.full(len(benign.scores), 1.0)
+        for sensor in np.unique(benign.sensors):
+            known = limits.scores[limits.sensors == sensor, INCONSISTENT]
+            mine = benign.sensors == sensor
+            p[mine] = p_values(known, benign.scores[mine, INCONSISTENT])
+        drives = [p[benign.table.drive == drive] for drive in np.unique(benign.table.drive)]
+        detector = EDetector.for_rate(PER_HOUR, hz)
+        return f"{measure_false_alarms(detector, drives, hz, generator(self.plan.seed, 'over time'))}."
+
     def corruption_table(self) -> Table:
         """Return how often corrupted sweeps are called inconsistent and degraded, by severity."""
         tested, table = self.whole.tested, self.test
@@ -183,7 +200,7 @@ class MonitorResults:
             rows.append([name, *(words(mask) for mask in (*from_start, *half_way))])
             every = [total | mask for total, mask in zip(every, (*from_start, *half_way), strict=True)]
         rows.append(["**all**", *map(words, every)])
-        header = [f"{word} {n}" for word in ("from the start", "half-way") for n in severities]
+        header = [f"{word} {n}" for word in ("from the start", "attacked drives") for n in severities]
         return Table(["corruption", *header], rows)
 
     def null_table(self) -> Table:
@@ -351,6 +368,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "severities": results.severity_table,
         "budgets": results.budget_table,
         "rates": results.rate_table,
+        "over_time": results.over_time_line,
         "corruptions": results.corruption_table,
         "nulls": results.null_table,
         "where": results.where_table,

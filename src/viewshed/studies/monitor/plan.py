@@ -64,7 +64,7 @@ class MonitorPlan(Plan):
         attacks: names of ``ALL_ATTACKS``, each with its own budget.
         budgeted: names of those that are tried with ``BUDGETS`` as well.
         corruptions: names of ``CORRUPTIONS``.
-        severities: of the corruptions that begin in the middle of a drive.
+        severities: of the corruptions of such drives: faults begin in their middle, weather and things last.
         epochs: of the training.
         seed: of all that is random.
 
@@ -115,13 +115,17 @@ class MonitorPlan(Plan):
         return self.drive_keys() + self.score_keys()
 
     def drive_keys(self) -> list[JobKey]:
-        """Return the names of the drives' jobs: domain, split, number."""
-        return [
-            ("drive", domain, split, str(number))
+        """Return the names of the drives' jobs: domain, split, number.
+
+        Those to train on come first, then all others in turn: a run that is stopped has some of each.
+        """
+        keys = [
+            (split != "train", number / count, ("drive", domain, split, str(number)))
             for domain, *counts in zip(self.domains, self.train, self.calibration, self.test, strict=True)
             for split, count in zip(SPLITS, counts, strict=True)
             for number in range(count)
         ]
+        return [key for _, _, key in sorted(keys)]
 
     def score_keys(self) -> list[JobKey]:
         """Return the names of the scores' jobs: trained on all families, then without one family each."""
@@ -153,10 +157,14 @@ class MonitorPlan(Plan):
         """Return what is done to a drive, each in its turn: none of calibration."""
         every = self.all_cases()
         order = generator(self.seed, "cases").permutation(len(every))
-        if split == "calibration" or number >= self.attacked[self.domains.index(domain)]:
+        place = self.domains.index(domain)
+        attacked, drives = self.attacked[place], getattr(self, split)[place]
+        # Attacked drives lie evenly among the others; the turn is how many there were before.
+        turn, after = number * attacked // drives, (number + 1) * attacked // drives
+        if split == "calibration" or turn == after:
             return []
         count = min(self.cases, len(every))
-        return [every[order[(number * count + k) % len(every)]] for k in range(count)]
+        return [every[order[(turn * count + k) % len(every)]] for k in range(count)]
 
 
 def family_of(name: str) -> int:

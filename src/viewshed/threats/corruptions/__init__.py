@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from viewshed.sim.lidar.weather import CONDITIONS, Conditions
-from viewshed.threats.corruptions.base import Corruption
+from viewshed.threats.corruptions.base import Corruption, InTheWorld
 from viewshed.threats.corruptions.distortions import Miscalibration, MotionDistortion, RangeNoise, Slope
 from viewshed.threats.corruptions.losses import DeadRings, DroppedBeams, DroppedSectors, FewerBeams
 from viewshed.threats.corruptions.surfaces import GlassPatches, Vegetation
@@ -15,7 +15,7 @@ from viewshed.threats.corruptions.weather import Weather
 
 __all__ = [
     "CORRUPTIONS", "SEVERITIES", "Corruption", "DeadRings", "DroppedBeams", "DroppedSectors", "FewerBeams",
-    "GlassPatches", "Miscalibration", "MotionDistortion", "RangeNoise", "Slope", "Vegetation", "Weather",
+    "GlassPatches", "InTheWorld", "Miscalibration", "MotionDistortion", "RangeNoise", "Slope", "Vegetation", "Weather",
 ]  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,19 @@ class Corruption(Protocol):
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return the worse sweep: rows are removed or moved, never added, and keep their order and other columns."""
+        ...
+
+
+@runtime_checkable
+class InTheWorld(Corruption, Protocol):
+    """A corruption by things that stand in the world: seen from elsewhere, they are where they were."""
+
+    def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return where the things stand (K, 3), in the sensor's frame of a sweep."""
+        ...
+
+    def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
+        """Return a sweep with the things at ``places`` (K, 3) in its sensor's frame."""
         ...
 
 

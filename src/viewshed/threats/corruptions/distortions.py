@@ -108,8 +108,18 @@ class Slope(Checked):
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared along the sensor's z; x, y and the rings stay."""
+        return self.apply_at(sweep, self.place(sweep, rng), rng)
+
+    def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the nearest point of the line where the slope begins, and one a meter up the slope from it (2, 3)."""
         heading = rng.uniform(-np.pi, np.pi)
-        along = sweep.points[:, :2] @ np.array([np.cos(heading), np.sin(heading)])
+        uphill = np.array([np.cos(heading), np.sin(heading), 0.0])
+        return np.stack([self.start_m * uphill, (self.start_m + 1.0) * uphill])
+
+    def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
+        """Return ``sweep`` with a slope that begins at the first of ``places`` (2, 3) and rises towards the second."""
+        foot, above = places[:, :2]
+        beyond = (sweep.points[:, :2] - foot) @ (above - foot)
         points = sweep.points.copy()
-        points[:, 2] += (self.grade * np.maximum(along - self.start_m, 0)).astype(np.float32)
+        points[:, 2] += (self.grade * np.maximum(beyond, 0)).astype(np.float32)
         return sweep.replace(points=points)

@@ -36,13 +36,21 @@ class GlassPatches(Checked):
     radius_m: Annotated[float, Between(0, 100)]
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` without the patches; their middles are returns above the ground, where there are any."""
+        """Return ``sweep`` without the patches."""
+        return self.apply_at(sweep, self.place(sweep, rng), rng)
+
+    def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the middles (patches, 3) of the patches: returns above the ground, where there are any."""
         if len(sweep) == 0:
-            return sweep
+            return np.zeros((0, 3))
         raised = np.flatnonzero(heights_of(sweep) > ABOVE_GROUND_M)
         chosen = rng.choice(raised if len(raised) else len(sweep), self.patches)
+        return np.asarray(sweep.points[chosen], np.float64)
+
+    def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
+        """Return ``sweep`` without the patches around ``places`` (K, 3)."""
         keep = np.ones(len(sweep), np.bool_)
-        for middle in sweep.points[chosen]:
+        for middle in places.astype(np.float32):
             apart = sweep.points - middle
             keep &= np.einsum("ij,ij->i", apart, apart) > self.radius_m**2
         return sweep.select(keep)
@@ -64,15 +72,25 @@ class Vegetation(Checked):
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with the returns that the leaves stopped moved nearer along their rays."""
-        range_m = ranges_of(sweep).astype(np.float64)
+        return self.apply_at(sweep, self.place(sweep, rng), rng)
+
+    def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the middles (bushes, 3) of the bushes, each before a return; none where all returns are near."""
         flat_m = np.hypot(sweep.points[:, 0], sweep.points[:, 1])
         hidden = np.flatnonzero(flat_m * BEFORE_SURFACE[0] > BUSH_RANGES_M[0])
         if len(hidden) == 0:
-            return sweep
-        direction = sweep.points / np.maximum(range_m, 1e-9)[:, None]
+            return np.zeros((0, 3))
         chosen = hidden[rng.integers(len(hidden), size=self.bushes)]
         share = np.minimum(rng.uniform(*BEFORE_SURFACE, self.bushes), BUSH_RANGES_M[1] / flat_m[chosen])
-        for middle in sweep.points[chosen] * share[:, None]:
+        return np.asarray(sweep.points[chosen] * share[:, None], np.float64)
+
+    def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
+        """Return ``sweep`` with bushes around ``places`` (K, 3)."""
+        if len(places) == 0:
+            return sweep
+        range_m = ranges_of(sweep).astype(np.float64)
+        direction = sweep.points / np.maximum(range_m, 1e-9)[:, None]
+        for middle in places:
             self._grow(middle, direction, range_m, rng)
         return at_ranges(sweep, range_m)
 
