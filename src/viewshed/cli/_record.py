@@ -28,6 +28,10 @@ MonitorFile = Annotated[
 ]
 
 
+SHIPPED = "shipped"
+"""In place of a file: the monitor in the box."""
+
+
 def stream_monitor(name: str | None) -> StreamMonitor | None:
     """Return what watches a stream: a file of ``monitor calibrate``, or ``shipped``; None for nothing.
 
@@ -37,16 +41,12 @@ def stream_monitor(name: str | None) -> StreamMonitor | None:
     """
     if name is None:
         return None
-    from viewshed.integrity import StreamMonitor, load_sweep_monitor
+    from viewshed.cli._verdicts import FALSE_ALARMS_PER_HOUR, HZ, monitor_of
+    from viewshed.integrity import StreamMonitor
     from viewshed.integrity.over_time import EDetector
-    from viewshed.integrity.sweep_monitor import shipped_monitor
 
-    monitor = shipped_monitor() if name == "shipped" else load_sweep_monitor(name)
-    return StreamMonitor(monitor, EDetector(limit=ALARM_LIMIT))
-
-
-ALARM_LIMIT = 10_000.0
-"""Mean number of sweeps between false alarms of a stream at least: a quarter of an hour at 10 Hz."""
+    monitor = monitor_of(None if name == SHIPPED else Path(name))
+    return StreamMonitor(monitor, EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ))
 
 
 class Awaited(NamedTuple):

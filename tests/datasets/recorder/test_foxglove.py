@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.datasets.recorder.moments import drive_moments, write
+from tests.datasets.recorder.moments import doubted, drive_moments, write
 
 from viewshed.datasets.recorder.moment import Moment
 from viewshed.io.export.ros import visibility_layer
@@ -68,6 +68,18 @@ def test_a_drive_in_foxgloves_schemas(drive: list[Moment], tmp_path: Path) -> No
     assert len(scene.entities[2].cubes) == len(moment.truth.objects)
     _, log = found["/log"][0]
     assert (log.name, log.message.partition(" ")[0]) == (moment.agent, "visible")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_alarms_are_logged_and_suspect_sectors_drawn(drive: list[Moment], tmp_path: Path) -> None:
+    found = _decoded(write(tmp_path / "run.mcap", [doubted(drive[0]), drive[0]], "foxglove"))
+    levels = [(log.level, log.message) for _, log in found["/log"]]
+    error, info = 4, 2
+    assert levels[1:3] == [(error, "a wall hangs in the air"), (error, "and moves")]
+    assert levels[3][0] == info
+    scenes = [scene for _, scene in found[f"/{drive[0].agent}/lidar/scene"]]
+    assert [len(scene.entities[1].triangles) for scene in scenes] == [1, 0]
+    assert len(scenes[0].entities[1].triangles[0].points) == 6
 
 
 def test_equal_runs_give_equal_bytes(drive: list[Moment], tmp_path: Path) -> None:

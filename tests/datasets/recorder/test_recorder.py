@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.datasets.recorder.moments import drive_moments, moments_of, write
+from tests.datasets.recorder.moments import doubted, drive_moments, moments_of, write
 
 from viewshed import read_sweep
 from viewshed.datasets.recorder.moment import Moment, RisingTimes
@@ -179,6 +179,19 @@ def test_a_refused_sweep_is_an_error_in_the_diagnostics(junction: list[Moment], 
     assert (status.level, status.message) == (2, "no return was usable")
     assert "/ego/lidar/visibility" not in found
     assert len(found["/ego/lidar/data"]) == 1
+
+
+def test_an_alarm_is_told_with_its_reasons_and_numbers(junction: list[Moment], tmp_path: Path) -> None:
+    found = messages_of(write(tmp_path / "run", [doubted(junction[0]), junction[1]]))
+    [(_, alarms)] = found["/ego/lidar/alarms"]
+    sentences = ["the sweeps together speak against the stream", "a wall hangs in the air", "and moves"]
+    assert [status.message for status in alarms.status] == sentences
+    assert {status.level for status in alarms.status} == {2}
+    values = {each.key: each.value for each in alarms.status[0].values}
+    assert (values["score"], values["threshold"], values["p_value"]) == ("2.0000", "1.0000", "0.0100")
+    assert values["suspect_from_deg"] == "20 25"
+    levels = [message.status[0].level for _, message in found["/diagnostics"]]
+    assert levels == [2, 0]
 
 
 def test_live_latency_is_told(junction: list[Moment], tmp_path: Path) -> None:

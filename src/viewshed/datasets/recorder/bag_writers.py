@@ -69,13 +69,13 @@ def _qos(latched: bool) -> str:
 
 
 class McapWriter:
-    """An MCAP file, chunks packed by zstd."""
+    """An MCAP file, its chunks packed by lz4: zstd would take twice the time of all else for a quarter of the bytes."""
 
     def __init__(self, path: Path, profile: str) -> None:
         with needed_for("writing MCAP"):
-            from mcap.writer import Writer
+            from mcap.writer import CompressionType, Writer
         self._file: IO[Any] = path.open("wb")
-        self._writer = Writer(self._file)
+        self._writer = Writer(self._file, compression=CompressionType.LZ4)
         self._writer.start(profile, "viewshed")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
