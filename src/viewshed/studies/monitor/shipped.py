@@ -47,11 +47,16 @@ def monitor_of(score: EvidenceScore, calibration: SweepTable, seed: int, rates: 
 
 def _sweeps(table: SweepTable, kept: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Iterator[BenignSweep]:
     """Yield the benign sweeps of the kept drives (D,), each in its group."""
-    # With earlier sweeps only the last, behind which as many lie as are held in a stream.
+    # With earlier sweeps only the last, behind which as many lie as are held in a stream. The order of the drives means
+    # nothing, and those of one domain lie side by side: they are mixed, or they would look like a drift.
     is_used = (table.frame < ONSET) | (table.frame == FRAMES - 1)
-    for row in np.flatnonzero((table.case == 0) & is_used & kept[table.drive]):
+    rows = np.flatnonzero((table.case == 0) & is_used & kept[table.drive])
+    places = generator(len(table.drives), "order").permutation(len(table.drives))
+    for row in rows[np.argsort(places[table.drive[rows]], kind="stable")]:
         drive = table.drives[table.drive[row]]
         group = Group(drive.sensor, "posed" if table.frame[row] >= ONSET else "none")
         yield BenignSweep(drive.scene, group, table.evidence[row].astype(np.float32))
-    for drive, evidence in zip(np.array(table.drives, object)[kept], table.unposed[kept], strict=True):
-        yield BenignSweep(drive.scene, Group(drive.sensor, "unposed"), evidence.astype(np.float32))
+    for number in np.argsort(places):
+        drive = table.drives[number]
+        if kept[number]:
+            yield BenignSweep(drive.scene, Group(drive.sensor, "unposed"), table.unposed[number].astype(np.float32))
