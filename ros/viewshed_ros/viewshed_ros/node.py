@@ -198,6 +198,7 @@ class FieldOfView(LifecycleNode):
                 settings.input.message_type(), settings.topic, partial(self._take, sensor), qos_profile_sensor_data,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )  # fmt: skip
+            self.get_logger().info(f"{settings.name} listens to {sensor.subscription.topic_name}")
 
     def _stop_listening(self) -> None:
         for sensor in self._sensors.values():
