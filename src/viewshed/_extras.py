@@ -9,13 +9,16 @@ EXTRAS = {
     "numba": "sim", "scipy": "sim", "matplotlib": "sim",
     "pyarrow": "data",
     "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
-    "rosbags": "bags", "lz4": "bags", "zstandard": "bags",
+    "rosbags": "bags", "mcap": "bags", "lz4": "bags", "zstandard": "bags",
+    "foxglove": "foxglove", "rerun": "view",
     "velodyne_decoder": "packets",
     "openvino": "openvino", "ray": "ray", "yaml": "opv2v",
 }  # fmt: skip
 """The extra that installs a package, by the name under which Python imports it."""
 
-_DISTRIBUTIONS = {"velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml"}
+_DISTRIBUTIONS = {
+    "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
+}  # fmt: skip
 """What is installed, where that is not the name of the import."""
 
 

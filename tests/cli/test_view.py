@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 import time
 from importlib import import_module
 from pathlib import Path
@@ -82,7 +83,12 @@ def test_a_bad_file_costs_a_line(drive: list[Path], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [(["--sweeps", 1], "--html run.html"), (["--html", "{input}"], "is an input and would be replaced")],
+    [
+        (["--sweeps", 1], "--html run.html"),
+        (["--html", "a.html", "--rerun", "a.rrd"], "name one of: the page to write, --html run.html; --rerun run.rrd"),
+        (["--html", "{input}"], "is an input and would be replaced"),
+        (["--rerun", "{input}"], "is an input and would be replaced"),
+    ],
 )
 def test_what_cannot_be_asked(words: list[object], message: str, drive: list[Path]) -> None:
     content = drive[0].read_bytes()
@@ -119,6 +125,31 @@ def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path)
         assert about["method"] == "shadow_map"
         assert (about["score"] > about["limit"]) == any("inconsistent" in each["verdict"] for each in about["alarms"])
         assert any("was not calibrated" in note for note in about["notes"])
+
+
+def test_a_file_for_rerun(drive: list[Path], tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
+    place = tmp_path / "run.rrd"
+    code, out, err = run("view", *drive, "--rerun", place, "--every", 2)
+    assert (code, err) == (0, "")
+    assert len(out.splitlines()) == 4
+    assert out.splitlines()[-1] == f"{place}: {place.stat().st_size / 1e6:.2f} MB"
+
+
+def test_live_in_foxglove(drive: list[Path]) -> None:
+    pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: nothing is served")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        other.listen()
+        code, _, err = run("view", *drive, "--foxglove", port, "--sweeps", 2)
+        assert code == 2
+        assert f"port {port} of 127.0.0.1 cannot be served" in err
+        assert err.count("\n") == 1
+    code, out, err = run("view", *drive[:2], "--foxglove", port, "--sweeps", 2)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0] == f"open ws://localhost:{port} in Foxglove; Ctrl-C ends"
+    assert re.match("[12] answered, [01] dropped; ", out.splitlines()[-1])
 
 
 def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
-from shapely import MultiPolygon
+from shapely import MultiPolygon, Polygon
 
 from viewshed import _core
 from viewshed.fov._sector_polygons import best_sectors
@@ -23,6 +23,7 @@ from viewshed.fov.polygons import (
     mask_of_polygon,
     polygon_of_mask,
     sectors_of_mask,
+    star_ring,
     vertices_of,
 )
 from viewshed.grid import BevGrid
@@ -372,3 +373,37 @@ def test_rings_of_any_value_have_an_answer(value: float) -> None:
     assert _core.cells_inside(*rings, 5).shape == (5, 5)
     assert _core.cells_met(*rings, 5).shape == (5, 5)
     assert not _core.cells_inside(np.zeros((0, 2)), np.array([0]), 5).any()
+
+
+@given(MASKS, st.sampled_from([8, 72, 360]))
+def test_a_star_ring_claims_no_cell_that_the_mask_does_not(mask: Mask, bins: int) -> None:
+    grid = grid_of(mask)
+    ring = star_ring(mask, grid, bins)
+    if len(ring):
+        assert outside_area(shapely.make_valid(Polygon(ring)), mask, grid) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_star_ring_of_a_street_claims_most_of_what_is_seen_from_the_sensor(seed: int) -> None:
+    mask, grid = street(seed)
+    shape = shapely.make_valid(Polygon(star_ring(mask, grid, 720)))
+    assert outside_area(shape, mask, grid) < 1e-6
+    assert shape.area > 0.6 * polygon_of_mask(mask, grid).area
+
+
+def test_a_star_ring_leaves_out_the_blind_spot_and_what_lies_behind_a_wall() -> None:
+    grid = BevGrid(64, 32.0)
+    mask = np.ones(grid.shape, np.bool_)
+    mask[30:34, 30:34] = False  # below the sensor
+    mask[40:, 32:36] = False  # a wall ahead, and nothing behind it
+    ring = Polygon(star_ring(mask, grid, 720))
+    assert ring.is_valid
+    assert 0.75 * mask.sum() < ring.area < mask.sum()
+    inside = mask_of_polygon(ring, grid)
+    assert not inside[30:34, 30:34].any()
+    assert not (inside & ~mask).any()
+
+
+def test_a_star_ring_of_nothing_is_empty() -> None:
+    grid = BevGrid(8, 4.0)
+    assert star_ring(np.zeros(grid.shape, np.bool_), grid).shape == (0, 2)

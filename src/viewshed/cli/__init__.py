@@ -21,6 +21,7 @@ from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
 from viewshed.cli.quantize import quantize
+from viewshed.cli.record import record
 from viewshed.cli.replay import replay
 from viewshed.cli.simulate import dataset_app, simulate
 from viewshed.cli.study import report_app, reproduce, study_app
@@ -33,7 +34,8 @@ _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typ
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (
-    estimate, info, compare, view, replay, export, demo, simulate, label, attack, corrupt, train, crossval, quantize,
+    estimate, info, compare, view, replay, record, export, demo, simulate, label, attack, corrupt, train, crossval,
+    quantize,
 )  # fmt: skip
 
 for _command in _COMMANDS:

@@ -5,19 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
 from viewshed.cli._outputs import Failures, Named, output_names
+from viewshed.cli._record import (
+    Awaited,
+    Listener,
+    MonitorFile,
+    SchemaNames,
+    To,
+    recorders,
+    repeated,
+    run,
+    stream_monitor,
+    written_line,
+)
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli.estimate import Files, Method
-
-if TYPE_CHECKING:
-    from viewshed.pipeline import Answer
 
 USUAL_PERIOD_S = 0.1
 """Between two sweeps whose times are not known or do not rise."""
@@ -74,10 +82,14 @@ def replay(
     rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Times as fast as it was measured.")] = 1.0,
     as_fast: Annotated[bool, typer.Option("--as-fast", help="Wait for nothing, whatever --rate.")] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
+    to: To = None,
+    schemas: SchemaNames = "ros",
+    monitor: MonitorFile = None,
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
 
-    A sweep that is not begun when the next one is due is dropped and counted, unless --as-fast.
+    A sweep that is not begun when the next one is due is dropped and counted, unless --as-fast. With --to the sweeps
+    and what came of them are written to a bag; with --as-fast the same bytes each time.
 
     Example: viewshed replay drive.mcap --rate 2
     """
@@ -85,41 +97,23 @@ def replay(
 
     estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
     buffer = history_buffer(estimator, history)
+    watch = stream_monitor(monitor)
     reading, failures = Reading(sensor), Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
 
     def read() -> Iterator[Named]:
-        """Yield the sweeps once, or again and again as long as any can be read."""
-        is_any = True
-        while is_any:
-            is_any = False
-            for named in named_sweeps(reading, jobs, names, failures):
-                is_any = loop
-                yield named
+        return named_sweeps(reading, jobs, names, failures)
 
-    due_s: dict[int, float] = {}
     pace = Pace(0.0 if as_fast else rate)
-    publish = partial(_print, due_s=due_s, failures=failures)
-    pipeline = Pipeline(estimator, publish, history=buffer, lossless=as_fast)
-    try:
-        with pipeline:
-            for number, named in enumerate(pace.kept(read())):
-                due_s[number] = pace.time_s
-                pipeline.put(named.sweep, named.sweep.agent)
-    finally:
-        typer.echo(pipeline.statistics().line())
+    with recorders(to, schemas, [file for file, _ in jobs]) as records:
+        listener = Listener(records, failures, is_live=not as_fast)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=as_fast)
+        taken = pace.kept(repeated(read, loop=loop))
+        count = run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken))
+        if to is not None and not count:
+            raise ValueError(f"no sweep could be read, {to} was not written")
+    if to is not None:
+        typer.echo(written_line(to))
     if failures.count:
         raise typer.Exit(2)
-
-
-def _print(answer: Answer, due_s: dict[int, float], failures: Failures) -> None:
-    """Print the line of a sweep, and forget when it and those before it, which may have been dropped, were due."""
-    begin_s = due_s[answer.number]
-    for number in [number for number in due_s if number <= answer.number]:
-        del due_s[number]
-    if answer.estimate is None:
-        failures.report(f"{begin_s:.3f} s", ValueError(answer.refused))
-        return
-    visible = f"visible {answer.estimate.area_m2():.0f} m²"
-    typer.echo(f"{begin_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms")

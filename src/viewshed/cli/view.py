@@ -1,4 +1,4 @@
-"""``viewshed view``: a recording's estimates as one HTML page to watch."""
+"""``viewshed view``: a recording's estimates to watch, as one HTML page, in Rerun or live in Foxglove."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from viewshed.cli._outputs import (
     summary_line,
     warm_up,
 )
+from viewshed.cli._record import Awaited, Listener, repeated, run, stream_monitor
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli.estimate import Files, Method
 from viewshed.cli.monitor import estimator_of
+from viewshed.cli.replay import Pace
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.temporal import SweepBuffer
     from viewshed.fov.estimate import FovEstimate
-    from viewshed.integrity import IntegrityReport
+    from viewshed.integrity import IntegrityReport, StreamMonitor
     from viewshed.preprocess.leveling import LeveledSweep
-    from viewshed.view import PackedFrame
+    from viewshed.view import Frame, PackedFrame
 
     Check = Callable[[LeveledSweep, FovEstimate], IntegrityReport]
     """What a monitor says of the next sweep and its estimate."""
@@ -45,6 +47,10 @@ MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End aft
 def view(
     files: Files = None,
     html: Annotated[Path | None, typer.Option(help="The page to write, one file that needs no network.")] = None,
+    rerun: Annotated[Path | None, typer.Option(help="The file to write for Rerun: NAME.rrd.")] = None,
+    foxglove: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Serve live to Foxglove at this port, until Ctrl-C.")
+    ] = None,
     method: Method = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -67,32 +73,85 @@ def view(
     every: Every = 1,
     sweeps: MostSweeps = None,
 ) -> None:
-    """Write a page with a map and a timeline of what each sweep could see, for any browser, with no network.
+    """Show what each sweep could see: as a page for any browser, as a file for Rerun, or live in Foxglove.
+
+    The page has a map and a timeline and needs no network. Live the sweeps come at the pace at which they were
+    measured, again and again unless --sweeps ends it, and late ones are dropped.
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 
     Example: viewshed view drive.mcap --html run.html --every 5
     """
-    from viewshed.view import write_page
-
-    if html is None:
-        raise ValueError("name the page to write: --html run.html")
+    if [html, rerun, foxglove].count(None) != 2:
+        raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
     reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    own, check = (None, None) if monitor is None else _monitored(monitor, weights, method)
     network = NetworkOptions(weights, passes, seed)
-    estimator = own or network.estimator(method, options.parse_grid(grid), target)
-    buffer = history_buffer(estimator, history)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
-    refuse_inputs([html], places)
-    failures = Failures()
-    named = named_sweeps(reading, jobs, output_names(places), failures)
-    taken = islice(named, 0, None if sweeps is None else every * sweeps, every)
-    title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
-    size = write_page(html, _packed(taken, estimator, buffer, check, failures), title)
-    typer.echo(f"{html}: {size / 1e6:.2f} MB")
+    failures, names = Failures(), output_names(places)
+
+    def read() -> Iterator[Named]:
+        return named_sweeps(reading, jobs, names, failures)
+
+    if foxglove is not None:
+        estimator = network.estimator(method, options.parse_grid(grid), target)
+        watch = stream_monitor(None if monitor is None else str(monitor))
+        taken = islice(repeated(read, loop=sweeps is None), 0, None if sweeps is None else every * sweeps, every)
+        _serve(foxglove, taken, estimator, history_buffer(estimator, history), watch, failures)
+    else:
+        own, check = (None, None) if monitor is None else _monitored(monitor, weights, method)
+        estimator = own or network.estimator(method, options.parse_grid(grid), target)
+        taken = islice(read(), 0, None if sweeps is None else every * sweeps, every)
+        frames = _frames(taken, estimator, history_buffer(estimator, history), check, failures)
+        title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
+        typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
         raise typer.Exit(2)
+
+
+def _written(
+    html: Path | None, rerun: Path, frames: Iterator[tuple[Frame, str]], title: str, inputs: list[Path]
+) -> str:
+    """Write the page, or else the file for Rerun, print a line for each frame, and return what was written."""
+    from viewshed.view import pack_frame, write_page
+
+    def packed() -> Iterator[PackedFrame]:
+        for frame, line in frames:
+            made = pack_frame(frame)
+            typer.echo(f"{line}; {len(made.data) / 1e3:.1f} kB")
+            yield made
+
+    def shown() -> Iterator[Frame]:
+        for frame, line in frames:
+            typer.echo(line)
+            yield frame
+
+    refuse_inputs([html or rerun], inputs)
+    if html is not None:
+        return f"{html}: {write_page(html, packed(), title) / 1e6:.2f} MB"
+    from viewshed.view.rerun import write_rerun
+
+    return f"{rerun}: {write_rerun(rerun, shown(), title) / 1e6:.2f} MB"
+
+
+def _serve(
+    port: int,
+    sweeps: Iterable[Named],
+    estimator: Estimator,
+    buffer: SweepBuffer | None,
+    watch: StreamMonitor | None,
+    failures: Failures,
+) -> None:
+    """Show sweeps live in Foxglove, at the pace at which they were measured."""
+    from viewshed.datasets.recorder.foxglove_topics import foxglove_server
+    from viewshed.pipeline import Pipeline
+
+    pace = Pace(1.0)
+    with foxglove_server(port) as record:
+        typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
+        listener = Listener([record], failures, is_live=True)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch)
+        run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps)))
 
 
 def _monitored(file: Path, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
@@ -112,16 +171,16 @@ def _monitored(file: Path, weights: str | None, method: str | None) -> tuple[Est
     return None, lambda leveled, estimate: stream.check(leveled, {estimate.method: estimate}).now
 
 
-def _packed(
+def _frames(
     sweeps: Iterable[Named],
     estimator: Estimator,
     buffer: SweepBuffer | None,
     check: Check | None,
     failures: Failures,
-) -> Iterator[PackedFrame]:
-    """Yield each sweep as the page holds it, and print its line; the sensor of the one before is expected first."""
+) -> Iterator[tuple[Frame, str]]:
+    """Yield each sweep as it is shown, with its line; the sensor of the one before is expected first."""
     from viewshed.preprocess.leveling import level
-    from viewshed.view import Frame, pack_frame
+    from viewshed.view import Frame
 
     sensor, is_warm = None, False
     for named in sweeps:
@@ -143,7 +202,6 @@ def _packed(
             buffer.add(leveled)
         sensor = leveled.sensor_id.model
         report_doubts(leveled, named.name)
-        frame = pack_frame(Frame(named.name, estimate, leveled, report))
         alarm = ", ALARM" if report is not None and report.alarm else ""
-        typer.echo(f"{named.name}: {summary_line(estimate, elapsed_ms)}{alarm}; {len(frame.data) / 1e3:.1f} kB")
-        yield frame
+        line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{alarm}"
+        yield Frame(named.name, estimate, leveled, report), line

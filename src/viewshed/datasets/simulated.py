@@ -23,8 +23,10 @@ from viewshed.datasets.presets import Preset
 from viewshed.datasets.sample import Sample
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import TARGETS
+from viewshed.sim.lidar.stored_sweep import StoredSweep
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.observe import Observation, Setting, measure_sweep, observe
+from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.world import Agent, World
 from viewshed.sim.worlds import WORLDS
 from viewshed.sweep import Sweep
@@ -163,8 +165,13 @@ def measure_frame(scene: ScenePlan, frame: int, again: int = 0) -> Sweep:
         frame: its number.
         again: 0 is the sweep of :func:`simulate_frame`; others are the same instant once more, with other noise.
     """
+    return scan_frame(scene, frame, again)[1].sweep()
+
+
+def scan_frame(scene: ScenePlan, frame: int, again: int = 0) -> tuple[ExactScan, StoredSweep]:
+    """Return what every beam meets in one frame of a scene and what the sensor stores, see :func:`measure_frame`."""
     for_paths, *for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2 + again)
-    return measure_sweep(*_place_of(scene, frame), for_paths, for_noise[again])[1].sweep()
+    return measure_sweep(*_place_of(scene, frame), for_paths, for_noise[again])
 
 
 def _place_of(scene: ScenePlan, frame: int) -> tuple[World, Agent, float, Setting]:

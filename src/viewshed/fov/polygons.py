@@ -137,6 +137,43 @@ def inner_polygon_of_mask(mask: BoolMask, grid: BevGrid, max_vertices: int) -> M
     return best
 
 
+def star_ring(mask: BoolMask, grid: BevGrid, bins: int = 360) -> NDArray[np.float64]:
+    """Return one ring (V, 2) of corners in meters that lies within the true cells of ``mask``, all about the sensor.
+
+    Each of ``bins`` wedges reaches up to the first other cell; of what lies behind that nothing is claimed. A blind
+    spot about the sensor is left out by a circle, which the ring walks in the other direction: it needs no hole.
+    A hundred times as fast as :func:`inner_polygon_of_mask` at least, with more vertices. (0, 2) where the sensor is
+    neither on a true cell nor in a hole among them.
+
+    Args:
+        mask: (cells, cells) bool.
+        grid: of the mask.
+        bins: wedges, a multiple of 4.
+
+    >>> box = BevGrid(8, 4.0)
+    >>> ring = star_ring(np.ones((8, 8), bool), box)
+    >>> 48.0 < Polygon(ring).area <= 64.0
+    True
+    """
+    array = checked_mask(mask, grid)
+    hole = blind_spot(array, grid)
+    if hole is None:
+        return np.zeros((0, 2))
+    # 1. The blind spot ends within this range; a polygon about that circle touches it in the middle of each wedge.
+    inner_m = 0.0
+    if hole.any():
+        farthest_m = np.hypot(*grid.centers[hole].T).max() + grid.cell_m / np.sqrt(2)
+        inner_m = float(farthest_m / np.cos(np.pi / bins))
+    # 2. Two corners for each wedge, at its range: their chord stays in the circle that is free.
+    reach_m = np.maximum(free_ranges(array | hole, grid, (0.0, 0.0), bins), inner_m)
+    border = np.arange(bins + 1) * (2 * np.pi / bins)
+    angle, range_m = np.repeat(border, 2)[1:-1], np.repeat(reach_m, 2)
+    if hole.any():
+        angle, range_m = np.append(angle, border[::-1]), np.append(range_m, np.full(bins + 1, inner_m))
+    ring = np.column_stack([np.cos(angle), np.sin(angle)]) * range_m[:, None]
+    return ring if reach_m.max() > inner_m else np.zeros((0, 2))
+
+
 def _inner_pieces(mask: BoolMask, grid: BevGrid, price_m2: float) -> MultiPolygon:
     """Return star polygons inside ``mask``, apart from each other, as long as one is worth its vertices' price."""
     left, pieces = mask.copy(), list[Polygon]()

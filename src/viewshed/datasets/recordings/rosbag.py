@@ -36,7 +36,9 @@ OUSTER_FRAME = "os_sensor"
 """The frame of the returns that Ouster's packets hold: their messages have no header."""
 
 FOOTPRINT = "base_footprint"
-"""The frame on the ground below a robot (ROS enhancement proposal 120); it tells the height of the sensor."""
+"""The frame on the ground below a robot (ROS enhancement proposal 120); it tells the height of the sensor.
+
+That of one robot of several has its name before it, as the frame of its sensor has: ``car_0/base_footprint``."""
 
 _ODOMETRY_CHILD = "base_link"
 
@@ -320,10 +322,13 @@ def _world(contents: _Contents, frame: str, damage: list[str]) -> str | None:
 
 
 def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
-    if FOOTPRINT not in contents.transforms.frames():
+    known = contents.transforms.frames()
+    own = f"{cloud.frame.rpartition('/')[0]}/{FOOTPRINT}"
+    footprint = own if own in known else FOOTPRINT
+    if footprint not in known:
         return None
     try:
-        pose = contents.transforms.lookup(FOOTPRINT, cloud.frame, cloud.t_ns)
+        pose = contents.transforms.lookup(footprint, cloud.frame, cloud.t_ns)
     except ValueError:
         return None
     return None if pose is None or pose.translation[2] <= 0 else float(pose.translation[2])

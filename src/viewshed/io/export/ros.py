@@ -53,6 +53,32 @@ def to_occupancy_grids(estimate: FovEstimate) -> dict[str, Any]:
     return {layer: to_occupancy_grid(estimate, layer) for layer in ("occupancy", "visibility")}
 
 
+_STATE_VALUES = np.array([-1, 0, 100, 50], np.int8)
+"""Of the layer ``state``, by :class:`CellState`: HIDDEN is told from UNKNOWN."""
+
+
+def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
+    """Return one layer (cells, cells), x first, with values as in an OccupancyGrid.
+
+    Args:
+        estimate: what to export.
+        name: ``visibility`` (probability in whole percent) or ``doubt`` (that the likelier answer is wrong, 0 to 50),
+            both -1 where UNKNOWN; or ``state`` (UNKNOWN -1, FREE 0, HIDDEN 50, SURFACE 100).
+
+    Raises:
+        ValueError: there is no such layer.
+    """
+    match name:
+        case "visibility":
+            return _visibility(estimate)
+        case "state":
+            return _STATE_VALUES[estimate.state]
+        case "doubt":
+            percent = np.rint(100.0 * estimate.doubt()).astype(np.int8)
+            return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
+    raise ValueError(f"layer must be visibility, state or doubt, got {name!r}")
+
+
 def _occupancy(estimate: FovEstimate) -> NDArray[np.int8]:
     values = np.full(estimate.grid.shape, -1, np.int8)
     values[estimate.state == CellState.FREE] = 0

@@ -1,0 +1,108 @@
+"""``viewshed record``: a simulated drive, or any recording, as a bag with what could be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
+from viewshed.cli._outputs import Failures, output_names
+from viewshed.cli._record import (
+    Awaited,
+    Listener,
+    MonitorFile,
+    SchemaNames,
+    recorders,
+    run,
+    stream_monitor,
+    written_line,
+)
+from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli.estimate import Method
+from viewshed.cli.replay import USUAL_PERIOD_S
+
+if TYPE_CHECKING:
+    from viewshed.datasets.recorder.moment import DriveTruth
+    from viewshed.sweep import Sweep
+
+SIMULATED = "sim"
+"""In place of files: a simulated drive."""
+
+
+def record(
+    files: Annotated[list[Path], typer.Argument(metavar="sim|SRC...", help="sim, or recordings and files.")],
+    to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
+    schemas: SchemaNames = "ros",
+    method: Method = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    target: options.TargetName = "car",
+    history: HistorySweeps = 0,
+    monitor: MonitorFile = None,
+    sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
+    preset: Annotated[
+        str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
+    ] = "drives",
+    world: Annotated[
+        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first unless told.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="Of sim: how long the drive lasts.")] = 10.0,
+    hz: Annotated[float, typer.Option(help="Of sim: sweeps of each agent a second.")] = 10.0,
+    agents: Annotated[int, typer.Option(help="Of sim: vehicles that measure.")] = 1,
+    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's unless told.")] = None,
+) -> None:
+    """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
+
+    As viewshed replay --as-fast --to: every sweep is answered, and the same command gives the same bytes.
+
+    Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
+    """
+    from viewshed.pipeline import Pipeline
+
+    is_simulated = [str(file) for file in files] == [SIMULATED]
+    estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
+    buffer, watch, failures = history_buffer(estimator, history), stream_monitor(monitor), Failures()
+    if is_simulated:
+        stream = _simulated(preset, seconds, hz, agents, world, seed)
+    else:
+        stream = _read(Reading(sensor), files, failures)
+    with recorders(to, schemas, [] if is_simulated else files) as records:
+        listener = Listener(records, failures, is_live=False)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=True)
+        count = run(pipeline, listener, _timed(islice(stream, sweeps)))
+        if not count:
+            raise ValueError(f"no sweep could be read, {to} was not written")
+    typer.echo(written_line(to))
+    if failures.count:
+        raise typer.Exit(2)
+
+
+def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaited]:
+    """Yield sweeps with their times since the first; those without a time come a tenth of a second apart."""
+    begin_ns = 0
+    for count, (sweep, truth) in enumerate(stream):
+        begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
+        due_s = count * USUAL_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
+        yield Awaited(sweep.agent, due_s, sweep, truth)
+
+
+def _read(reading: Reading, files: list[Path], failures: Failures) -> Iterator[tuple[Sweep, DriveTruth | None]]:
+    """Yield the sweeps of files and recordings."""
+    jobs = list(options.chosen(files, None))
+    for named in named_sweeps(reading, jobs, output_names(files), failures):
+        yield named.sweep, None
+
+
+def _simulated(
+    preset: str, seconds: float, hz: float, agents: int, world: str | None, seed: int | None
+) -> Iterator[tuple[Sweep, DriveTruth | None]]:
+    """Return the sweeps of a simulated drive."""
+    from viewshed.datasets.presets import preset_named
+    from viewshed.datasets.recorder.drive import drive_plan, drive_sweeps
+
+    return drive_sweeps(drive_plan(preset_named(preset), seconds=seconds, hz=hz, agents=agents, world=world, seed=seed))

@@ -1,0 +1,212 @@
+"""Moments in the schemas of Foxglove: for MCAP files that need no ROS to be read, and for a live server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._extras import needed_for
+from viewshed.datasets.recorder.bag_writers import Schema
+from viewshed.datasets.recorder.moment import MAP, Moment, ObjectTruth, Verdict
+from viewshed.datasets.recorder.ros_topics import cloud_table
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.polygons import star_ring
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.integrity.evidence.base import SECTORS
+from viewshed.io.export.ros import visibility_layer
+
+LAYERS = ("visibility", "state", "doubt")
+"""Fields of the grid, int8 each, see :func:`visibility_layer`."""
+
+_VISIBLE, _SUSPECT, _OBJECT = (0.1, 0.7, 0.5, 1.0), (0.9, 0.1, 0.1, 0.35), (0.2, 0.7, 1.0, 0.5)
+_LEVELS = {Verdict.OK: "Info", Verdict.WARNING: "Warning", Verdict.ERROR: "Error"}
+_NUMBERS = {"<f4": "Float32", "<u2": "Uint16", "|i1": "Int8"}
+
+
+def foxglove_types() -> Any:
+    """Return the messages of foxglove-sdk.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    with needed_for("writing Foxglove's schemas"):
+        from foxglove import messages
+    return messages
+
+
+def _fields(table: np.dtype[Any]) -> list[Any]:
+    """Return the fields of a packed type."""
+    fox, places = foxglove_types(), dict[str, Any](table.fields or {})
+    return [
+        fox.PackedElementField(
+            name=name, offset=offset, type=getattr(fox.PackedElementFieldNumericType, _NUMBERS[form.str])
+        )
+        for name, (form, offset) in places.items()
+    ]
+
+
+def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
+    """Yield topic, schema and bytes of all that a moment tells."""
+    fox = foxglove_types()
+    agent, stamp = moment.agent, _stamp(moment.t_ns)
+    made: list[tuple[str, Any]] = [
+        ("/tf", _transforms(moment)),
+        (f"/{agent}/lidar/data", _cloud(moment)),
+    ]
+    if moment.answer.estimate is not None:
+        made.append((f"/{agent}/lidar/fov", _grid(moment.answer.estimate, stamp, moment.level_frame)))
+    made.append((f"/{agent}/lidar/scene", fox.SceneUpdate(entities=_entities(moment))))
+    for sentence in moment.alarms() or [moment.summary()]:
+        level = getattr(fox.LogLevel, _LEVELS[moment.verdict()])
+        made.append(("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name=agent)))
+    for topic, message in made:
+        schema = message.get_schema()
+        yield topic, Schema(schema.name, schema.encoding, "protobuf", schema.data), message.encode()
+
+
+def _stamp(t_ns: int) -> Any:
+    return foxglove_types().Timestamp(*divmod(t_ns, 1_000_000_000))
+
+
+def _pose(rigid: Rigid) -> Any:
+    fox = foxglove_types()
+    x, y, z = rigid.translation.tolist()
+    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turn(rigid))
+
+
+def _turn(rigid: Rigid) -> Any:
+    w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
+    return foxglove_types().Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _transforms(moment: Moment) -> Any:
+    """Return all transforms, those that stand still as well: a viewer may come later."""
+    fox = foxglove_types()
+    made = []
+    for each in (*moment.static_transforms(), *moment.transforms()):
+        x, y, z = each.parent_from_child.translation.tolist()
+        made.append(
+            fox.FrameTransform(
+                timestamp=_stamp(moment.t_ns), parent_frame_id=each.parent, child_frame_id=each.child,
+                translation=fox.Vector3(x=x, y=y, z=z), rotation=_turn(each.parent_from_child),
+            )
+        )  # fmt: skip
+    return fox.FrameTransforms(transforms=made)
+
+
+def _cloud(moment: Moment) -> Any:
+    table = cloud_table(moment.sweep)
+    return foxglove_types().PointCloud(
+        timestamp=_stamp(moment.t_ns), frame_id=moment.sensor_frame, pose=_pose(Rigid.identity()),
+        point_stride=table.dtype.itemsize, fields=_fields(table.dtype), data=table.tobytes(),
+    )  # fmt: skip
+
+
+def _grid(estimate: FovEstimate, stamp: Any, frame: str) -> Any:
+    """Return all layers as one grid; its columns go along x and its rows along y."""
+    fox = foxglove_types()
+    grid = estimate.grid
+    cells = np.stack([visibility_layer(estimate, name).T for name in LAYERS], axis=-1)
+    return fox.Grid(
+        timestamp=stamp, frame_id=frame, pose=_pose(Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))),
+        column_count=grid.cells, cell_size=fox.Vector2(x=grid.cell_m, y=grid.cell_m),
+        row_stride=grid.cells * len(LAYERS), cell_stride=len(LAYERS),
+        fields=_fields(np.dtype([(name, "i1") for name in LAYERS])),
+        data=cells.tobytes(),
+    )  # fmt: skip
+
+
+def _entities(moment: Moment) -> list[Any]:
+    """Return the outline of what is visible, the suspect sectors and the objects of a simulated world.
+
+    Each entity takes the place of the one before of its name, so that one without content clears it.
+    """
+    fox = foxglove_types()
+    stamp, estimate, report = _stamp(moment.t_ns), moment.answer.estimate, moment.answer.report
+    lines, triangles = [], []
+    if estimate is not None:
+        corners = _points(star_ring(estimate.visible(), estimate.grid))
+        loop = fox.LinePrimitiveLineType.LineLoop
+        lines.append(
+            fox.LinePrimitive(
+                type=loop, pose=_pose(Rigid.identity()), thickness=0.15, points=corners, color=_color(_VISIBLE)
+            )
+        )
+    if estimate is not None and report is not None and report.now.suspect.any():
+        corners = _points(sector_corners(report.now.suspect, estimate.grid.half_extent_m))
+        triangles.append(
+            fox.TriangleListPrimitive(pose=_pose(Rigid.identity()), points=corners, color=_color(_SUSPECT))
+        )
+    made = [
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="visible", lines=lines),
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="suspect", triangles=triangles),
+    ]
+    if moment.truth is not None:
+        cubes = [_cube(each) for each in moment.truth.objects]
+        made.append(fox.SceneEntity(timestamp=stamp, frame_id=MAP, id="objects", cubes=cubes))
+    return made
+
+
+def sector_corners(suspect: NDArray[np.bool_], reach_m: float) -> NDArray[np.float64]:
+    """Return the corners (3 K, 2) of a triangle from the sensor for each of the K suspect sectors."""
+    step = 2 * np.pi / SECTORS
+    start = np.flatnonzero(suspect) * step - np.pi
+    ends = [np.column_stack([np.cos(angle), np.sin(angle)]) * reach_m for angle in (start, start + step)]
+    return np.stack([np.zeros((len(start), 2)), *ends], axis=1).reshape(-1, 2)
+
+
+def _points(corners: NDArray[np.float64]) -> list[Any]:
+    fox = foxglove_types()
+    return [fox.Point3(x=x, y=y, z=0.05) for x, y in corners.tolist()]
+
+
+def _color(rgba: tuple[float, float, float, float]) -> Any:
+    r, g, b, a = rgba
+    return foxglove_types().Color(r=r, g=g, b=b, a=a)
+
+
+def _cube(each: ObjectTruth) -> Any:
+    fox = foxglove_types()
+    x, y, z = each.size_m
+    return fox.CubePrimitive(pose=_pose(each.world_from_box), size=fox.Vector3(x=x, y=y, z=z), color=_color(_OBJECT))
+
+
+@contextmanager
+def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Moment], None]]:
+    """Serve moments live to Foxglove and yield what takes them.
+
+    Args:
+        port: of the server; 0 takes one that is free.
+        host: where it listens; the own machine alone unless told.
+
+    Raises:
+        ImportError: foxglove-sdk is not installed.
+        OSError: the port cannot be had.
+    """
+    foxglove_types()
+    import foxglove
+
+    context = foxglove.Context()
+    try:
+        server = foxglove.start_server(name="viewshed", host=host, port=port, context=context)
+    except Exception as error:  # of a type of its own
+        raise OSError(f"port {port} of {host} cannot be served: {error}; choose another --foxglove") from error
+    channels: dict[str, Any] = {}
+
+    def record(moment: Moment) -> None:
+        for topic, schema, raw in foxglove_messages(moment):
+            if topic not in channels:
+                known = foxglove.Schema(name=schema.name, encoding=schema.encoding, data=schema.definition)
+                channels[topic] = foxglove.Channel(
+                    topic, schema=known, message_encoding=schema.message_encoding, context=context
+                )
+            channels[topic].log(raw, log_time=moment.t_ns)
+
+    try:
+        yield record
+    finally:
+        server.stop()

@@ -1,0 +1,296 @@
+"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._extras import needed_for
+from viewshed.datasets.recorder.moment import MAP, Moment, ObjectTruth, Transform
+from viewshed.fov.polygons import star_ring
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.grid import BevGrid
+from viewshed.io.export.ros import visibility_layer
+from viewshed.sweep import Sweep
+
+CLOUD, FIELD = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField"
+GRID, POLYGON = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PolygonStamped"
+ODOMETRY, TF, STRING = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
+
+_CODES = {"f4": 7, "u2": 4}
+_COLUMNS = (
+    ("intensity", "f4", "intensity"),
+    ("ring", "u2", "ring"),
+    ("azimuth", "f4", "azimuth"),
+    ("time_s", "f4", "time"),
+)
+"""Columns of a sweep, their types, and their fields in a cloud."""
+
+
+class RosMessages:
+    """Makes and encodes messages of ROS 1 (Noetic) or ROS 2 (Humble).
+
+    Raises:
+        ImportError: rosbags is not installed.
+    """
+
+    def __init__(self, *, ros1: bool) -> None:
+        with needed_for("writing a bag"):
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        if TF not in self.store.types:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        self._ros1 = ros1
+
+    def encode(self, message: Any) -> bytes:
+        """Return the bytes of a message."""
+        serialize = self.store.serialize_ros1 if self._ros1 else self.store.serialize_cdr
+        return bytes(serialize(message, message.__msgtype__))
+
+    def definition(self, kind: str) -> str:
+        """Return the definition of a type and of those within it, as MCAP keeps it."""
+        return str(self.store.generate_msgdef(kind, ros_version=2)[0])
+
+    def make(self, kind: str, **given: Any) -> Any:
+        """Return a message; the fields that are not given are zero or empty."""
+        fields = dict(self.store.get_msgdef(kind).fields)
+        values = {name: given.pop(name) if name in given else self._empty(form) for name, form in fields.items()}
+        if given:
+            raise TypeError(f"{kind} has no field {', '.join(given)}")
+        return self.store.types[kind](**values)
+
+    def _empty(self, form: Any) -> Any:
+        """Return the zero of a field's form (node, arguments) of rosbags' tables."""
+        node, rest = form
+        match node.name:
+            case "BASE":
+                return {"string": "", "bool": False}.get(rest[0], 0.0 if rest[0].startswith("float") else 0)
+            case "NAME":
+                return self.make(rest)
+        (inner, name), count = rest
+        is_number = inner.name == "BASE" and name[0] != "string"
+        return np.zeros(count, name[0]) if is_number else [self._empty((inner, name)) for _ in range(count)]
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        """Return a header."""
+        return self.make("std_msgs/msg/Header", stamp=self.stamp(t_ns), frame_id=frame)
+
+    def stamp(self, t_ns: int) -> Any:
+        """Return a time."""
+        return self.make("builtin_interfaces/msg/Time", sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+
+    def pose(self, rigid: Rigid) -> Any:
+        """Return a pose."""
+        return self.make(
+            "geometry_msgs/msg/Pose", position=self._vector("Point", rigid.translation), orientation=self._turn(rigid)
+        )
+
+    def cloud(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
+        """Return the points of a sweep with those of its columns that it has."""
+        table = cloud_table(sweep)
+        places: dict[str, Any] = dict(table.dtype.fields or {})
+        fields = [
+            self.make(FIELD, name=name, offset=offset, datatype=_CODES[form.str[1:]], count=1)
+            for name, (form, offset) in places.items()
+        ]
+        data = table.view(np.uint8).reshape(-1) if table.size else np.zeros(0, np.uint8)
+        return self.make(
+            CLOUD, header=self.header(t_ns, frame), height=1, width=len(table), fields=fields,
+            point_step=table.dtype.itemsize, row_step=data.size, data=data, is_dense=True,
+        )  # fmt: skip
+
+    def grid(self, layer: NDArray[np.int8], grid: BevGrid, t_ns: int, frame: str) -> Any:
+        """Return a layer (cells, cells), x first, as a grid, whose data go along x first."""
+        header = self.header(t_ns, frame)
+        corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
+        info = self.make(
+            "nav_msgs/msg/MapMetaData", map_load_time=header.stamp, resolution=grid.cell_m, width=grid.cells,
+            height=grid.cells, origin=self.pose(corner),
+        )  # fmt: skip
+        return self.make(GRID, header=header, info=info, data=np.ascontiguousarray(layer.T).ravel())
+
+    def polygon(self, corners: NDArray[np.float64], t_ns: int, frame: str) -> Any:
+        """Return corners (V, 2) as a polygon."""
+        point = self.store.types["geometry_msgs/msg/Point32"]
+        points = [point(x, y, 0.0) for x, y in corners.tolist()]
+        ring = self.make("geometry_msgs/msg/Polygon", points=points)
+        return self.make(POLYGON, header=self.header(t_ns, frame), polygon=ring)
+
+    def transforms(self, transforms: list[Transform], t_ns: int) -> Any:
+        """Return transforms."""
+        return self.make(TF, transforms=[
+            self.make(
+                "geometry_msgs/msg/TransformStamped", header=self.header(t_ns, each.parent), child_frame_id=each.child,
+                transform=self.make(
+                    "geometry_msgs/msg/Transform",
+                    translation=self._vector("Vector3", each.parent_from_child.translation),
+                    rotation=self._turn(each.parent_from_child),
+                ),
+            )
+            for each in transforms
+        ])  # fmt: skip
+
+    def odometry(self, moment: Moment) -> Any:
+        """Return pose and velocity of an agent's vehicle, or of its sensor on a mast; None where they are not known."""
+        if moment.truth is None:
+            return None
+        linear = self._vector("Vector3", moment.truth.velocity_mps)
+        return self.make(
+            ODOMETRY, header=self.header(moment.t_ns, MAP), child_frame_id=moment.carrier_frame,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(moment.truth.world_from_carrier)),
+            twist=self.make(
+                "geometry_msgs/msg/TwistWithCovariance", twist=self.make("geometry_msgs/msg/Twist", linear=linear)
+            ),
+        )  # fmt: skip
+
+    def boxes(self, objects: tuple[ObjectTruth, ...], t_ns: int) -> Any:
+        """Return objects as cubes: their number is the marker's, their category its namespace and text."""
+        color = self.make("std_msgs/msg/ColorRGBA", r=0.2, g=0.8, b=1.0, a=0.5)
+        return self.make(MARKERS, markers=[
+            self.make(
+                "visualization_msgs/msg/Marker", header=self.header(t_ns, MAP), ns=each.category, id=each.number,
+                type=1, pose=self.pose(each.world_from_box), scale=self._vector("Vector3", each.size_m), color=color,
+                text=each.category,
+            )
+            for each in objects
+        ])  # fmt: skip
+
+    def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
+        """Return a status for each sentence, the answer's numbers with each; None for no sentence."""
+        if not sentences:
+            return None
+        values = [self.make("diagnostic_msgs/msg/KeyValue", key=k, value=v) for k, v in moment.numbers().items()]
+        return self.make(DIAGNOSTICS, header=self.header(moment.t_ns, ""), status=[
+            self.make(
+                "diagnostic_msgs/msg/DiagnosticStatus", level=int(moment.verdict()), name=f"viewshed: {moment.agent}",
+                message=sentence, hardware_id=moment.sensor_frame, values=values,
+            )
+            for sentence in sentences
+        ])  # fmt: skip
+
+    def text(self, value: object) -> Any:
+        """Return a value as JSON in a String."""
+        return self.make(STRING, data=json.dumps(value, ensure_ascii=False))
+
+    def _vector(self, name: str, xyz: Any) -> Any:
+        x, y, z = (float(value) for value in xyz)
+        return self.make(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
+
+    def _turn(self, rigid: Rigid) -> Any:
+        w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
+        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def cloud_table(sweep: Sweep) -> NDArray[Any]:
+    """Return the points of a sweep and its columns as a structured array (N,), packed."""
+    columns = [(field, form, getattr(sweep, name)) for name, form, field in _COLUMNS]
+    columns = [(field, form, column) for field, form, column in columns if column is not None]
+    kinds = [*((axis, "<f4") for axis in "xyz"), *((field, f"<{form}") for field, form, _ in columns)]
+    table = np.empty(len(sweep), kinds)
+    for axis, name in enumerate("xyz"):
+        table[name] = sweep.points[:, axis]
+    for field, _, column in columns:
+        table[field] = column
+    return table
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a bag.
+
+    Attributes:
+        name: with ``{agent}`` where each agent has its own.
+        kind: type of its messages.
+        make: the message of a moment, or None where it has none.
+        latched: told once, and again to whoever comes later.
+        per_time: told once for all agents of a time.
+    """
+
+    name: str
+    kind: str
+    make: Callable[[RosMessages, Moment], Any]
+    latched: bool = False
+    per_time: bool = False
+
+
+def _layer(name: str) -> Callable[[RosMessages, Moment], Any]:
+    def make(ros: RosMessages, moment: Moment) -> Any:
+        estimate = moment.answer.estimate
+        if estimate is None:
+            return None
+        return ros.grid(visibility_layer(estimate, name), estimate.grid, moment.t_ns, moment.level_frame)
+
+    return make
+
+
+def _fov(ros: RosMessages, moment: Moment) -> Any:
+    estimate = moment.answer.estimate
+    if estimate is None:
+        return None
+    return ros.polygon(star_ring(estimate.visible(), estimate.grid), moment.t_ns, moment.level_frame)
+
+
+def _tf(ros: RosMessages, moment: Moment) -> Any:
+    transforms = moment.transforms()
+    return ros.transforms(transforms, moment.t_ns) if transforms else None
+
+
+def _tf_static(ros: RosMessages, moment: Moment) -> Any:
+    transforms = moment.static_transforms()
+    return ros.transforms(transforms, moment.t_ns) if transforms else None
+
+
+TOPICS = (
+    Topic("/agent_names", STRING, lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
+    Topic("/attacked_agents", STRING, lambda ros, m: m.truth and ros.text([]), latched=True),
+    Topic("/object_truth", MARKERS, lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
+    Topic("/tf_static", TF, _tf_static, latched=True),
+    Topic("/tf", TF, _tf),
+    Topic("/{agent}/state", ODOMETRY, lambda ros, m: ros.odometry(m)),
+    Topic("/{agent}/lidar/data", CLOUD, lambda ros, m: ros.cloud(m.sweep, m.t_ns, m.sensor_frame)),
+    Topic("/{agent}/lidar/object_truth", MARKERS, lambda ros, m: m.truth and ros.boxes(m.truth.seen, m.t_ns)),
+    Topic("/{agent}/lidar/fov", POLYGON, _fov),
+    Topic("/{agent}/lidar/visibility", GRID, _layer("visibility")),
+    Topic("/{agent}/lidar/state", GRID, _layer("state")),
+    Topic("/{agent}/lidar/doubt", GRID, _layer("doubt")),
+    Topic("/{agent}/lidar/alarms", DIAGNOSTICS, lambda ros, m: ros.diagnostics(m, m.alarms())),
+    Topic("/diagnostics", DIAGNOSTICS, lambda ros, m: ros.diagnostics(m, [m.summary()])),
+)
+"""What a bag holds, in the order in which it is written for each sweep."""
+
+
+def ros_name(name: str) -> str:
+    """Return a name that ROS takes.
+
+    >>> ros_name("/car-1/top lidar/data")
+    '/car_1/top_lidar/data'
+    """
+    return re.sub(r"[^A-Za-z0-9_/]", "_", name)
+
+
+class RosTable:
+    """The messages of moments, in the order of :data:`TOPICS`; what is told once is told once."""
+
+    def __init__(self, *, ros1: bool) -> None:
+        self.messages = RosMessages(ros1=ros1)
+        self._told: dict[str, int] = {}
+
+    def of(self, moment: Moment) -> Iterator[tuple[str, Any, bool]]:
+        """Yield topic, message and whether it is latched, of all that a moment tells."""
+        for topic in TOPICS:
+            name = ros_name(topic.name.format(agent=moment.agent))
+            if topic.latched or topic.per_time:
+                now_ns = moment.t_ns if topic.per_time else 0
+                if self._told.get(name) == now_ns:
+                    continue
+                self._told[name] = now_ns
+            message = topic.make(self.messages, moment)
+            if message is not None:
+                yield name, message, topic.latched

@@ -1,0 +1,111 @@
+"""A recording's estimates for the viewer of Rerun: points, states, suspect sectors and numbers over time."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from viewshed._extras import needed_for
+from viewshed.fov.estimate import CellState
+from viewshed.integrity.evidence.base import SECTORS
+from viewshed.integrity.report import IntegrityReport
+from viewshed.plot import COLORS, HEIGHTS_M, WORDS, color_map
+from viewshed.view.frames import Frame
+
+_VISIBLE_COLOR, _SUSPECT_COLOR = (30, 180, 130), (220, 40, 40)
+_HEIGHT_MAP = "viridis"
+
+
+def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
+    """Write all frames to a file of Rerun (``.rrd``) and return its size in bytes.
+
+    Args:
+        path: of the file.
+        frames: taken one by one; each is written before the next is asked for.
+        title: of the recording.
+
+    Raises:
+        ValueError: there are no frames.
+        ImportError: rerun-sdk is not installed.
+        OSError: the file cannot be written; none is left behind, nor is one if ``frames`` raises.
+    """
+    with needed_for("writing for Rerun"):
+        import rerun
+    target = Path(path)
+    draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
+    stream, count = rerun.RecordingStream("viewshed"), 0
+    try:
+        draft.touch(exist_ok=False)  # says in Python's words what stands in the way
+        stream.save(draft)
+        stream.send_recording_name(title)
+        stream.log("sweep/states", _state_colors(rerun), static=True)
+        for frame in frames:
+            stream.set_time("sweep", sequence=count)
+            if frame.estimate.t_ns is not None:
+                stream.set_time("time", duration=np.timedelta64(frame.estimate.t_ns, "ns"))
+            _log_frame(rerun, stream, frame)
+            count += 1
+        if not count:
+            raise ValueError(f"frames must be at least one, got none; no file {path} was written")
+        stream.flush()
+        stream.disconnect()
+        os.replace(draft, target)  # noqa: PTH105 - as open_atomic does
+    finally:
+        stream.disconnect()
+        draft.unlink(missing_ok=True)
+    return target.stat().st_size
+
+
+def _state_colors(rerun: Any) -> Any:
+    return rerun.AnnotationContext(
+        [(int(state), WORDS[state], tuple(round(255 * part) for part in COLORS[state])) for state in CellState]
+    )
+
+
+def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
+    """Log what a frame shows; what it does not show clears what the frame before did."""
+    estimate, report = frame.estimate, frame.report
+    # 1. Images from above: the first row is the farthest ahead, the first column the leftmost.
+    stream.log("sweep/states/image", rerun.SegmentationImage(estimate.state[::-1, ::-1]))
+    stream.log("sweep/probability", rerun.DepthImage(estimate.visible_prob[::-1, ::-1], depth_range=(0.0, 1.0)))
+    # 2. Points in the level frame, colored by their height above the ground.
+    if frame.leveled is not None:
+        low_m, high_m = HEIGHTS_M
+        share = ((frame.leveled.height_m - low_m) / (high_m - low_m)).clip(0.0, 1.0)
+        palette = color_map(_HEIGHT_MAP)
+        colors = palette[(share * (len(palette) - 1)).round().astype(np.intp)]
+        stream.log("level/points", rerun.Points3D(frame.leveled.points, colors=colors, radii=0.06))
+    # 3. The edge of the view, and the suspect sectors.
+    rings = [np.asarray(ring.coords) for part in estimate.polygon().geoms for ring in (part.exterior, *part.interiors)]
+    stream.log("level/visible", _strips(rerun, rings, _VISIBLE_COLOR))
+    reach_m = estimate.grid.half_extent_m
+    stream.log("level/suspect", _strips(rerun, _suspect_rings(report, reach_m), _SUSPECT_COLOR))
+    # 4. Numbers and sentences.
+    stream.log("numbers/visible_m2", rerun.Scalars(estimate.area_m2()))
+    if report is not None:
+        stream.log("numbers/score", rerun.Scalars(report.score))
+        level = "ERROR" if report.inconsistent else "WARN" if report.degraded else ""
+        for reason in report.reasons if level else ():
+            stream.log("alarms", rerun.TextLog(f"{frame.name}: {reason}", level=level))
+
+
+def _suspect_rings(report: IntegrityReport | None, reach_m: float) -> list[Any]:
+    """Return a closed triangle (4, 2) about each suspect sector."""
+    step = 2 * np.pi / SECTORS
+    starts = np.empty(0) if report is None else np.flatnonzero(report.suspect) * step - np.pi
+    return [
+        np.array(
+            [(0, 0), *((reach_m * np.cos(angle), reach_m * np.sin(angle)) for angle in (start, start + step)), (0, 0)]
+        )
+        for start in starts
+    ]
+
+
+def _strips(rerun: Any, rings: list[Any], color: tuple[int, int, int]) -> Any:
+    """Return rings (V, 2) on the ground."""
+    return rerun.LineStrips3D([np.column_stack([ring, np.full(len(ring), 0.05)]) for ring in rings], colors=[color])

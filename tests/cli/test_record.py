@@ -1,0 +1,126 @@
+"""``viewshed replay --to`` and ``viewshed record`` as a stranger types them."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cli.test_networks import run
+
+from viewshed import read_sweep, write_sweep
+from viewshed.cli._outputs import Failures
+from viewshed.cli._record import Awaited, Listener
+from viewshed.io.samples import junction_path
+from viewshed.pipeline import Answer, ReactionState
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
+pytest.importorskip("mcap", reason="mcap is not installed: bags are not written")
+recordings: Any = import_module("recording_files")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three files of thinned sweeps."""
+    sweep, folder = read_sweep(junction_path()), tmp_path_factory.mktemp("files")
+    places = [folder / f"sweep{k}.ply" for k in range(3)]
+    for k, place in enumerate(places):
+        write_sweep(sweep.select(np.arange(k, len(sweep), 20)), place)
+    return places
+
+
+def test_a_replay_as_fast_as_possible_writes_the_same_bytes(files: list[Path], tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        code, out, err = run("replay", *files, "--as-fast", "--to", tmp_path / name)
+        assert (code, err) == (0, "")
+        *_, counts, last = out.splitlines()
+        assert counts.startswith("3 answered, 0 dropped; ")
+        assert last.startswith(f"{tmp_path / name}: 0.")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
+
+
+def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> None:
+    assert run("replay", *files, "--as-fast", "--to", tmp_path / "a.bag")[0] == 0
+    assert run("record", *files, "--to", tmp_path / "b.bag")[0] == 0
+    assert (tmp_path / "a.bag").read_bytes() == (tmp_path / "b.bag").read_bytes()
+
+
+def test_a_recording_becomes_a_bag_that_is_read_again(tmp_path: Path) -> None:
+    place = recordings.write(tmp_path / "drive", recordings.recordings()["kitti_raw"])
+    code, _, err = run("record", place, "--to", tmp_path / "again")
+    assert (code, err) == (0, "")
+    first, second = (run("replay", each, "--as-fast")[1].splitlines() for each in (place, tmp_path / "again"))
+    assert [line.split(" m²")[0] for line in first[:-1]] == [line.split(" m²")[0] for line in second[:-1]]
+
+
+def test_a_simulated_drive_is_the_same_each_time(tmp_path: Path) -> None:
+    words = ("record", "sim", "--preset", "nuscenes-small", "--agents", 2, "--seconds", 0.2, "--seed", 4, "--to")
+    for name in ("a.mcap", "b.mcap"):
+        code, out, err = run(*words, tmp_path / name)
+        assert (code, err) == (0, "")
+        assert [line.split()[0] for line in out.splitlines()[:4]] == ["0.000", "0.000", "0.100", "0.100"]
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    code, out, _ = run("replay", tmp_path / "a.mcap", "--as-fast")
+    assert code == 0
+    assert out.splitlines()[-1].startswith("4 answered, 0 dropped")
+
+
+def test_a_bad_file_costs_a_line_and_the_bag_stays(files: list[Path], tmp_path: Path) -> None:
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(b"\0" * 17)
+    code, _, err = run("record", bad, files[0], "--to", tmp_path / "run.mcap")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert (tmp_path / "run.mcap").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["replay", "{file}", "--as-fast", "--to", "run.db3"], "a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder"),
+        (["replay", "{file}", "--schemas", "foxglove"], "--schemas goes with --to"),
+        (["replay", "{file}", "--as-fast", "--to", "a.mcap", "--monitor", "{file}"],
+         "sweep0.ply must be a whole monitor"),
+        (["record", "{bad}", "--to", "run.mcap"], "no sweep could be read, run.mcap was not written"),
+        (["record", "sim", "--to", "run.mcap", "--world", "moon"], "world must be one of street, "),
+        (["record", "sim", "--to", "run.mcap", "--preset", "moon"], "moon"),
+        (["record", "sim", "--to", "run.mcap", "--seconds", "0.01"], "a drive needs seconds above 0"),
+        (["record", "sim", "--to", "run.mcap", "--agents", "0"], "a drive needs seconds above 0"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_asked(
+    words: list[str], message: str, files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(b"\0" * 17)
+    named = {"{file}": files[0], "{bad}": bad}
+    code, _, err = run(*(named.get(word, word) for word in words))
+    assert code == 2
+    assert message in err.splitlines()[-1]
+    assert "Traceback" not in err
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.bin"]
+
+
+def test_an_input_is_not_replaced(tmp_path: Path) -> None:
+    place = tmp_path / "a.mcap"
+    place.write_bytes(recordings.mcap())
+    content = place.read_bytes()
+    code, _, err = run("replay", place, "--as-fast", "--to", place)
+    assert code == 2
+    assert "is an input and would be replaced" in err
+    assert place.read_bytes() == content
+
+
+def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of three sweeps a newer one of the first agent takes the place of its older one, before the second agent's."""
+    sweep = read_sweep(junction_path()).select(np.arange(10))
+    failures = Failures()
+    listener = Listener([], failures, is_live=True)
+    for number, agent in enumerate("aba"):
+        listener.expect(number, Awaited(agent, 0.1 * number, sweep, None))
+    for number, agent in ((2, "a"), (1, "b")):
+        listener(Answer(agent, number, None, None, None, ReactionState(), 0.0, (), "nothing was usable", 0.01))
+    assert failures.count == 2
+    assert [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()] == ["0.200 s", "0.100 s"]

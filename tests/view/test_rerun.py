@@ -1,0 +1,45 @@
+"""A file for Rerun: read back by its own software kit."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed import load_estimator, read_sweep
+from viewshed.integrity.evidence.base import SECTORS
+from viewshed.integrity.report import IntegrityReport
+from viewshed.io.samples import junction_path
+from viewshed.preprocess.leveling import level
+from viewshed.view.frames import Frame
+from viewshed.view.rerun import write_rerun
+
+rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
+
+
+def test_frames_become_a_file(tmp_path: Path) -> None:
+    estimator = load_estimator("shadow_map")
+    leveled = level(read_sweep(junction_path()), estimator.grid)
+    suspect = np.zeros(SECTORS, np.bool_)
+    suspect[10:12] = True
+    report = IntegrityReport("by hand", 2.0, 1.0, suspect=suspect, reasons=("a wall stands in the air",))
+    estimate = estimator.estimate(leveled)
+    frames = [Frame("first", estimate, leveled, report), Frame("second", estimate, leveled)]
+    place = tmp_path / "run.rrd"
+    assert write_rerun(place, frames, "a drive") == place.stat().st_size > 100_000
+    assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
+    assert place.read_bytes()[:4] in {b"RRF2", b"RRF0", b"RRIO"}
+    said = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "print", place], check=True, capture_output=True, text=True
+    ).stdout
+    for entity in ("/level/points", "/level/suspect", "/sweep/states/image", "/numbers/visible_m2", "/alarms"):
+        assert entity in said
+
+
+def test_no_frame_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"frames must be at least one, got none; no file .*run\.rrd was written"):
+        write_rerun(tmp_path / "run.rrd", [], "nothing")
+    with pytest.raises(OSError, match="No such file or directory"):
+        write_rerun(tmp_path / "missing" / "run.rrd", [], "nothing")
+    assert list(tmp_path.iterdir()) == []
