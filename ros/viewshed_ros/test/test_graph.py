@@ -88,7 +88,7 @@ class Robot:
         for t_ns in (self.t_ns - STEP_NS // 2, self.t_ns + STEP_NS // 2):
             message = Odometry()
             message.header.stamp, message.header.frame_id = stamp_of(t_ns), "map"
-            message.pose.pose = pose_of(pose_at(t_ns))
+            message.pose.pose = pose_of(pose_at(t_ns) @ Rigid(np.eye(3), np.array([0.0, 0.0, -1.8])))
             self.odometry.publish(message)
         self.clouds.publish(cloud(POINTS, self.t_ns))
         return self.t_ns
@@ -121,6 +121,7 @@ def robot() -> Iterator[Robot]:
     parameters = {
         "sensors": "[front, laser]", "profile": "contested", "history": "2", "monitor": "never",
         "pose_source": "odometry", "pose_wait_s": "0.2", "front.topic": "cloud", "laser.type": "scan",
+        "front.mounting": "[0.0, 0.0, 1.8, 1.0, 0.0, 0.0, 0.0]",
         "diagnostics_hz": "5.0",
     }  # fmt: skip
     given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
@@ -165,6 +166,9 @@ def test_every_layer_and_the_alarm_come(robot: Robot) -> None:
     assert {pair.key for pair in alarm.values} >= {"caution", "speed in m/s", "latency in ms"}
     assert robot.got["speed_mask"][-1].header.frame_id == "map"
     assert len(robot.got["clearing"][-1].data) > 1000
+    # Masks lie on the raster of the map, whatever the pose.
+    origin = robot.got["speed_mask"][-1].info.origin
+    assert (origin.orientation.w, origin.position.y % 0.5) == (1.0, 0.0)
 
 
 def test_a_laser_in_the_same_process_has_its_own_view(robot: Robot) -> None:

@@ -25,8 +25,12 @@ def odometry(t_ns: int, rigid: Rigid, frame: str = "map") -> Odometry:
     return message
 
 
-def buffer(*times_ns: int, mounting: dict[str, Rigid] | None = None) -> PoseBuffer:
-    poses = PoseBuffer(POSE_TOPICS["odometry"], "map", mounting or {})
+HERE = Rigid.identity()
+"""A sensor that is mounted at the vehicle's own origin."""
+
+
+def buffer(*times_ns: int) -> PoseBuffer:
+    poses = PoseBuffer(POSE_TOPICS["odometry"], "map")
     for t_ns in times_ns:
         poses.add(odometry(t_ns, Rigid.from_yaw(t_ns * 1e-9, (t_ns * 1e-9, 0.0, 0.0))))
     return poses
@@ -34,8 +38,7 @@ def buffer(*times_ns: int, mounting: dict[str, Rigid] | None = None) -> PoseBuff
 
 def test_between_two_poses_the_pose_is_interpolated_and_the_mounting_added() -> None:
     mounting = Rigid(np.eye(3), np.array([0.0, 1.0, 2.0]))
-    poses = buffer(0, 400_000_000, mounting={"lidar": mounting})
-    found = poses.world_from_sensor("lidar", 100_000_000)
+    found = buffer(0, 400_000_000).world_from_sensor("lidar", 100_000_000, mounting)
     np.testing.assert_allclose(
         found.as_matrix(), (Rigid.from_yaw(0.1, (0.1, 0.0, 0.0)) @ mounting).as_matrix(), atol=1e-9
     )
@@ -53,7 +56,7 @@ def test_between_two_poses_the_pose_is_interpolated_and_the_mounting_added() -> 
 )
 def test_a_pose_that_is_not_known_is_not_made_up(times_ns: tuple[int, ...], t_ns: int, why: str) -> None:
     with pytest.raises(LookupError, match=why):
-        buffer(*times_ns).world_from_sensor("lidar", t_ns)
+        buffer(*times_ns).world_from_sensor("lidar", t_ns, HERE)
 
 
 def test_memory_is_bounded() -> None:
@@ -104,11 +107,11 @@ def test_poses_come_from_the_transforms_of_a_real_bag() -> None:
     t_ns, parent, child = times[len(times) // 2]
     poses = TfPoses(StandIn(transforms), parent)
     expected = transforms.lookup(parent, child, t_ns)
-    np.testing.assert_allclose(poses.world_from_sensor(child, t_ns).as_matrix(), expected.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(poses.world_from_sensor(child, t_ns, HERE).as_matrix(), expected.as_matrix(), atol=1e-9)
     with pytest.raises(LookupError, match="extrapolation"):
-        poses.world_from_sensor(child, t_ns + 10**12)
+        poses.world_from_sensor(child, t_ns + 10**12, HERE)
     with pytest.raises(LookupError, match="no transform leads from frame 'moon'"):
-        poses.world_from_sensor("moon", t_ns)
+        poses.world_from_sensor("moon", t_ns, HERE)
 
 
 def test_without_tf2_the_message_says_what_to_take() -> None:

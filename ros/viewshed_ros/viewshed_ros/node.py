@@ -75,7 +75,7 @@ class FieldOfView(LifecycleNode):
         """Load what is needed and announce the topics."""
         try:
             self._configure(parameters.read(self))
-        except (ValueError, OSError, ImportError) as error:
+        except Exception as error:  # whatever it is: rclpy would drop it without a word
             self.get_logger().error(f"not configured: {' '.join(str(error).split())}")
             self._release()
             return TransitionCallbackReturn.FAILURE
@@ -83,12 +83,12 @@ class FieldOfView(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to listen."""
-        for sensor in self._sensors.values():
-            settings = sensor.settings
-            sensor.subscription = self.create_subscription(
-                settings.input.message_type(), settings.topic, partial(self._take, sensor), qos_profile_sensor_data,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )  # fmt: skip
+        try:
+            self._listen()
+        except Exception as error:  # a topic's name, for example
+            self.get_logger().error(f"not activated: {' '.join(str(error).split())}")
+            self._stop_listening()
+            return TransitionCallbackReturn.FAILURE
         returned = super().on_activate(state)
         for sensor in self._sensors.values():
             costmap_filters.publish_infos(sensor.publishers, self._settings_now().limits)
@@ -166,7 +166,7 @@ class FieldOfView(LifecycleNode):
         if settings.pose_source == "tf":
             return poses.TfPoses(poses.tf_buffer(self), settings.world_frame, settings.pose_wait_s)
         topic = poses.POSE_TOPICS[settings.pose_source]
-        buffer = poses.PoseBuffer(topic, settings.world_frame, {}, settings.pose_wait_s)
+        buffer = poses.PoseBuffer(topic, settings.world_frame, settings.pose_wait_s)
         subscription = self.create_subscription(
             topic.message_type, settings.pose_topic, partial(self._take_pose, buffer), LIVE,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -190,6 +190,15 @@ class FieldOfView(LifecycleNode):
         )
         self._destroy.append(partial(self.destroy_lifecycle_publisher, publisher))
         return publisher
+
+    def _listen(self) -> None:
+        for sensor in self._sensors.values():
+            settings = sensor.settings
+            sensor.subscription = self.create_subscription(
+                settings.input.message_type(), settings.topic, partial(self._take, sensor), qos_profile_sensor_data,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )  # fmt: skip
+            self.get_logger().info(f"{settings.name} listens to {sensor.subscription.topic_name}")
 
     def _stop_listening(self) -> None:
         for sensor in self._sensors.values():
@@ -243,17 +252,14 @@ class FieldOfView(LifecycleNode):
         if self._poses is None:
             return None
         try:
-            return self._poses.world_from_sensor(sensor.frame, t_ns)
+            return self._poses.world_from_sensor(sensor.frame, t_ns, sensor.settings.base_from_sensor)
         except LookupError as error:
             sensor.counts.last_note = f"without a pose: {error}"
             sensor.counts.count("without a pose")
             return None
 
     def _take_pose(self, buffer: poses.PoseBuffer, message: Any) -> None:
-        """Keep a pose, and the mountings of sensors whose frames are known by now."""
-        for sensor in self._sensors.values():
-            if sensor.frame:
-                buffer.base_from_sensor[sensor.frame] = sensor.settings.base_from_sensor
+        """Keep a pose; one that is none is counted."""
         try:
             buffer.add(message)
         except ValueError as error:

@@ -119,7 +119,7 @@ def read(node: Node) -> Settings:
     given: dict[str, Any] = _values(node, PARAMETERS)
     profile = profile_named(given["profile"])
     names = given["sensors"]
-    if not names or len(set(names)) != len(names) or not all(name.isidentifier() for name in names):
+    if not names or len(set(names)) != len(names) or not all(name.isidentifier() and name.isascii() for name in names):
         raise ValueError(f"sensors must be different names of letters and digits, got {list(names)}")
     for name in ("diagnostics_hz", "pose_wait_s"):
         if not 0.0 <= given[name] <= 100.0:

@@ -29,8 +29,13 @@ LONGEST_GAP_S = 1.0
 class Poses(Protocol):
     """Knows where a sensor stood."""
 
-    def world_from_sensor(self, frame: str, t_ns: int) -> Rigid:
+    def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
         """Return the pose of a sensor's frame at a time.
+
+        Args:
+            frame: of the sensor.
+            t_ns: in nanoseconds.
+            base_from_sensor: its mounting, for those who know nothing of frames.
 
         Raises:
             LookupError: it is not known; the text says why.
@@ -69,15 +74,11 @@ class PoseBuffer:
     Args:
         topic: how poses are read.
         world_frame: the frame that they must be in.
-        base_from_sensor: the mounting of each sensor, by frame.
         wait_s: how long a pose that is still to come is waited for.
     """
 
-    def __init__(
-        self, topic: PoseTopic, world_frame: str, base_from_sensor: dict[str, Rigid], wait_s: float = 0.0
-    ) -> None:
+    def __init__(self, topic: PoseTopic, world_frame: str, wait_s: float = 0.0) -> None:
         self._topic, self._world_frame, self._wait_s = topic, world_frame, wait_s
-        self.base_from_sensor = base_from_sensor
         self._times: deque[int] = deque(maxlen=MOST_POSES)
         self._poses: deque[Rigid] = deque(maxlen=MOST_POSES)
         self._changed = Condition()
@@ -102,12 +103,11 @@ class PoseBuffer:
             self._poses.append(pose)
             self._changed.notify_all()
 
-    def world_from_sensor(self, frame: str, t_ns: int) -> Rigid:
-        """Return the pose of a sensor's frame; see :class:`Poses`."""
-        mounting = self.base_from_sensor.get(frame, Rigid.identity())
+    def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
+        """Return the pose of a sensor; see :class:`Poses`."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._times) and self._times[-1] >= t_ns, self._wait_s)
-            return self._at(t_ns) @ mounting
+            return self._at(t_ns) @ base_from_sensor
 
     def _at(self, t_ns: int) -> Rigid:
         if not self._times:
@@ -145,8 +145,8 @@ class TfPoses:
         self._buffer, self._world_frame = buffer, world_frame
         self._wait = Duration(seconds=wait_s)
 
-    def world_from_sensor(self, frame: str, t_ns: int) -> Rigid:
-        """Return the pose of a sensor's frame; see :class:`Poses`."""
+    def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
+        """Return the pose of a sensor's frame; its mounting is known to tf."""
         try:
             found = self._buffer.lookup_transform(self._world_frame, frame, Time(nanoseconds=t_ns), timeout=self._wait)
             return rigid_of(found.transform.translation, found.transform.rotation)
