@@ -263,6 +263,7 @@ def test_a_laser_scan_comes_back_as_one(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(back.points, sweep.points, atol=2e-5)
     np.testing.assert_array_equal(back.intensity, sweep.intensity)
     assert back.azimuth is not None
+    assert sweep.azimuth is not None
     np.testing.assert_allclose(back.azimuth, sweep.azimuth, atol=1e-6)
     np.testing.assert_allclose(back.planar.open_azimuth, sweep.planar.open_azimuth, atol=1e-6)
     assert angle.size > len(back) + len(back.planar.open_azimuth)

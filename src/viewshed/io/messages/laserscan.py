@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -93,7 +94,7 @@ def scan_of_sweep(sweep: Sweep) -> dict[str, Any]:
 _SAME_ANGLE = 1e-5
 """Angles that differ by less are those of one beam, in radians."""
 
-_FINEST_STEP = np.deg2rad(0.01)
+_FINEST_STEP = 2 * math.pi / 36_000
 
 
 def _even_step(angle: NDArray[np.float64]) -> float:
@@ -106,7 +107,7 @@ def _even_step(angle: NDArray[np.float64]) -> float:
     # Where beams are missing, the smallest gap may be several steps.
     for parts in range(1, 9):
         # A gap is exact to rounding; the span is as exact, and holds many steps.
-        step = span / round(parts * span / float(gaps.min()))
+        step: float = span / round(parts * span / float(gaps.min()))
         place = (angle - angle.min()) / step
         if (np.abs(place - np.rint(place)) < 0.1).all():
             return step
