@@ -120,7 +120,7 @@ def test_agents_are_bounded_and_bad_settings_refused() -> None:
     assert list(stream._agents) == ["agent 3", "agent 4"]
     with pytest.raises(ValueError, match="agents must be 1 at least, got 0"):
         _stream(agents=0)
-    with pytest.raises(ValueError, match="every_s and jump_s must be positive, got 0.0 and 0.5"):
+    with pytest.raises(ValueError, match="every_s and jump_s must be positive, got"):
         _stream(every_s=0.0)
 
 

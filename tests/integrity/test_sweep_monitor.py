@@ -148,7 +148,7 @@ def test_every_damaged_file_is_refused_in_one_line(tmp_path: Path) -> None:
     refused = [message for message in told if message]
     assert all(message.startswith(f"{path} must be a whole monitor file") for message in refused)
     assert not [message for message in refused if "\n" in message]
-    assert len(refused) > 0.7 * len(damaged), "a date or a flag that nobody reads is no damage"
+    assert len(refused) > 0.6 * len(damaged), "a date or a flag that nobody reads is no damage"
 
 
 def test_a_file_of_another_version_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

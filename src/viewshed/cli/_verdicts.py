@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from viewshed.integrity import IntegrityReport
     from viewshed.integrity.evidence import MonitoredSweep
     from viewshed.integrity.over_time import EDetector
+    from viewshed.integrity.score import HeldEvidence
     from viewshed.integrity.stream_monitor import EarlierSweeps
     from viewshed.integrity.sweep_monitor import SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
@@ -67,15 +68,18 @@ class Judge:
     alarms: int = 0
     _drives: Drives = field(default_factory=Drives)
     _detector: EDetector | None = None
+    _held: HeldEvidence | None = None
 
     def judge(self, leveled: LeveledSweep, drive: str) -> tuple[MonitoredSweep, IntegrityReport, str]:
         """Return the next sweep with those before it, what the monitor says of it, and that in words."""
         from viewshed.integrity.over_time import EDetector
+        from viewshed.integrity.score import HeldEvidence
 
         monitored = self._drives.next(leveled, drive)
-        report = self.monitor.check(monitored)
-        if self._detector is None or not self._drives.goes_on:
+        if self._detector is None or self._held is None or not self._drives.goes_on:
             self._detector = EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ)
+            self._held = HeldEvidence()
+        report = self.monitor.check(monitored, held=self._held)
         alarm = self._detector.add(report.p_value)
         self.checked += 1
         self.inconsistent += report.inconsistent

@@ -240,19 +240,28 @@ class _Source:
 
 def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
     """Yield what all evidence measures of each sweep that can be read and leveled."""
-    from viewshed.integrity.score import measure_all
+    from viewshed.integrity.evidence import EVIDENCE
+    from viewshed.integrity.score import HeldEvidence, measure_all
     from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, group_of
     from viewshed.preprocess.leveling import level
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    drives = Drives()
+    drives, held = Drives(), HeldEvidence()
     for seen in sources:
         try:
             monitored = drives.next(level(seen.sweep, grid), seen.drive)
             if len(monitored.earlier) < EARLIER_SWEEPS:
                 monitored = replace(monitored, earlier=())
-            yield BenignSweep(drives.scene(monitored.leveled), group_of(monitored), measure_all(monitored))
+            group, measured = group_of(monitored), measure_all(monitored)
+            if not drives.goes_on or group.earlier != "posed":
+                held.clear()
+            if group.earlier == "posed":
+                # As in a stream; those with fewer sweeps behind them than are held are as in no other place of it.
+                measured = held.add(measured, EVIDENCE)
+                if not held.is_full:
+                    continue
+            yield BenignSweep(drives.scene(monitored.leveled), group, measured)
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
 

@@ -13,8 +13,9 @@ Scores are larger where there is more doubt. They have no unit: what is rare is 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -23,6 +24,9 @@ from numpy.typing import NDArray
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
 
 Floats = NDArray[np.float32]
+
+HELD_SWEEPS = 5
+"""Evidence over time is held over so many sweeps."""
 
 RAISED = 2.0
 """Surprise from which a sector counts as raised: one benign sector in a hundred."""
@@ -39,6 +43,42 @@ _SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 5.0, 1
 def measure_all(monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EVIDENCE) -> Floats:
     """Return what every evidence measures (E, SECTORS), in the order of ``evidence``; NaN where it abstains."""
     return np.array([one.measure(monitored) for one in evidence.values()], np.float32).reshape(-1, SECTORS)
+
+
+def held(recent: NDArray[np.floating[Any]], over_time: NDArray[np.bool_]) -> Floats:
+    """Return the evidence (E, SECTORS) of the last of K sweeps, what it says over time held over all of them.
+
+    What appears or vanishes without cause does so once: one sweep later it is part of the history. So of evidence over
+    time the strongest of each sector counts; of all other that of the last sweep.
+
+    Args:
+        recent: (K, E, SECTORS) of sweeps in a row, the last of them last; at most ``HELD_SWEEPS``.
+        over_time: (E,) which evidence compares with earlier sweeps.
+    """
+    evidence = np.array(recent[-1], np.float32)
+    evidence[over_time] = np.fmax.reduce(np.asarray(recent, np.float32)[:, over_time], axis=0)
+    return evidence
+
+
+@dataclass(slots=True)
+class HeldEvidence:
+    """The evidence of the last sweeps of a stream."""
+
+    _recent: deque[Floats] = field(default_factory=lambda: deque(maxlen=HELD_SWEEPS), repr=False)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether as many sweeps are held as there can be."""
+        return len(self._recent) == HELD_SWEEPS
+
+    def add(self, evidence: Floats, kinds: Mapping[str, Evidence]) -> Floats:
+        """Return the evidence (E, SECTORS) of the next sweep, what it says over time held; see :func:`held`."""
+        self._recent.append(evidence)
+        return held(np.stack(self._recent), np.array([kind.over_time for kind in kinds.values()]))
+
+    def clear(self) -> None:
+        """Forget all sweeps."""
+        self._recent.clear()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.integrity.evidence import EVIDENCE, Evidence, MonitoredSweep
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.report import IntegrityReport
+from viewshed.integrity.score import HeldEvidence
 from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, SweepMonitor, group_of
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -108,6 +109,7 @@ class _Agent:
 
     detector: EDetector
     earlier: EarlierSweeps
+    held: HeldEvidence = field(default_factory=HeldEvidence)
     onset_ns: int | None = None
 
 
@@ -157,7 +159,7 @@ class StreamMonitor:
         name, now_ns = leveled.sweep.agent, leveled.sweep.t_ns
         agent, notes = self._continued(self._agents.get(name), leveled)
         monitored = MonitoredSweep(leveled, agent.earlier.before(leveled), estimates or {})
-        now = self.monitor.check(monitored, self.evidence)
+        now = self.monitor.check(monitored, self.evidence, agent.held)
         alarm = agent.detector.add(now.p_value)
         if agent.detector.doubtful_sweeps <= 1:
             agent.onset_ns = now_ns

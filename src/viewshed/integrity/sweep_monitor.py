@@ -32,7 +32,7 @@ from viewshed.integrity.calibration import (
 )
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
 from viewshed.integrity.report import IntegrityReport, Mask, cells_of_sectors
-from viewshed.integrity.score import EvidenceScore, measure_all
+from viewshed.integrity.score import EvidenceScore, HeldEvidence, measure_all
 from viewshed.integrity.sectors import discoveries
 
 NAME = "sweep"
@@ -83,7 +83,7 @@ class BenignTable:
     """Benign scenes of one group, beside their scores: what makes sectors suspect and evidence a reason.
 
     Attributes:
-        sectors: scores of the SECTORS sectors.
+        sectors: scores of all sectors together, one column.
         strongest: each evidence's strongest sector, E columns.
     """
 
@@ -128,10 +128,8 @@ class SweepMonitor:
             raise ValueError(f"benign scenes and both verdicts must be of the same groups, got {groups}")
         for group, table in self.benign.items():
             columns = table.sectors.highest.shape[1], table.strongest.highest.shape[1]
-            if columns != (SECTORS, len(self.score.names)):
-                raise ValueError(
-                    f"{group}: tables must have {SECTORS} and {len(self.score.names)} columns, got {columns}"
-                )
+            if columns != (1, len(self.score.names)):
+                raise ValueError(f"{group}: tables must have 1 and {len(self.score.names)} columns, got {columns}")
         if not 0.0 < self.discovery_rate < 1.0:
             raise ValueError(f"discovery_rate must lie in (0, 1), got {self.discovery_rate}")
 
@@ -174,7 +172,8 @@ class SweepMonitor:
             inconsistent[group], degraded[group] = chosen[:, 0], chosen[:, 1]
             sectors, strongest = chosen[:, 2 : 2 + SECTORS], chosen[:, 2 + SECTORS :]
             share = max(rates.discoveries, 0.1)
-            tables[group] = BenignTable(HighestScores.of(sectors, share), HighestScores.of(strongest, share))
+            every = sectors.reshape(-1, 1)
+            tables[group] = BenignTable(HighestScores.of(every, share), HighestScores.of(strongest, share))
         found = (drift_warning(scores, rng) for scores in (inconsistent, degraded))
         return cls(
             score, Calibration(inconsistent, rates.inconsistent, promise),
@@ -205,11 +204,22 @@ class SweepMonitor:
             degraded=self.degraded.corrected((group, float(row[1])) for group, row in scores),
         )
 
-    def check(self, monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EVIDENCE) -> IntegrityReport:
+    def check(
+        self,
+        monitored: MonitoredSweep,
+        evidence: Mapping[str, Evidence] = EVIDENCE,
+        held: HeldEvidence | None = None,
+    ) -> IntegrityReport:
         """Return what the monitor says of a sweep.
 
         It uses as much of the earlier sweeps as it was calibrated with: all of ``EARLIER_SWEEPS``, with poses or
         without, or none; so what evidence abstains from is the same as on benign scenes, and the rates hold.
+
+        Args:
+            monitored: the sweep, with those before it.
+            evidence: what is measured.
+            held: what was measured of the sweeps before it in its stream, to which this one is added; None for a sweep
+                by itself. Evidence over time is held if all sweeps have poses.
 
         Raises:
             ValueError: the sweep has no returns, lacks an estimate that the evidence needs, is of no calibrated group,
@@ -223,9 +233,14 @@ class SweepMonitor:
             )
         if not len(monitored.leveled.points):
             raise ValueError("sweep must have usable returns, got none; nothing can be said of it")
-        monitored, group, notes = self._as_calibrated(monitored)
         grid = next((estimate.grid for estimate in monitored.estimates.values()), None)
-        return self.report(measure_all(monitored, evidence), group, grid, notes, evidence)
+        monitored, group, notes = self._as_calibrated(monitored)
+        measured = measure_all(monitored, evidence)
+        if held is not None and group.earlier == "posed":
+            measured = held.add(measured, evidence)
+        elif held is not None:
+            held.clear()
+        return self.report(measured, group, grid, notes, evidence)
 
     def report(
         self,
@@ -257,6 +272,9 @@ class SweepMonitor:
 
     def suspect_sectors(self, sectors: ArrayLike, group: Group, *, any_dependence: bool = False) -> Mask:
         """Return the mask (SECTORS,) of suspect sectors at the monitor's false-discovery rate.
+
+        Each is compared with all sectors of the benign scenes together: with some hundred scenes the smallest p-value
+        of a single sector could not tell one among 72.
 
         Args:
             sectors: (SECTORS,) scores of the sectors.
@@ -304,7 +322,8 @@ class SweepMonitor:
 
     def _as_calibrated(self, monitored: MonitoredSweep) -> tuple[MonitoredSweep, Group, tuple[str, ...]]:
         """Return the sweep with as much history as the monitor knows, its group, and what was left out."""
-        sweep = _with_history(monitored)
+        known = {method: monitored.estimates[method] for method in self.estimates}
+        sweep = _with_history(replace(monitored, estimates=known))
         group = group_of(sweep)
         histories = {each.earlier for each in self.benign}
         if group.earlier in histories:
@@ -486,8 +505,9 @@ def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMon
     inconsistent, degraded = verdict("inconsistent", rates.inconsistent), verdict("degraded", rates.degraded)
     benign = {}
     for number, group in enumerate(groups):
-        parts = (np.asarray(arrays[f"{number}.{name}"], np.float32) for name in ("sectors", "strongest"))
-        benign[group] = BenignTable(*(HighestScores(len(inconsistent.scores[group]), part) for part in parts))
+        sectors, strongest = (np.asarray(arrays[f"{number}.{name}"], np.float32) for name in ("sectors", "strongest"))
+        scenes = len(inconsistent.scores[group])
+        benign[group] = BenignTable(HighestScores(scenes * SECTORS, sectors), HighestScores(scenes, strongest))
     score = {name.removeprefix("score."): part for name, part in arrays.items() if name.startswith("score.")}
     return SweepMonitor(
         EvidenceScore.from_arrays(score), inconsistent, degraded, benign, rates.discoveries, about["per"],

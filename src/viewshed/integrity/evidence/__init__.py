@@ -86,46 +86,55 @@ _ALL = (
         "seen_through",
         measure_seen_through,
         "{value:.1f} m² of obstacles at {degrees:.0f}° stand where the last sweep looked through",
+        over_time=True,
     ),
     Evidence(
         "arrival",
         measure_arrival,
         "an obstacle at {degrees:.0f}° must have come there at {value:.0f} m/s",
+        over_time=True,
     ),
     Evidence(
         "vanished",
         measure_vanished,
         "{value:.1f} m² of obstacles at {degrees:.0f}° are gone since the last sweep, and beams pass there",
+        over_time=True,
     ),
     Evidence(
         "departure",
         measure_departure,
         "an obstacle at {degrees:.0f}° must have left at {value:.0f} m/s",
+        over_time=True,
     ),
     Evidence(
         "same_noise",
         measure_same_noise,
         "{value:.0%} of the ranges at {degrees:.0f}° repeat those of an earlier sweep, noise included",
+        over_time=True,
     ),
     Evidence(
         "registration",
         measure_registration,
         "the pose is {value:.0f} standard deviations off that of the earlier sweeps",
+        over_time=True,
     ),
     Evidence(
         "phantom_shadow",
         measure_phantom_shadow,
         "beams pass through {value:.0%} of the surfaces at {degrees:.0f}° and end there beside them",
+        over_time=True,
     ),
     Evidence(
         "lost_view",
         measure_lost_view,
         "at {degrees:.0f}° beams do not return any more from {value:.0%} of the surfaces",
+        over_time=True,
     ),
     Evidence(
         "frame_noise",
         measure_frame_noise,
         "surfaces at {degrees:.0f}° jump by {value:.2f} m from sweep to sweep",
+        over_time=True,
     ),
 )
 

@@ -48,11 +48,13 @@ class Evidence:
             sectors, or everywhere, where it abstains.
         sentence: why one would worry, with places for ``{value}``, the number of its strongest sector, and
             ``{degrees}``, the middle of that sector's azimuth.
+        over_time: whether it compares with earlier sweeps, and abstains without any.
     """
 
     name: str
     measure: Callable[[MonitoredSweep], Floats]
     sentence: str
+    over_time: bool = False
 
     def reason(self, sectors: Floats) -> str:
         """Return the sentence about the strongest sector of what was measured (SECTORS,)."""

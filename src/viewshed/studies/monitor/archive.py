@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
+from viewshed.integrity.evidence import EVIDENCE
+from viewshed.integrity.score import HELD_SWEEPS, held
 from viewshed.studies.records import BENIGN, Case
 
 FOLDER = "drives"
@@ -105,6 +107,23 @@ class DriveEvidence:
             )  # fmt: skip
 
 
+def over_time_of(names: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Return which evidence (E,) compares with earlier sweeps, by name."""
+    return np.array([name in EVIDENCE and EVIDENCE[name].over_time for name in names])
+
+
+def _held(evidence: NDArray[np.float16], over_time: NDArray[np.bool_]) -> NDArray[np.float16]:
+    """Return the evidence (F, E, SECTORS) of sweeps in a row, what it says over time held as in a stream.
+
+    Sweeps without enough before them abstain over time, and so they stay.
+    """
+    kept = evidence.copy()
+    for frame in range(len(evidence)):
+        if not np.isnan(evidence[frame, over_time]).all():
+            kept[frame] = held(evidence[max(frame - HELD_SWEEPS + 1, 0) : frame + 1], over_time)
+    return kept
+
+
 def _halved(values: Floats) -> NDArray[np.float16]:
     """Return values in half precision, those beyond its range at its ends."""
     largest = float(np.finfo(np.float16).max)
@@ -117,7 +136,7 @@ class SweepTable:
 
     Attributes:
         names: (E,) of the evidence.
-        evidence: (N, E, SECTORS) float16.
+        evidence: (N, E, SECTORS) float16; what it says over time is held, see :func:`viewshed.integrity.score.held`.
         touched: (N, SECTORS) bool.
         drive: (N,) which of ``drives`` it is of.
         case: (N,) which of ``cases`` it is in; 0 is the drive as it was measured.
@@ -167,8 +186,10 @@ class SweepTable:
         if not about:
             raise ValueError("a table of sweeps needs drives, got none; run the study")
         drive_of, case_of, frame_of = np.array(columns, np.int32).T
+        over_time = over_time_of(names)
         return cls(
-            names, np.concatenate(evidence), np.concatenate(touched), drive_of, case_of, frame_of, tuple(about),
+            names, np.concatenate([_held(of_case, over_time) for of_case in evidence]), np.concatenate(touched),
+            drive_of, case_of, frame_of, tuple(about),
             tuple(places), np.stack(unposed),
         )  # fmt: skip
 

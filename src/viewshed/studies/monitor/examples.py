@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.studies.monitor.archive import SweepTable
+from viewshed.studies.monitor.archive import SweepTable, over_time_of
 from viewshed.studies.monitor.drives import HONEST
 from viewshed.studies.monitor.plan import CORRUPTED, family_of
 from viewshed.studies.records import BENIGN, Case
@@ -38,7 +38,7 @@ def examples_of(table: SweepTable) -> ScoreExamples:
         sectors,
         _weights(table),
         table.case == 0,
-        evidence_over_time(table),
+        over_time_of(table.names),
     )
 
 
@@ -53,13 +53,6 @@ def is_trained_on(table: SweepTable, left_out: str) -> NDArray[np.bool_]:
 def families_of(table: SweepTable) -> NDArray[np.str_]:
     """Return the number of the family of each case (cases,), empty for those that are no attack."""
     return np.array(["" if case.kind in HONEST else str(family_of(case.name)) for case in table.cases])
-
-
-def evidence_over_time(table: SweepTable) -> NDArray[np.bool_]:
-    """Return which evidence (E,) abstains on the first sweep of every drive, before which there is none."""
-    first = table.evidence[(table.frame == 0) & (table.case == 0)]
-    found: NDArray[np.bool_] = np.isnan(first).all(axis=(0, 2))
-    return found
 
 
 def _by_row(table: SweepTable, of_cases: NDArray[np.floating]) -> NDArray[np.float32]:

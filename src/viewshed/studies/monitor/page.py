@@ -17,8 +17,8 @@ from viewshed.integrity.over_time import EDetector, measure_false_alarms
 from viewshed.integrity.sectors import discoveries
 from viewshed.studies.cases import DEFAULT, generator
 from viewshed.studies.formatting import commits, format_interval, format_rate
-from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable
-from viewshed.studies.monitor.examples import LOSSES, evidence_over_time
+from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable, over_time_of
+from viewshed.studies.monitor.examples import LOSSES
 from viewshed.studies.monitor.jobs import load_score, score_path
 from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, CLEAN, INTERVAL_S, ONSET, MonitorPlan, family_of
 from viewshed.studies.monitor.results import (
@@ -76,7 +76,7 @@ class MonitorResults:
     @cached_property
     def over_time(self) -> Mask:
         """Which evidence (E,) needs earlier sweeps."""
-        return evidence_over_time(self.calibration)
+        return over_time_of(self.calibration.names)
 
     @cached_property
     def whole(self) -> Evaluation:

@@ -13,7 +13,7 @@ from viewshed.integrity.score import EvidenceScore
 from viewshed.integrity.sweep_monitor import RATES, BenignSweep, Rates, SweepMonitor
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
-from viewshed.studies.monitor.plan import ONSET
+from viewshed.studies.monitor.plan import FRAMES, ONSET
 from viewshed.studies.records import BENIGN
 
 
@@ -47,7 +47,9 @@ def monitor_of(score: EvidenceScore, calibration: SweepTable, seed: int, rates: 
 
 def _sweeps(table: SweepTable, kept: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Iterator[BenignSweep]:
     """Yield the benign sweeps of the kept drives (D,), each in its group."""
-    for row in np.flatnonzero((table.case == 0) & kept[table.drive]):
+    # With earlier sweeps only the last, behind which as many lie as are held in a stream.
+    is_used = (table.frame < ONSET) | (table.frame == FRAMES - 1)
+    for row in np.flatnonzero((table.case == 0) & is_used & kept[table.drive]):
         drive = table.drives[table.drive[row]]
         group = Group(drive.sensor, "posed" if table.frame[row] >= ONSET else "none")
         yield BenignSweep(drive.scene, group, table.evidence[row].astype(np.float32))

@@ -1,0 +1,1 @@
+"""The tests of the node; run them by ``ros/test.sh``."""

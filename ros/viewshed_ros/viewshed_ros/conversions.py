@@ -1,0 +1,119 @@
+"""Sweeps, times and poses from messages, and back; messages of estimates are in :mod:`viewshed_ros.layers`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, Quaternion
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan, PointCloud2
+
+from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
+from viewshed.io.messages.laserscan import sweep_of_scan
+from viewshed.io.messages.packets import sweep_of_velodyne
+from viewshed.io.messages.pointcloud2 import sweep_of_cloud
+from viewshed.sweep import Sweep
+
+NANOSECONDS = 1_000_000_000
+
+
+def nanoseconds_of(stamp: Time) -> int:
+    """Return a stamp in nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def stamp_of(t_ns: int) -> Time:
+    """Return nanoseconds as a stamp."""
+    seconds, rest = divmod(t_ns, NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A type of message that holds a sweep.
+
+    Attributes:
+        package: of the message, imported when a sensor uses it.
+        name: of the message in it.
+        sweep_of: makes the sweep, without its time.
+    """
+
+    package: str
+    name: str
+    sweep_of: Callable[[Any], Sweep]
+
+    def message_type(self) -> type[Any]:
+        """Return the class of the message.
+
+        Raises:
+            ValueError: its package is not installed.
+        """
+        try:
+            return getattr(import_module(f"{self.package}.msg"), self.name)  # type: ignore[no-any-return]
+        except ImportError as error:
+            raise ValueError(f"type {self.name} needs the package {self.package}, which is not installed") from error
+
+    def sweep(self, message: Any, **known: Any) -> Sweep:
+        """Return the sweep of a message at the time of its header, with attributes that are known.
+
+        Raises:
+            ValueError: the message contradicts itself, or what is known; the text says how.
+        """
+        return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
+
+
+@dataclass(slots=True)
+class _Cloud:
+    """A cloud whose data numpy sees without a copy."""
+
+    height: int
+    width: int
+    fields: Any
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: NDArray[np.uint8]
+
+
+def _sweep_of_cloud(message: PointCloud2) -> Sweep:
+    data = np.frombuffer(message.data, np.uint8)
+    return sweep_of_cloud(
+        _Cloud(
+            message.height, message.width, message.fields, message.is_bigendian, message.point_step,
+            message.row_step, data,
+        )
+    )  # fmt: skip
+
+
+def _sweep_of_scan(message: LaserScan) -> Sweep:
+    return sweep_of_scan(message)
+
+
+INPUTS = {
+    "cloud": Input("sensor_msgs", "PointCloud2", _sweep_of_cloud),
+    "scan": Input("sensor_msgs", "LaserScan", _sweep_of_scan),
+    "velodyne": Input("velodyne_msgs", "VelodyneScan", sweep_of_velodyne),
+}
+"""What a sensor may send, by the value of its parameter ``type``."""
+
+
+def rigid_of(position: Any, orientation: Any) -> Rigid:
+    """Return the transform of a position (Point, Vector3) and a Quaternion.
+
+    Raises:
+        ValueError: a number is not finite, or the quaternion has not the norm 1.
+    """
+    quaternion = [getattr(orientation, name) for name in "wxyz"]
+    return Rigid(rotation_from_quaternion(quaternion), np.array([getattr(position, name) for name in "xyz"]))
+
+
+def pose_of(rigid: Rigid) -> Pose:
+    """Return a transform as a Pose."""
+    w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
+    tx, ty, tz = rigid.translation.tolist()
+    return Pose(position=Point(x=tx, y=ty, z=tz), orientation=Quaternion(w=w, x=x, y=y, z=z))

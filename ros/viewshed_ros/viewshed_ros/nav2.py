@@ -1,0 +1,147 @@
+"""What nav2's costmaps take, as arrays: masks of speed and keep-out in the map, and ends of beams that may clear.
+
+numpy alone; :mod:`viewshed_ros.layers` makes messages of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid, polar_of_cells
+
+NO_LIMIT = 0
+"""Of a speed mask."""
+
+NOTHING_KNOWN = -1
+"""Of any mask: the filter leaves the cell as it is."""
+
+_RAYS_A_CELL, _STEPS_A_CELL = 2.0, 4.0
+"""Rays for each cell at the grid's nearest edge, and samples along a ray for each cell's side."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimits:
+    """What 100 % of a speed mask mean, and how fast one may drive where nothing is seen.
+
+    Attributes:
+        most_mps: 100 %.
+        unseen_mps: in cells that are not visible.
+        here_m: radius around the sensor where the speed from which the vehicle stops in what it sees holds.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    most_mps: float = 10.0
+    unseen_mps: float = 1.0
+    here_m: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.unseen_mps <= self.most_mps < math.inf and self.here_m >= 0.0):
+            raise ValueError(f"speeds must satisfy 0 < unseen ≤ most and here_m must not be negative, got {self}")
+
+    def percent(self, speed_mps: float) -> int:
+        """Return a speed in percent of the greatest, rounded down; 1 at least, as 0 would be no limit.
+
+        >>> SpeedLimits(10.0).percent(2.59), SpeedLimits(10.0).percent(0.0), SpeedLimits(10.0).percent(99.0)
+        (25, 1, 100)
+        """
+        return min(max(math.floor(100.0 * speed_mps / self.most_mps), 1), 100)
+
+
+def speed_values(estimate: FovEstimate, speed_mps: float, limits: SpeedLimits) -> NDArray[np.int8]:
+    """Return the speed (cells, cells) in percent: no limit where visible, ``unseen_mps`` elsewhere.
+
+    nav2 asks for the cell that the robot is in; there the speed holds from which it stops in what it sees.
+    """
+    values = np.where(estimate.visible(), np.int8(NO_LIMIT), np.int8(limits.percent(limits.unseen_mps)))
+    values[polar_of_cells(estimate.grid)[0] <= limits.here_m] = limits.percent(speed_mps)
+    return values
+
+
+def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
+    """Return 100 (cells, cells) where nothing is seen, 0 where it is; beyond the sensor's reach nothing is said."""
+    values = np.where(estimate.visible(), np.int8(0), np.int8(100))
+    if estimate.basis is not None:
+        values[polar_of_cells(estimate.grid)[0] > estimate.basis.reach_m] = NOTHING_KNOWN
+    return values
+
+
+def in_the_map(
+    values: NDArray[np.int8], grid: BevGrid, world_from_level: Rigid
+) -> tuple[BevGrid, NDArray[np.int8]]:  # fmt: skip
+    """Return values on a grid along the map's axes (costmap filters know no rotation), whose cells lie on its raster.
+
+    Args:
+        values: (cells, cells) on ``grid``.
+        grid: in the ``level`` frame.
+        world_from_level: its pose.
+    """
+    center = world_from_level @ np.array([*grid.offset_m, 0.0])
+    on_raster = (np.round(center[:2] / grid.cell_m) * grid.cell_m).tolist()
+    map_grid = BevGrid(grid.cells, grid.half_extent_m, (on_raster[0], on_raster[1]))
+    # Each cell of the mask takes the value at its center; on the ground, so that a slope does not shift it.
+    x_m, y_m = map_grid.centers[..., 0], map_grid.centers[..., 1]
+    world = np.stack([x_m, y_m, np.full(grid.shape, center[2])], axis=-1)
+    cells, inside = grid.index((world_from_level.inverse() @ world)[..., :2])
+    return map_grid, np.where(inside, values[cells[..., 0], cells[..., 1]], np.int8(NOTHING_KNOWN))
+
+
+def clearing_ends(estimate: FovEstimate) -> NDArray[np.float64]:
+    """Return the ends (K, 2) of virtual beams in ``level``, meters.
+
+    Between the first FREE cell of a ray and its end lie FREE cells alone. A costmap that clears from the sensor to each
+    end clears besides what lies before the first FREE cell, which the sensor looks over: its least range of clearing
+    (``raytrace_min_range``, see :func:`blind_m`) keeps that.
+    """
+    ends_m, _, angle = _free_rays(estimate)
+    kept = ends_m > 0.0
+    ends: NDArray[np.float64] = ends_m[kept, None] * np.column_stack([np.cos(angle[kept]), np.sin(angle[kept])])
+    return ends
+
+
+def blind_m(estimate: FovEstimate) -> float:
+    """Return the range in meters below which a clearing beam may pass cells that are not FREE; 0 for none."""
+    ends_m, starts_m, _ = _free_rays(estimate)
+    return float(starts_m[ends_m > 0.0].max(initial=0.0))
+
+
+BLIND_MOST_M = 5.0
+"""A ray that meets no FREE cell up to here gives no beam: what hides its beginning may hide more."""
+
+
+def _free_rays(estimate: FovEstimate) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return for each ray where its FREE cells end and begin, and its angle; an end of 0 where it has none."""
+    angle, range_m, number = _rays(estimate.grid)
+    # 1. Which samples of each ray are FREE; those outside the grid have the number of a cell that is not.
+    free = np.append(estimate.state == CellState.FREE, False)[number]
+    # 2. The first FREE sample, and the first one after it that is not.
+    begin = free.argmax(axis=1)
+    ended = ~free & (np.arange(len(range_m)) > begin[:, None])
+    end = ended.argmax(axis=1)
+    seen = free.any(axis=1) & (range_m[begin] <= BLIND_MOST_M)
+    return np.where(seen, range_m[end - 1], 0.0), range_m[begin], angle
+
+
+@lru_cache(maxsize=4)
+def _rays(grid: BevGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """Return angles (R,) and ranges (S,) of rays from the sensor to beyond the grid, and the cells (R, S) they cross.
+
+    Cells are numbers of the flattened grid; the one after the last stands for all outside.
+    """
+    farthest_m = math.hypot(*(grid.half_extent_m + abs(offset_m) for offset_m in grid.offset_m)) + grid.cell_m
+    rays = math.ceil(_RAYS_A_CELL * 2.0 * math.pi * grid.half_extent_m / grid.cell_m)
+    angle = np.linspace(-np.pi, np.pi, rays, endpoint=False)
+    range_m = np.arange(0.0, farthest_m, grid.cell_m / _STEPS_A_CELL)
+    cells, inside = grid.index(
+        np.stack([np.outer(np.cos(angle), range_m), np.outer(np.sin(angle), range_m)], axis=-1)
+    )  # fmt: skip
+    number = np.where(inside, cells[..., 0] * grid.cells + cells[..., 1], grid.cells**2)
+    return angle, range_m, number

@@ -1,0 +1,356 @@
+"""The lifecycle node: sensors of a robot in, their fields of view out, through one pipeline."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from viewshed.estimators import load_estimator
+from viewshed.estimators.temporal import SweepBuffer
+from viewshed.geometry import Rigid
+from viewshed.integrity.over_time import EDetector
+from viewshed.integrity.stream_monitor import StreamMonitor
+from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
+from viewshed.pipeline import Answer, Pipeline
+from viewshed.sweep import Sweep
+from viewshed_ros import costmap_filters, nav2, parameters, poses, status
+from viewshed_ros.conversions import nanoseconds_of, stamp_of
+from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
+
+FALSE_ALARM_SWEEPS = 36_000.0
+"""Mean number of sweeps between false alarms of a stream: an hour at 10 Hz."""
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Reliable, and who comes late is given the last message."""
+
+LIVE = QoSProfile(depth=5)
+"""Reliable, for who is there."""
+
+
+@dataclass(slots=True)
+class Sensor:
+    """A sensor while the node is configured."""
+
+    settings: SensorSettings
+    publishers: dict[str, Any]
+    alarm: Any
+    counts: status.SensorCounts = field(default_factory=status.SensorCounts)
+    frame: str = ""
+    last_ns: int | None = None
+    last_view: View | None = None
+    subscription: Any = None
+
+
+class FieldOfView(LifecycleNode):
+    """Estimates what the sensors see; configured by :data:`viewshed_ros.parameters.PARAMETERS`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("field_of_view", **options)
+        parameters.declare(self)
+        self._settings: Settings | None = None
+        self._pipeline: Pipeline | None = None
+        self._poses: poses.Poses | None = None
+        self._sensors: dict[str, Sensor] = {}
+        self._facts: dict[str, str] = {}
+        self._destroy: list[Callable[[], object]] = []
+        self._told_s = 0.0
+
+    # Transitions of the lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Load what is needed and announce the topics."""
+        try:
+            self._configure(parameters.read(self))
+        except (ValueError, OSError, ImportError) as error:
+            self.get_logger().error(f"not configured: {' '.join(str(error).split())}")
+            self._release()
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to listen."""
+        for sensor in self._sensors.values():
+            settings = sensor.settings
+            sensor.subscription = self.create_subscription(
+                settings.input.message_type(), settings.topic, partial(self._take, sensor), qos_profile_sensor_data,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )  # fmt: skip
+        returned = super().on_activate(state)
+        for sensor in self._sensors.values():
+            costmap_filters.publish_infos(sensor.publishers, self._settings_now().limits)
+        return returned
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop listening; what was learned of the streams is kept."""
+        self._stop_listening()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget everything but the parameters."""
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End for good."""
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin anew, unconfigured, after a transition that failed."""
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    # What the transitions do
+
+    def _settings_now(self) -> Settings:
+        if self._settings is None:
+            raise RuntimeError("the node is not configured")
+        return self._settings
+
+    def _configure(self, settings: Settings) -> None:
+        self._settings = settings
+        # 1. What estimates and watches; whatever is loaded once is loaded here.
+        estimator = load_estimator(settings.method, grid=settings.grid, target=settings.target)
+        if settings.history and not estimator.uses_history:
+            raise ValueError(f"history must be 0 for {settings.method}, which looks at one sweep; or take shadow_map")
+        monitor = self._monitor(settings)
+        self._facts = {
+            "method": settings.method, "grid": settings.grid, "history": str(settings.history),
+            "monitor": "off" if monitor is None else settings.monitor_file or "in the box",
+        }  # fmt: skip
+        # 2. Where poses are from, and what is published.
+        self._poses = self._pose_source(settings)
+        self._sensors = {each.name: self._sensor(each) for each in settings.sensors}
+        diagnostics = self._publisher(DiagnosticArray, "/diagnostics", LIVE)
+        if settings.diagnostics_hz:
+            clock = Clock(clock_type=ClockType.STEADY_TIME)  # diagnostics come where simulated time stands still, too
+            timer = self.create_timer(
+                1.0 / settings.diagnostics_hz, partial(self._diagnose, diagnostics), clock=clock
+            )  # fmt: skip
+            self._destroy.append(partial(self.destroy_timer, timer))
+        # 3. The threads that do it.
+        history = SweepBuffer(settings.history) if settings.history else None
+        self._pipeline = Pipeline(
+            estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules
+        )  # fmt: skip
+        self._told_s = time.monotonic()
+
+    def _monitor(self, settings: Settings) -> StreamMonitor | None:
+        """Return what watches the streams; None where it is off, or only wished for and there is none in the box."""
+        wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
+        if not wished:
+            return None
+        if settings.monitor == OF_PROFILE and not settings.monitor_file and not SHIPPED.exists():
+            self.get_logger().warning("nobody watches the streams: no monitor is in the box, and monitor_file is empty")
+            return None
+        path = Path(settings.monitor_file) if settings.monitor_file else SHIPPED
+        return StreamMonitor(load_sweep_monitor(path), EDetector(FALSE_ALARM_SWEEPS))
+
+    def _pose_source(self, settings: Settings) -> poses.Poses | None:
+        if settings.pose_source == "none":
+            return None
+        if settings.pose_source == "tf":
+            return poses.TfPoses(poses.tf_buffer(self), settings.world_frame, settings.pose_wait_s)
+        topic = poses.POSE_TOPICS[settings.pose_source]
+        buffer = poses.PoseBuffer(topic, settings.world_frame, {}, settings.pose_wait_s)
+        subscription = self.create_subscription(
+            topic.message_type, settings.pose_topic, partial(self._take_pose, buffer), LIVE,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )  # fmt: skip
+        self._destroy.append(partial(self.destroy_subscription, subscription))
+        return buffer
+
+    def _sensor(self, settings: SensorSettings) -> Sensor:
+        settings.input.message_type()
+        publishers = {
+            name: self._publisher(layer.message_type, f"{settings.name}/{name}", LATCHED if layer.latched else LIVE)
+            for name, layer in LAYERS.items()
+        }
+        for name, message_type in costmap_filters.info_types().items():
+            publishers[name] = self._publisher(message_type, f"{settings.name}/{name}", LATCHED)
+        return Sensor(settings, publishers, self._publisher(DiagnosticStatus, f"{settings.name}/alarm", LATCHED))
+
+    def _publisher(self, message_type: type[Any], topic: str, qos: QoSProfile) -> Any:
+        publisher = self.create_lifecycle_publisher(
+            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
+        )
+        self._destroy.append(partial(self.destroy_lifecycle_publisher, publisher))
+        return publisher
+
+    def _stop_listening(self) -> None:
+        for sensor in self._sensors.values():
+            if sensor.subscription is not None:
+                self.destroy_subscription(sensor.subscription)
+                sensor.subscription = None
+
+    def _release(self) -> None:
+        """Undo what was configured, the threads first: they use the rest."""
+        self._stop_listening()
+        pipeline, destroy, self._pipeline, self._destroy = self._pipeline, self._destroy, None, []
+        if pipeline is not None:
+            pipeline.close()
+        for each in destroy:
+            each()
+        self._sensors, self._poses, self._settings = {}, None, None
+
+    # Messages in
+
+    def _take(self, sensor: Sensor, message: Any) -> None:
+        """Put a message in, unless it comes sooner after the one before than the rate allows."""
+        sensor.counts.received += 1
+        settings, t_ns = self._settings_now(), nanoseconds_of(message.header.stamp)
+        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
+        least_ns = 0.9e9 / settings.rate_hz if settings.rate_hz else 0.0
+        if sensor.last_ns is not None and 0 < t_ns - sensor.last_ns < least_ns:
+            sensor.counts.skipped += 1
+            return
+        sensor.last_ns = t_ns
+        if self._pipeline is not None:
+            self._pipeline.put(partial(self._sweep, sensor, message), sensor.settings.name)
+
+    def _sweep(self, sensor: Sensor, message: Any) -> Sweep:
+        """Return the sweep of a message with what is known of its sensor; the pipeline calls this in its thread.
+
+        Raises:
+            ValueError: the message contradicts itself, or is in another frame than those before.
+        """
+        frame = message.header.frame_id.lstrip("/")
+        if not frame:
+            raise ValueError("header.frame_id must name the sensor's frame, got none")
+        sensor.frame = sensor.frame or frame
+        if frame != sensor.frame:
+            raise ValueError(f"a cloud must be in frame {sensor.frame!r} like those before, got {frame!r}")
+        known = sensor.settings.changes
+        pose = self._pose(sensor, nanoseconds_of(message.header.stamp))
+        return sensor.settings.input.sweep(message, agent=sensor.settings.name, world_from_sensor=pose, **known)
+
+    def _pose(self, sensor: Sensor, t_ns: int) -> Rigid | None:
+        """Return where a sensor stood; None, counted, where nobody knows: the sweep is taken by itself."""
+        if self._poses is None:
+            return None
+        try:
+            return self._poses.world_from_sensor(sensor.frame, t_ns)
+        except LookupError as error:
+            sensor.counts.last_note = f"without a pose: {error}"
+            sensor.counts.count("without a pose")
+            return None
+
+    def _take_pose(self, buffer: poses.PoseBuffer, message: Any) -> None:
+        """Keep a pose, and the mountings of sensors whose frames are known by now."""
+        for sensor in self._sensors.values():
+            if sensor.frame:
+                buffer.base_from_sensor[sensor.frame] = sensor.settings.base_from_sensor
+        try:
+            buffer.add(message)
+        except ValueError as error:
+            for sensor in self._sensors.values():
+                sensor.counts.count(f"pose refused: {error}")
+
+    # Answers out
+
+    def _publish(self, answer: Answer) -> None:
+        """Publish of an answer what somebody listens to; the pipeline calls this in its thread."""
+        sensor = self._sensors[answer.agent]
+        name = f"{self.get_name()}: {answer.agent}"
+        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=True)
+        if answer.notes:
+            sensor.counts.last_note = answer.notes[0]
+        if answer.estimate is None:
+            sensor.counts.count(f"refused: {answer.refused}")
+            self.get_logger().warning(f"{answer.agent}: {answer.refused}", throttle_duration_sec=5.0)
+            return
+        sensor.counts.answered += 1
+        try:
+            view = self._view(sensor, answer)
+        except ValueError as error:
+            sensor.counts.count(str(error))
+            return
+        sensor.last_view = view
+        for topic, layer in LAYERS.items():
+            self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
+
+    def _publish_one(
+        self, sensor: Sensor, publisher: Any, make: Callable[[], Any], *, always: bool = False
+    ) -> None:  # fmt: skip
+        """Make and publish a message where somebody listens; one that cannot be made is counted, the others go out."""
+        try:
+            if always or publisher.get_subscription_count():
+                publisher.publish(make())
+        except Exception as error:
+            sensor.counts.count(f"not published: {error}")
+
+    def _view(self, sensor: Sensor, answer: Answer) -> View:
+        """Return an answer with where it stands.
+
+        Raises:
+            ValueError: it is to stand in the map, and its pose is not known.
+        """
+        settings, estimate, leveled = self._settings_now(), answer.estimate, answer.leveled
+        if estimate is None or leveled is None:
+            raise ValueError("an answer without an estimate has no view")
+        frame, frame_from_level = sensor.frame, leveled.level_from_sensor.inverse()
+        if settings.output == "world":
+            if estimate.world_from_level is None:
+                raise ValueError(f"output in {settings.world_frame!r} needs a pose: not published")
+            frame, frame_from_level = settings.world_frame, estimate.world_from_level
+        return View(
+            estimate, stamp_of(estimate.t_ns or 0), frame, frame_from_level, settings.world_frame,
+            answer.reaction.suspect, answer.speed_mps, settings.limits,
+        )  # fmt: skip
+
+    def _diagnose(self, publisher: Any) -> None:
+        """Publish how the pipeline and the sensors are."""
+        if self._pipeline is None:
+            return
+        now_s = time.monotonic()
+        passed_s, self._told_s = now_s - self._told_s, now_s
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.status = [
+            status.pipeline_status(self.get_name(), self._pipeline.statistics(), self._facts),
+            *(self._sensor_status(name, each, passed_s) for name, each in self._sensors.items()),
+        ]
+        publisher.publish(message)
+
+    def _sensor_status(self, name: str, sensor: Sensor, passed_s: float) -> DiagnosticStatus:
+        view, facts = sensor.last_view, dict[str, object]()
+        if view is not None:
+            facts["least range of clearing in m"] = f"{nav2.blind_m(view.estimate):.2f}"
+            if view.estimate.basis is not None:
+                facts["rests on"] = f"{view.estimate.basis.height_line}; {view.estimate.basis.view_line}"
+        return sensor.counts.status(f"{self.get_name()}: {name}", passed_s, facts)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node until it is told to end."""
+    rclpy.init(args=arguments or sys.argv)
+    node = FieldOfView()
+    try:
+        is_wanted = node.get_parameter("autostart").value
+        if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            node.trigger_activate()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node._release()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

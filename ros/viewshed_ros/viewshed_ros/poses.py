@@ -1,0 +1,171 @@
+"""Where a sensor stood at a cloud's time: from tf where it is installed, else from a topic of poses."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Condition
+from typing import Any, Protocol
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.time import Time
+
+from viewshed.datasets.recordings.tf_tree import slerp
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed_ros.conversions import nanoseconds_of, rigid_of
+
+MOST_POSES = 2000
+"""Poses that are kept: 20 s at 100 Hz."""
+
+LONGEST_GAP_S = 1.0
+"""Between two poses that are interpolated."""
+
+
+class Poses(Protocol):
+    """Knows where a sensor stood."""
+
+    def world_from_sensor(self, frame: str, t_ns: int) -> Rigid:
+        """Return the pose of a sensor's frame at a time.
+
+        Raises:
+            LookupError: it is not known; the text says why.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTopic:
+    """A type of message that holds a pose.
+
+    Attributes:
+        message_type: of the topic.
+        rigid: makes ``world_from_base``.
+    """
+
+    message_type: type[Any]
+    rigid: Callable[[Any], Rigid]
+
+
+POSE_TOPICS = {
+    "odometry": PoseTopic(
+        Odometry, lambda message: rigid_of(message.pose.pose.position, message.pose.pose.orientation)
+    ),
+    "pose": PoseTopic(PoseStamped, lambda message: rigid_of(message.pose.position, message.pose.orientation)),
+    "transform": PoseTopic(
+        TransformStamped, lambda message: rigid_of(message.transform.translation, message.transform.rotation)
+    ),
+}
+"""By the value of the parameter ``pose_source``."""
+
+
+class PoseBuffer:
+    """The last poses of a vehicle, interpolated between two of them; those of its sensors follow from their mounting.
+
+    Args:
+        topic: how poses are read.
+        world_frame: the frame that they must be in.
+        base_from_sensor: the mounting of each sensor, by frame.
+        wait_s: how long a pose that is still to come is waited for.
+    """
+
+    def __init__(
+        self, topic: PoseTopic, world_frame: str, base_from_sensor: dict[str, Rigid], wait_s: float = 0.0
+    ) -> None:
+        self._topic, self._world_frame, self._wait_s = topic, world_frame, wait_s
+        self.base_from_sensor = base_from_sensor
+        self._times: deque[int] = deque(maxlen=MOST_POSES)
+        self._poses: deque[Rigid] = deque(maxlen=MOST_POSES)
+        self._changed = Condition()
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def add(self, message: Any) -> None:
+        """Take a message; one from before the last begins anew.
+
+        Raises:
+            ValueError: it is in another frame, or its numbers are no pose.
+        """
+        if message.header.frame_id.lstrip("/") != self._world_frame:
+            raise ValueError(f"a pose must be in frame {self._world_frame!r}, got {message.header.frame_id!r}")
+        t_ns, pose = nanoseconds_of(message.header.stamp), self._topic.rigid(message)
+        with self._changed:
+            if self._times and t_ns <= self._times[-1]:
+                self._times.clear()
+                self._poses.clear()
+            self._times.append(t_ns)
+            self._poses.append(pose)
+            self._changed.notify_all()
+
+    def world_from_sensor(self, frame: str, t_ns: int) -> Rigid:
+        """Return the pose of a sensor's frame; see :class:`Poses`."""
+        mounting = self.base_from_sensor.get(frame, Rigid.identity())
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._times) and self._times[-1] >= t_ns, self._wait_s)
+            return self._at(t_ns) @ mounting
+
+    def _at(self, t_ns: int) -> Rigid:
+        if not self._times:
+            raise LookupError("no pose has come yet")
+        if t_ns > self._times[-1]:
+            raise LookupError(f"the cloud is {(t_ns - self._times[-1]) / 1e9:.3g} s newer than the last pose")
+        late = bisect_left(self._times, t_ns)
+        if self._times[late] == t_ns:
+            return self._poses[late]
+        if late == 0:
+            raise LookupError(f"the cloud is {(self._times[0] - t_ns) / 1e9:.3g} s older than the first pose kept")
+        gap_ns = self._times[late] - self._times[late - 1]
+        if gap_ns > LONGEST_GAP_S * 1e9:
+            raise LookupError(f"poses are {gap_ns / 1e9:.3g} s apart around the cloud, more than {LONGEST_GAP_S:g} s")
+        return interpolated(self._poses[late - 1], self._poses[late], (t_ns - self._times[late - 1]) / gap_ns)
+
+
+def interpolated(before: Rigid, after: Rigid, share: float) -> Rigid:
+    """Return the transform at ``share`` in [0, 1] of the way, at constant speed and rate of turn."""
+    one, other = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
+    translation = (1.0 - share) * before.translation + share * after.translation
+    return Rigid.from_quaternion(slerp(one, other, share), np.asarray(translation))
+
+
+class TfPoses:
+    """Poses from a buffer of tf2.
+
+    Args:
+        buffer: a ``tf2_ros.Buffer``, or what looks transforms up as it does.
+        world_frame: the map's frame.
+        wait_s: how long a transform that is still to come is waited for.
+    """
+
+    def __init__(self, buffer: Any, world_frame: str, wait_s: float = 0.0) -> None:
+        self._buffer, self._world_frame = buffer, world_frame
+        self._wait = Duration(seconds=wait_s)
+
+    def world_from_sensor(self, frame: str, t_ns: int) -> Rigid:
+        """Return the pose of a sensor's frame; see :class:`Poses`."""
+        try:
+            found = self._buffer.lookup_transform(self._world_frame, frame, Time(nanoseconds=t_ns), timeout=self._wait)
+            return rigid_of(found.transform.translation, found.transform.rotation)
+        except Exception as error:  # tf2's own errors have no base that could be named without tf2
+            raise LookupError(" ".join(str(error).split()) or type(error).__name__) from error
+
+
+def tf_buffer(node: Any) -> Any:
+    """Return a buffer of tf2 that listens.
+
+    Raises:
+        ValueError: tf2_ros is not installed.
+    """
+    try:
+        from tf2_ros import Buffer, TransformListener
+    except ImportError as error:
+        raise ValueError(
+            "pose_source tf needs tf2_ros, which is not installed; take odometry, pose or transform"
+        ) from error
+    buffer = Buffer()
+    buffer.viewshed_listener = TransformListener(buffer, node)  # lives as long as the buffer
+    return buffer
