@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from viewshed.datasets.recorder.recorder import open_recorder
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io.export.ros import visibility_layer
+from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.samples import junction_path
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
@@ -240,3 +242,28 @@ def test_times_of_a_recording_rise(stream: list[tuple[str, int | None]]) -> None
         now_ns = times.of(agent, t_ns)
         assert now_ns > last.get(agent, -1)
         last[agent] = now_ns
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_laser_scan_comes_back_as_one(name: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    angle = np.linspace(-2.0, 2.0, 721)
+    ranges = np.where(rng.random(721) < 0.2, np.inf, rng.uniform(1.0, 20.0, 721)).astype(np.float32)
+    ranges[rng.random(721) < 0.1] = np.nan
+    scan = SimpleNamespace(
+        angle_min=-2.0, angle_max=2.0, angle_increment=4.0 / 720, time_increment=0.0, range_min=0.1, range_max=25.0,
+        ranges=ranges, intensities=np.arange(721, dtype=np.float32),
+    )  # fmt: skip
+    sweep = sweep_of_scan(scan).replace(t_ns=5)
+    assert sweep.planar is not None
+    place = write(tmp_path / name, moments_of([(sweep, None)]))
+    [(_, back)] = each_sweep(open_source(place), on_damage=lambda *_: None)
+    assert back.planar is not None
+    assert back.planar.max_range_m == sweep.planar.max_range_m
+    np.testing.assert_allclose(back.points, sweep.points, atol=2e-5)
+    np.testing.assert_array_equal(back.intensity, sweep.intensity)
+    assert back.azimuth is not None
+    assert sweep.azimuth is not None
+    np.testing.assert_allclose(back.azimuth, sweep.azimuth, atol=1e-6)
+    np.testing.assert_allclose(back.planar.open_azimuth, sweep.planar.open_azimuth, atol=1e-6)
+    assert angle.size > len(back) + len(back.planar.open_azimuth)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from viewshed.cli import main
 from viewshed.estimators import CLASSICAL
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 from viewshed.io import read_sweep, write_sweep
-from viewshed.io.messages.laserscan import sweep_of_scan
+from viewshed.io.messages.laserscan import scan_of_sweep, sweep_of_scan
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.plausibility import doubts
 from viewshed.sweep import PlanarScan
@@ -215,3 +216,20 @@ def test_planar_scans_are_checked(azimuth: NDArray[Any]) -> None:
     for range_m in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="max_range_m must be positive"):
             PlanarScan(np.zeros(1, np.float32), range_m)
+
+
+@given(st.integers(0, 40), st.floats(-3.0, 0.0), st.floats(0.01, 0.07), st.integers(0, 2**32 - 1))
+def test_a_planar_sweep_becomes_the_scan_that_it_came_from(count: int, first: float, step: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = rng.choice(np.array([np.inf, np.nan, 2.0, 3.5], np.float32), count)
+    scan = SimpleNamespace(
+        angle_min=first, angle_max=first + step * max(count - 1, 0), angle_increment=step, time_increment=0.0,
+        range_min=0.0, range_max=9.0, ranges=ranges, intensities=np.zeros(0, np.float32),
+    )  # fmt: skip
+    sweep = sweep_of_scan(scan)
+    made = SimpleNamespace(range_min=0.0, time_increment=0.0, **scan_of_sweep(sweep))
+    back = sweep_of_scan(made)
+    assert back.planar is not None
+    assert sweep.planar is not None
+    np.testing.assert_allclose(back.points, sweep.points, atol=4e-4)
+    np.testing.assert_allclose(np.sort(back.planar.open_azimuth), np.sort(sweep.planar.open_azimuth), atol=1e-4)

@@ -17,9 +17,10 @@ from viewshed.fov.polygons import star_ring
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.grid import BevGrid
 from viewshed.io.export.ros import visibility_layer
+from viewshed.io.messages.laserscan import scan_of_sweep
 from viewshed.sweep import Sweep
 
-CLOUD, FIELD = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField"
+CLOUD, FIELD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField", "sensor_msgs/msg/LaserScan"
 GRID, POLYGON = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PolygonStamped"
 ODOMETRY, TF, STRING = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
@@ -105,6 +106,12 @@ class RosMessages:
             CLOUD, header=self.header(t_ns, frame), height=1, width=len(table), fields=fields,
             point_step=table.dtype.itemsize, row_step=data.size, data=data, is_dense=True,
         )  # fmt: skip
+
+    def returns(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
+        """Return the returns of a sweep: a LaserScan of one in a plane, else a cloud."""
+        if sweep.planar is None:
+            return self.cloud(sweep, t_ns, frame)
+        return self.make(SCAN, header=self.header(t_ns, frame), **scan_of_sweep(sweep))
 
     def grid(self, layer: NDArray[np.int8], grid: BevGrid, t_ns: int, frame: str) -> Any:
         """Return a layer (cells, cells), x first, as a grid, whose data go along x first."""
@@ -207,14 +214,12 @@ class Topic:
 
     Attributes:
         name: with ``{agent}`` where each agent has its own.
-        kind: type of its messages.
         make: the message of a moment, or None where it has none.
         latched: told once, and again to whoever comes later.
         per_time: told once for all agents of a time.
     """
 
     name: str
-    kind: str
     make: Callable[[RosMessages, Moment], Any]
     latched: bool = False
     per_time: bool = False
@@ -248,20 +253,20 @@ def _tf_static(ros: RosMessages, moment: Moment) -> Any:
 
 
 TOPICS = (
-    Topic("/agent_names", STRING, lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
-    Topic("/attacked_agents", STRING, lambda ros, m: m.truth and ros.text([]), latched=True),
-    Topic("/object_truth", MARKERS, lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
-    Topic("/tf_static", TF, _tf_static, latched=True),
-    Topic("/tf", TF, _tf),
-    Topic("/{agent}/state", ODOMETRY, lambda ros, m: ros.odometry(m)),
-    Topic("/{agent}/lidar/data", CLOUD, lambda ros, m: ros.cloud(m.sweep, m.t_ns, m.sensor_frame)),
-    Topic("/{agent}/lidar/object_truth", MARKERS, lambda ros, m: m.truth and ros.boxes(m.truth.seen, m.t_ns)),
-    Topic("/{agent}/lidar/fov", POLYGON, _fov),
-    Topic("/{agent}/lidar/visibility", GRID, _layer("visibility")),
-    Topic("/{agent}/lidar/state", GRID, _layer("state")),
-    Topic("/{agent}/lidar/doubt", GRID, _layer("doubt")),
-    Topic("/{agent}/lidar/alarms", DIAGNOSTICS, lambda ros, m: ros.diagnostics(m, m.alarms())),
-    Topic("/diagnostics", DIAGNOSTICS, lambda ros, m: ros.diagnostics(m, [m.summary()])),
+    Topic("/agent_names", lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
+    Topic("/attacked_agents", lambda ros, m: m.truth and ros.text([]), latched=True),
+    Topic("/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
+    Topic("/tf_static", _tf_static, latched=True),
+    Topic("/tf", _tf),
+    Topic("/{agent}/state", lambda ros, m: ros.odometry(m)),
+    Topic("/{agent}/lidar/data", lambda ros, m: ros.returns(m.sweep, m.t_ns, m.sensor_frame)),
+    Topic("/{agent}/lidar/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.seen, m.t_ns)),
+    Topic("/{agent}/lidar/fov", _fov),
+    Topic("/{agent}/lidar/visibility", _layer("visibility")),
+    Topic("/{agent}/lidar/state", _layer("state")),
+    Topic("/{agent}/lidar/doubt", _layer("doubt")),
+    Topic("/{agent}/lidar/alarms", lambda ros, m: ros.diagnostics(m, m.alarms())),
+    Topic("/diagnostics", lambda ros, m: ros.diagnostics(m, [m.summary()])),
 )
 """What a bag holds, in the order in which it is written for each sweep."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -52,6 +53,65 @@ def sweep_of_scan(scan: LaserScan) -> Sweep:
         infer_sensor=False,
         planar=PlanarScan(azimuth[ranges == np.inf], float(scan.range_max)),
     )
+
+
+def scan_of_sweep(sweep: Sweep) -> dict[str, Any]:
+    """Return the fields of a message that :func:`sweep_of_scan` reads back as the same planar sweep.
+
+    Beams that say nothing are NaN. Ranges come back to a part in ten million; beams that do not stand at even angles
+    are moved to the nearest hundredth of a degree.
+
+    Raises:
+        ValueError: the sweep is not planar.
+
+    >>> sweep = Sweep(np.array([[2.0, 0, 0], [0, 3.0, 0]]), planar=PlanarScan(np.array([0.7854]), 30.0))
+    >>> scan_of_sweep(sweep)["ranges"].tolist()
+    [2.0, inf, 3.0]
+    """
+    if sweep.planar is None:
+        raise ValueError("a sweep must be planar to become a LaserScan; write it as a cloud")
+    x, y, _ = sweep.points.astype(np.float64).T
+    own = np.arctan2(y, x) if sweep.azimuth is None else sweep.azimuth.astype(np.float64)
+    angle = np.concatenate([own, sweep.planar.open_azimuth.astype(np.float64)])
+    first, step = float(angle.min()) if angle.size else 0.0, _even_step(angle)
+    number = np.rint((angle - first) / step).astype(np.intp)
+    ranges = np.full(number.max(initial=0) + 1, np.nan, np.float32)
+    ranges[number[len(own) :]] = np.inf
+    ranges[number[: len(own)]] = np.hypot(x, y)
+    intensities = np.zeros(ranges.size if sweep.intensity is not None else 0, np.float32)
+    if sweep.intensity is not None:
+        intensities[number[: len(own)]] = sweep.intensity
+    return {
+        "angle_min": first,
+        "angle_max": first + step * (ranges.size - 1),
+        "angle_increment": step,
+        "range_max": float(sweep.planar.max_range_m),
+        "ranges": ranges,
+        "intensities": intensities,
+    }
+
+
+_SAME_ANGLE = 1e-5
+"""Angles that differ by less are those of one beam, in radians."""
+
+_FINEST_STEP = 2 * math.pi / 36_000
+
+
+def _even_step(angle: NDArray[np.float64]) -> float:
+    """Return the largest step whose multiples all angles (K,) are, from the least on; else a hundredth of a degree."""
+    gaps = np.diff(np.sort(angle))
+    gaps = gaps[gaps > _SAME_ANGLE]
+    if not gaps.size:
+        return _FINEST_STEP
+    span = float(angle.max() - angle.min())
+    # Where beams are missing, the smallest gap may be several steps.
+    for parts in range(1, 9):
+        # A gap is exact to rounding; the span is as exact, and holds many steps.
+        step: float = span / round(parts * span / float(gaps.min()))
+        place = (angle - angle.min()) / step
+        if (np.abs(place - np.rint(place)) < 0.1).all():
+            return step
+    return _FINEST_STEP
 
 
 def _check(scan: LaserScan, ranges: NDArray[np.float32], intensity: NDArray[np.float32]) -> None:
