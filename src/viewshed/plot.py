@@ -138,7 +138,7 @@ def monitor_picture(
     reasons = [_fit(f"{number}. {reason}") for number, reason in enumerate(report.reasons, 1)] or ["nothing unusual"]
     table_bottom = above + row * len(names)
     below = max(above + side, table_bottom + 60 + _LINE * len(reasons))
-    width = left + max(strip.shape[1] + 90, round(max(text_width(line, 9) for line in reasons)) - names_width + 20)
+    width = left + max(strip.shape[1] + 150, round(max(text_width(line, 9) for line in reasons)) - names_width + 20)
     page = Canvas.blank(width, below + 68)
     # 1. The map, with the suspect sectors in red.
     suspect = cells_of_sectors(
