@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,48 @@ class MonitorResults:
             found |= {case: detect(chosen, alone, test.is_case([case])) for case in cases}
         order = {case: place for place, case in enumerate(self.plan.all_cases())}
         return dict(sorted(found.items(), key=lambda item: order[item[0]]))
+
+    def target_table(self) -> Table:
+        """Return what was aimed at beside what was reached."""
+        own = {case: one for case, one in self.detections.items() if case.kind == "attack" and case.level == DEFAULT}
+
+        def mean(kind: str, part: Callable[[Detection], Rate]) -> float:
+            chosen = [one for case, one in own.items() if case.name not in APART and _kind_of(case.name) == kind]
+            return mean_rate([part(one) for one in chosen])
+
+        def of_attack(name: str, part: Callable[[Detection], Rate]) -> float:
+            found = own.get(Case("attack", name, DEFAULT))
+            return float("nan") if found is None else part(found).value
+
+        tested, test = self.whole.tested, self.test
+        inconsistent = self.whole.limits(INCONSISTENT, RATE).alarms(tested, INCONSISTENT)
+        rarely = self.whole.limits(INCONSISTENT, LOW_RATE).alarms(tested, INCONSISTENT)
+        degraded = self.whole.limits(DEGRADED, RATE).alarms(tested, DEGRADED)
+        benign = (test.case == 0) & (test.frame >= ONSET)
+        conditions = [drive.conditions for drive in test.drives]
+        corrupted = benign & np.array([one.kind == "corruption" for one in conditions])[test.drive]
+        worst = benign & np.array([one.kind == "corruption" and one.level == "5" for one in conditions])[test.drive]
+        null = test.is_case([case for case in test.cases if case.kind == "null"])
+        measured = "measured spoofer"
+        lines: list[tuple[str, str, float]] = [
+            ("AUROC of a sweep, family unseen, mean", "≥ .98", mean(measured, lambda one: one.area)),
+            ("the same of a spoofer without extra noise, mean", "≥ .93", mean("clean spoofer", lambda one: one.area)),
+            ("the same of attackers who know the evidence, mean", "≥ .80", mean("informed", lambda one: one.area)),
+            ("relay, AUROC of a sweep", "≥ .95", of_attack("relay", lambda one: one.area)),
+            ("replay, AUROC of five sweeps", "≥ .95", of_attack("replay", lambda one: one.area_five)),
+            ("false pose, AUROC of five sweeps", "≥ .95", of_attack("pose_spoof", lambda one: one.area_five)),
+            ("caught at 1 %, mean", "≥ .80", mean(measured, lambda one: one.caught)),
+            ("of five sweeps", "≥ .95", mean(measured, lambda one: one.caught_five)),
+            ("caught at .1 %, mean", "≥ .65", mean(measured, lambda one: one.caught_low)),
+            ("of five sweeps", "≥ .90", mean(measured, lambda one: one.caught_low_five)),
+            ("benign sweeps called inconsistent at 1 %", ".005 to .015", float(np.nanmean(inconsistent[benign]))),
+            ("at .1 %", "≤ .002", float(np.nanmean(rarely[benign]))),
+            ("null attacks called inconsistent at 1 %", "≤ .015", _mean(inconsistent[null])),
+            ("corrupted sweeps called inconsistent at 1 %", "≤ .03", _mean(inconsistent[corrupted])),
+            ("sweeps corrupted at severity 5 called degraded", "≥ .90", _mean(degraded[worst])),
+        ]  # fmt: skip
+        rows = [[what, target, format_rate(value), _is_met(target, value)] for what, target, value in lines]
+        return Table(["what", "target", "reached", ""], rows)
 
     def found_table(self) -> Table:
         """Return what is found of each attack with its own budget, and the mean."""
@@ -311,6 +354,26 @@ class MonitorResults:
         return Table(["evidence", "AUROC", "most is lost for", "its AUROC"], rows)
 
 
+def _mean(values: NDArray[np.floating[Any]]) -> float:
+    """Return the mean of the values that are known; NaN of none."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+
+
+def _is_met(target: str, value: float) -> str:
+    """Return whether a value meets a target, in a word.
+
+    >>> _is_met("≥ .95", 0.96), _is_met("≤ .03", 0.05), _is_met(".005 to .015", 0.01)
+    ('met', 'missed', 'met')
+    """
+    if np.isnan(value):
+        return "not measured"
+    low, _, high = target.partition(" to ")
+    if high:
+        return "met" if float(low) <= value <= float(high) else "missed"
+    sign, limit = target.split()
+    return "met" if (value >= float(limit) if sign == "≥" else value <= float(limit)) else "missed"
+
+
 def _kind_of(name: str) -> str:
     """Return whose attacks a mean is over."""
     return "informed" if name in INFORMED else "clean spoofer" if name.endswith(CLEAN) else "measured spoofer"
@@ -364,6 +427,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "low_rate": f"{LOW_RATE:g}",
     }  # fmt: skip
     title, blocks = fill_template("monitor/page.md", values, {
+        "targets": results.target_table,
         "found": results.found_table,
         "severities": results.severity_table,
         "budgets": results.budget_table,
