@@ -267,3 +267,9 @@ def test_a_laser_scan_comes_back_as_one(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(back.azimuth, sweep.azimuth, atol=1e-6)
     np.testing.assert_allclose(back.planar.open_azimuth, sweep.planar.open_azimuth, atol=1e-6)
     assert angle.size > len(back) + len(back.planar.open_azimuth)
+
+
+def test_what_follows_a_step_back_keeps_its_gaps() -> None:
+    times, second = RisingTimes(), 1_000_000_000
+    made = [times.of("ego", t_ns) for t_ns in (0, second, 0, second, 3 * second)]
+    assert made == [0, second, second + 100_000_000, 2 * second + 100_000_000, 4 * second + 100_000_000]
