@@ -132,3 +132,13 @@ def test_a_sweep_that_cannot_be_checked_leaves_the_stream_as_it_was() -> None:
     with pytest.raises(ValueError, match="sweep must have usable returns"):
         stream.check(empty)
     assert stream.check(_leveled(7005, _time_ns(5))).now.notes == ()
+
+
+def test_after_a_reset_the_next_sweep_is_judged_by_itself() -> None:
+    stream = _stream()
+    for k in range(6):
+        stream.check(_leveled(7000 + k, _time_ns(k)))
+    stream.reset("another")
+    assert not stream.check(_leveled(7006, _time_ns(6))).now.notes
+    stream.reset()
+    assert any("judged without earlier sweeps" in note for note in stream.check(_leveled(7007, _time_ns(7))).now.notes)

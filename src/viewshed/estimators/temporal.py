@@ -75,6 +75,11 @@ class SweepBuffer:
         self._kept[leveled.sweep.agent] = kept
         self._drop_agents(t_ns)
 
+    def reset(self, agent: str | None = None) -> None:
+        """Forget the sweeps of an agent, or of all: what they hold is gone, and the stream begins anew."""
+        for name in [agent] if agent is not None else list(self._kept):
+            self._kept.pop(name, None)
+
     def _drop_agents(self, now_ns: int) -> None:
         """Drop the agents whose sweeps are all too old to be used, and those that are too many."""
         oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
@@ -143,6 +148,10 @@ class TemporalEstimator:
         estimate = self.inner.estimate(leveled, seen)
         self.buffer.add(leveled)
         return where_confirmed(estimate, seen) if self.require_confirmation else estimate
+
+    def reset(self) -> None:
+        """Forget all earlier sweeps: the next one begins a new stream."""
+        self.buffer.reset()
 
     def with_abstention(self, below: float) -> TemporalEstimator:
         """Return the same estimator of the same stream that abstains below another probability."""

@@ -172,6 +172,11 @@ class StreamMonitor:
             del self._agents[next(iter(self._agents))]
         return StreamReport(now, alarm, agent.detector.wealth, agent.detector.limit, delay_s, notes)
 
+    def reset(self, agent: str | None = None) -> None:
+        """Forget an agent, or all: its stream begins anew, without earlier sweeps and without doubt."""
+        for name in [agent] if agent is not None else list(self._agents):
+            self._agents.pop(name, None)
+
     def _continued(self, agent: _Agent | None, leveled: LeveledSweep) -> tuple[_Agent, tuple[str, ...]]:
         """Return the agent of a sweep, or one that begins anew where the sweep does not follow, and why."""
         why = "" if agent is None else agent.earlier.why_anew(leveled)
