@@ -107,11 +107,7 @@ def write_ros1(path: Path, entries: Iterable[Entry]) -> Path:
 def write_ros2(path: Path, entries: Iterable[Entry]) -> Path:
     from rosbags.rosbag2 import Writer
 
-    try:
-        writer = Writer(path, version=8)  # type: ignore[call-arg]  # newer rosbags want it
-    except TypeError:
-        writer = Writer(path)
-    _write(writer, ROS2.store, "serialize_cdr", entries)
+    _write(Writer(path, version=8), ROS2.store, "serialize_cdr", entries)
     return path
 
 
