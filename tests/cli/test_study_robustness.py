@@ -58,7 +58,7 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, caps
     )  # fmt: skip
     assert code == 0
     assert f"Markdown in {page}" in said
-    assert "9/9" in progress
+    assert "9 of 9" in progress
     assert (made / "results.jsonl").read_bytes() == before
     assert (tmp_path / "robustness_scenes.png").exists()
     assert "### majority_vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
