@@ -243,6 +243,17 @@ RequireConfirmation = Annotated[
     ),
 ]
 
+WithMonitor = Annotated[
+    bool, typer.Option("--monitor", help="Say of each sweep whether it is inconsistent or degraded, and why.")
+]
+
+MonitorFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--monitor-file", help="File of viewshed monitor calibrate: monitor with it, in place of the one in the box."
+    ),
+]
+
 Device = Annotated[str, typer.Option("--device", help="Where networks run: cpu or cuda.")]
 
 AbstainBelow = Annotated[

@@ -16,15 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from viewshed.cli._options import BAD_INPUTS, complain, one_line
+from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
-    from viewshed.cli._verdicts import Judge
     from viewshed.datasets import Archive
     from viewshed.datasets.archive.build import ShardResult
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.integrity import StreamMonitor
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
@@ -180,14 +181,14 @@ class Run:
         threshold: probability from which a cell counts as visible.
         out: folder of the results.
         results: which of ``RESULTS`` are written.
-        judge: the monitor that says what it finds in each sweep; None without one.
+        monitor: says what it finds in each sweep; None without one.
     """
 
     estimator: Estimator
     threshold: float
     out: Path
     results: tuple[str, ...] = RESULTS
-    judge: Judge | None = None
+    monitor: StreamMonitor | None = None
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
@@ -213,8 +214,8 @@ class Run:
         estimate = self.estimator.estimate(leveled)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         line = self.write(leveled, name, estimate, elapsed_ms)
-        if self.judge is not None:
-            line = f"{line}; {self.judge.judge(leveled, sweep.agent)[2]}"
+        if self.monitor is not None:
+            line = f"{line}; {stream_verdicts(self.monitor.check(leveled))}"
         return estimate, line
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:

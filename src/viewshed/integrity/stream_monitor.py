@@ -26,6 +26,7 @@ class StreamReport:
         limit: of the wealth.
         delay_s: time since the doubt that is left began, in seconds; 0 where there is none, or without times.
         notes: what became of the stream: a sentence each.
+        doubtful_sweeps: sweeps since the doubt that is left began.
     """
 
     now: IntegrityReport
@@ -34,6 +35,7 @@ class StreamReport:
     limit: float
     delay_s: float
     notes: tuple[str, ...] = ()
+    doubtful_sweeps: int = 0
 
 
 @dataclass(slots=True)
@@ -170,7 +172,8 @@ class StreamMonitor:
         self._agents[name] = agent
         while len(self._agents) > self.agents:
             del self._agents[next(iter(self._agents))]
-        return StreamReport(now, alarm, agent.detector.wealth, agent.detector.limit, delay_s, notes)
+        detector = agent.detector
+        return StreamReport(now, alarm, detector.wealth, detector.limit, delay_s, notes, detector.doubtful_sweeps)
 
     def reset(self, agent: str | None = None) -> None:
         """Forget an agent, or all: its stream begins anew, without earlier sweeps and without doubt."""

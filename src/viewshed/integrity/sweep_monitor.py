@@ -267,7 +267,7 @@ class SweepMonitor:
             NAME, inconsistent, threshold, self.inconsistent.p_value(inconsistent, group),
             float(row[1]) > self.degraded.limit(group), self.degraded.p_value(float(row[1]), group), suspect, grid,
             np.zeros((0, 0), np.bool_) if grid is None else cells_of_sectors(suspect, grid),
-            self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes,
+            self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes, np.asarray(evidence, np.float32),
         )  # fmt: skip
 
     def suspect_sectors(self, sectors: ArrayLike, group: Group, *, any_dependence: bool = False) -> Mask:
