@@ -209,7 +209,18 @@ def _with_skirt(image: _BeamImage, ring: Ints, ahead: Ints, first: int, width: i
 
 
 @dataclass(frozen=True, slots=True)
-class VanishedObject(Checked):
+class _OfObjects(Checked):
+    """The parameters that attacks on the objects near a sensor share."""
+
+    budget: Budget = None
+    sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
+    near_m: Range = 25.0
+    spoofer: Spoofer = EXACT_SPOOFER
+
+
+@dataclass(frozen=True, slots=True)
+class VanishedObject(_OfObjects):
     """A whole object vanishes: each of its beams reports what the same ring shows beside the object.
 
     Ground goes on where both sides show ground, at the heights that they show; else the farther side goes on. No part
@@ -223,12 +234,6 @@ class VanishedObject(Checked):
         near_m: objects nearer than this vanish.
         spoofer: how well the beams are won.
     """
-
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
-    near_m: Range = 25.0
-    spoofer: Spoofer = EXACT_SPOOFER
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -375,7 +380,7 @@ def _to_ground(height_m: Floats | float, start_z: Floats, down: Floats) -> Float
 
 
 @dataclass(frozen=True, slots=True)
-class CopiedObject(Checked):
+class CopiedObject(_OfObjects):
     """A real object of the sweep appears a second time, at another azimuth, before everything that is there.
 
     Its surface, edges, noise and losses are those of a real one. It stands on ground of the same height, where the view
@@ -388,12 +393,6 @@ class CopiedObject(Checked):
         near_m: objects nearer than this are copied.
         spoofer: how well the beams are won.
     """
-
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
-    near_m: Range = 25.0
-    spoofer: Spoofer = EXACT_SPOOFER
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
