@@ -21,6 +21,9 @@ from viewshed.sweep import Sweep
 if TYPE_CHECKING:
     from viewshed.estimators.base import BatchSteps, EarlierSweeps, Estimator
 
+FORGET_S = 10.0
+"""Sweeps from longer before do not help an estimate: who stood there has gone."""
+
 
 @dataclass(slots=True)
 class SweepBuffer:
@@ -37,7 +40,7 @@ class SweepBuffer:
 
     sweeps: int = HISTORY_SWEEPS
     every_s: float = 1.0
-    forget_s: float = 10.0
+    forget_s: float = FORGET_S
     agents: int = 64
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 

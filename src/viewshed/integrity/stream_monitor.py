@@ -46,7 +46,8 @@ class EarlierSweeps:
 
     Attributes:
         every_s: time between the earlier sweeps that the evidence is given; they may be a quarter nearer.
-        jump_s: a stream without a sweep for longer begins anew.
+        jump_s: a stream without a sweep for longer begins anew: what appeared or vanished meanwhile may have done so
+            for a cause that nobody saw. Estimates are helped by sweeps of up to 10 s ago (``temporal.FORGET_S``).
 
     Raises:
         ValueError: a time is not positive.
