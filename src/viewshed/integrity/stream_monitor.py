@@ -39,7 +39,7 @@ class StreamReport:
 
 
 @dataclass(slots=True)
-class EarlierSweeps:
+class RecentSweeps:
     """The last sweeps of one stream, as evidence over time is given them.
 
     A stream begins anew, without earlier sweeps, where its time goes back, repeats or jumps, or its sensor changes.
@@ -111,7 +111,7 @@ class _Agent:
     """What is kept of one agent."""
 
     detector: EDetector
-    earlier: EarlierSweeps
+    earlier: RecentSweeps
     held: HeldEvidence = field(default_factory=HeldEvidence)
     onset_ns: int | None = None
 
@@ -145,7 +145,7 @@ class StreamMonitor:
     _agents: dict[str, _Agent] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        EarlierSweeps(self.every_s, self.jump_s)
+        RecentSweeps(self.every_s, self.jump_s)
         if self.agents < 1:
             raise ValueError(f"agents must be 1 at least, got {self.agents}")
 
@@ -185,7 +185,7 @@ class StreamMonitor:
         """Return the agent of a sweep, or one that begins anew where the sweep does not follow, and why."""
         why = "" if agent is None else agent.earlier.why_anew(leveled)
         if agent is None or why:
-            new = _Agent(self.detector.fresh(), EarlierSweeps(self.every_s, self.jump_s))
+            new = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
             return new, (why,) if why else ()
         if leveled.sweep.t_ns is None:
             return agent, ("the sweep has no time: it is judged without earlier sweeps",)

@@ -12,7 +12,7 @@ from viewshed.estimators.temporal import FORGET_S
 class Clocks:
     """The time of each agent's last sweep; a stream begins anew where estimates have forgotten what came before.
 
-    A monitor's evidence begins anew much sooner, see :class:`viewshed.integrity.stream_monitor.EarlierSweeps`.
+    A monitor's evidence begins anew much sooner, see :class:`viewshed.integrity.stream_monitor.RecentSweeps`.
 
     Attributes:
         agents: how many are remembered; of more the one that was heard longest ago is forgotten.
