@@ -81,7 +81,7 @@ class Reading:
         return next(self.sweeps(path, entry))
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
-        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
+        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)

@@ -185,7 +185,7 @@ def stream(
         require_confirmation: claim only what an earlier sweep would have seen as well.
 
     Raises:
-        ValueError: the estimator uses no history, or confirmation is asked for without any.
+        ValueError: the estimator uses no history, or confirmation is required without any.
     """
     if history == 0 and require_confirmation:
         raise ValueError("require_confirmation goes with a history of 1 or more: it claims what earlier sweeps saw")

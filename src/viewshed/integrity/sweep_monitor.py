@@ -37,7 +37,7 @@ EARLIER_SWEEPS = 5
 """Earlier sweeps that evidence over time is given; a sweep with fewer is judged by itself."""
 
 UNUSUAL = 0.01
-"""A reason is told if at most this share of benign scenes of the group shows its evidence as strongly."""
+"""A reason is given if at most this share of benign scenes of the group shows its evidence as strongly."""
 
 Floats = NDArray[np.float64]
 
@@ -362,7 +362,7 @@ class SweepMonitor:
 def group_of(monitored: MonitoredSweep) -> Group:
     """Return the group with which a sweep is calibrated: its sensor, and whether all earlier sweeps have poses.
 
-    Sensors without a name are told apart by whether their rings are known, which much of the evidence needs.
+    Sensors without a name are distinguished by whether their rings are known, which much of the evidence needs.
     """
     sensor = monitored.leveled.sensor_id
     name = sensor.model.name if sensor.model is not None else "unknown sensor"
