@@ -18,6 +18,11 @@ class View(Protocol):
         """Time of the sweep."""
         ...
 
+    @property
+    def in_world(self) -> bool:
+        """True where the tracks' frame is the world; False where the sweep has no pose and it is ``level``."""
+        ...
+
     def visible(self, boxes: Floats) -> Floats:
         """Return the probability (K,) that an object in each box could be seen."""
         ...
