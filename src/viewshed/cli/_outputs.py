@@ -50,7 +50,7 @@ def stem_of(name: str) -> str:
 
 
 def parse_results(text: str) -> tuple[str, ...]:
-    """Return which of ``RESULTS`` are asked for, in their order.
+    """Return which of ``RESULTS`` are named in text, in their order.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
