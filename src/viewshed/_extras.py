@@ -10,6 +10,7 @@ EXTRAS = {
     "pyarrow": "data",
     "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
     "rosbags": "bags", "mcap": "bags", "lz4": "bags", "zstandard": "bags",
+    "rasterio": "geo",
     "foxglove": "foxglove", "rerun": "view",
     "velodyne_decoder": "packets",
     "cbor2": "agents", "cwt": "agents", "cryptography": "agents", "zenoh": "agents",
