@@ -7,7 +7,8 @@ third could see, "the one lies" and "the other lies" explain it equally well, an
 
 **Model.** An object exists with probability 1/2. An honest agent reports one that exists with the chance that its view
 and its detector give (:attr:`Reports.chance`), and one that does not exist with :attr:`TrustRules.false_report`. A liar
-does the same, but with probability :attr:`TrustRules.lie` it conceals the object, puts it elsewhere, or invents it.
+does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are there: it
+conceals them, puts them elsewhere, or invents them. So whoever is honest about many objects is not cleared of the one.
 Honest positions scatter about one place as the detector does; those of lies about another one, on which liars agreed.
 
 **Dependence.** Frames are no independent witnesses: an agent that misses an object misses it in the next frame as well.
@@ -44,7 +45,7 @@ class TrustRules:
 
     Attributes:
         false_report: chance that an honest agent reports an object that does not exist where others look.
-        lie: chance that a liar lies about an object.
+        lie: share of the objects about which a liar lies.
         prior: chance that an agent is a liar, before it reports anything.
         least_miss: chance that an honest agent misses an object whatever its view claims: views and detectors err.
         disc_m: radius of the disc over which a lie puts an object.
@@ -56,7 +57,7 @@ class TrustRules:
     """
 
     false_report: float = 0.02
-    lie: float = 0.2
+    lie: float = 0.05
     prior: float = 0.1
     least_miss: float = 0.03
     disc_m: float = 4.0
@@ -183,21 +184,18 @@ class Trust:
                 f"reports must be of {self.agents} agents, some time after the last ones, got {reports.seen.shape[1]}"
                 f" agents after {seconds:g} s"
             )
-        with_it, without_it = self._likelihoods(reports)
         # What is older fades; an object that says nothing any more is forgotten.
         fade = 0.5 ** (seconds / self.rules.half_life_s)
         faded = {number: fade * known for number, known in self._of_objects.items()}
-        self._of_objects = {number: known for number, known in faded.items() if np.abs(known).max() > 1e-3}
-        of_hypothesis = np.logaddexp(with_it, without_it)
-        for number, logs in zip(reports.ids.tolist(), min(seconds, 1.0) * of_hypothesis, strict=True):
-            self._of_objects[number] = self._of_objects.get(number, 0.0) + logs - logs[0]
-        return self._verdicts(reports, with_it - of_hypothesis)
+        self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
+        for number, logs in zip(reports.ids.tolist(), min(seconds, 1.0) * self._likelihoods(reports), strict=True):
+            self._of_objects[number] = self._of_objects.get(number, 0.0) + logs - logs.max()
+        return self._verdicts(reports.ids)
 
-    def _likelihoods(self, reports: Reports) -> tuple[Floats, Floats]:
-        """Return the log-likelihoods (J, H) of the reports of each object, with the object and without it.
+    def _likelihoods(self, reports: Reports) -> Floats:
+        """Return the log-likelihoods (J, 2, H) of the reports of each object, without the object and with it.
 
-        Each set of agents stands for two things here: those who *may* lie under a hypothesis, and those who *do* lie
-        about one object. A hypothesis is the mean over the sets of its liars that do.
+        Each set of agents stands for those who lie about the object; all others are honest about it.
         """
         rules, lies, area = self.rules, self._lies[None], np.pi * self.rules.disc_m**2
         seen, mute = reports.seen[:, None], ((reports.chance == 0) & ~reports.seen)[:, None]
@@ -207,11 +205,11 @@ class Trust:
         if_not = np.where(lies, 0.5, np.where(seen, rules.false_report, 1.0 - rules.false_report))
         # Honest positions lie about one place if the object is there, anywhere if not; those of lies about another.
         honest = seen & ~lies
-        of_lies = self._about_one_place(reports, seen & lies) + np.log(0.5)
+        of_lies = self._about_one_place(reports, seen & lies)
         place_if_there, place_if_not = self._about_one_place(reports, honest), -np.log(area) * honest.sum(axis=2)
         there = np.where(mute, 0.0, np.log(if_there)).sum(axis=2) + place_if_there + of_lies
         absent = np.where(mute, 0.0, np.log(if_not)).sum(axis=2) + place_if_not + of_lies
-        return _mixed(there, self._share_of_lies), _mixed(absent, self._share_of_lies)
+        return np.stack([absent, there], axis=1)
 
     def _about_one_place(self, reports: Reports, chosen: Mask) -> Floats:
         """Return the log-density (J, H) of the positions of the chosen (J, H, A) reports, scattered about one place.
@@ -229,12 +227,16 @@ class Trust:
         logs = log_weights + np.log(2 * np.pi / total) - 0.5 * square - np.log(np.pi * self.rules.disc_m**2)
         return np.where(some, logs, 0.0)
 
-    def _verdicts(self, reports: Reports, exists: Floats) -> Verdicts:
-        """Return what is believed; ``exists`` (J, H) is the log-probability of each object under each hypothesis."""
+    def _verdicts(self, ids: NDArray[np.int64]) -> Verdicts:
+        """Return what is believed of the agents, and of some of the objects."""
+        numbers = {number: place for place, number in enumerate(self._of_objects)}
+        known = np.array(list(self._of_objects.values())).reshape(-1, 2, len(self._lies))
+        # A hypothesis is the mean over the sets of its liars that may lie about an object.
+        of_objects = _mixed(np.logaddexp(known[:, 0], known[:, 1]), self._share_of_lies)
+        there = _mixed(known[:, 1], self._share_of_lies) - of_objects
         # What an object says against a hypothesis, beside the one that explains it best, is bounded.
-        bound, logs = self.rules.most_of_object, np.zeros(len(self._lies))
-        for known in self._of_objects.values():
-            logs -= bound * np.tanh((known.max() - known) / bound)
+        bound = self.rules.most_of_object
+        logs = -bound * np.tanh((of_objects.max(axis=1, keepdims=True) - of_objects) / bound).sum(axis=0)
         # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
         evidence = np.empty(self.agents)
         for agent in range(self.agents):
@@ -246,9 +248,11 @@ class Trust:
         posterior /= posterior.sum()
         best = logs >= logs.max() - 1.0
         best &= liars == liars[best].min()
-        doubt, trust = float(logs.max() - logs[0]), 1.0 - posterior @ self._lies
-        existence, suspects = np.exp(exists) @ posterior, self._lies[best].any(axis=0)
-        return Verdicts(evidence, doubt, trust, reports.ids, existence, suspects)
+        existence = np.exp(there) @ posterior
+        return Verdicts(
+            evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, ids,
+            existence[[numbers[number] for number in ids.tolist()]], self._lies[best].any(axis=0),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
