@@ -150,15 +150,30 @@ def hidden_detections(view: ClaimedView) -> float:
     return float(1.0 - _is_visible(states).any(axis=0).mean())
 
 
-def claims_behind_own(view: ClaimedView) -> float:
-    """Return the share of what is claimed visible that lies behind the agent's own surfaces."""
-    return view._share(view._behind(view._own == CellState.SURFACE), _is_visible(view._own))
+def claims_in_shadows(view: ClaimedView) -> float:
+    """Return the share of the places close behind the agent's own objects that it claims to see."""
+    boxes = view.detections.boxes
+    range_m = np.hypot(boxes[:, 0], boxes[:, 1])
+    casts = (range_m > NEAREST_M) & (range_m < FARTHEST_M) & (boxes[:, 3:5].min(axis=1) > 1.0)
+    if not casts.any():
+        return np.nan
+    far_m = range_m[casts] + boxes[casts, 3:5].max(axis=1) / 2
+    behind = (far_m[:, None] + np.array([0.5, 1.0, 1.5, 2.0])) / range_m[casts, None]
+    return float(_is_visible(_state_at(view.estimate, behind[..., None] * boxes[casts, None, :2])).mean())
 
 
-def claims_behind_others(view: ClaimedView) -> float:
-    """Return the share of what is claimed visible that lies behind surfaces that others see."""
-    surfaces = (view._theirs == CellState.SURFACE).any(axis=0)
-    return view._share(view._behind(surfaces), _is_visible(view._own)) if len(view.others) else np.nan
+def claims_behind_walls(view: ClaimedView) -> float:
+    """Return the share of what is claimed visible that lies behind surfaces which hide what is behind them for others.
+
+    How tall a surface is no view says; that others see nothing behind one does.
+    """
+    xy, walls = view._samples[0], np.zeros(view._own.shape, np.bool_)
+    for other, theirs in zip(view.others, view._theirs, strict=True):
+        at = _moved(xy, between(other, view.estimate))
+        range_m = np.linalg.norm(at, axis=-1, keepdims=True)
+        behind = [_state_at(other, at * (1.0 + step_m / range_m)) == CellState.HIDDEN for step_m in (1.5, 2.5)]
+        walls |= (theirs == CellState.SURFACE) & behind[0] & behind[1]
+    return view._share(view._behind(walls), _is_visible(view._own)) if view.others else np.nan
 
 
 def open_but_denied(view: ClaimedView) -> float:
@@ -169,9 +184,13 @@ def open_but_denied(view: ClaimedView) -> float:
 
 
 def surfaces_claimed_free(view: ClaimedView) -> float:
-    """Return the share of the surfaces that others see which the agent claims free."""
+    """Return the share of the surfaces that others see, in the agent's view, where it sees none and claims all free."""
     surfaces = (view._theirs == CellState.SURFACE).any(axis=0) & ~(view._theirs == CellState.FREE).any(axis=0)
-    return view._share(view._own == CellState.FREE, surfaces & _is_visible(view._own))
+    # Surfaces are seen from different sides, and lie a cell or two apart.
+    xy, about = view._samples[0], np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    near = [_state_at(view.estimate, xy + np.array([x_m, y_m])) for x_m in about for y_m in about]
+    free = np.all([state == CellState.FREE for state in near], axis=0)
+    return view._share(free, surfaces & _is_visible(view._own))
 
 
 def surfaces_seen_free(view: ClaimedView) -> float:
@@ -224,8 +243,8 @@ def repeated(view: ClaimedView) -> float:
 
 VIEW_CHECKS: dict[str, Callable[[ClaimedView], float]] = {
     "hidden_detections": hidden_detections,
-    "claims_behind_own": claims_behind_own,
-    "claims_behind_others": claims_behind_others,
+    "claims_in_shadows": claims_in_shadows,
+    "claims_behind_walls": claims_behind_walls,
     "open_but_denied": open_but_denied,
     "surfaces_claimed_free": surfaces_claimed_free,
     "surfaces_seen_free": surfaces_seen_free,
