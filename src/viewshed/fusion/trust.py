@@ -338,5 +338,5 @@ def _log_mean_exp(logs: Floats) -> float:
 def _p_values(benign: Floats, values: Floats) -> Floats:
     """Return the conformal p-values (K,) of values (K,) against those of benign scenes (N,), ascending."""
     above = len(benign) - np.searchsorted(benign, values, "left")
-    p_values: Floats = (1.0 + above) / (1.0 + len(benign))
+    p_values: Floats = np.asarray((1.0 + above) / (1.0 + len(benign)), np.float64)
     return p_values
