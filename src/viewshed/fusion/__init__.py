@@ -1,0 +1,1 @@
+"""Tracks, views and reports of one sensor or of many, held against each other."""

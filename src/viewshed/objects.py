@@ -1,0 +1,88 @@
+"""Objects as a detector gives them: boxes in one frame, with what is known of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+
+BOX_COLUMNS = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw")
+"""Numbers of a box: its center, its size, and its heading in radians, counter-clockwise from x."""
+
+
+class ObjectKind(IntEnum):
+    """What an object is, by its size."""
+
+    OTHER = 0
+    PEDESTRIAN = 1
+    CYCLIST = 2
+    CAR = 3
+    TRUCK = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """The objects that a detector found in one sweep, in one frame (``level`` of the sweep, unless said otherwise).
+
+    Attributes:
+        boxes: (K, 7) float64, columns ``BOX_COLUMNS``.
+        kinds: (K,) uint8 of :class:`ObjectKind`.
+        returns: (K,) int32 returns in each box; 0 where that is not known.
+
+    Raises:
+        ValueError: the lengths differ, a number is not finite, or a size is not positive.
+    """
+
+    boxes: NDArray[np.float64]
+    kinds: NDArray[np.uint8]
+    returns: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        for name, kind in (("boxes", np.float64), ("kinds", np.uint8), ("returns", np.int32)):
+            array = np.array(getattr(self, name), kind)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        count = len(self.boxes)
+        if self.boxes.shape != (count, 7) or self.kinds.shape != (count,) or self.returns.shape != (count,):
+            raise ValueError(
+                "detections must be boxes (K, 7), kinds (K,) and returns (K,), got"
+                f" {self.boxes.shape}, {self.kinds.shape} and {self.returns.shape}"
+            )
+        if not np.isfinite(self.boxes).all() or (self.boxes[:, 3:6] <= 0).any():
+            raise ValueError("boxes must be finite and have positive sizes; leave out those that are not")
+
+    def __len__(self) -> int:
+        """Return the number of objects."""
+        return len(self.boxes)
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return the detections of a sweep without objects."""
+        return cls(np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros(0, np.int32))
+
+    def take(self, chosen: NDArray[Any]) -> Self:
+        """Return some of them, by a mask (K,) or by their numbers."""
+        return type(self)(self.boxes[chosen], self.kinds[chosen], self.returns[chosen])
+
+    def moved(self, other_from_here: Rigid) -> Self:
+        """Return the same objects in another frame whose z axis is upright as well."""
+        return type(self)(moved_boxes(self.boxes, other_from_here), self.kinds, self.returns)
+
+
+def moved_boxes(boxes: NDArray[np.floating[Any]], other_from_here: Rigid) -> NDArray[np.float64]:
+    """Return boxes (K, 7) in another frame whose z axis is upright as well: center and heading are moved.
+
+    >>> quarter = Rigid.from_yaw(np.pi / 2)
+    >>> moved_boxes(np.array([[1.0, 0.0, 0.5, 4.0, 2.0, 1.5, 0.0]]), quarter).round(3).tolist()
+    [[0.0, 1.0, 0.5, 4.0, 2.0, 1.5, 1.571]]
+    """
+    moved = np.array(boxes, np.float64)
+    rotation = other_from_here.rotation
+    moved[:, :3] = moved[:, :3] @ rotation.T + other_from_here.translation
+    moved[:, 6] = (moved[:, 6] + np.arctan2(rotation[1, 0], rotation[0, 0]) + np.pi) % (2 * np.pi) - np.pi
+    return moved

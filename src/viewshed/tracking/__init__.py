@@ -1,0 +1,1 @@
+"""Detections and views to tracks: objects over time that know what could be seen of them."""
