@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.io.messages.pointcloud2 import PointField
 from viewshed.sweep import Sweep
 
 FLOAT32, UINT16, UINT32 = 7, 4, 6
@@ -28,7 +29,7 @@ class Field:
 class Cloud:
     """The parts of sensor_msgs/PointCloud2 that are read."""
 
-    fields: Sequence[Field]
+    fields: Iterable[PointField]
     width: int
     point_step: int
     row_step: int
@@ -46,7 +47,7 @@ def cloud_of(sweep: Sweep) -> Cloud:
         table[name] = sweep.points[:, axis]
     if sweep.intensity is not None:
         table["intensity"] = sweep.intensity
-    fields = [Field(name, 4 * number) for number, name in enumerate(names)]
+    fields: list[PointField] = [Field(name, 4 * number) for number, name in enumerate(names)]
     if sweep.ring is not None:
         table["ring"] = sweep.ring
         fields.append(Field("ring", 16, UINT16))
@@ -84,8 +85,8 @@ def _swapped(cloud: Cloud) -> Cloud:
 
 
 def _moved(cloud: Cloud) -> Cloud:
-    first = replace(cloud.fields[0], offset=cloud.point_step - 2)
-    return replace(cloud, fields=[first, *cloud.fields[1:]])
+    first, *others = cloud.fields
+    return replace(cloud, fields=[Field(first.name, cloud.point_step - 2, first.datatype), *others])
 
 
 DAMAGES = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import re
 import subprocess
@@ -356,7 +357,7 @@ def _told(soaked: Soaked) -> list[str]:
     """Return the parts of the page about one soak."""
     verdict = "**Passed.**" if not soaked.faults else "**Failed:** " + "; ".join(soaked.faults) + "."
     log = [
-        [f"{line[0]:.0f}", *(f"{count:.0f}" for count in line[1:5]), *(f"{value:.1f}" if value == value else "–" for value in line[5:])]
+        [f"{line[0]:.0f}", *(f"{count:.0f}" for count in line[1:5]), *("–" if math.isnan(value) else f"{value:.1f}" for value in line[5:])]
         for line in soaked.log
     ]  # fmt: skip
     kinds = [
