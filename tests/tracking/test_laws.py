@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
 from tests.tracking.scripted import ScriptedView, everywhere
+
 from viewshed.geometry import Rigid
 from viewshed.objects import Detections
 from viewshed.tracking.published import PublishedRules
@@ -63,7 +63,7 @@ def _at(view: ScriptedView, t_s: float) -> ScriptedView:
     return ScriptedView(t_s, view.seen, view.found)
 
 
-def _recording(seed: int, sweeps: int = 12) -> list[Detections]:
+def _recording(seed: int, sweeps: int = 8) -> list[Detections]:
     """Return detections of six objects that cross, some missed, and false ones."""
     rng = np.random.default_rng(seed)
     place, velocity = rng.uniform(-20, 20, (6, 2)), rng.uniform(-12, 12, (6, 2))
@@ -76,7 +76,8 @@ def _recording(seed: int, sweeps: int = 12) -> list[Detections]:
             [centers, rng.normal(0.8, 0.1, (count, 1)), rng.uniform([3, 1.5, 1.2], [6, 2.5, 2], (count, 3)),
              rng.uniform(-3, 3, (count, 1))], axis=1,
         )  # fmt: skip
-        recording.append(Detections(boxes, rng.integers(0, 5, count), rng.integers(5, 500, count)))
+        kinds, returns = rng.integers(0, 5, count, np.uint8), rng.integers(5, 500, count, np.int32)
+        recording.append(Detections(boxes, kinds, returns))
     return recording
 
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from shapely import Polygon
-
 from tests.tracking.scripted import ScriptedView, cars, everywhere
+
 from viewshed.geometry import Rigid
 from viewshed.objects import Detections
 from viewshed.tracking.published import PUBLISHED_MOTION, PublishedRules
@@ -131,7 +131,9 @@ AS_PUBLISHED: dict[str, Rules] = {
         motion=PUBLISHED_MOTION, gate=1e9, clutter_per_m2=1e-12, recurrence=0.0, most_found=FOUND, doubt_s=0.0,
         lifetime_s=np.inf, surest=SUREST, drop_below=(LAST + NEXT) / 2, lost_m=np.inf, spreads=False,
     ),
-    "published": PublishedRules(cost="center", radius_m=8.0, coast_s=np.inf, most_misses=MOST_MISSES, repairs_empty_view=True),
+    "published": PublishedRules(
+        cost="center", radius_m=8.0, coast_s=np.inf, most_misses=MOST_MISSES, repairs_empty_view=True
+    ),
 }  # fmt: skip
 
 

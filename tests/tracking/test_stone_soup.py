@@ -54,7 +54,7 @@ RULES = EqualRules(
 
 
 def scenario(rng: np.random.Generator) -> list[tuple[float, Floats]]:
-    """Return times and centers (K, 2): eight objects that cross, some missed, and false ones; steps of other lengths."""
+    """Return times and centers (K, 2): eight objects that cross, some missed, and false ones; uneven steps."""
     place, velocity = rng.uniform(-15, 15, (8, 2)), rng.uniform(-6, 6, (8, 2))
     times = np.cumsum(rng.choice([0.1, 0.2, 0.5], 40))
     sweeps = []
@@ -73,7 +73,8 @@ def ours(sweeps: list[tuple[float, Floats]], rules: ExistenceRules) -> list[Trac
         boxes = np.zeros((len(centers), 7))
         boxes[:, :2], boxes[:, 3:6] = centers, 0.001
         kinds = np.full(len(centers), ObjectKind.CAR)
-        found.append(tracker.step(t_s, Detections(boxes, kinds, np.zeros(len(centers))), SeesAll(t_s, detectable=1.0)))
+        given = Detections(boxes, kinds.astype(np.uint8), np.zeros(len(centers), np.int32))
+        found.append(tracker.step(t_s, given, SeesAll(t_s, detectable=1.0)))
     return found
 
 

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
 from tests.tracking.scripted import ScriptedView, cars, everywhere
+
 from viewshed.objects import Detections, ObjectKind
 from viewshed.tracking.existence import (
     LEVELS,
@@ -103,7 +103,8 @@ def test_what_appears_where_all_was_seen_free_is_doubted() -> None:
     tracks = tracker.step(0.1, cars((5.0, 0.0), (28.0, 3.0)), ScriptedView(0.1, hidden_beyond))
     near, far = np.argsort(tracks.states[:, 0])
     assert (tracks.born_hidden[near], tracks.born_hidden[far]) == (0.0, 1.0)
-    assert tracks.existence[near] < 0.1 < 0.6 < tracks.existence[far]
+    assert tracks.existence[near] < 0.1
+    assert tracks.existence[far] > 0.6
 
 
 def test_a_detection_that_was_likely_overlooked_before_is_plausible() -> None:
@@ -266,7 +267,8 @@ def test_a_precise_detection_moves_a_track_more_than_a_vague_one() -> None:
         _drive(tracker, 10)
         tracks = tracker.step(1.0, cars((10.0, 0.5)), SeesAll(1.0), variance * np.eye(2)[None])
         moved.append(tracks.states[0, 1])
-    assert moved[0] > 0.4 > 0.1 > moved[1] > 0.0
+    assert moved[0] > 0.4
+    assert 0.0 < moved[1] < 0.1
 
 
 def test_a_view_that_fails_leaves_the_tracks_as_they_were() -> None:
