@@ -19,6 +19,6 @@ if ! cmp -s "$root/ros/viewshed_ros/requirements.txt" "$venv/requirements.txt"; 
 fi
 # The wheels set these two for their own Python; what another one set would mislead it.
 exec env -u LD_LIBRARY_PATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
-    PYTHONPATH="${VIEWSHED_SOURCES-$root/src:}$root/ros/viewshed_ros" OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" \
+    PYTHONPATH="${VIEWSHED_SOURCES-$root/src:}$root/ros/viewshed_ros:$root" OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" \
     ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))}" ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
     FASTRTPS_DEFAULT_PROFILES_FILE="$root/ros/viewshed_ros/config/fastdds.xml" "$venv/bin/python" "$@"
