@@ -103,10 +103,17 @@ def update(states: Floats, covariances: Floats, centers: Floats, noise: Floats) 
     """
     innovation = centers - states[:, :2]
     spread = covariances[:, :2, :2] + noise
-    gain = covariances[:, :, :2] @ np.linalg.inv(spread)
+    gain = covariances[:, :, :2] @ inverse(spread)[0]
     updated = covariances - gain @ spread @ gain.transpose(0, 2, 1)
     updated = 0.5 * (updated + updated.transpose(0, 2, 1))  # else rounding makes them lopsided over hours
     return states + (gain @ innovation[:, :, None])[:, :, 0], updated
+
+
+def inverse(matrices: Floats) -> tuple[Floats, Floats]:
+    """Return inverses (M, 2, 2) and determinants (M,) of matrices (M, 2, 2); LAPACK takes five times as long."""
+    determinants = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+    adjugates = matrices[:, ::-1, ::-1].transpose(0, 2, 1) * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return adjugates / determinants[:, None, None], determinants
 
 
 def update_boxes(boxes: Floats, variances: Floats, measured: Floats, noise_std: Floats) -> tuple[Floats, Floats]:
