@@ -15,10 +15,10 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, probability_of_visible
 from viewshed.geometry import Rigid
 from viewshed.objects import moved_boxes
+from viewshed.perception.matching import corners_of
 from viewshed.preprocess.evidence import expected_returns
 from viewshed.preprocess.held_ground import pose_of
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.tracking.association import corners
 
 Floats = NDArray[np.float64]
 
@@ -236,7 +236,7 @@ def points_before(boxes: Floats, step_m: float) -> Floats:
 
     Where the sensor stands in the box, its own place.
     """
-    at_corners = corners(boxes)
+    at_corners = corners_of(boxes)
     middle = np.arctan2(boxes[:, 1], boxes[:, 0])
     off = np.arctan2(at_corners[..., 1], at_corners[..., 0]) - middle[:, None]
     off = (off + np.pi) % (2 * np.pi) - np.pi
