@@ -118,7 +118,7 @@ def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path)
     benign = [BenignSweep(f"{k}", Group("VLP-16", "none"), each) for k, each in enumerate(evidence)]
     save_sweep_monitor(SweepMonitor.calibrate(score, benign, rng, rates=Rates(0.1, 0.1)), tmp_path / "monitor.npz")
     page = tmp_path / "run.html"
-    code, _, err = run("view", *drive[:2], "--html", page, "--monitor", tmp_path / "monitor.npz")
+    code, _, err = run("view", *drive[:2], "--html", page, "--monitor-file", tmp_path / "monitor.npz")
     assert code == 0, err
     for text in re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")):
         about = json.loads(text)

@@ -10,7 +10,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
-from viewshed_ros import costmap_filters, layers, nav2
+from viewshed_ros import costmap_filters, nav2
 from viewshed_ros.conversions import rigid_of, stamp_of
 from viewshed_ros.layers import LAYERS, View
 
@@ -135,4 +135,3 @@ def test_infos_say_what_the_masks_mean() -> None:
     assert (speed.type, speed.filter_mask_topic, speed.base) == (2, "/lidar/speed_mask", 0.0)
     assert LIMITS.percent(2.0) * speed.multiplier == pytest.approx(2.0)
     assert costmap_filters.info_of(_Info(), "keepout_mask", "/k", LIMITS).type == 0
-    assert layers.UNKNOWN == nav2.NOTHING_KNOWN

@@ -16,15 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from viewshed.cli._options import BAD_INPUTS, complain, one_line
+from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
-    from viewshed.cli._verdicts import Judge
     from viewshed.datasets import Archive
     from viewshed.datasets.archive.build import ShardResult
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.integrity import StreamMonitor
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
@@ -49,7 +50,7 @@ def stem_of(name: str) -> str:
 
 
 def parse_results(text: str) -> tuple[str, ...]:
-    """Return which of ``RESULTS`` are asked for, in their order.
+    """Return which of ``RESULTS`` are named in text, in their order.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
@@ -180,14 +181,14 @@ class Run:
         threshold: probability from which a cell counts as visible.
         out: folder of the results.
         results: which of ``RESULTS`` are written.
-        judge: the monitor that says what it finds in each sweep; None without one.
+        monitor: says what it finds in each sweep; None without one.
     """
 
     estimator: Estimator
     threshold: float
     out: Path
     results: tuple[str, ...] = RESULTS
-    judge: Judge | None = None
+    monitor: StreamMonitor | None = None
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
@@ -213,8 +214,8 @@ class Run:
         estimate = self.estimator.estimate(leveled)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         line = self.write(leveled, name, estimate, elapsed_ms)
-        if self.judge is not None:
-            line = f"{line}; {self.judge.judge(leveled, sweep.agent)[2]}"
+        if self.monitor is not None:
+            line = f"{line}; {stream_verdicts(self.monitor.check(leveled))}"
         return estimate, line
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
@@ -260,12 +261,16 @@ class Run:
     def write(self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
         """Write the results of an estimate and return its summary line, with the time if there is one."""
         from viewshed._files import write_atomic
+        from viewshed.io.export import EXPORTERS, write_export
 
         report_doubts(leveled, name)
         estimate = replace(estimate, threshold=self.threshold)
         summary = summary_line(estimate, elapsed_ms)
         for kind in self.results:
-            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
+            if kind == "png":
+                write_atomic(self.out / f"{name}.png", estimate.plot(leveled, f"{name}\n{summary}"))
+            else:
+                write_export(estimate, kind, self.out / f"{name}{EXPORTERS[kind].suffix}", crs=self.crs)
         remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
         return f"{name}: {summary}{remarks} → {self.out / name}.{self.results[0]}"
 
@@ -286,13 +291,6 @@ def report_doubts(leveled: LeveledSweep, name: str) -> None:
 
     for doubt in doubts(leveled):
         complain(f"{name}: warning: {doubt}")
-
-
-def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
-    """Return the content of a result's file."""
-    from viewshed.io.export import EXPORTERS
-
-    return estimate.plot(leveled, title) if kind == "png" else EXPORTERS[kind].encode(estimate)
 
 
 def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:

@@ -9,20 +9,22 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     AbstainBelow,
     Device,
     HistorySweeps,
+    MonitorFile,
     NetworkOptions,
     Passes,
     Reading,
     RequireConfirmation,
     Seed,
     Weights,
+    WithMonitor,
 )
 from viewshed.cli._outputs import Failures, Run, output_names, parse_results, refuse_inputs
 from viewshed.cli._stream import named_sweeps
-from viewshed.cli._verdicts import Judge, monitor_of
+from viewshed.cli._verdicts import watching
 
 Files = Annotated[
     list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
@@ -52,14 +54,7 @@ def estimate(
     files: Files = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
@@ -72,9 +67,8 @@ def estimate(
     history: HistorySweeps = 0,
     require_confirmation: RequireConfirmation = False,
     batch: Batch = 1,
-    monitor: Annotated[
-        bool, typer.Option("--monitor", help="Say of each sweep whether it is inconsistent or degraded, and why.")
-    ] = False,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
@@ -88,18 +82,17 @@ def estimate(
 
     if history and batch > 1:
         raise ValueError("--history goes with --batch 1: a sweep is remembered before the next one is estimated")
-    if monitor and batch > 1:
+    if (monitor or monitor_file) and batch > 1:
         raise ValueError("--monitor goes with --batch 1: it judges a sweep by those before it")
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
     kinds = parse_results(results)
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
-    judge = Judge(monitor_of(None)) if monitor else None
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, judge)
+    watch = watching(monitor, monitor_file)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((out / f"{name}.{kind}" for name in names for kind in kinds), (file for file, _ in jobs))

@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
+from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._record import (
     Awaited,
     Listener,
-    MonitorFile,
     SchemaNames,
     recorders,
     run,
-    stream_monitor,
     written_line,
 )
 from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._verdicts import watching
 from viewshed.cli.estimate import Method
 from viewshed.cli.replay import USUAL_PERIOD_S
 
@@ -43,18 +42,19 @@ def record(
     sensor: options.SensorName = AUTO,
     target: options.TargetName = "car",
     history: HistorySweeps = 0,
-    monitor: MonitorFile = None,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
     preset: Annotated[
         str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",
     world: Annotated[
-        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first unless told.")
+        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first if not given.")
     ] = None,
     seconds: Annotated[float, typer.Option(help="Of sim: how long the drive lasts.")] = 10.0,
     hz: Annotated[float, typer.Option(help="Of sim: sweeps of each agent a second.")] = 10.0,
     agents: Annotated[int, typer.Option(help="Of sim: vehicles that measure.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's unless told.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's if not given.")] = None,
 ) -> None:
     """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
 
@@ -66,7 +66,7 @@ def record(
 
     is_simulated = [str(file) for file in files] == [SIMULATED]
     estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
-    buffer, watch, failures = history_buffer(estimator, history), stream_monitor(monitor), Failures()
+    buffer, watch, failures = history_buffer(estimator, history), watching(monitor, monitor_file), Failures()
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:

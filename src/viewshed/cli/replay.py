@@ -10,21 +10,20 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, HistorySweeps, NetworkOptions, Reading
+from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
 from viewshed.cli._outputs import Failures, Named, output_names
 from viewshed.cli._record import (
     Awaited,
     Listener,
-    MonitorFile,
     SchemaNames,
     To,
     recorders,
     repeated,
     run,
-    stream_monitor,
     written_line,
 )
 from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._verdicts import watching
 from viewshed.cli.estimate import Files, Method
 
 USUAL_PERIOD_S = 0.1
@@ -84,7 +83,8 @@ def replay(
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
     to: To = None,
     schemas: SchemaNames = "ros",
-    monitor: MonitorFile = None,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
 
@@ -97,7 +97,7 @@ def replay(
 
     estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
     buffer = history_buffer(estimator, history)
-    watch = stream_monitor(monitor)
+    watch = watching(monitor, monitor_file)
     reading, failures = Reading(sensor), Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
