@@ -115,9 +115,9 @@ def use_everything() -> None:
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
     from viewshed.io import read_sweep, write_sweep
+    from viewshed.perception.detector import Detector
     from viewshed.preprocess.beam_matching import match_beams, polar
     from viewshed.preprocess.elevation_clusters import find_clusters
-    from viewshed.perception.detector import Detector
     from viewshed.preprocess.history import History
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.ring_recovery import recover_rings
