@@ -11,9 +11,9 @@ LENGTH_M, WIDTH_M, HEIGHT_M = USUAL_SIZE_M[ObjectKind.CAR]
 
 
 def completed(sides: list[float], is_end: bool, top_m: float = 1.4) -> np.ndarray:
-    (box,) = complete_boxes(
+    box: np.ndarray = complete_boxes(
         np.array([sides], np.float32), CAR, np.array([is_end]), np.array([top_m], np.float32)
-    )  # fmt: skip
+    )[0]  # fmt: skip
     return box
 
 
