@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.io.export.nav2 import NOTHING_KNOWN, in_the_map, keepout_values
+
+__all__ = [
+    "NOTHING_KNOWN", "NO_LIMIT", "SpeedLimits", "blind_m", "clearing_ends", "in_the_map", "keepout_values",
+    "speed_values",
+]  # fmt: skip
 
 NO_LIMIT = 0
 """Of a speed mask."""
-
-NOTHING_KNOWN = -1
-"""Of any mask: the filter leaves the cell as it is."""
 
 _RAYS_A_CELL, _STEPS_A_CELL = 2.0, 4.0
 """Rays for each cell at the grid's nearest edge, and samples along a ray for each cell's side."""
@@ -64,34 +66,6 @@ def speed_values(estimate: FovEstimate, speed_mps: float, limits: SpeedLimits) -
     values = np.where(estimate.visible(), np.int8(NO_LIMIT), np.int8(limits.percent(limits.unseen_mps)))
     values[polar_of_cells(estimate.grid)[0] <= limits.here_m] = limits.percent(speed_mps)
     return values
-
-
-def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
-    """Return 100 (cells, cells) where nothing is seen, 0 where it is; beyond the sensor's reach nothing is said."""
-    values = np.where(estimate.visible(), np.int8(0), np.int8(100))
-    if estimate.basis is not None:
-        values[polar_of_cells(estimate.grid)[0] > estimate.basis.reach_m] = NOTHING_KNOWN
-    return values
-
-
-def in_the_map(
-    values: NDArray[np.int8], grid: BevGrid, world_from_level: Rigid
-) -> tuple[BevGrid, NDArray[np.int8]]:  # fmt: skip
-    """Return values on a grid along the map's axes (costmap filters know no rotation), whose cells lie on its raster.
-
-    Args:
-        values: (cells, cells) on ``grid``.
-        grid: in the ``level`` frame.
-        world_from_level: its pose.
-    """
-    center = world_from_level @ np.array([*grid.offset_m, 0.0])
-    on_raster = (np.round(center[:2] / grid.cell_m) * grid.cell_m).tolist()
-    map_grid = BevGrid(grid.cells, grid.half_extent_m, (on_raster[0], on_raster[1]))
-    # Each cell of the mask takes the value at its center; on the ground, so that a slope does not shift it.
-    x_m, y_m = map_grid.centers[..., 0], map_grid.centers[..., 1]
-    world = np.stack([x_m, y_m, np.full(grid.shape, center[2])], axis=-1)
-    cells, inside = grid.index((world_from_level.inverse() @ world)[..., :2])
-    return map_grid, np.where(inside, values[cells[..., 0], cells[..., 1]], np.int8(NOTHING_KNOWN))
 
 
 def clearing_ends(estimate: FovEstimate) -> NDArray[np.float64]:

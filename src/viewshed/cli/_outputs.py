@@ -50,7 +50,7 @@ def stem_of(name: str) -> str:
 
 
 def parse_results(text: str) -> tuple[str, ...]:
-    """Return which of ``RESULTS`` are asked for, in their order.
+    """Return which of ``RESULTS`` are named in text, in their order.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
@@ -261,12 +261,16 @@ class Run:
     def write(self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
         """Write the results of an estimate and return its summary line, with the time if there is one."""
         from viewshed._files import write_atomic
+        from viewshed.io.export import EXPORTERS, write_export
 
         report_doubts(leveled, name)
         estimate = replace(estimate, threshold=self.threshold)
         summary = summary_line(estimate, elapsed_ms)
         for kind in self.results:
-            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
+            if kind == "png":
+                write_atomic(self.out / f"{name}.png", estimate.plot(leveled, f"{name}\n{summary}"))
+            else:
+                write_export(estimate, kind, self.out / f"{name}{EXPORTERS[kind].suffix}", crs=self.crs)
         remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
         return f"{name}: {summary}{remarks} → {self.out / name}.{self.results[0]}"
 
@@ -287,13 +291,6 @@ def report_doubts(leveled: LeveledSweep, name: str) -> None:
 
     for doubt in doubts(leveled):
         complain(f"{name}: warning: {doubt}")
-
-
-def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
-    """Return the content of a result's file."""
-    from viewshed.io.export import EXPORTERS
-
-    return estimate.plot(leveled, title) if kind == "png" else EXPORTERS[kind].encode(estimate)
 
 
 def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:

@@ -9,7 +9,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     AbstainBelow,
     Device,
     HistorySweeps,
@@ -54,14 +54,7 @@ def estimate(
     files: Files = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
@@ -94,7 +87,6 @@ def estimate(
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
     kinds = parse_results(results)
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     if history:
