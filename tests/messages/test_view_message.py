@@ -89,7 +89,8 @@ def test_payloads_are_deterministic_and_what_cbor2_reads() -> None:
 
 
 def test_messages_fit_their_schema() -> None:
-    schema = pytest.importorskip("pycddl", reason="needs pycddl").Schema(
+    pycddl = pytest.importorskip("pycddl", reason="needs pycddl")
+    schema = pycddl.Schema(
         (ROOT / "docs" / "view_message.cddl").read_text(encoding="utf-8")
     )
     full = encode_message(samples.message(view=samples.view(with_std=True)))
@@ -101,7 +102,7 @@ def test_messages_fit_their_schema() -> None:
     for key in range(7):
         fields = cbor2.loads(full)
         del fields[key]
-        with pytest.raises(ValueError, match=r"(?i)validat|key"):
+        with pytest.raises(pycddl.ValidationError, match="missing key"):
             schema.validate_cbor(cbor2.dumps(fields))
 
 
