@@ -90,9 +90,7 @@ def test_payloads_are_deterministic_and_what_cbor2_reads() -> None:
 
 def test_messages_fit_their_schema() -> None:
     pycddl = pytest.importorskip("pycddl", reason="needs pycddl")
-    schema = pycddl.Schema(
-        (ROOT / "docs" / "view_message.cddl").read_text(encoding="utf-8")
-    )
+    schema = pycddl.Schema((ROOT / "docs" / "view_message.cddl").read_text(encoding="utf-8"))
     full = encode_message(samples.message(view=samples.view(with_std=True)))
     schema.validate_cbor(full)
     schema.validate_cbor(encode_message(samples.message(**dict.fromkeys(OPTIONAL))))
