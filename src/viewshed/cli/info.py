@@ -28,7 +28,9 @@ def info(
     origin: options.Origin = None,
     ring: options.RingSource = "file",
     vehicle_yaw: options.VehicleYaw = None,
+    topic: options.Topic = None,
     index: options.Index = None,
+    number: options.Number = 0,
 ) -> None:
     """Tell what a file holds: points, rings, sensor, ground, coverage.
 
@@ -36,8 +38,8 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    sweep = reading.sweep(file, index)
+    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw, topic)
+    sweep = reading.sweep(file, index, number)
     leveled = level(sweep, options.parse_grid(grid))
     report_doubts(leveled, file.name)
     for name, value in (*_points(sweep, leveled), *_beams(sweep, sensor), *_ground(sweep, leveled)):

@@ -72,7 +72,9 @@ def view(
     origin: options.Origin = None,
     ring: options.RingSource = "file",
     vehicle_yaw: options.VehicleYaw = None,
+    topic: options.Topic = None,
     index: options.Index = None,
+    poses: options.Poses = None,
     target: options.TargetName = "car",
     weights: Weights = None,
     passes: Passes = None,
@@ -94,14 +96,14 @@ def view(
     """
     if [html, rerun, foxglove].count(None) != 2:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
+    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw, topic, poses)
     network = NetworkOptions(weights, passes, seed)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
     failures, names = Failures(), output_names(places)
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     if foxglove is not None:
         estimator = network.estimator(method, options.parse_grid(grid), target)
