@@ -172,6 +172,7 @@ def use_everything() -> None:
     _use_features(sweep)
     _use_ground(sweep)
     _use_polygons(rng)
+    _use_codes(rng)
 
 
 def _use_evidence(sweep: Any) -> None:
@@ -233,6 +234,18 @@ def _use_polygons(rng: np.random.Generator) -> None:
     inner_polygon_of_mask(mask, grid, 12)
     for whole in (True, False):
         sectors_of_mask(mask, grid, 4, whole_cells=whole)
+
+
+def _use_codes(rng: np.random.Generator) -> None:
+    """Encode and decode views, with deviations and without."""
+    from viewshed import BevGrid, FovEstimate
+    from viewshed.messages.fov_code import decode_fov, encode_fov
+
+    grid = BevGrid(40, 10.0, (3.0, -2.0))
+    prob = np.clip(rng.normal(0.5, 0.4, grid.shape), 0.0, 1.0)
+    state = np.where(prob >= 0.5, 1, 3)
+    for std in (None, np.abs(rng.normal(0.0, 0.1, grid.shape))):
+        decode_fov(encode_fov(FovEstimate(grid, prob, state, std)), grid, 0.5, std is not None)
 
 
 def _copied(value: Any) -> Any:

@@ -429,6 +429,20 @@ def thin_returns(
 ) -> tuple[NDArray[np.float64], bool]: ...
 def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
 
+# fov_code.cpp
+
+def encode_view(
+    state: NDArray[np.uint8], level: NDArray[np.uint8], deviation: NDArray[np.uint8], row: int, column: int
+) -> bytes: ...
+def decode_view(
+    code: NDArray[np.uint8],
+    cells: int,
+    row: int,
+    column: int,
+    prob: NDArray[np.float32],
+    std: NDArray[np.float32],
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32] | None] | None: ...
+
 # polygons.cpp
 
 def label_regions(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int32]: ...

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -35,9 +37,7 @@ Topic = Annotated[
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option(
-        "--poses", help="Poses of the sweeps as text: 12 numbers a line (KITTI), or t x y z qx qy qz qw (TUM)."
-    ),
+    typer.Option("--poses", help="Poses of the sweeps: 12 numbers a line (KITTI), or t x y z qx qy qz qw (TUM)."),
 ]
 Crs = Annotated[
     str | None,
@@ -69,25 +69,27 @@ RING_SOURCES = ("file", "none")
 
 PROFILES = ("sound", "paper")
 
+_NO_OPTION = "no option"
+
 _COARSE_M = 0.02
 """Points that float32 stores in coarser steps than this are noted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How files are read: what the options say about them."""
+    """How files are read: what the options say about them; see :func:`with_reading`."""
 
-    sensor: str = AUTO
-    format: str = AUTO
-    file_frame: str | None = None
-    height_m: float | None = None
-    attitude: str | None = None
-    origin: str | None = None
-    ring: str = "file"
-    vehicle_yaw_deg: float | None = None
-    topic: str | None = None
-    poses: Path | None = None
-    crs: str | None = None
+    sensor: SensorName = AUTO
+    format: FormatName = AUTO
+    file_frame: FrameName = None
+    height_m: Height = None
+    attitude: Attitude = None
+    origin: Origin = None
+    ring: RingSource = "file"
+    vehicle_yaw_deg: VehicleYaw = None
+    topic: Topic = None
+    poses: Poses = None
+    crs: str | None = field(default=None, metadata={_NO_OPTION: True})
 
     def __post_init__(self) -> None:
         if self.ring not in RING_SOURCES:
@@ -108,7 +110,7 @@ class Reading:
         return taken
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
-        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
+        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
@@ -186,6 +188,39 @@ class Reading:
         """Return the sweep with the height and attitude that the options give."""
         given = {"sensor_height_m": self.height_m, "attitude": parse_numbers("attitude", self.attitude, 4)}
         return sweep.replace(**{name: value for name, value in given.items() if value is not None})
+
+
+AS_THEY_ARE = Reading()
+"""Files are read as they say themselves."""
+
+
+def with_reading(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameter ``reading`` is an option for each field of :class:`Reading`; others as it is.
+
+    The reference system is no such option: only commands that write maps have one.
+    """
+    if "reading" not in command.__annotations__:
+        return command
+    signature, hints = inspect.signature(command, eval_str=True), get_type_hints(Reading, include_extras=True)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    own = [
+        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
+        for each in fields(Reading)
+        if _NO_OPTION not in each.metadata
+    ]
+
+    @wraps(command)
+    def with_options(**given: Any) -> None:
+        reading = Reading(**{each.name: given.pop(each.name) for each in own})
+        command(**given, reading=reading)
+
+    # Typer takes options from the signature and their types from the annotations.
+    parameters: list[inspect.Parameter] = []
+    for each in signature.parameters.values():
+        parameters += own if each.name == "reading" else [each.replace(kind=kind)]
+    with_options.__dict__["__signature__"] = signature.replace(parameters=parameters)
+    with_options.__annotations__ = {each.name: each.annotation for each in parameters}
+    return with_options
 
 
 def complain(line: str) -> None:

@@ -79,7 +79,7 @@ class Listener:
 
 @contextmanager
 def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
-    """Open the bag that was asked for, if any.
+    """Open the bag to write, if any.
 
     Raises:
         ValueError: it would replace an input, or its name is that of no bag.

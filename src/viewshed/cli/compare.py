@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts
 from viewshed.cli._places import place_of_result
 
@@ -26,15 +26,7 @@ def compare(
         str, typer.Option(help="Estimators, with commas; 'all' for every one but the networks.")
     ] = "shadow_map,majority_vote,first_blocker",
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
-    topic: options.Topic = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     number: options.Number = 0,
     target: options.TargetName = "car",
@@ -59,7 +51,6 @@ def compare(
     estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
     place = place_of_result(out, "compare.png")
     refuse_inputs([place], [file])
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw, topic)
     sweep = reading.sweep(file, index, number)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
     report_doubts(leveled, file.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     AbstainBelow,
     Device,
     HistorySweeps,
@@ -57,17 +58,8 @@ def estimate(
     files: Files = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
-    topic: options.Topic = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
-    poses: options.Poses = None,
     crs: options.Crs = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
@@ -100,13 +92,13 @@ def estimate(
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
     kinds = parse_results(results)
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw, topic, poses, crs)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)
     run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs)
+    reading = replace(reading, crs=crs)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))

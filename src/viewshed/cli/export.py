@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of, stem_of_result
 from viewshed.cli._places import place_of_result
 
@@ -25,17 +25,8 @@ def export(
         str | None, typer.Option(help="Estimator, where FILE is a sweep; as for estimate if not given.")
     ] = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
-    topic: options.Topic = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
-    poses: options.Poses = None,
     crs: options.Crs = None,
     number: options.Number = 0,
     target: options.TargetName = "car",
@@ -65,7 +56,7 @@ def export(
         estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
             method, options.parse_grid(grid), target
         )
-        reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw, topic, poses, crs)
+        reading = replace(reading, crs=crs)
         leveled = level(reading.sweep(file, index, number), estimator.grid)
         report_doubts(leveled, file.name)
         estimate = estimator.estimate(leveled)

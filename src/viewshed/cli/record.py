@@ -49,12 +49,12 @@ def record(
         str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",
     world: Annotated[
-        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first unless told.")
+        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first if not given.")
     ] = None,
     seconds: Annotated[float, typer.Option(help="Of sim: how long the drive lasts.")] = 10.0,
     hz: Annotated[float, typer.Option(help="Of sim: sweeps of each agent a second.")] = 10.0,
     agents: Annotated[int, typer.Option(help="Of sim: vehicles that measure.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's unless told.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's if not given.")] = None,
 ) -> None:
     """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
 

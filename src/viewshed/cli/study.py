@@ -108,8 +108,7 @@ def paper(
     if "pages" in scope.steps:
         results = PaperResults.read(store)
         for name in protocols:
-            _write(page or folder, files := files_of(results, name))
-            typer.echo(f"Look at {(page or folder) / next(reversed(files))}")
+            _show(page or folder, files_of(results, name))
     _require_all_done(failed)
 
 
@@ -136,8 +135,7 @@ def ablation(
     store = ResultStore.open(folder, AblationPlan.load(preset))
     failed = _with_bars(lambda progress: run_study(store, steps, workers, progress))
     if "page" in steps:
-        _write(page or folder, {"ablation.md": page_of(store).encode()})
-        typer.echo(f"Look at {(page or folder) / 'ablation.md'}")
+        _show(page or folder, {"ablation.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -163,8 +161,7 @@ def deviation(
     _require_results(folder, run=run)
     store = ResultStore.open(folder, DeviationPlan.load(preset))
     failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
-    _write(page or folder, {"deviation.md": page_of(store).encode()})
-    typer.echo(f"Look at {(page or folder) / 'deviation.md'}")
+    _show(page or folder, {"deviation.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -199,8 +196,7 @@ def monitor(
 
         measure_recorded(recorded, folder / FOLDER, store.plan)
     if "page" in steps:
-        _write(page or folder, {"monitor.md": page_of(store).encode()})
-        typer.echo(f"Look at {(page or folder) / 'monitor.md'}")
+        _show(page or folder, {"monitor.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -242,8 +238,7 @@ def wild(
         opening.log(log)
     store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
     failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []
-    _write(page or folder, page_of(store))
-    typer.echo(f"Look at {(page or folder) / 'wild.md'}")
+    _show(page or folder, page_of(store))
     _require_all_done(failed)
 
 
@@ -303,6 +298,12 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_atomic(folder / name, content)
+
+
+def _show(folder: Path, files: dict[str, bytes]) -> None:
+    """Write the pages of a study and say where the main one is, the last."""
+    _write(folder, files)
+    typer.echo(f"Look at {folder / next(reversed(files))}")
 
 
 def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:

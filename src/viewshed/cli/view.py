@@ -12,7 +12,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     BAD_INPUTS,
     HistorySweeps,
     MonitorFile,
@@ -64,17 +64,8 @@ def view(
     ] = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
-    topic: options.Topic = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
-    poses: options.Poses = None,
     target: options.TargetName = "car",
     weights: Weights = None,
     passes: Passes = None,
@@ -96,7 +87,6 @@ def view(
     """
     if [html, rerun, foxglove].count(None) != 2:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw, topic, poses)
     network = NetworkOptions(weights, passes, seed)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 Promise = Literal["expected", "confident"]
-"""Which of the two rates must not exceed the one that was asked for."""
+"""Which of the two rates must not exceed the chosen one."""
 
 Per = Literal["sweep", "drive"]
 """What alarms are counted in: single sweeps, or drives that alarm at any of their sweeps."""
@@ -294,7 +294,7 @@ def _place(ordered: Floats, score: float) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Benign scores of one verdict by group, the rate of false alarms that was asked for, and what is promised.
+    """Benign scores of one verdict by group, the chosen rate of false alarms, and what is promised.
 
     A sweep of a group without benign scores takes the largest p-value over the groups with the same history: its rate
     holds if it is like any one of them. Where there is no such group it is refused.

@@ -84,7 +84,7 @@ class Moment:
         sweep: as it was read.
         answer: what the pipeline made of it.
         truth: of a simulated drive.
-        is_live: whether the latency is told; a recording made as fast as possible has no clock in it.
+        is_live: whether the latency is written; a recording made as fast as possible has no clock in it.
     """
 
     agent: str

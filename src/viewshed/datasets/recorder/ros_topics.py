@@ -215,8 +215,8 @@ class Topic:
     Attributes:
         name: with ``{agent}`` where each agent has its own.
         make: the message of a moment, or None where it has none.
-        latched: told once, and again to whoever comes later.
-        per_time: told once for all agents of a time.
+        latched: written once; subscribers that join later receive it as well.
+        per_time: written once for all agents of a time.
     """
 
     name: str
@@ -281,7 +281,7 @@ def ros_name(name: str) -> str:
 
 
 class RosTable:
-    """The messages of moments, in the order of :data:`TOPICS`; what is told once is told once."""
+    """The messages of moments, in the order of :data:`TOPICS`; each latched message once."""
 
     def __init__(self, *, ros1: bool) -> None:
         self.messages = RosMessages(ros1=ros1)

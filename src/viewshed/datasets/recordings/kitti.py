@@ -75,7 +75,7 @@ class KittiRaw(_Kitti):
     """Drives of KITTI raw (synchronized and rectified): a drive, a date with its drives, or the folder of the dates.
 
     The world of a drive is east, north, up from where its first pose was recorded. The damage of tracklets joins that
-    of the recording when boxes of their drive are first asked for.
+    of the recording when boxes of their drive are first needed.
     """
 
     def __init__(self, place: Path) -> None:

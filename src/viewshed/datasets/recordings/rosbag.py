@@ -373,7 +373,7 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
 class BagRecording:
     """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
-    One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when asked for.
+    One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
     """
 
     def __init__(self, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:

@@ -54,7 +54,7 @@ def to_occupancy_grids(estimate: FovEstimate) -> dict[str, Any]:
 
 
 _STATE_VALUES = np.array([-1, 0, 100, 50], np.int8)
-"""Of the layer ``state``, by :class:`CellState`: HIDDEN is told from UNKNOWN."""
+"""Of the layer ``state``, by :class:`CellState`: HIDDEN differs from UNKNOWN."""
 
 
 def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
