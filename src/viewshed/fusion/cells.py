@@ -23,6 +23,10 @@ MARGIN_M = 0.25
 REACH_M, STEP_M = 2.0, 0.5
 """How far, and in what steps, a box is moved to find where its surface stands."""
 
+_RING_M = 1.0
+
+_NO_SURFACE_M = 10.0
+
 _WEIGHTS = np.array([0.0, -1.0, 1.0, 0.0])
 """What a point of a box is worth by its cell's state (unknown, free, surface, hidden) when the box is moved."""
 
@@ -33,18 +37,28 @@ _NEAR_FIRST_PER_M2 = 0.12
 """Worth lost with the square of the distance: of equal places the nearest wins."""
 
 
-class BoxShares(NamedTuple):
-    """Shares of each box's footprint, (K,) each in [0, 1]; what is left is unknown or outside the grid.
+class BoxCells(NamedTuple):
+    """What the cells in and about K boxes are, (K,) each; shares lie in [0, 1].
 
     Attributes:
-        surface: in cells with an obstacle return.
-        free: in cells that beams pass.
-        hidden: in cells that something nearer blocks.
+        surface: share of the footprint in cells with an obstacle return.
+        free: share in cells that beams pass.
+        hidden: share in cells that something nearer blocks; what is left is unknown or outside the grid.
+        ring: share of the meter around the box with an obstacle return.
+        ring_free: share of that meter that beams pass.
+        near_free: share of the side toward the sensor that beams pass.
+        first_m: meters from the side toward the sensor to the first surface in the box, 10 for none.
+        range_m: meters from the sensor.
     """
 
     surface: Floats
     free: Floats
     hidden: Floats
+    ring: Floats
+    ring_free: Floats
+    near_free: Floats
+    first_m: Floats
+    range_m: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +89,32 @@ class SeenCells:
         found = self.state[cells[..., 0], cells[..., 1]]
         return np.where(inside, found, np.uint8(CellState.UNKNOWN))
 
-    def shares(self, boxes: Floats) -> BoxShares:
-        """Return what the cells of boxes (K, 7) are."""
-        states = self.states_at(footprint_points(boxes))
-        kinds = (CellState.SURFACE, CellState.FREE, CellState.HIDDEN)
-        return BoxShares(*((states == kind).mean(axis=1) for kind in kinds))
+    def look(self, boxes: Floats, place: Floats) -> BoxCells:
+        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,)."""
+        points = footprint_points(boxes)
+        states = self.states_at(points)
+        is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE
+        # How deep each point lies in the box, along the line of sight to its center.
+        away = boxes[:, :2] - place
+        range_m = np.hypot(*away.T)
+        depth_m = ((points - boxes[:, None, :2]) * (away / np.maximum(range_m, 1e-6)[:, None])[:, None]).sum(axis=-1)
+        depth_m -= depth_m.min(axis=1, keepdims=True)
+        near = depth_m <= np.maximum(0.4 * depth_m.max(axis=1, keepdims=True), 0.8)
+        # The points of a box a meter larger that do not lie in the box itself.
+        around = footprint_points(boxes, margin_m=_RING_M)
+        outside = ~_inside(around, boxes)
+        about = self.states_at(around)
+        outer = np.maximum(outside.sum(axis=1), 1)
+        return BoxCells(
+            is_surface.mean(axis=1),
+            is_free.mean(axis=1),
+            (states == CellState.HIDDEN).mean(axis=1),
+            ((about == CellState.SURFACE) & outside).sum(axis=1) / outer,
+            ((about == CellState.FREE) & outside).sum(axis=1) / outer,
+            (is_free & near).sum(axis=1) / near.sum(axis=1),
+            np.where(is_surface, depth_m, _NO_SURFACE_M).min(axis=1),
+            range_m,
+        )
 
     def shifts(self, boxes: Floats) -> Floats:
         """Return the vector (K, 2) in meters from each box to where its surface stands, 0 where none is near.
@@ -106,3 +141,12 @@ def footprint_points(boxes: Floats, counts: tuple[int, int] = FINE, margin_m: fl
     cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
     points = np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
     return np.asarray(boxes[:, None, :2] + points)
+
+
+def _inside(points: NDArray[Any], boxes: Floats) -> NDArray[np.bool_]:
+    """Return which points (K, P, 2) lie in their boxes (K, 7), taken larger by the margin."""
+    away = points - boxes[:, None, :2]
+    cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
+    forward, left = cos * away[..., 0] + sin * away[..., 1], -sin * away[..., 0] + cos * away[..., 1]
+    half = boxes[:, 3:5] / 2 + MARGIN_M
+    return np.asarray((np.abs(forward) <= half[:, :1]) & (np.abs(left) <= half[:, 1:]))

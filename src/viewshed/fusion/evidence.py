@@ -1,8 +1,8 @@
 """Evidence about tracks: likelihood ratios from counts on benign drives, and the wealth that they make over time.
 
 Each sweep gives three likelihood ratios of a track, each against *this track is honest*: that it is fabricated, that
-its detections are removed, that it is moved. They are tables of counts: how often a value is seen on benign drives, and how often on
-the same drives with the track put elsewhere. A ratio has mean 1 on honest tracks, so it is an e-value (Vovk and Wang, 2021, arXiv
+its detections are removed, that it is moved. They are counted: how often a value is seen on benign drives, and how often on
+the same drives with the track put elsewhere; of what a box holds, weights of evidence (Good, 1985) by logistic regression. A ratio has mean 1 on honest tracks, so it is an e-value (Vovk and Wang, 2021, arXiv
 1912.06116).
 
 Over time there are two rules, for evidence about one track comes in two kinds.
@@ -34,20 +34,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
+from viewshed.fusion.cells import BoxCells
 
 Floats = NDArray[np.float64]
 
 CAP = 300.0
 """No ratio is above this or below its inverse: rare cells of a table are known no better."""
 
-_SURFACE = np.array([0.001, 0.05, 0.12, 0.25])
-"""Bounds of the share of a box in obstacle surfaces: none, a corner, a side, most of it."""
+_BOUNDS: dict[str, tuple[float, ...]] = {
+    "surface": (0.001, 0.03, 0.08, 0.15, 0.25, 0.4),
+    "free": (0.05, 0.15, 0.3, 0.5, 0.7, 0.9),
+    "ring": (0.001, 0.03, 0.08, 0.15, 0.3),
+    "ring_free": (0.2, 0.4, 0.6, 0.8, 0.95),
+    "near_free": (0.05, 0.2, 0.4, 0.7, 0.95),
+    "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
+    "range_m": (8.0, 15.0, 25.0, 35.0),
+    "found": (0.05, 0.5, 0.85, 0.95),
+}
+"""Bounds of the bins of what is measured about a box: of ``BoxCells``, and ``found``, how likely a detector finds it."""
 
-_FREE = np.array([0.05, 0.2, 0.4, 0.7])
-"""Bounds of the share of a box that beams pass."""
-
-_RANGE_M = np.array([15.0, 30.0])
-"""Bounds of its distance from the sensor: far boxes get few returns."""
+FEATURES: tuple[tuple[str, ...], ...] = (
+    ("surface", "found"), ("surface", "range_m"), ("free", "range_m"), ("ring",), ("ring_free",), ("near_free",), ("first_m",),
+)  # fmt: skip
+"""Measures whose bins have weights, alone or two together."""
 
 _VISIBLE = np.array([0.1, 0.5, 0.9])
 """Bounds of the probability that an object in the box could be seen."""
@@ -82,17 +91,65 @@ class EvidenceTable:
         return np.asarray(np.clip(ratio, 1.0 / CAP, CAP))
 
 
-CELL_BINS = (len(_RANGE_M) + 1) * (len(_SURFACE) + 1) * (len(_FREE) + 1)
 VIEW_BINS = len(_VISIBLE) + 1
 BIRTH_BINS = 3
 JUMP_BINS = len(_JUMP) + 1
 
 
-def cell_bins(range_m: Floats, surface: Floats, free: Floats, hidden: Floats) -> NDArray[np.int64]:
-    """Return the bin (K,) of what boxes are in cells, ``BLIND`` where most of a box is unknown."""
-    near = np.digitize(range_m, _RANGE_M) * (len(_SURFACE) + 1) + np.digitize(surface, _SURFACE)
-    bins = near * (len(_FREE) + 1) + np.digitize(free, _FREE)
-    return np.where(surface + free + hidden < MOSTLY, BLIND, bins)
+def _sizes() -> list[int]:
+    """Return the number of bins of each of ``FEATURES``."""
+    return [int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in FEATURES]
+
+
+def cell_bins(cells: BoxCells, found: Floats) -> NDArray[np.int64]:
+    """Return the bins (K, F) of K boxes in the weights of a model, a row of ``BLIND`` where most of a box is unknown."""
+    values = cells._asdict() | {"found": found}
+    columns, first = [], 0
+    for names, size in zip(FEATURES, _sizes(), strict=True):
+        code = np.zeros(len(found), np.int64)
+        for name in names:
+            code = code * (len(_BOUNDS[name]) + 1) + np.digitize(values[name], _BOUNDS[name])
+        columns.append(first + code)
+        first += size
+    known = cells.surface + cells.free + cells.hidden >= MOSTLY
+    return np.where(known[:, None], np.stack(columns, axis=1), BLIND)
+
+
+def cell_ratios(weights: Floats, bins: NDArray[np.int64]) -> Floats:
+    """Return the ratio (K,) of forged : honest of boxes with bins (K, F): weights of evidence add up; 1 for ``BLIND``."""
+    total = weights[-1] + weights[bins].sum(axis=1)
+    return np.where(bins[:, 0] == BLIND, 1.0, np.exp(np.clip(total, -np.log(CAP), np.log(CAP))))
+
+
+_RIDGE = 3.0
+"""Prior of the weights: bins that are rarely seen stay near 0."""
+
+
+def fit_weights(honest: NDArray[np.int64], forged: NDArray[np.int64]) -> Floats:
+    """Return the weights (W + 1,) of logistic regression on bins (N, F) of honest and (M, F) of forged boxes; last the bias.
+
+    Both classes weigh the same, so that a sum of weights is a log-likelihood ratio. Newton's method.
+    """
+    honest, forged = honest[honest[:, 0] != BLIND], forged[forged[:, 0] != BLIND]
+    count = sum(_sizes()) + 1
+    bins = np.concatenate([honest, forged])
+    design = np.zeros((len(bins), count))
+    np.put_along_axis(design, bins, 1.0, axis=1)
+    design[:, -1] = 1.0
+    label = np.repeat([0.0, 1.0], [len(honest), len(forged)])
+    share = np.where(label == 1.0, 0.5 / max(len(forged), 1), 0.5 / max(len(honest), 1)) * len(bins)
+    ridge = np.full(count, _RIDGE)
+    ridge[-1] = 1e-6
+    weights = np.zeros(count)
+    for _ in range(_STEPS):
+        prob = 1.0 / (1.0 + np.exp(-design @ weights))
+        slope = design.T @ (share * (label - prob)) - ridge * weights
+        curve = (design * (share * prob * (1.0 - prob))[:, None]).T @ design + np.diag(ridge)
+        weights = weights + np.linalg.solve(curve, slope)
+    return weights
+
+
+_STEPS = 12
 
 
 def view_bins(visible: Floats) -> NDArray[np.int64]:
@@ -144,7 +201,7 @@ class EvidenceModel:
     """What evidence is worth, and from which e-value on a track is accused.
 
     Attributes:
-        cells: of what a matched track's box is in cells, for fields of view with states.
+        weights: log ratios of what the cells of a box are, by the bins of ``FEATURES``, last the bias; for fields of view with states.
         view: of how well it could be seen.
         birth: of where it came from.
         jump: of how suddenly it moved.
@@ -158,7 +215,7 @@ class EvidenceModel:
         block_s: of misses and of jumps, seconds that count as one.
     """
 
-    cells: EvidenceTable
+    weights: tuple[float, ...]
     view: EvidenceTable
     birth: EvidenceTable
     jump: EvidenceTable
@@ -193,10 +250,10 @@ class EvidenceModel:
         """Return the model in plain values."""
         tables = {name: EvidenceTable(**{k: tuple(v) for k, v in values[name].items()}) for name in TABLES}
         others = {each.name: values[each.name] for each in fields(cls) if each.name not in TABLES}
-        return cls(**tables, **others | {name: tuple(others[name]) for name in ("limits", "block_s")})
+        return cls(**tables, **others | {name: tuple(others[name]) for name in ("weights", "limits", "block_s")})
 
 
-TABLES = {"cells": CELL_BINS, "view": VIEW_BINS, "birth": BIRTH_BINS, "jump": JUMP_BINS}
+TABLES = {"view": VIEW_BINS, "birth": BIRTH_BINS, "jump": JUMP_BINS}
 """The tables of a model and their number of bins."""
 
 
@@ -206,6 +263,8 @@ class EvidenceCounts:
 
     honest: dict[str, Floats] = field(default_factory=lambda: {name: np.zeros(bins) for name, bins in TABLES.items()})
     forged: dict[str, Floats] = field(default_factory=lambda: {name: np.zeros(bins) for name, bins in TABLES.items()})
+    honest_cells: list[NDArray[np.int64]] = field(default_factory=list)
+    forged_cells: list[NDArray[np.int64]] = field(default_factory=list)
 
     def add(self, name: str, honest: NDArray[np.int64], forged: NDArray[np.int64]) -> None:
         """Add the bins of honest and of forged tracks to a table."""
@@ -215,3 +274,9 @@ class EvidenceCounts:
     def table(self, name: str) -> EvidenceTable:
         """Return one of the tables."""
         return EvidenceTable(tuple(self.honest[name].tolist()), tuple(self.forged[name].tolist()))
+
+    def weights(self) -> tuple[float, ...]:
+        """Return the weights of what cells say, all 0 where no field of view had states."""
+        if not self.honest_cells:
+            return (0.0,) * (sum(_sizes()) + 1)
+        return tuple(fit_weights(np.concatenate(self.honest_cells), np.concatenate(self.forged_cells)).tolist())

@@ -18,7 +18,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.cells import SeenCells
+from viewshed.fusion.cells import BoxCells, SeenCells
 from viewshed.fusion.evidence import (
     BLIND,
     CAP,
@@ -26,6 +26,7 @@ from viewshed.fusion.evidence import (
     EvidenceModel,
     birth_bins,
     cell_bins,
+    cell_ratios,
     jump_bins,
     mean_after,
     ratios_of,
@@ -199,21 +200,31 @@ class _Remembered:
         birth: ratio of its birth.
         log_mean: log of the mean ratio of what its boxes held.
         looked_s: for how long they were looked at.
-        row: the track alone, as it was last.
+        last, number: the tracks in which it was last, and its place among them.
         times, places: of its last detections.
         offset: (2,) by which it jumped, if it is believed to be moved.
         bare_s: for how long no surface has been where it should be.
+        hits, looks, looks_at_hit: sweeps with a detection; with a view of it; with a view until the last detection.
     """
 
     wealth: Floats
     birth: float
-    row: Tracks
+    last: Tracks
+    number: int = 0
     log_mean: float = 0.0
     looked_s: float = 0.0
     times: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST + _EARLIER))
     places: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_LATEST + _EARLIER))
     offset: Floats = field(default_factory=lambda: np.zeros(2))
     bare_s: float = 0.0
+    hits: int = 0
+    looks: int = 0
+    looks_at_hit: int = 0
+
+    @property
+    def usually_found(self) -> float:
+        """How often it was detected while it was: short tracks are often false detections that go again."""
+        return (self.hits + 1.0) / (self.looks_at_hit + 3.0)
 
 
 _LATEST, _EARLIER, _LEAST_EARLIER = 3, 12, 5
@@ -225,7 +236,7 @@ _LEAST_STD_M = 0.08
 _TURN_MPS2 = 2.0
 """Acceleration that moving objects have without being suspicious."""
 
-_PARKED_MPS = 0.4
+_PARKED_MPS = 0.5
 """Objects slower than this are taken for standing."""
 
 
@@ -316,14 +327,17 @@ class SingleFusion:
         # What is looked at: the detection where there is one, else where the track should be.
         boxes = both.boxes.copy()
         boxes[is_matched] = detections.boxes[both.detection[is_matched]]
-        look = _look(boxes, views, model)
+        look = _look(boxes, both.kinds, views, model)
         alarmed = np.any([view.alarmed(boxes) for view in views], axis=0)
         found = np.clip(both.visible * both.detectable, 0.0, 1.0 - model.still_found)
+        usual = np.array([self._remembered[i].usually_found for i in both.ids.tolist()])
+        found = np.where(is_matched, found, np.minimum(found, usual))
 
         ratios = np.ones((count, 3))
         ratios[is_matched, FABRICATED] = look.ratio[is_matched]
         # Removed: nothing is detected where the object still stands. Else it was missed, or it is gone.
-        missed = 1.0 / ((1.0 - model.gone) * (1.0 - found) + model.gone * look.ratio)
+        still = self._still_there(both, look, is_matched, views)
+        missed = 1.0 / ((1.0 - model.gone) * (1.0 - found) + model.gone * still)
         ratios[:, REMOVED] = np.where(is_matched, model.still_found / np.maximum(found, model.still_found), missed)
         for k in np.flatnonzero(is_matched):
             memory = self._remembered[int(both.ids[k])]
@@ -333,7 +347,9 @@ class SingleFusion:
             if ratio > 1.0 and np.hypot(*vector) > np.hypot(*memory.offset):
                 memory.offset = vector
         ratios = np.clip(ratios, 1.0 / CAP, CAP)
-        ratios[~both.confirmed & ~is_matched, REMOVED] = 1.0 / CAP
+        # What was seen for a moment only is often a false detection: nobody need have removed it.
+        hits = np.array([self._remembered[i].hits for i in both.ids.tolist()])
+        ratios[~is_matched & ((hits < _KNOWN_HITS) | ~both.confirmed), REMOVED] = 1.0
 
         for k in np.flatnonzero(~alarmed):
             memory = self._remembered[int(both.ids[k])]
@@ -362,40 +378,52 @@ class SingleFusion:
             both, explanations, e_values, wealth, suspicions, accused, np.where(moved[:, None], offsets, 0.0), is_held, reasons,
         )  # fmt: skip
 
+    def _still_there(
+        self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]
+    ) -> Floats:
+        """Return gone : still there (N,) by the cells: those at the track, or at the nearest surface if these fit better."""
+        ratio = look.ratio.copy()
+        lost, cells = np.flatnonzero(~is_matched), views[0].cells
+        if cells is not None and len(lost):
+            boxes = tracks.boxes[lost].copy()
+            boxes[:, :2] += cells.shifts(boxes)
+            ratio[lost] = np.minimum(ratio[lost], _look(boxes, tracks.kinds[lost], views, self.model).ratio)
+        return ratio
+
     def _remember(self, tracks: Tracks, detections: Detections) -> None:
         """Take note of the tracker's tracks; forget what is too long ago."""
         for k, number in enumerate(tracks.ids.tolist()):
             memory = self._remembered.get(number)
-            row = take_tracks(tracks, np.array([k]))
             if memory is None:
                 born = np.array([tracks.born_hidden[k]])
                 birth = float(ratios_of(self.model.birth, birth_bins(born))[0])
-                memory = self._remembered[number] = _Remembered(np.array([birth, 0.0, 0.0]), birth, row)
-            memory.row = row
+                memory = self._remembered[number] = _Remembered(np.array([birth, 0.0, 0.0]), birth, tracks)
+            memory.last, memory.number = tracks, k
+            memory.looks += tracks.visible[k] >= 0.5
             if tracks.detection[k] >= 0:
+                memory.hits += 1
+                memory.looks_at_hit = max(memory.looks, memory.hits)
                 x_m, y_m = detections.boxes[tracks.detection[k], :2]
                 memory.times.append(tracks.t_s)
                 memory.places.append((float(x_m), float(y_m)))
 
     def _held(self, tracks: Tracks, view: SensorView, dt_s: float) -> Tracks:
         """Return the tracks that the tracker has given up, where they should be now; forget those that are gone."""
-        known = set(tracks.ids.tolist())
-        detected = tracks.boxes[tracks.detection >= 0]
+        known, is_matched = set(tracks.ids.tolist()), tracks.detection >= 0
+        suspected = np.array([self._remembered[i].wealth[FABRICATED] for i in tracks.ids[is_matched].tolist()])
+        honest = tracks.boxes[is_matched][suspected < self.model.limits[FABRICATED]]
         rows = []
         for number, memory in list(self._remembered.items()):
             if number in known:
                 continue
-            row = memory.row
-            seen = np.hypot(*(detected[:, :2] - row.boxes[0, :2]).T).min(initial=np.inf)
-            others = [
-                self._remembered[int(i)].wealth[FABRICATED] for i in tracks.ids[tracks.detection >= 0]
-            ]
-            taken = seen < _SAME_M and others[int(np.hypot(*(detected[:, :2] - row.boxes[0, :2]).T).argmin())] < self.model.limits[FABRICATED]
-            if taken or not row.confirmed[0] or tracks.t_s - row.seen_s[0] > MEMORY_S or memory.bare_s > _BARE_S:
+            row = take_tracks(memory.last, np.array([memory.number]))
+            found_again = np.hypot(*(honest[:, :2] - row.boxes[0, :2]).T).min(initial=np.inf) < _SAME_M
+            is_old = tracks.t_s - row.seen_s[0] > MEMORY_S or memory.bare_s > _BARE_S
+            if found_again or is_old or not row.confirmed[0]:
                 del self._remembered[number]
                 continue
-            memory.row = _predicted(row, tracks.t_s, dt_s, view)
-            rows.append(memory.row)
+            memory.last, memory.number = _predicted(row, tracks.t_s, dt_s, view), 0
+            rows.append(memory.last)
         if not rows:
             return take_tracks(tracks, np.zeros(len(tracks), np.bool_))
         arrays: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in rows]) for name in _ROWS}
@@ -436,8 +464,11 @@ Observed = tuple[Tracks, Detections, Sequence[SensorView]]
 _MOST_WEALTH = 1e6
 """Wealth is held below this, so that a track can be acquitted again."""
 
-_SAME_M = 2.0
+_SAME_M = 1.2
 """A detected track so near a given-up one is the same object."""
+
+_KNOWN_HITS = 10
+"""Only tracks with so many detections can be missed."""
 
 _BARE_S = 0.5
 """A given-up track without a surface for so long is gone."""
@@ -459,38 +490,49 @@ class _Look:
     unknown: Floats
 
 
-def _look(boxes: Floats, views: Sequence[SensorView], model: EvidenceModel) -> _Look:
+def _look(boxes: Floats, kinds: NDArray[np.uint8], views: Sequence[SensorView], model: EvidenceModel) -> _Look:
     """Ask all views of boxes (K, 7); however they depend on each other, the mean of their ratios is an e-value."""
     count = len(boxes)
     total, speaking = np.zeros(count), np.zeros(count)
     shares = [np.full(count, np.nan), np.zeros(count), np.zeros(count)]
     unknown = np.zeros(count)
     for number, each in enumerate(views):
-        table, bins, seen = bins_of(boxes, each)
-        speaks = bins != BLIND
-        total += np.where(speaks, ratios_of(getattr(model, table), bins), 0.0)
+        if each.cells is None:
+            ratio, speaks = ratios_of(model.view, view_bins(each.view.visible(boxes))), np.ones(count, np.bool_)
+        else:
+            seen, bins = cell_evidence(boxes, kinds, each)
+            ratio, speaks = cell_ratios(np.array(model.weights), bins), bins[:, 0] != BLIND
+            if number == 0:
+                shares, unknown = [seen.surface, seen.free, seen.hidden], 1.0 - seen.surface - seen.free - seen.hidden
+        total += np.where(speaks, ratio, 0.0)
         speaking += speaks
-        if number == 0 and seen is not None:
-            shares, unknown = list(seen), 1.0 - sum(seen)
     ratio = np.where(speaking > 0, total / np.maximum(speaking, 1), 1.0)
     return _Look(ratio, *shares, unknown)
 
 
-def bins_of(boxes: Floats, view: SensorView) -> tuple[str, NDArray[np.int64], tuple[Floats, ...] | None]:
-    """Return the table that a view's evidence is looked up in, its bins (K,), and the shares of the boxes in cells."""
+def cell_evidence(boxes: Floats, kinds: NDArray[np.uint8], view: SensorView) -> tuple[BoxCells, NDArray[np.int64]]:
+    """Return what the cells of boxes (K, 7) are, and their bins (K, F) in the weights of a model.
+
+    Raises:
+        ValueError: the view has no cells.
+    """
     if view.cells is None:
-        return "view", view_bins(view.view.visible(boxes)), None
-    shares = view.cells.shares(boxes)
-    range_m = np.hypot(*(boxes[:, :2] - view.place).T)
-    return "cells", cell_bins(range_m, *shares), shares
+        raise ValueError(f"{view.sensor} must have cells, got none")
+    cells = view.cells.look(boxes, view.place)
+    return cells, cell_bins(cells, view.view.visible(boxes) * view.view.detectable(boxes, kinds))
 
 
 def _predicted(row: Tracks, t_s: float, dt_s: float, view: SensorView) -> Tracks:
-    """Return a track that the tracker has given up one sweep later, at the surface that is nearest to where it should be."""
+    """Return a track that the tracker has given up one sweep later, where it should be.
+
+    One that moves is drawn to the nearest surface: it may brake or turn. One that stands stays.
+    """
     states, boxes = row.states.copy(), row.boxes.copy()
+    if np.hypot(*states[0, 2:]) < _CREEP_MPS:
+        states[:, 2:] = 0.0
     states[:, :2] += dt_s * states[:, 2:]
     boxes[:, :2] = states[:, :2]
-    if view.cells is not None:
+    if view.cells is not None and states[0, 2:].any():
         shift = _PULL * view.cells.shifts(boxes)
         states[:, :2] += shift
         boxes[:, :2] += shift
@@ -499,6 +541,9 @@ def _predicted(row: Tracks, t_s: float, dt_s: float, view: SensorView) -> Tracks
         visible=view.view.visible(boxes), detectable=view.view.detectable(boxes, row.kinds),
     )  # fmt: skip
 
+
+_CREEP_MPS = 1.0
+"""A given-up track that was slower than this is taken to stand."""
 
 _PULL = 0.3
 """Part of the way to the nearest surface that a given-up track goes each sweep."""
@@ -545,8 +590,8 @@ def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, ac
     counts = EvidenceCounts()
     for drive in drives[::2]:
         count_drive(drive, counts, rng)
-    tables = {name: counts.table(name) for name in ("cells", "view", "birth", "jump")}
-    model = EvidenceModel(**tables, limits=_NO_LIMITS, accused=accused)
+    tables = {name: counts.table(name) for name in ("view", "birth", "jump")}
+    model = EvidenceModel(counts.weights(), **tables, limits=_NO_LIMITS, accused=accused)
     highest: list[Floats] = []
     for drive in drives[1::2]:
         highest += highest_e_values(drive, model).values()
@@ -605,9 +650,11 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         boxes = detections.boxes[tracks.detection[is_matched]]
         view = views[0]
         elsewhere = _turned(boxes, view.place, rng)
-        for cells in {None, view.cells}:
-            table, bins, _ = bins_of(boxes, replace(view, cells=cells))
-            counts.add(table, bins, bins_of(elsewhere, replace(view, cells=cells))[1])
+        counts.add("view", view_bins(view.view.visible(boxes)), view_bins(view.view.visible(elsewhere)))
+        if view.cells is not None:
+            kinds = tracks.kinds[is_matched]
+            counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
+            counts.forged_cells.append(cell_evidence(elsewhere, kinds, view)[1])
         born = is_matched & (tracks.born_s == tracks.t_s)
         if before is not None and born.any():
             new = _turned(tracks.boxes[born], view.place, rng)

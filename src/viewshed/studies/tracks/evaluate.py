@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.fusion.evidence import EvidenceModel
 from viewshed.fusion.single import FABRICATED, REMOVED, ExplainedTracks, Observed, SingleFusion
 from viewshed.object_metrics import gospa
-from viewshed.studies.tracks.drives import Moment
+from viewshed.studies.tracks.drives import HZ, Moment
 from viewshed.threats.object_attacks import ForgedDetections, RunningAttack
 from viewshed.tracking.tracker import Rules, Tracker
 
@@ -43,6 +43,7 @@ class Forgery:
     Attributes:
         first_s: when it was first forged.
         last_s: when it was last forged.
+        sweeps: in how many sweeps it was.
         visible: probabilities with which it was visible in these sweeps.
         shifts_m: by how much it was moved.
         found_s: when it was first accused; infinite if never.
@@ -51,6 +52,7 @@ class Forgery:
 
     first_s: float
     last_s: float
+    sweeps: int = 0
     visible: list[float] = field(default_factory=list)
     shifts_m: list[float] = field(default_factory=list)
     found_s: float = np.inf
@@ -138,7 +140,7 @@ def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections) 
 
     def note(of: dict[int, Forgery], number: int) -> Forgery:
         one = of.setdefault(number, Forgery(t_s, t_s))
-        one.last_s = t_s
+        one.last_s, one.sweeps = t_s, one.sweeps + 1
         return one
 
     for ghost in forged.ghost[forged.ghost >= 0].tolist():
@@ -186,6 +188,6 @@ def _note_accusations(
 
 def share_found(forgeries: Sequence[Forgery], within_s: float = np.inf) -> tuple[int, int]:
     """Return how many forged objects were accused in time, and how many there were that were forged long enough."""
-    long = [one for one in forgeries if one.last_s - one.first_s >= FORGED_S - 1e-6]
+    long = [one for one in forgeries if one.sweeps >= FORGED_S * HZ]
     found = sum(one.found_s < np.inf and one.found_s - one.first_s <= within_s + 1e-6 for one in long)
     return found, len(long)
