@@ -13,6 +13,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -24,12 +25,16 @@ from viewshed.geometry import Rigid
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
-from viewshed.pipeline import Answer, Pipeline
+from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Pipeline
 from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
 from viewshed_ros.layers import LAYERS, View
 from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
+
+NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+"""Each event of each publisher would be waited for anew at every message, which takes longer than a laser scan;
+subscribers still say themselves where their quality of service does not fit."""
 
 FALSE_ALARM_SWEEPS = 36_000.0
 """Mean number of sweeps between false alarms of a stream: an hour at 10 Hz."""
@@ -52,6 +57,7 @@ class Sensor:
     frame: str = ""
     last_ns: int | None = None
     last_view: View | None = None
+    last_said: tuple[object, ...] = ()
     subscription: Any = None
 
 
@@ -186,8 +192,9 @@ class FieldOfView(LifecycleNode):
 
     def _publisher(self, message_type: type[Any], topic: str, qos: QoSProfile) -> Any:
         publisher = self.create_lifecycle_publisher(
-            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
-        )
+            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=NO_EVENTS,
+        )  # fmt: skip
         self._destroy.append(partial(self.destroy_lifecycle_publisher, publisher))
         return publisher
 
@@ -272,7 +279,10 @@ class FieldOfView(LifecycleNode):
         """Publish of an answer what somebody listens to; the pipeline calls this in its thread."""
         sensor = self._sensors[answer.agent]
         name = f"{self.get_name()}: {answer.agent}"
-        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=True)
+        # Who comes late is given the last alarm that said something new.
+        says = (answer.reaction.caution, answer.refused, answer.notes)
+        is_new, sensor.last_said = says != sensor.last_said, says
+        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=is_new)
         if answer.notes:
             sensor.counts.last_note = answer.notes[0]
         if answer.estimate is None:
@@ -343,6 +353,7 @@ class FieldOfView(LifecycleNode):
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until it is told to end."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     rclpy.init(args=arguments or sys.argv)
     node = FieldOfView()
     try:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import cells_of_sectors
 
@@ -162,11 +164,20 @@ def speed_for_view(
         delay_s: until the brakes act.
         braking_mps2: how hard it brakes.
     """
-    grid = estimate.grid
-    x_m, y_m = grid.centers[..., 0], grid.centers[..., 1]
-    lane = (np.abs(y_m) <= half_width_m) & (x_m > front_m)
-    blocked = lane & (estimate.state != CellState.FREE)
-    # A cell blocks from its near side on; the grid ends where a further cell would begin.
-    near_side_m = np.append(x_m[blocked] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
-    clear_m = max(float(near_side_m.min()) - front_m, 0.0)
+    lane, near_side_m = _lane(estimate.grid, front_m, half_width_m)
+    blocked = (estimate.state[lane] != CellState.FREE).any(axis=1)
+    clear_m = max(float(near_side_m[np.append(blocked, True).argmax()]) - front_m, 0.0)
     return float(np.sqrt((braking_mps2 * delay_s) ** 2 + 2 * braking_mps2 * clear_m) - braking_mps2 * delay_s)
+
+
+@lru_cache(maxsize=16)
+def _lane(grid: BevGrid, front_m: float, half_width_m: float) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
+    """Return the cells of the lane before the vehicle, and where each of their rows begins (rows + 1,) in meters.
+
+    A cell blocks from its near side on; the last value is where the grid ends.
+    """
+    x_m, y_m = grid.centers[:, 0, 0], grid.centers[0, :, 1]
+    rows, columns = x_m > front_m, np.abs(y_m) <= half_width_m
+    begin_x, begin_y = int(rows.argmax()) if rows.any() else len(rows), int(columns.argmax())
+    near_side_m = np.append(x_m[begin_x:] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
+    return (slice(begin_x, None), slice(begin_y, begin_y + int(columns.sum()))), near_side_m

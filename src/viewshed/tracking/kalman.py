@@ -31,7 +31,7 @@ class Motion:
         heading_from_mps: from this speed on the box's heading is the quarter turn nearest to its velocity.
     """
 
-    acceleration_density: float = 2.0
+    acceleration_density: float = 1.0
     state_drift: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     velocity_std_mps: float = 8.0
     position_std_m: float | None = None

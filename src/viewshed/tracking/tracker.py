@@ -201,12 +201,12 @@ class ExistenceRules:
     gate: float = 13.8
     clutter_per_m2: float = 1e-4
     unseen_per_m2: float = 2e-4
-    seen_share: float = 0.02
+    seen_share: float = 0.05
     recurrence: float = 0.5
     most_found: float = 0.98
-    doubt_s: float = 0.5
+    doubt_s: float = 0.2
     lifetime_s: float = 60.0
-    surest: float = 0.999
+    surest: float = 0.99
     confirm_from: float = 0.8
     drop_below: float = 0.05
     lost_m: float = 8.0
