@@ -45,6 +45,7 @@ class Liars:
         victim: agent that is to be expelled, for ``flip``, or -1.
         rng: of their choices.
         touched: objects, or shares of the area, that they changed, of each time.
+        places: (J, 2 or more) where the objects are, in the world, that they lie about; None before they chose.
     """
 
     lie: Lie
@@ -52,7 +53,7 @@ class Liars:
     victim: int
     rng: np.random.Generator
     touched: list[float] = field(default_factory=list)
-    _places: Floats | None = None
+    places: Floats | None = None
     _shifts: Floats | None = None
     _honest: list[list[AgentReport]] = field(default_factory=list)
     _view: ViewLie | None = None
@@ -91,11 +92,11 @@ class Lie:
 def _fabricate(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
     """Report the same invented cars again and again, about the first liar."""
     first = reports[liars.numbers[0]]
-    if liars._places is None:
-        liars._places = _free_places(liars.rng, first, reports)
+    if liars.places is None:
+        liars.places = _free_places(liars.rng, first, reports)
     boxes = np.column_stack([
-        liars._places[:, :2], np.full(len(liars._places), first.world_from_level.translation[2] + 0.75),
-        np.tile(FABRICATED_SIZE_M, (len(liars._places), 1)), liars._places[:, 2],
+        liars.places[:, :2], np.full(len(liars.places), first.world_from_level.translation[2] + 0.75),
+        np.tile(FABRICATED_SIZE_M, (len(liars.places), 1)), liars.places[:, 2],
     ])  # fmt: skip
     out = list(reports)
     for number in liars.numbers:
@@ -169,8 +170,8 @@ def _flip(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
     none, so that the victim is the one whose reports differ.
     """
     victim = reports[liars.victim]
-    if liars._places is None:
-        liars._places = _free_places(liars.rng, victim, reports)
+    if liars.places is None:
+        liars.places = _free_places(liars.rng, victim, reports)
     out = _fabricate(liars, reports)
     own = victim.in_world.boxes
     seen_by = np.zeros(len(own))
@@ -224,15 +225,15 @@ def _chosen(liars: Liars, reports: Sequence[AgentReport]) -> Floats:
     """Return where the objects are (J, 2), in the world, that the liars chose of those near the first one."""
     report = reports[liars.numbers[0]]
     xy = report.in_world.boxes[report.range_m(report.in_world.boxes) < WITHIN_M, :2]
-    if liars._places is None:
-        liars._places = liars.rng.permutation(xy)[:FORGED]
-    elif len(xy) and len(liars._places):
+    if liars.places is None:
+        liars.places = liars.rng.permutation(xy)[:FORGED]
+    elif len(xy) and len(liars.places):
         # Each is followed from time to time, to the nearest detection; one that is gone stays where it was.
-        away = np.linalg.norm(liars._places[:, None] - xy[None], axis=2)
+        away = np.linalg.norm(liars.places[:, None] - xy[None], axis=2)
         nearest = away.argmin(axis=1)
         close = away.min(axis=1) < FOLLOW_M
-        liars._places = np.where(close[:, None], xy[nearest], liars._places)
-    return liars._places
+        liars.places = np.where(close[:, None], xy[nearest], liars.places)
+    return liars.places
 
 
 def _nearest(report: AgentReport, places: Floats) -> NDArray[np.intp]:

@@ -13,8 +13,8 @@ from viewshed.studies.agents.lies import LIES
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 
 SPLITS = ("claims", "calibration", "test")
-"""No scene is in two of them: what claims are worth is from the first, limits are from the second, figures from the
-third."""
+"""No scene is in two of them: what claims are worth, and how honest views err, is from the first, limits are from the
+second, figures from the third."""
 
 ONSET_S = 2.0
 """Agents lie from this time of a scene on."""
@@ -84,7 +84,7 @@ class AgentsPlan(Plan):
 
     def run_keys(self) -> list[JobKey]:
         """Return the names of the runs' jobs: split and number of a scene, in all of its cases."""
-        return [("run", *key[1:]) for key in self.scene_keys() if key[1] != "claims"]
+        return [("run", *key[1:]) for key in self.scene_keys()]
 
     def cases_of(self, split: str, number: int) -> list[str]:
         """Return what is tried in a scene: honest, and in test scenes some lies in turn."""

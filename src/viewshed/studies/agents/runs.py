@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from viewshed.fusion.claims import ClaimTable
 from viewshed.fusion.many import FAR_M, AgentReport, CommandCenter
-from viewshed.fusion.view_checks import VIEW_CHECKS, ClaimedView, check_view
+from viewshed.fusion.view_checks import ClaimedView, check_view
 from viewshed.object_metrics import gospa
-from viewshed.studies.agents.lies import LIES, Liars
-from viewshed.studies.agents.plan import HONEST, ONSET_S
+from viewshed.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
+from viewshed.studies.agents.plan import ONSET_S
 from viewshed.studies.agents.scenes import Scene
 from viewshed.studies.cases import generator
 from viewshed.tracking.views import GridView
@@ -46,6 +46,7 @@ class Run:
         checks: [A][C] of the claimed views, the mean over some times; None where a check abstained.
         gospa: by center, [T] meters.
         touched: [T] objects, or share of the area, that the liars changed.
+        overlap: other honest agents that see the places which were lied about, on average; NaN for lies about views.
     """
 
     case: str
@@ -58,6 +59,7 @@ class Run:
     checks: list[list[float | None]]
     gospa: dict[str, list[float]]
     touched: list[float]
+    overlap: float
 
 
 def run_case(scene: Scene, case: str, seed: tuple[object, ...], claims: ClaimTable) -> Run:
@@ -91,7 +93,21 @@ def run_case(scene: Scene, case: str, seed: tuple[object, ...], claims: ClaimTab
         case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence), _rounded(doubt),
         _rounded(trust), np.array(suspects, int).tolist(), checked(scene, said),
         {name: _rounded(values) for name, values in distances.items()}, liars.touched if liars else [],
+        overlap_of(scene, liars) if liars else float("nan"),
     )  # fmt: skip
+
+
+def overlap_of(scene: Scene, liars: Liars) -> float:
+    """Return how many other agents see the places that were lied about last, on average; NaN where there are none."""
+    if liars.places is None or not len(liars.places):
+        return float("nan")
+    boxes = np.zeros((len(liars.places), 7))
+    boxes[:, :2], boxes[:, 3:6] = liars.places[:, :2], FABRICATED_SIZE_M
+    see = [
+        GridView(report.estimate, 0.0).visible(boxes) * (report.range_m(boxes) < FAR_M)
+        for number, report in enumerate(scene.reports(len(scene.times_s) - 1)) if number not in liars.numbers
+    ]  # fmt: skip
+    return float(np.sum(see, axis=0).mean())
 
 
 def _said(scene: Scene, liars: Liars | None) -> list[list[AgentReport]]:
@@ -155,16 +171,6 @@ def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:
             columns["found"].append(away.min(axis=1, initial=np.inf) < FOUND_M)
             columns["returns"].append(scene.returns[time, number, near])
     return {name: np.concatenate(parts) for name, parts in columns.items()}
-
-
-def names_of_checks() -> tuple[str, ...]:
-    """Return the names of the checks, in the order of a run's."""
-    return tuple(VIEW_CHECKS)
-
-
-def is_honest(run: Run) -> bool:
-    """Return whether nobody lied, or nobody changed enough to count."""
-    return run.case == HONEST
 
 
 def _rounded(values: Any) -> Any:
