@@ -49,17 +49,17 @@ def stem_of(name: str) -> str:
     return name
 
 
-def parse_results(text: str) -> tuple[str, ...]:
-    """Return which of ``RESULTS`` are named in text, in their order.
+def parse_results(text: str, known: Sequence[str] = RESULTS) -> tuple[str, ...]:
+    """Return which of the known results are named in text, in their order.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
     """
     wanted = text.split(",")
     for name in wanted:
-        if name not in RESULTS:
-            raise ValueError(f"results must be some of {','.join(RESULTS)}, with commas, got {text!r}")
-    return tuple(name for name in RESULTS if name in wanted)
+        if name not in known:
+            raise ValueError(f"results must be some of {','.join(known)}, with commas, got {text!r}")
+    return tuple(name for name in known if name in wanted)
 
 
 def output_names(files: Sequence[Path]) -> list[str]:

@@ -42,6 +42,9 @@ GATE_M = 4.0
 FAR_M = 50.0
 """Reports from farther than this, and silence about what is farther, say nothing."""
 
+OWN_SIZE_M = (4.8, 2.0, 1.6)
+"""Size of the vehicle below a low sensor, where it is not known."""
+
 STD_M, STD_PER_M = 0.25, 0.006
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
 
@@ -72,6 +75,17 @@ class AgentReport:
     def __post_init__(self) -> None:
         if self.estimate.world_from_level is None:
             raise ValueError(f"the view of {self.estimate.agent} must have a pose: without one it cannot be placed")
+
+    @classmethod
+    def of(cls, estimate: FovEstimate, detections: Detections) -> AgentReport:
+        """Return the report of an agent whose vehicle is not known: one of usual size below a low sensor.
+
+        Raises:
+            ValueError: the view has no pose.
+        """
+        report = cls(estimate, detections)
+        own = np.array([0.0, 0.0, OWN_SIZE_M[2] / 2, *OWN_SIZE_M, 0.0])
+        return report if report.elevated else cls(estimate, detections, own)
 
     @property
     def agent(self) -> str:
@@ -310,6 +324,8 @@ class JointFov:
         visible_prob: (cells, cells) probability that any trusted agent sees a target there.
         seen_by: (cells, cells) uint8, how many agents claim to see it.
         surest: (cells, cells) int8 number of the agent that sees it most surely, -1 where nobody sees it.
+        state: (cells, cells) uint8: SURFACE or FREE as the surest agent says, HIDDEN where somebody says so and nobody
+            sees it, UNKNOWN elsewhere.
     """
 
     grid: BevGrid
@@ -318,6 +334,14 @@ class JointFov:
     visible_prob: NDArray[np.float32]
     seen_by: NDArray[np.uint8]
     surest: NDArray[np.int8]
+    state: NDArray[np.uint8]
+
+    def estimate(self, t_ns: int | None = None) -> FovEstimate:
+        """Return it as one estimate, to be drawn and saved as others are."""
+        return FovEstimate(
+            self.grid, self.visible_prob, self.state, method=f"joint view of {len(self.agents)}",
+            world_from_level=self.world_from_grid, t_ns=t_ns, agent=" ".join(self.agents),
+        )  # fmt: skip
 
 
 def joint_fov(
@@ -333,18 +357,23 @@ def joint_fov(
         raise ValueError(f"trust must be of {len(views)} views, got {len(weights)}")
     missed, seen_by = np.ones(grid.shape), np.zeros(grid.shape, np.uint8)
     most, surest = np.zeros(grid.shape), np.full(grid.shape, -1, np.int8)
+    state = np.full(grid.shape, CellState.UNKNOWN, np.uint8)
     for number, (view, weight) in enumerate(zip(views, weights, strict=True)):
-        prob = weight * claimed_at(view, grid, world_from_grid)
+        prob, said = claimed_at(view, grid, world_from_grid)
+        prob = weight * prob
+        state[(said == CellState.HIDDEN) & (surest < 0)] = CellState.HIDDEN
         missed *= 1.0 - prob
         seen_by += prob >= view.threshold
         better = (prob > most) & (prob >= view.threshold)
-        surest[better], most = number, np.maximum(most, prob)
+        surest[better], state[better], most = number, said[better], np.maximum(most, prob)
     agents = tuple(view.agent for view in views)
-    return JointFov(grid, world_from_grid, agents, (1.0 - missed).astype(np.float32), seen_by, surest)
+    return JointFov(grid, world_from_grid, agents, (1.0 - missed).astype(np.float32), seen_by, surest, state)
 
 
-def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> Floats:
-    """Return the probability (cells, cells) that a view claims in the cells of another grid; 0 outside its own.
+def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> tuple[Floats, NDArray[np.uint8]]:
+    """Return the probability and the state (cells, cells) that a view claims in the cells of another grid.
+
+    Outside its own they are 0 and UNKNOWN.
 
     Raises:
         ValueError: the view has no pose.
@@ -353,7 +382,9 @@ def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> Floa
         raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be placed")
     pose = view.world_from_level.inverse() @ world_from_grid
     centers = grid.centers @ pose.rotation[:2, :2].T + pose.translation[:2]
-    return np.nan_to_num(view.at(centers).astype(np.float64), nan=0.0)
+    cells, inside = view.grid.index(centers)
+    state = np.where(inside, view.state[cells[..., 0], cells[..., 1]], np.uint8(CellState.UNKNOWN))
+    return np.nan_to_num(view.at(centers).astype(np.float64), nan=0.0), state
 
 
 def confirmed(
@@ -376,7 +407,7 @@ def confirmed(
     agreed = np.zeros(view.grid.shape, np.bool_)
     for other, one in zip(others, trust, strict=True):
         if one >= least:
-            agreed |= claimed_at(other, view.grid, view.world_from_level) >= other.threshold
+            agreed |= claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
     doubtful = cells & view.visible() & ~agreed
     prob = np.where(doubtful, np.minimum(view.visible_prob, np.float32(0.5 * view.threshold)), view.visible_prob)
     return replace(view, visible_prob=prob, state=np.where(doubtful, np.uint8(CellState.UNKNOWN), view.state))

@@ -24,7 +24,7 @@ from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
 
 RATE = 0.01
-"""Share of benign scenes in which somebody may be accused."""
+"""Share of benign scenes in which somebody may be accused; more where there are too few scenes for it."""
 
 OVERLAPS = ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, np.inf))
 """Numbers of other agents that see what was lied about, from and up to."""
@@ -116,13 +116,18 @@ class AgentsResults:
         evidence = np.array([one.score[rng.integers(len(one.score))] for one in self.calibration])
         return TrustLimits.of(evidence, np.array([max(one.run.doubt) for one in self.calibration]))
 
+    @property
+    def rate(self) -> float:
+        """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
+        return max(RATE, len(self.elevated) / (len(self.limits.evidence) + 1.0))
+
     def accused(self, one: ScoredRun) -> NDArray[np.bool_]:
-        """Return who is accused (A,) in a run at ``RATE``, at any time."""
-        return self.limits.accused(_verdicts(one.score, max(one.run.doubt), one), RATE)
+        """Return who is accused (A,) in a run at ``rate``, at any time."""
+        return self.limits.accused(_verdicts(one.score, max(one.run.doubt), one), self.rate)
 
     def disputed(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is disputed (A,) in a run at its end."""
-        return self.limits.disputed(_verdicts(one.score, max(one.run.doubt), one), RATE)
+        return self.limits.disputed(_verdicts(one.score, max(one.run.doubt), one), self.rate)
 
     @cached_property
     def benign(self) -> list[ScoredRun]:
@@ -152,7 +157,7 @@ class AgentsResults:
     def found_table(self) -> Table:
         """Return for each lie what is found of it."""
         header = (
-            "lie", "liars", "AUROC", "by reports", "by views", f"accused at {100 * RATE:g} %", "disputed",
+            "lie", "liars", "AUROC", "by reports", "by views", f"accused at {100 * self.rate:.3g} %", "disputed",
             "honest ones accused", "delay s", "GOSPA, of no trust", "scenes", "do not count",
         )  # fmt: skip
         return Table(header, [self._found(name) for name in self.plan.lies if self.of(name)])
@@ -188,7 +193,7 @@ class AgentsResults:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
         for time, score in enumerate(np.maximum.accumulate(one.by_time, axis=0)):
             t_s = (time + 0.5) / self.plan.hz
-            if t_s >= ONSET_S and self.limits.accused(_verdicts(score, 0.0, one), RATE)[one.run.liars].any():
+            if t_s >= ONSET_S and self.limits.accused(_verdicts(score, 0.0, one), self.rate)[one.run.liars].any():
                 return t_s - ONSET_S
         return float("inf")
 
@@ -336,7 +341,7 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
     found = AgentsResults(plan, results)
     values: dict[str, Any] = {
         "agents": plan.moving + plan.roadside, "moving": plan.moving, "roadside": plan.roadside,
-        "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}", "onset": f"{ONSET_S:g}",
+        "rate": f"{100 * found.rate:.3g}", "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}", "onset": f"{ONSET_S:g}",
     }  # fmt: skip
     title, blocks = fill_template("agents/page.md", values, {
         "targets": found.target_table,

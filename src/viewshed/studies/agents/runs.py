@@ -62,7 +62,7 @@ class Run:
     overlap: float
 
 
-def run_case(scene: Scene, case: str, seed: tuple[object, ...], claims: ClaimTable) -> Run:
+def run_case(scene: Scene, case: str, seed: tuple[int, str, int], claims: ClaimTable) -> Run:
     """Return what a case of a scene comes to."""
     agents = scene.agents
     rng = generator(*seed, case)
@@ -149,7 +149,8 @@ def seen_objects(scene: Scene, time: int) -> Floats:
     own = scene.carriers >= 0
     returns[np.flatnonzero(own), scene.carriers[own]] = 0
     seen = ((returns >= SEEN_RETURNS) & (away < FAR_M)).any(axis=0)
-    return scene.objects[time, seen]
+    boxes: Floats = scene.objects[time, seen]
+    return boxes
 
 
 def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:

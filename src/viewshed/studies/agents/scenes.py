@@ -73,7 +73,7 @@ class Scene:
         world, agents, estimator = world_of(plan), plan.preset.agents, load_estimator("shadow_map", grid=GRID)
         numbers = objects_of(world)
         times = plan.frames // agents
-        times_s = (np.arange(times) + 0.5) * plan.preset.interval_s
+        times_s = np.asarray((np.arange(times) + 0.5) * plan.preset.interval_s, np.float64)
         shape = (times, agents)
         prob, state = (np.zeros((*shape, *GRID.shape), np.uint8) for _ in range(2))
         poses, returns = np.zeros((*shape, 4, 4)), np.zeros((*shape, len(numbers)), np.int32)
