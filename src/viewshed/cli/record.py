@@ -101,7 +101,8 @@ def _read(
 ) -> Iterator[tuple[Sweep, DriveTruth | None]]:
     """Yield the sweeps of files and recordings, as many a second as are wanted."""
     jobs = list(options.chosen(files, None))
-    for named in chosen.at_rate(named_sweeps(reading, jobs, output_names(files), failures)):
+    names = output_names([file for file, _ in jobs])
+    for named in chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=chosen.history)):
         yield named.sweep, None
 
 

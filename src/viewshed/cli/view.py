@@ -98,7 +98,7 @@ def view(
     failures, names = Failures(), output_names(places)
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     if foxglove is not None:
         estimator = network.estimator(chosen.method, cells, target)
