@@ -460,8 +460,8 @@ def _lost_line(done: Sequence[Found]) -> str:
     counts = [each["laser"]["counts"]["shadow_map"] for each in done]
     lost, false = (sum(count.get(key, 0) for count in counts) for key in ("no echo", "false"))
     return (
-        f"Of the laser's false cells {lost / max(false, 1):.0%} lie in the directions of beams without an echo. A driver"
-        " reports these as +inf, whether the beam met nothing or a surface that swallowed it (dark or shiny things"
+        f"Of the laser's false cells {lost / max(false, 1):.0%} lie in the directions of beams without an echo. A"
+        " driver reports these as +inf, whether the beam met nothing or a surface swallowed it (dark or shiny things"
         " do, in the simulator as in rooms), and the estimator takes the view to be open. Where that matters, let the"
         " driver report NaN instead."
     )
