@@ -16,16 +16,6 @@ from viewshed.pipeline.reactions import (
 from viewshed.pipeline.stream import Answer, Pipeline, Statistics
 
 __all__ = [
-    "Answer",
-    "Caution",
-    "Finding",
-    "Pipeline",
-    "ReactionRules",
-    "ReactionState",
-    "Statistics",
-    "Vehicle",
-    "prepare_process",
-    "react",
-    "speed_for_view",
-    "withdraw",
+    "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "Vehicle",
+    "prepare_process", "react", "speed_for_view", "withdraw",
 ]  # fmt: skip
