@@ -178,7 +178,7 @@ def test_beyond_the_gate_a_detection_is_of_another_object() -> None:
     for off, ids in ((3.4, [0]), (4.0, [0, 1])):
         tracker = Tracker(ExistenceRules(clutter_per_m2=1e-9))  # all in the gate is rather the track's than false
         before = _drive(tracker, 20, speed=0.0)
-        std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.3**2))
+        std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.6**2))
         tracks = tracker.step(2.0, cars((0.0, off * std_m)), SeesAll(2.0))
         assert tracks.ids.tolist() == ids
 

