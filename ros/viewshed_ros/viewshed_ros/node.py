@@ -151,7 +151,8 @@ class FieldOfView(LifecycleNode):
         # 3. The threads that do it.
         history = SweepBuffer(settings.history) if settings.history else None
         self._pipeline = Pipeline(
-            estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules
+            estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
+            vehicle=settings.vehicle,
         )  # fmt: skip
         self._told_s = time.monotonic()
 

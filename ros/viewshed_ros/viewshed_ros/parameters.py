@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.pipeline.profiles import Profile, profile_named
+from viewshed.pipeline.reactions import VEHICLE, Vehicle
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_ros.conversions import INPUTS, Input
 from viewshed_ros.nav2 import SpeedLimits
@@ -52,6 +53,10 @@ PARAMETERS: dict[str, Parameter] = {
     "output": Parameter("sensor", "Frame of grids, polygons and markers.", ("sensor", "world")),
     "speed_most_mps": Parameter(10.0, "100 percent of the speed mask."),
     "speed_unseen_mps": Parameter(1.0, "Speed of the mask where nothing is seen."),
+    "vehicle_front_m": Parameter(VEHICLE.front_m, "From the sensor to the front of the vehicle."),
+    "vehicle_half_width_m": Parameter(VEHICLE.half_width_m, "Half of the width of the lane that must be free."),
+    "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act."),
+    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes."),
     "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does."),
     "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
 }
@@ -102,6 +107,7 @@ class Settings:
     world_frame: str
     output: str
     limits: SpeedLimits
+    vehicle: Vehicle
     diagnostics_hz: float
 
 
@@ -142,6 +148,12 @@ def read(node: Node) -> Settings:
         world_frame=given["world_frame"],
         output=given["output"],
         limits=SpeedLimits(given["speed_most_mps"], given["speed_unseen_mps"]),
+        vehicle=Vehicle(
+            given["vehicle_front_m"],
+            given["vehicle_half_width_m"],
+            given["vehicle_delay_s"],
+            given["vehicle_braking_mps2"],
+        ),
         diagnostics_hz=given["diagnostics_hz"],
     )
 
