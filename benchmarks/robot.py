@@ -80,7 +80,17 @@ _NODE_TEXT = """From publishing a cloud to receiving `visibility`, in two proces
 clouds are on their way at once: with one, the latency; with more, the rate that the node keeps up with. *Processor* is
 the time that the node's process uses for a sweep, all its threads together; it tells what a machine that others use
 would reach without them."""
-_NODE_HEADER = ["sweep", "monitor", "under way", "Hz", "median, ms", "99 %, ms", "worst, ms", "processor, ms", "memory, MB"]
+_NODE_HEADER = [
+    "sweep",
+    "monitor",
+    "under way",
+    "Hz",
+    "median, ms",
+    "99 %, ms",
+    "worst, ms",
+    "processor, ms",
+    "memory, MB",
+]
 
 _PROFILES_TEXT = """Each profile's own method, grid, history and monitor through `viewshed.pipeline`, without ROS, one sweep
 after the other; poses are known and the sensor moves by a meter from sweep to sweep. *Processor* is that of the
@@ -90,7 +100,9 @@ _PROFILES_HEADER = ["profile", "35k: median, ms", "processor, ms", "120k: median
 
 def _intro(node: Sequence[Found]) -> str:
     if node:
-        return "Measured by `python -m benchmarks.robot`; on a machine that others use as well, rates fall with the load."
+        return (
+            "Measured by `python -m benchmarks.robot`; on a machine that others use as well, rates fall with the load."
+        )
     return "The node was not measured: its environment could not be made (`ros/python.sh` says why)."
 
 
@@ -237,7 +249,9 @@ def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
                 yield _target(what, "≤ 2 s", f"{first_s:.1f} s", first_s <= 2.0)
     speed = replayed["speed"]
     words = f"{speed:.1f} × ({replayed['processor_s']:.1f} s of the processor for {REPLAY_S:g} s)"
-    yield _target("replay of 30 s at 10 Hz with monitor to MCAP, start included", "≥ 10 × real time", words, speed >= 10.0)
+    yield _target(
+        "replay of 30 s at 10 Hz with monitor to MCAP, start included", "≥ 10 × real time", words, speed >= 10.0
+    )
     is_equal = replayed["is_equal"]
     yield _target("its bytes on repeat", "equal", "equal" if is_equal else "different", is_equal)
 

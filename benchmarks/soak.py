@@ -119,7 +119,9 @@ def main() -> None:
     node = _soak_node(60.0 * chosen.minutes)
     parts = ["## Through `viewshed.pipeline`", *_told(pipeline)]
     parts += ["## Through the ROS 2 node"]
-    parts += ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _told(node)
+    parts += (
+        ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _told(node)
+    )
     content = page(
         "Soak",
         facts(
@@ -369,16 +371,28 @@ def _told(soaked: Soaked) -> list[str]:
 
 
 def _reasons(kind: Kind) -> str:
-    return "; ".join(f"{reason.replace('|', '/')} ({count})" for reason, count in kind.reasons.most_common(40 if len(kind.reasons) > 20 else 3)) or "–"
+    return (
+        "; ".join(
+            f"{reason.replace('|', '/')} ({count})"
+            for reason, count in kind.reasons.most_common(40 if len(kind.reasons) > 20 else 3)
+        )
+        or "–"
+    )
 
 
-_CLOCK_WHY = "a time that repeats is that of a sweep that was answered; where it goes back or jumps the stream begins anew"
+_CLOCK_WHY = (
+    "a time that repeats is that of a sweep that was answered; where it goes back or jumps the stream begins anew"
+)
 
 
 def _why(name: str) -> str:
     if name in DAMAGES:
         return DAMAGES[name].why
-    return _CLOCK_WHY if name in CLOCKS else "after a clock or a sensor that changed the stream begins anew, and that is said"
+    return (
+        _CLOCK_WHY
+        if name in CLOCKS
+        else "after a clock or a sensor that changed the stream begins anew, and that is said"
+    )
 
 
 if __name__ == "__main__":

@@ -304,11 +304,11 @@ class Tracker:
     >>> from viewshed.tracking.views import SeesAll
     >>> car = np.array([[10.0, 0.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
     >>> tracker = Tracker()
-    >>> for k in range(5):
+    >>> for k in range(20):
     ...     found = Detections(car + [k, 0, 0, 0, 0, 0, 0], np.array([ObjectKind.CAR]), np.array([50]))
     ...     tracks = tracker.step(0.1 * k, found, SeesAll(0.1 * k))
     >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round().tolist()
-    ([0], [True], [14.0, 0.0, 10.0, 0.0])
+    ([0], [True], [29.0, 0.0, 10.0, 0.0])
     """
 
     def __init__(self, rules: Rules | None = None) -> None:
