@@ -175,8 +175,8 @@ class Rules(Protocol):
         """Write what hits and misses say of each track; states are those before the detections."""
         ...
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
-        """Write what is known of new tracks, and return those (K,) that begin."""
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+        """Return those new tracks that begin, with what is known of them."""
         ...
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
@@ -268,11 +268,13 @@ class ExistenceRules:
         hit_levels = (1.0 - shares) * self.clutter_per_m2 + shares * density[:, None]
         tracks.levels = levels_after(tracks.levels, np.where(is_hit[:, None], hit_levels, 1.0 - shares))
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
-        """Write how plausible it is that new tracks are objects: could they have come unseen?
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+        """Return new tracks with how plausible it is that they are objects: could they have come unseen?
 
         What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
         """
+        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
+        born = born.take(~is_part & _first_of_doubles(born.boxes))
         born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
         unseen = np.ones(len(born))
         if before is not None:
@@ -285,8 +287,7 @@ class ExistenceRules:
         born.existence = np.minimum(expected / (expected + self.clutter_per_m2), self.surest)
         shares = shares_found(born.visible * born.detectable, self.most_found)
         born.levels = levels_after(born.levels, shares)
-        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
-        return np.asarray(~is_part & _first_of_doubles(born.boxes))
+        return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
         """Keep what is likely enough and whose place is known."""
@@ -372,7 +373,7 @@ class Tracker:
         born = TrackTable.begun(t_s, boxes[left], kinds[left], noise[left], motion)
         born.detection = left.astype(np.int32)
         if len(born):
-            born = born.take(rules.begin(born, tracks, view, self._view))
+            born = rules.begin(born, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
         room = max(rules.most_tracks - len(tracks), 0)
         if len(born) > room:

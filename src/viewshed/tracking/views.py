@@ -36,6 +36,9 @@ _STEP_M = 1.5
 _MOST_RINGS = 8
 """... and the most rings of them, whatever the radius."""
 
+_MOST_PLACES = 10_000
+"""The most places in one question, whoever sends how many boxes; then rings are fewer, at least one."""
+
 _SIGHTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 """Lines of sight to a box that are looked at: parts of its width as the sensor sees it."""
 
@@ -225,7 +228,10 @@ def hidden_within(view: View, boxes: Floats, within_m: Floats) -> Floats:
     """
     if not len(boxes):
         return np.zeros(0)
-    unit = _places(int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS)))
+    rings = int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS))
+    while rings > 1 and len(boxes) * len(_places(rings)) > _MOST_PLACES:
+        rings -= 1
+    unit = _places(rings)
     places = np.repeat(boxes[:, None], len(unit), axis=1)
     places[..., :2] += within_m[:, None, None] * unit
     visible = view.visible(places.reshape(-1, 7)).reshape(len(boxes), len(unit))
