@@ -70,7 +70,7 @@ def record(
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
-        stream = _read(Reading(sensor), files, failures)
+        stream = _read(Reading(sensor), files, failures, history)
     with recorders(to, schemas, [] if is_simulated else files) as records:
         listener = Listener(records, failures, is_live=False)
         pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=True)
@@ -91,10 +91,13 @@ def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaite
         yield Awaited(sweep.agent, due_s, sweep, truth)
 
 
-def _read(reading: Reading, files: list[Path], failures: Failures) -> Iterator[tuple[Sweep, DriveTruth | None]]:
+def _read(
+    reading: Reading, files: list[Path], failures: Failures, history: int
+) -> Iterator[tuple[Sweep, DriveTruth | None]]:
     """Yield the sweeps of files and recordings."""
     jobs = list(options.chosen(files, None))
-    for named in named_sweeps(reading, jobs, output_names(files), failures):
+    names = output_names([file for file, _ in jobs])
+    for named in named_sweeps(reading, jobs, names, failures, history=history):
         yield named.sweep, None
 
 

@@ -103,7 +103,7 @@ def replay(
     names = output_names([file for file, _ in jobs])
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     pace = Pace(0.0 if as_fast else rate)
     with recorders(to, schemas, [file for file, _ in jobs]) as records:

@@ -93,7 +93,7 @@ def view(
     failures, names = Failures(), output_names(places)
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     if foxglove is not None:
         estimator = network.estimator(method, options.parse_grid(grid), target)
