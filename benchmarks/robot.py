@@ -115,7 +115,7 @@ def _sweeps(rng: np.random.Generator) -> dict[str, Sweep]:
 def _write(sweeps: Mapping[str, Sweep], folder: Path) -> None:
     """Write what the node's side reads: sweeps, and the ranges of a laser in a room of 16 by 10 meters."""
     for name, sweep in sweeps.items():
-        columns = {} if sweep.ring is None else {"ring": sweep.ring}
+        columns: dict[str, Any] = {} if sweep.ring is None else {"ring": sweep.ring}
         intensity = np.zeros(len(sweep), np.float32) if sweep.intensity is None else sweep.intensity
         np.savez(folder / f"{name}.npz", points=sweep.points, intensity=intensity, **columns)
     field_of_view = np.deg2rad(270.0)
@@ -143,7 +143,7 @@ def _replay(folder: Path) -> Found:
     source, to = folder / "drive.mcap", [folder / "seen.mcap", folder / "again.mcap"]
     drive = ["sim", "--preset", "nuscenes", "--agents", "1", "--seconds", str(REPLAY_S), "--hz", str(HZ)]
     subprocess.run([VIEWSHED, "record", *drive, "--to", str(source)], check=True, capture_output=True)
-    command = [VIEWSHED, "replay", str(source), "--as-fast", "--monitor", "shipped", "--to"]
+    command = [VIEWSHED, "replay", str(source), "--as-fast", "--monitor", "--to"]
     taken_s, used_s = [], []
     for place in to:
         begin_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -256,7 +256,7 @@ def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
     yield _target("its bytes on repeat", "equal", "equal" if is_equal else "different", is_equal)
 
 
-def _target(what: str, target: str, reached: str, is_met: bool) -> list[str]:  # noqa: FBT001
+def _target(what: str, target: str, reached: str, is_met: bool) -> list[str]:
     return [what, target, reached, "met" if is_met else "**missed**"]
 
 

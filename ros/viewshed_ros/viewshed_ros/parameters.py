@@ -16,6 +16,7 @@ from viewshed.pipeline.reactions import VEHICLE, Vehicle
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_ros.conversions import INPUTS, Input
 from viewshed_ros.nav2 import SpeedLimits
+from viewshed_ros.packets import Revolutions
 from viewshed_ros.poses import POSE_TOPICS
 
 Value = bool | str | float | int | list[str] | list[float]
@@ -65,6 +66,8 @@ PARAMETERS: dict[str, Parameter] = {
 SENSOR_PARAMETERS: dict[str, Parameter] = {
     "topic": Parameter("", "Topic of its messages; empty for NAME/points."),
     "type": Parameter("cloud", "Type of its messages.", tuple(INPUTS)),
+    "metadata": Parameter("", "Of type ouster or ouster_bytes: file of the sensor's metadata (JSON)."),
+    "frame": Parameter("", "Frame of a sensor whose messages name none (packets); empty for NAME."),
     "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none."),
     "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it."),
     "attitude": Parameter([0.0, 0.0, 0.0, 0.0], "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it."),
@@ -86,6 +89,10 @@ class SensorSettings:
     changes: dict[str, Any]
     """Attributes of its sweeps that are given."""
     base_from_sensor: Rigid
+    frame: str
+    """Of messages that name none."""
+    revolutions: Revolutions | None
+    """Gathers packets, of a sensor whose messages hold one each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +182,12 @@ def _sensor(node: Node, name: str) -> SensorSettings:
         raise ValueError(f"{name}.mounting must be seven numbers, got {len(given['mounting'])}")
     base_from_sensor = Rigid.from_quaternion(given["mounting"][3:], given["mounting"][:3])
     topic = given["topic"] or f"{name}/points"
-    return SensorSettings(name, topic, INPUTS[given["type"]], changes, base_from_sensor)
+    kind, revolutions = INPUTS[given["type"]], None
+    if kind.packet:
+        if not given["metadata"]:
+            raise ValueError(f"{name}.metadata must name the file of the sensor's metadata for packets, got none")
+        revolutions = Revolutions.of(given["metadata"])
+    return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"] or name, revolutions)
 
 
 def _declare(node: Node, table: dict[str, Parameter]) -> None:

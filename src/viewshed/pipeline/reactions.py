@@ -197,7 +197,7 @@ def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE) -> float:
 
 @lru_cache(maxsize=16)
 def _lane(grid: BevGrid, front_m: float, half_width_m: float) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
-    """Return the cells that the lane before the vehicle touches, and where each of their rows begins (rows + 1,) in meters.
+    """Return the cells that the lane ahead touches, and where each of their rows begins (rows + 1,) in meters.
 
     A cell blocks from its near side on; the last value is where the grid ends.
     """
