@@ -246,9 +246,9 @@ def _use_codes(rng: np.random.Generator) -> None:
     from viewshed.messages.fov_code import decode_fov, encode_fov
 
     grid = BevGrid(40, 10.0, (3.0, -2.0))
-    prob = np.clip(rng.normal(0.5, 0.4, grid.shape), 0.0, 1.0)
+    prob = np.clip(0.8 - np.hypot(*np.moveaxis(grid.centers, -1, 0)) / 20 + rng.normal(0, 0.03, grid.shape), 0.0, 1.0)
     state = np.where(prob >= 0.5, 1, 3)
-    for std in (None, np.abs(rng.normal(0.0, 0.1, grid.shape))):
+    for std in (None, 0.3 * (1.0 - prob)):
         decode_fov(encode_fov(FovEstimate(grid, prob, state, std)), grid, 0.5, std is not None)
 
 
