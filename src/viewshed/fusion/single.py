@@ -185,9 +185,7 @@ def take_tracks(tracks: Tracks, chosen: Mask | NDArray[np.intp]) -> Tracks:
 
 def join_tracks(tracks: Tracks, others: Tracks) -> Tracks:
     """Return tracks and others of the same time after them."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(tracks, name), getattr(others, name)]) for name in _ROWS
-    }
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(tracks, name), getattr(others, name)]) for name in _ROWS}
     return replace(tracks, **arrays)
 
 
@@ -284,9 +282,7 @@ class SingleFusion:
         self._last_s = None
 
     @classmethod
-    def calibrated(
-        cls, drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03
-    ) -> Self:
+    def calibrated(cls, drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03) -> Self:
         """Return the fusion whose tables and limit are from benign drives.
 
         Tables are counted on every other drive, and the limit is taken from the others: of their confirmed tracks at most
@@ -378,9 +374,7 @@ class SingleFusion:
             both, explanations, e_values, wealth, suspicions, accused, np.where(moved[:, None], offsets, 0.0), is_held, reasons,
         )  # fmt: skip
 
-    def _still_there(
-        self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]
-    ) -> Floats:
+    def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> Floats:
         """Return gone : still there (N,) by the cells: those at the track, or at the nearest surface if these fit better."""
         ratio = look.ratio.copy()
         lost, cells = np.flatnonzero(~is_matched), views[0].cells

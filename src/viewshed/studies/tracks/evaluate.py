@@ -110,7 +110,9 @@ def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
         for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
             returned[number] = moment.t_s
         _note_accusations(outcome, one, explained, last)
-        recent = np.array([moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool)
+        recent = np.array(
+            [moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool
+        )
         tracks = one.observed[0]
         both = (tracks.boxes[tracks.confirmed], explained.trusted().boxes)
         before, after = (compare(boxes, moment, recent) for boxes in both)
