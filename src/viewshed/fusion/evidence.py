@@ -280,3 +280,22 @@ class EvidenceCounts:
         if not self.honest_cells:
             return (0.0,) * (sum(_sizes()) + 1)
         return tuple(fit_weights(np.concatenate(self.honest_cells), np.concatenate(self.forged_cells)).tolist())
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all counts as arrays by name, to be kept."""
+        empty = np.zeros((0, len(FEATURES)), np.int64)
+        cells = {
+            "honest_cells": np.concatenate([empty, *self.honest_cells]).astype(np.int16),
+            "forged_cells": np.concatenate([empty, *self.forged_cells]).astype(np.int16),
+        }
+        tables = {f"{kind}_{name}": getattr(self, kind)[name] for kind in ("honest", "forged") for name in TABLES}
+        return tables | cells
+
+    def add_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Add counts that were kept by :meth:`arrays`."""
+        for kind in ("honest", "forged"):
+            for name in TABLES:
+                getattr(self, kind)[name] += arrays[f"{kind}_{name}"]
+            rows = arrays[f"{kind}_cells"].astype(np.int64)
+            if len(rows):
+                getattr(self, f"{kind}_cells").append(rows)

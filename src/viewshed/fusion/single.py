@@ -22,6 +22,7 @@ from viewshed.fusion.cells import BoxCells, SeenCells
 from viewshed.fusion.evidence import (
     BLIND,
     CAP,
+    TABLES,
     EvidenceCounts,
     EvidenceModel,
     birth_bins,
@@ -159,15 +160,20 @@ class ExplainedTracks:
         removed = self.accused & (kind == REMOVED)
         kept = tracks.confirmed & ~(self.accused & (kind == FABRICATED)) & (~self.held | removed)
         states, boxes, covariances = tracks.states.copy(), tracks.boxes.copy(), tracks.covariances.copy()
-        states[:, :2] -= self.moved_m
-        boxes[:, :2] -= self.moved_m
+        far = np.hypot(*self.moved_m.T) >= _PUT_BACK_M
+        back = np.where(far[:, None], self.moved_m, 0.0)
+        states[:, :2] -= back
+        boxes[:, :2] -= back
         unseen_s = np.where(removed, tracks.t_s - tracks.seen_s, 0.0)
-        covariances[:, [0, 1], [0, 1]] += (_GROWTH_MPS * unseen_s[:, None]) ** 2
+        covariances[:, [0, 1], [0, 1]] += (_GROWTH_MPS * unseen_s[:, None]) ** 2 + self.moved_m**2
         odds = self.wealth[:, REMOVED]
         existence = np.where(removed, np.maximum(tracks.existence, odds / (1.0 + odds)), tracks.existence)
         whole = replace(tracks, states=states, boxes=boxes, covariances=covariances, existence=existence)
         return take_tracks(whole, kept)
 
+
+_PUT_BACK_M = 2.0
+"""A false jump is known no better than this."""
 
 _GROWTH_MPS = 0.3
 """How fast the place of a removed object becomes unsure."""
@@ -590,8 +596,7 @@ def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, ac
     counts = EvidenceCounts()
     for drive in drives[::2]:
         count_drive(drive, counts, rng)
-    tables = {name: counts.table(name) for name in ("view", "birth", "jump")}
-    model = EvidenceModel(counts.weights(), **tables, limits=_NO_LIMITS, accused=accused)
+    model = model_of_counts(counts, accused)
     highest: list[Floats] = []
     for drive in drives[1::2]:
         highest += highest_e_values(drive, model).values()
@@ -599,6 +604,12 @@ def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, ac
 
 
 _NO_LIMITS = (np.inf, np.inf, np.inf)
+
+
+def model_of_counts(counts: EvidenceCounts, accused: float) -> EvidenceModel:
+    """Return a model whose tables are counted and which accuses nobody yet."""
+    tables = {name: counts.table(name) for name in TABLES}
+    return EvidenceModel(counts.weights(), **tables, limits=_NO_LIMITS, accused=accused)
 
 
 def limits_of(highest: Floats, accused: float) -> tuple[float, float, float]:
