@@ -219,7 +219,7 @@ def tracks(
     """
     from viewshed._jobs import engine_named
     from viewshed.studies.store import ResultStore
-    from viewshed.studies.tracks.jobs import run_study
+    from viewshed.studies.tracks.jobs import run_study, save_models
     from viewshed.studies.tracks.page import page_of
     from viewshed.studies.tracks.plan import STEPS, TracksPlan
 
@@ -227,6 +227,7 @@ def tracks(
     store, runner = ResultStore.open(folder, TracksPlan.load(preset)), engine_named(engine, workers)
     failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
     if "page" in steps:
+        save_models(store)
         _write(page or folder, {"tracks.md": page_of(store).encode()})
         typer.echo(f"Look at {(page or folder) / 'tracks.md'}")
     _require_all_done(failed)

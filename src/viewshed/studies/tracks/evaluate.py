@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fusion.evidence import EvidenceModel
-from viewshed.fusion.single import REMOVED, ExplainedTracks, Observed, SingleFusion
+from viewshed.fusion.explained import REMOVED, ExplainedTracks
+from viewshed.fusion.sensor_view import Observed
+from viewshed.fusion.single import SingleFusion
 from viewshed.object_metrics import gospa
 from viewshed.studies.tracks.drives import HZ, Moment
 from viewshed.threats.object_attacks import ForgedDetections, RunningAttack
@@ -133,7 +135,9 @@ def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
         for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
             returned[number] = moment.t_s
         _note_accusations(outcome, one, explained, last)
-        recent = np.array([moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool)
+        recent = np.array(
+            [moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool
+        )
         tracks = one.observed[0]
         trusted = explained.trusted()
         both = (tracks.boxes[tracks.confirmed], trusted.boxes)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed._jobs import Engine
+from viewshed.fusion.calibration import count_drive, highest_e_values, limits_of, model_of_counts
 from viewshed.fusion.evidence import EvidenceCounts, EvidenceModel
-from viewshed.fusion.single import count_drive, highest_e_values, limits_of, model_of_counts
 from viewshed.studies.cases import generator
 from viewshed.studies.plan import JobKey, check_names
 from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
@@ -24,6 +24,9 @@ from viewshed.studies.tracks.drives import simulate_drive
 from viewshed.studies.tracks.evaluate import evaluate, track_drive
 from viewshed.studies.tracks.plan import BENIGN_CASE, STEPS, TracksPlan
 from viewshed.threats.object_attacks import OBJECT_ATTACKS
+
+MODELS = "models"
+"""Folder of the calibrated models, one file for each field of view."""
 
 COUNTS, HIGHEST = "counts", "highest"
 """Folders of counted evidence and of the highest e-values of honest tracks, a file for each drive and field of view."""
@@ -77,7 +80,9 @@ def do_job(job: Job[TracksPlan]) -> JobResult:
         elif step == "limit":
             observed = (one.observed for one in track_drive(moments, fov))
             highest = highest_e_values(observed, _without_limits(job.folder, plan, fov))
-            _save(job.folder / HIGHEST / f"{fov}-{number}.npz", {"highest": np.array([*highest.values()]).reshape(-1, 3)})
+            _save(
+                job.folder / HIGHEST / f"{fov}-{number}.npz", {"highest": np.array([*highest.values()]).reshape(-1, 3)}
+            )
         else:
             facts[fov] = {case: _try(job, moments, fov, case) for case in plan.cases()}
     return JobResult(facts={"sweeps": len(moments), **facts})
@@ -119,8 +124,19 @@ def model_of(folder: Path, plan: TracksPlan, fov: str) -> EvidenceModel:
     return replace(model, limits=limits_of(every, plan.accused), tracks=len(every))
 
 
+def save_models(store: ResultStore[TracksPlan]) -> None:
+    """Write the calibrated model of each field of view; that of the default one is what the package ships.
+
+    Raises:
+        ValueError: limits are not there yet.
+        OSError: a file cannot be written.
+    """
+    (store.folder / MODELS).mkdir(exist_ok=True)
+    for fov in store.plan.fovs:
+        model_of(store.folder, store.plan, fov).save(store.folder / MODELS / f"{fov}.json")
+
+
 def _save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     write_atomic(path, file.getvalue())
-

@@ -72,7 +72,9 @@ class TracksResults:
             ("existence, ECE benign", "≤ .03", _ece(self.outcomes(fov, BENIGN_CASE))),
             ("existence, ECE attacked", "≤ .08", _ece(attacked)),
         ]
-        return Table(("what", "target", "reached"), [(what, aim, format_rate(float(value))) for what, aim, value in lines])
+        return Table(
+            ("what", "target", "reached"), [(what, aim, format_rate(float(value))) for what, aim, value in lines]
+        )
 
     def benign_table(self) -> Table:
         """Return GOSPA, honest tracks accused and calibration of benign drives by field of view."""
@@ -89,9 +91,7 @@ class TracksResults:
 
     def found_table(self) -> Table:
         """Return the shares found by attack and field of view."""
-        rows = [
-            (name, *(_shares(self.outcomes(fov, name)) for fov in self.plan.fovs)) for name in self.plan.attacks
-        ]
+        rows = [(name, *(_shares(self.outcomes(fov, name)) for fov in self.plan.fovs)) for name in self.plan.attacks]
         return Table(("attack", *(NAMES[fov] for fov in self.plan.fovs)), rows)
 
     def gospa_table(self) -> Table:
@@ -177,7 +177,8 @@ def page_of(store: ResultStore[TracksPlan]) -> str:
         raise ValueError(f"{store.path} must hold attacked drives, got none; run the study")
     results = TracksResults(plan, found.facts)
     values = {
-        "seconds": f"{plan.seconds:g}", "objects": plan.objects, "accused": f"{plan.accused:.0%}", "range_m": f"{RANGE_M:g}",
+        "seconds": f"{plan.seconds:g}", "objects": plan.objects, "accused": f"{plan.accused:.0%}",
+        "range_m": f"{RANGE_M:g}",
     }  # fmt: skip
     title, blocks = fill_template("tracks/page.md", values, {
         "targets": results.target_table,
