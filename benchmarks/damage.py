@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.io.messages.pointcloud2 import PointField
 from viewshed.sweep import Sweep
 
 FLOAT32, UINT16, UINT32 = 7, 4, 6
 """Of ``PointField.datatype``."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Field:
     """The parts of sensor_msgs/PointField."""
 
@@ -24,11 +25,11 @@ class Field:
     count: int = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Cloud:
     """The parts of sensor_msgs/PointCloud2 that are read."""
 
-    fields: tuple[Field, ...]
+    fields: Iterable[PointField]
     width: int
     point_step: int
     row_step: int
@@ -46,10 +47,10 @@ def cloud_of(sweep: Sweep) -> Cloud:
         table[name] = sweep.points[:, axis]
     if sweep.intensity is not None:
         table["intensity"] = sweep.intensity
-    fields = tuple(Field(name, 4 * number) for number, name in enumerate(names))
+    fields: list[PointField] = [Field(name, 4 * number) for number, name in enumerate(names)]
     if sweep.ring is not None:
         table["ring"] = sweep.ring
-        fields += (Field("ring", 16, UINT16),)
+        fields.append(Field("ring", 16, UINT16))
     return Cloud(fields, len(table), table.itemsize, table.nbytes, table.view(np.uint8).reshape(-1))
 
 
@@ -69,7 +70,7 @@ class Damage:
 
 
 def _without(cloud: Cloud, name: str) -> Cloud:
-    return replace(cloud, fields=tuple(field for field in cloud.fields if field.name != name))
+    return replace(cloud, fields=[field for field in cloud.fields if field.name != name])
 
 
 def _all_nan(cloud: Cloud) -> Cloud:
@@ -84,8 +85,8 @@ def _swapped(cloud: Cloud) -> Cloud:
 
 
 def _moved(cloud: Cloud) -> Cloud:
-    first = replace(cloud.fields[0], offset=cloud.point_step - 2)
-    return replace(cloud, fields=(first, *cloud.fields[1:]))
+    first, *others = cloud.fields
+    return replace(cloud, fields=[Field(first.name, cloud.point_step - 2, first.datatype), *others])
 
 
 DAMAGES = {

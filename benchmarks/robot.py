@@ -80,7 +80,17 @@ _NODE_TEXT = """From publishing a cloud to receiving `visibility`, in two proces
 clouds are on their way at once: with one, the latency; with more, the rate that the node keeps up with. *Processor* is
 the time that the node's process uses for a sweep, all its threads together; it tells what a machine that others use
 would reach without them."""
-_NODE_HEADER = ["sweep", "monitor", "under way", "Hz", "median, ms", "99 %, ms", "worst, ms", "processor, ms", "memory, MB"]
+_NODE_HEADER = [
+    "sweep",
+    "monitor",
+    "under way",
+    "Hz",
+    "median, ms",
+    "99 %, ms",
+    "worst, ms",
+    "processor, ms",
+    "memory, MB",
+]
 
 _PROFILES_TEXT = """Each profile's own method, grid, history and monitor through `viewshed.pipeline`, without ROS, one sweep
 after the other; poses are known and the sensor moves by a meter from sweep to sweep. *Processor* is that of the
@@ -90,7 +100,9 @@ _PROFILES_HEADER = ["profile", "35k: median, ms", "processor, ms", "120k: median
 
 def _intro(node: Sequence[Found]) -> str:
     if node:
-        return "Measured by `python -m benchmarks.robot`; on a machine that others use as well, rates fall with the load."
+        return (
+            "Measured by `python -m benchmarks.robot`; on a machine that others use as well, rates fall with the load."
+        )
     return "The node was not measured: its environment could not be made (`ros/python.sh` says why)."
 
 
@@ -103,7 +115,7 @@ def _sweeps(rng: np.random.Generator) -> dict[str, Sweep]:
 def _write(sweeps: Mapping[str, Sweep], folder: Path) -> None:
     """Write what the node's side reads: sweeps, and the ranges of a laser in a room of 16 by 10 meters."""
     for name, sweep in sweeps.items():
-        columns = {} if sweep.ring is None else {"ring": sweep.ring}
+        columns: dict[str, Any] = {} if sweep.ring is None else {"ring": sweep.ring}
         intensity = np.zeros(len(sweep), np.float32) if sweep.intensity is None else sweep.intensity
         np.savez(folder / f"{name}.npz", points=sweep.points, intensity=intensity, **columns)
     field_of_view = np.deg2rad(270.0)
@@ -131,7 +143,7 @@ def _replay(folder: Path) -> Found:
     source, to = folder / "drive.mcap", [folder / "seen.mcap", folder / "again.mcap"]
     drive = ["sim", "--preset", "nuscenes", "--agents", "1", "--seconds", str(REPLAY_S), "--hz", str(HZ)]
     subprocess.run([VIEWSHED, "record", *drive, "--to", str(source)], check=True, capture_output=True)
-    command = [VIEWSHED, "replay", str(source), "--as-fast", "--monitor", "shipped", "--to"]
+    command = [VIEWSHED, "replay", str(source), "--as-fast", "--monitor", "--to"]
     taken_s, used_s = [], []
     for place in to:
         begin_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -237,12 +249,14 @@ def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
                 yield _target(what, "≤ 2 s", f"{first_s:.1f} s", first_s <= 2.0)
     speed = replayed["speed"]
     words = f"{speed:.1f} × ({replayed['processor_s']:.1f} s of the processor for {REPLAY_S:g} s)"
-    yield _target("replay of 30 s at 10 Hz with monitor to MCAP, start included", "≥ 10 × real time", words, speed >= 10.0)
+    yield _target(
+        "replay of 30 s at 10 Hz with monitor to MCAP, start included", "≥ 10 × real time", words, speed >= 10.0
+    )
     is_equal = replayed["is_equal"]
     yield _target("its bytes on repeat", "equal", "equal" if is_equal else "different", is_equal)
 
 
-def _target(what: str, target: str, reached: str, is_met: bool) -> list[str]:  # noqa: FBT001
+def _target(what: str, target: str, reached: str, is_met: bool) -> list[str]:
     return [what, target, reached, "met" if is_met else "**missed**"]
 
 

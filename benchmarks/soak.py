@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import re
 import subprocess
@@ -24,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.damage import DAMAGES, Cloud, cloud_of
 from viewshed._page import facts, page, table
@@ -52,7 +52,7 @@ BURST_SHARE = 0.002
 BURST = 6
 """Sweeps at once."""
 
-UNDER_WAY = 2
+UNDER_WAY = 3
 LINES = 30
 """Of the log, whatever the time."""
 
@@ -119,7 +119,9 @@ def main() -> None:
     node = _soak_node(60.0 * chosen.minutes)
     parts = ["## Through `viewshed.pipeline`", *_told(pipeline)]
     parts += ["## Through the ROS 2 node"]
-    parts += ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _told(node)
+    parts += (
+        ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _told(node)
+    )
     content = page(
         "Soak",
         facts(
@@ -198,17 +200,18 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
             load_estimator("shadow_map"), partial(_take, answers, taken), monitor=_monitor(),
         )  # fmt: skip
         sent: dict[int, str] = {}
+        begun = [0]
         number, dropped, until_s = 0, 0, time.perf_counter() + period_s(seconds)
         while (now_s := time.perf_counter()) < min(until_s, begin_s + seconds):
             # 1. The next sweep; its bytes are made when its turn comes.
             kind, t_ns, is_more = script.next()
-            pipeline.put(partial(_decoded, cloud, kind, t_ns))
+            pipeline.put(partial(_decoded, begun, number, cloud, kind, t_ns))
             sent[number], number = kind, number + 1
             soaked.kinds[kind].sent += 1
-            # 2. As many under way as are wanted; a burst waits for nobody.
-            # The first one alone, so that the next does not take its place before it is decoded.
+            # 2. As many under way as are wanted, and none that still waits for its turn: the next would take its place.
+            # A burst waits for nobody.
             dropped += _settle(soaked, sent, answers)
-            while not is_more and len(sent) >= min(UNDER_WAY, number):
+            while not is_more and (len(sent) >= UNDER_WAY or begun[0] < number - 1):
                 time.sleep(0.0002)
                 dropped += _settle(soaked, sent, answers)
             if now_s - begin_s >= (len(soaked.log) + 1) * seconds / LINES:
@@ -244,7 +247,8 @@ _NOTHING = FovEstimate(
 """In place of estimates that were answered: they are not kept."""
 
 
-def _decoded(cloud: Cloud, kind: str, t_ns: int) -> Sweep:
+def _decoded(begun: list[int], number: int, cloud: Cloud, kind: str, t_ns: int) -> Sweep:
+    begun[0] = number
     damaged = DAMAGES[kind].change(cloud) if kind in DAMAGES else cloud
     return sweep_of_cloud(damaged).replace(t_ns=t_ns)
 
@@ -344,7 +348,7 @@ def _soak_node(seconds: float) -> Soaked | None:
     return Soaked(**found, kinds=kinds)
 
 
-def _columns(sweep: Sweep) -> dict[str, NDArray[Any]]:
+def _columns(sweep: Sweep) -> dict[str, Any]:
     columns = {"points": sweep.points, "intensity": sweep.intensity, "ring": sweep.ring}
     return {name: column for name, column in columns.items() if column is not None}
 
@@ -353,7 +357,7 @@ def _told(soaked: Soaked) -> list[str]:
     """Return the parts of the page about one soak."""
     verdict = "**Passed.**" if not soaked.faults else "**Failed:** " + "; ".join(soaked.faults) + "."
     log = [
-        [f"{line[0]:.0f}", *(f"{count:.0f}" for count in line[1:5]), *(f"{value:.1f}" if value == value else "–" for value in line[5:])]
+        [f"{line[0]:.0f}", *(f"{count:.0f}" for count in line[1:5]), *("–" if math.isnan(value) else f"{value:.1f}" for value in line[5:])]
         for line in soaked.log
     ]  # fmt: skip
     kinds = [
@@ -369,16 +373,28 @@ def _told(soaked: Soaked) -> list[str]:
 
 
 def _reasons(kind: Kind) -> str:
-    return "; ".join(f"{reason.replace('|', '/')} ({count})" for reason, count in kind.reasons.most_common(40 if len(kind.reasons) > 20 else 3)) or "–"
+    return (
+        "; ".join(
+            f"{reason.replace('|', '/')} ({count})"
+            for reason, count in kind.reasons.most_common(40 if len(kind.reasons) > 20 else 3)
+        )
+        or "–"
+    )
 
 
-_CLOCK_WHY = "a time that repeats is that of a sweep that was answered; where it goes back or jumps the stream begins anew"
+_CLOCK_WHY = (
+    "a time that repeats is that of a sweep that was answered; where it goes back or jumps the stream begins anew"
+)
 
 
 def _why(name: str) -> str:
     if name in DAMAGES:
         return DAMAGES[name].why
-    return _CLOCK_WHY if name in CLOCKS else "after a clock or a sensor that changed the stream begins anew, and that is said"
+    return (
+        _CLOCK_WHY
+        if name in CLOCKS
+        else "after a clock or a sensor that changed the stream begins anew, and that is said"
+    )
 
 
 if __name__ == "__main__":

@@ -115,9 +115,11 @@ def use_everything() -> None:
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
     from viewshed.io import read_sweep, write_sweep
+    from viewshed.perception.detector import Detector
     from viewshed.preprocess.beam_matching import match_beams, polar
     from viewshed.preprocess.elevation_clusters import find_clusters
     from viewshed.preprocess.history import History
+    from viewshed.preprocess.leveling import level
     from viewshed.preprocess.ring_recovery import recover_rings
     from viewshed.preprocess.sensor_identification import identify_sensor, infer_sensor
     from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
@@ -169,6 +171,8 @@ def use_everything() -> None:
     del estimate, History
     for each in (sweep, noisy, shuffled):
         _use_evidence(each)
+    for each in (sweep, noisy, bare):
+        Detector().detect(level(each, viewshed.BevGrid()))
     _use_features(sweep)
     _use_ground(sweep)
     _use_polygons(rng)

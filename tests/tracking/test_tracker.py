@@ -93,14 +93,14 @@ def test_a_hidden_track_whose_place_is_lost_ends() -> None:
 
 
 def test_what_appears_where_all_was_seen_free_is_doubted() -> None:
-    """From a hidden place within reach it is likely at once; in the middle of what was seen it takes longer."""
+    """From a place hidden a moment ago it is likely at once; in the middle of what was seen it takes longer."""
 
     def hidden_beyond(xy: Floats) -> Floats:
         return np.where(xy[:, 0] > 30.0, 0.0, 1.0)
 
     tracker = Tracker()
     tracker.step(0.0, Detections.none(), ScriptedView(0.0, hidden_beyond))
-    tracks = tracker.step(0.1, cars((5.0, 0.0), (28.0, 3.0)), ScriptedView(0.1, hidden_beyond))
+    tracks = tracker.step(0.1, cars((5.0, 0.0), (28.0, 3.0)), ScriptedView(0.1, everywhere(1.0)))
     near, far = np.argsort(tracks.states[:, 0])
     assert (tracks.born_hidden[near], tracks.born_hidden[far]) == (0.0, 1.0)
     assert tracks.existence[near] < 0.1
@@ -171,6 +171,16 @@ def test_kinds_are_those_of_most_detections() -> None:
         found = cars((20.0, 0.0))
         tracks = tracker.step(0.1 * k, replace(found, kinds=np.array([kind])), SeesAll(0.1 * k))
     assert tracks.kinds.tolist() == [ObjectKind.CAR]
+
+
+def test_beyond_the_gate_a_detection_is_of_another_object() -> None:
+    """The gate is of squared distances: 3.7 standard deviations, not 13.8."""
+    for off, ids in ((3.4, [0]), (4.0, [0, 1])):
+        tracker = Tracker(ExistenceRules(clutter_per_m2=1e-9))  # all in the gate is rather the track's than false
+        before = _drive(tracker, 20, speed=0.0)
+        std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.3**2))
+        tracks = tracker.step(2.0, cars((0.0, off * std_m)), SeesAll(2.0))
+        assert tracks.ids.tolist() == ids
 
 
 def test_reset_forgets_tracks_and_goes_on_with_ids() -> None:

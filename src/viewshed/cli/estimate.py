@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,12 +23,13 @@ from viewshed.cli._options import (
     Weights,
     WithMonitor,
 )
-from viewshed.cli._outputs import Failures, Run, output_names, parse_results, refuse_inputs
+from viewshed.cli._outputs import Failures, Run, make_folder, output_names, parse_results, refuse_inputs
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._verdicts import watching
 
 Files = Annotated[
-    list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
+    list[Path] | None,
+    typer.Argument(metavar="FILE...", help="Sweeps in any known format, folders of them, patterns, or recordings."),
 ]
 
 Method = Annotated[
@@ -47,7 +49,9 @@ Batch = Annotated[
     ),
 ]
 
-Results = Annotated[str, typer.Option(help="What is written of each sweep: some of png,geojson,npz.")]
+Results = Annotated[
+    str, typer.Option(help="What is written of each sweep: some of png,geojson,npz, or other formats of export.")
+]
 
 
 def estimate(
@@ -56,6 +60,7 @@ def estimate(
     grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    crs: options.Crs = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
     weights: Weights = None,
@@ -92,13 +97,14 @@ def estimate(
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs)
+    reading = replace(reading, crs=crs)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
-    refuse_inputs((out / f"{name}.{kind}" for name in names for kind in kinds), (file for file, _ in jobs))
-    out.mkdir(parents=True, exist_ok=True)
+    refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
+    make_folder(out)
     failures = Failures()
-    for line in run.lines(named_sweeps(reading, jobs, names, failures), failures, batch):
+    for line in run.lines(named_sweeps(reading, jobs, names, failures, history=history), failures, batch):
         typer.echo(line)
     if failures.count:
         raise typer.Exit(2)

@@ -22,6 +22,7 @@ def info(
     grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    number: options.Number = 0,
 ) -> None:
     """Tell what a file holds: points, rings, sensor, ground, coverage.
 
@@ -29,7 +30,7 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    sweep = reading.sweep(file, index)
+    sweep = reading.sweep(file, index, number)
     leveled = level(sweep, options.parse_grid(grid))
     report_doubts(leveled, file.name)
     for name, value in (*_points(sweep, leveled), *_beams(sweep, reading.sensor), *_ground(sweep, leveled)):

@@ -57,9 +57,21 @@ def complete_boxes(
     along, across = (u[0] + u[1]) / 2, (v[0] + v[1]) / 2
     tall_m = np.maximum(top_m, height_m)
     return np.column_stack([
-        along * np.cos(yaw) - across * np.sin(yaw), along * np.sin(yaw) + across * np.cos(yaw), tall_m / 2,
+        _turned(along, across, yaw), tall_m / 2,
         u[1] - u[0], v[1] - v[0], tall_m, (yaw + np.pi) % (2 * np.pi) - np.pi,
     ])  # fmt: skip
+
+
+def middles_of(sides: NDArray[np.float32]) -> Floats:
+    """Return x and y (K, 2) of the middles of sides (K, 6) as they were seen."""
+    heading, a_low, a_high, b_low, b_high, _ = sides.astype(np.float64).T
+    return _turned((a_low + a_high) / 2, (b_low + b_high) / 2, heading)
+
+
+def _turned(along: Floats, across: Floats, yaw: Floats) -> Floats:
+    """Return x and y (K, 2) of coordinates along a heading and across it."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.stack([along * c - across * s, along * s + across * c], axis=-1)
 
 
 def _grown(low: Floats, high: Floats, least_m: Floats, share_high: Floats) -> tuple[Floats, Floats]:

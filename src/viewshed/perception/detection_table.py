@@ -136,7 +136,8 @@ class DetectionTable:
         """(K, R, D, 1) probabilities whatever is blocked."""
         # 1. By returns alone, of all kinds; then of each kind, and of each range of it.
         found, total = (counts.astype(np.float64) for counts in (self.found, self.total))
-        by_returns = _leaning(found.sum(axis=(0, 2, 3)), total.sum(axis=(0, 2, 3)), np.full(len(RETURNS), 0.5), 1.0)
+        of_all = found.sum(axis=(0, 2, 3))[None], total.sum(axis=(0, 2, 3))[None]
+        by_returns = _rising(_leaning(*of_all, np.full(len(RETURNS), 0.5), 1.0), of_all[1] + 1.0)
         by_kind = _leaning(found.sum(axis=(2, 3)), total.sum(axis=(2, 3)), by_returns)
         by_range = _leaning(found.sum(axis=3), total.sum(axis=3), by_kind[:, :, None])
         return _rising(by_range, total.sum(axis=3) + _PRIOR)[..., None]

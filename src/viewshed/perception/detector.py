@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed.objects import Detections, ObjectKind
 from viewshed.perception.candidates import Candidates, find_candidates
-from viewshed.perception.completion import complete_boxes
+from viewshed.perception.completion import complete_boxes, middles_of
 from viewshed.perception.shape_classifier import ENDS, KIND_SEEN_AS, SeenAs, ShapeClassifier, shipped_classifier
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -69,7 +69,7 @@ class Detector:
         # 3. Whole boxes, on the local ground; one for each object.
         boxes = boxes_of(candidates, chosen, kinds, prob[chosen])
         boxes[:, 2] += leveled.ground.at(boxes[:, :2])
-        single = first_of_overlapping(boxes)
+        single = first_of_overlapping(boxes, middles_of(candidates.sides[chosen]))
         return Detections(boxes[single], kinds[single], candidates.returns[chosen[single]])
 
 
@@ -116,16 +116,20 @@ def boxes_of(candidates: Candidates, chosen: Numbers, kinds: NDArray[np.uint8], 
     return complete_boxes(candidates.sides[chosen], kinds, is_end, candidates.column("top_m")[chosen])
 
 
-def first_of_overlapping(boxes: Floats) -> Numbers:
-    """Return the numbers of boxes (K, 7) whose middle lies in none of those kept before."""
-    kept: list[int] = []
-    away = boxes[None, :, :2] - boxes[:, None, :2]
+def first_of_overlapping(boxes: Floats, seen: Floats) -> Numbers:
+    """Return the numbers of boxes (K, 7) that are not part of one before that is kept.
+
+    A box is part of another if its middle, or that of the sides that were ``seen`` (K, 2), lies in it.
+    """
     c, s = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
-    inside = np.abs(away[..., 0] * c + away[..., 1] * s) < boxes[:, 3:4] / 2
-    inside &= np.abs(away[..., 1] * c - away[..., 0] * s) < boxes[:, 4:5] / 2 + _BESIDE_M
-    free = np.ones(len(boxes), np.bool_)
+    is_part = np.zeros((len(boxes), len(boxes)), np.bool_)
+    for middles in (boxes[:, :2], seen):
+        x, y = (middles[None, :, axis] - boxes[:, None, axis] for axis in (0, 1))
+        inside = np.abs(x * c + y * s) < boxes[:, 3:4] / 2 + _BESIDE_M
+        is_part |= inside & (np.abs(y * c - x * s) < boxes[:, 4:5] / 2 + _BESIDE_M)
+    kept, is_free = [], np.ones(len(boxes), np.bool_)
     for k in range(len(boxes)):
-        if free[k]:
+        if is_free[k]:
             kept.append(k)
-            free &= ~inside[k]
+            is_free &= ~is_part[k]
     return np.array(kept, np.intp)

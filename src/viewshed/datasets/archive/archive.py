@@ -275,6 +275,10 @@ class ArchiveSource:
         """Return one line for each shard that could not be read so far."""
         return tuple(self._damage)
 
+    def notes(self) -> tuple[str, ...]:
+        """Return nothing: an archive lacks nothing."""
+        return ()
+
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -29,6 +29,7 @@ class _Kitti:
         self.root = root
         self.scenes: dict[str, tuple[SweepRef, ...]] = {}
         self.problems: list[str] = []
+        self.notes = ()
         self._tracks: dict[str, PoseTrack] = {}
 
     def read(self, ref: SweepRef) -> Sweep:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
 
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import mask_of_polygon, polygon_of_mask
@@ -78,7 +79,7 @@ def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: st
 def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float, system: CRS | None) -> dict[str, Any]:
     polygon = polygon_of_mask(mask, estimate.grid)
     pose = estimate.world_from_level
-    placed = polygon if pose is None else affine_transform(polygon, _flat(pose))
+    placed: BaseGeometry = polygon if pose is None else affine_transform(polygon, _flat(pose))
     placed = placed if system is None else to_wgs84(placed, system)
     return {
         "type": "Feature",
