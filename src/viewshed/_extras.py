@@ -19,7 +19,8 @@ EXTRAS = {
 """The extra that installs a package, by the name under which Python imports it."""
 
 _DISTRIBUTIONS = {
-    "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "zenoh": "eclipse-zenoh", "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
+    "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "zenoh": "eclipse-zenoh",
+    "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
 }  # fmt: skip
 """What is installed, where that is not the name of the import."""
 
