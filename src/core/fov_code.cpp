@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cstring>
 
 #include "range_coder.hpp"
@@ -59,6 +60,13 @@ constexpr std::array<std::uint8_t, 91> SUM_CLASS = [] {
     return table;
 }();
 
+// What models expect before they have seen anything, in percent, as real views had it: a cell like the predicted one, by
+// how many of the four neighbors are; another state, by how many of them have the predicted one; a depth above 0, by the
+// class of the neighbors' sum.
+constexpr std::array<int, 5> LIKE_PREDICTED{40, 40, 55, 83, 96}, OTHER_STATE{80, 80, 74, 57, 10};
+constexpr std::array<int, SUM_CLASSES> DEEPER{3, 14, 18, 71, 82, 93, 95, 93, 93, 83};
+constexpr BitModel expecting(int percent) { return {std::uint16_t(percent * 65536 / 100), 2}; }
+
 // The depth of the predicted cell as a context: up to 8, or none where the state is another.
 constexpr int PREDICTED_DEPTHS = 10;
 
@@ -115,7 +123,20 @@ INLINE std::uint8_t* group_of(const Place& at) { return at.row + (at.step > 0 ? 
 template <typename Coder>
 class ViewCoder {
 public:
-    ViewCoder(Coder& coder, std::size_t cells, SensorCell sensor) : coder_(coder), cells_(cells), sensor_(sensor) {}
+    ViewCoder(Coder& coder, std::size_t cells, SensorCell sensor) : coder_(coder), cells_(cells), sensor_(sensor) {
+        for (std::size_t k = 0; k < copy_models_.size(); ++k) {
+            const unsigned agreeing = unsigned(k / (STATES * DEPTH_CLASSES * TOWARDS));
+            copy_models_[k] = expecting(LIKE_PREDICTED[std::popcount(agreeing)]);
+        }
+        for (int k = 0; k < TOWARDS * STATES * STATES * STATES * STATES; ++k) {
+            const std::array<int, 4> neighbors{k >> 6 & 3, k >> 4 & 3, k >> 2 & 3, k & 3};  // beside … other
+            const auto agreeing = std::count(neighbors.begin(), neighbors.end(), neighbors[k >> 8]);
+            state_models_[4 * k] = expecting(OTHER_STATE[agreeing]);
+        }
+        for (std::size_t k = 0; k < depth_models_.size(); k += 16) {
+            depth_models_[k] = expecting(DEEPER[k / (16 * PREDICTED_DEPTHS) % SUM_CLASSES]);
+        }
+    }
 
     // Symbols of all cells. False where the code is none.
     bool code_symbols(Plane& symbols) {

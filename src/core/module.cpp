@@ -19,6 +19,8 @@ NB_MODULE(_core, m) {
     viewshed::bind_visibility(m);
     viewshed::bind_evidence(m);
     viewshed::bind_boxes(m);
+    viewshed::bind_object_candidates(m);
+    viewshed::bind_shape_classifier(m);
     viewshed::bind_history(m);
     viewshed::bind_integrity_evidence(m);
     viewshed::bind_features(m);

@@ -18,6 +18,8 @@ void bind_height_map(nb::module_& m);
 void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
 void bind_boxes(nb::module_& m);
+void bind_object_candidates(nb::module_& m);
+void bind_shape_classifier(nb::module_& m);
 void bind_history(nb::module_& m);
 void bind_integrity_evidence(nb::module_& m);
 void bind_features(nb::module_& m);

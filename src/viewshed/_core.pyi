@@ -315,6 +315,31 @@ class BeamsByAzimuth:
         self, boxes: NDArray[np.float32], sensor_height_m: float, leave_out_own: bool
     ) -> NDArray[np.int32]: ...
 
+# object_candidates.cpp
+
+def object_candidates(
+    points: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    sensor_height_m: float,
+) -> tuple[
+    NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]
+]: ...
+
+# shape_classifier.cpp
+
+def shape_probabilities(
+    shapes: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    first: NDArray[np.float32],
+    first_bias: NDArray[np.float32],
+    second: NDArray[np.float32],
+    second_bias: NDArray[np.float32],
+    third: NDArray[np.float32],
+    third_bias: NDArray[np.float32],
+) -> NDArray[np.float32]: ...
+
 # history.cpp
 
 def obstacle_image(

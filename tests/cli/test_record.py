@@ -13,6 +13,8 @@ import viewshed.plot
 from viewshed import read_sweep, write_sweep
 from viewshed.cli._outputs import Failures
 from viewshed.cli._record import Awaited, Listener
+from viewshed.cli.monitor import _benign, _Source
+from viewshed.grid import GRIDS
 from viewshed.integrity import IntegrityReport
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io.samples import junction_path
@@ -172,3 +174,13 @@ def test_a_picture_shows_the_evidence_as_it_was_scored(tmp_path: Path, monkeypat
     assert out.splitlines()[0].startswith("drive.mcap 00007: ")
     assert len(shown) == 9
     assert (tmp_path / "explained.png").read_bytes() == (tmp_path / "found" / "drive.mcap 00007.png").read_bytes()
+
+
+def test_a_calibration_knows_the_earlier_sweeps_of_agents_that_take_turns(tmp_path: Path) -> None:
+    drive, failures = tmp_path / "drive.mcap", Failures()
+    words = ("record", "sim", "--preset", "ugv", "--agents", 2, "--seconds", 1.2, "--seed", 4, "--to", drive)
+    assert run(*words)[0] == 0
+    benign = list(_benign(_Source((str(drive),), None, "auto"), GRIDS["road"], shipped_monitor(), failures))
+    assert failures.count == 0
+    assert [sum(each.group.earlier == earlier for each in benign) for earlier in ("none", "posed")] == [10, 6]
+    assert len({each.scene for each in benign}) == 2

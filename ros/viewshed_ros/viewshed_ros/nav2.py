@@ -5,6 +5,7 @@ numpy alone; :mod:`viewshed_ros.layers` makes messages of it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -86,6 +87,41 @@ def blind_m(estimate: FovEstimate) -> float:
     ends_m, starts_m, _ = _free_rays(estimate)
     return float(starts_m[ends_m > 0.0].max(initial=0.0))
 
+
+def obstruction_polygons(estimate: FovEstimate) -> str:
+    """Return the directions in which the sensor sees nothing from the beginning, as STVL's parameter takes them.
+
+    ``[[azimuth, elevation, …], …]`` in radians: convex polygons, azimuths in [0, 2π], none across 0. A direction is
+    obstructed where no cell from 1 m to 5 m is FREE: by the robot itself, or by what stands right before it. Walls farther
+    off cannot be said so: the polygons know no range. Empty where nothing is obstructed, or everything: a sensor that
+    looks over these cells knows nothing of its robot.
+    """
+    angle, range_m, number = _rays(estimate.grid)
+    near = (range_m >= _BODY_M) & (range_m <= BLIND_MOST_M)
+    free = np.append(estimate.state == CellState.FREE, False)[number[:, near]].any(axis=1)
+    # 1. Rays by azimuth from 0 on, so that no polygon lies across 0.
+    order = np.argsort(angle % (2.0 * math.pi))
+    azimuth, is_hidden = (angle % (2.0 * math.pi))[order], ~free[order]
+    if is_hidden.all():
+        return ""
+    half = math.pi / len(azimuth)
+    # 2. Where rows of hidden rays begin and end, each cut into parts of a quarter turn at most: wider ones are not convex.
+    edge = np.flatnonzero(np.diff(np.concatenate([[False], is_hidden, [False]]).astype(np.int8)))
+    quads = []
+    for begin, end in zip(edge[::2], edge[1::2], strict=True):
+        first, last = max(azimuth[begin] - half, 0.0), min(azimuth[end - 1] + half, 2.0 * math.pi)
+        if last - first < _LEAST_OBSTRUCTION:
+            continue
+        parts = np.linspace(first, last, 1 + math.ceil((last - first) / (math.pi / 2.0)))
+        quads += [
+            f"[{one:.4f},{-_TALL:g}, {other:.4f},{-_TALL:g}, {other:.4f},{_TALL:g}, {one:.4f},{_TALL:g}]"
+            for one, other in itertools.pairwise(parts)
+        ]
+    return f"[{', '.join(quads)}]" if quads else ""
+
+
+_BODY_M, _LEAST_OBSTRUCTION, _TALL = 1.0, math.radians(2.0), 1.4
+"""From here on a view is no obstructed one; narrower obstructions are left out; the elevation up to and down to which a polygon reaches, in radians."""
 
 BLIND_MOST_M = 5.0
 """A ray that meets no FREE cell up to here gives no beam: what hides its beginning may hide more."""

@@ -17,6 +17,7 @@ from viewshed.cli.demo import demo
 from viewshed.cli.estimate import estimate
 from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
+from viewshed.cli.fuse import fuse
 from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
@@ -34,8 +35,8 @@ _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typ
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (
-    estimate, info, compare, view, replay, record, export, demo, simulate, label, attack, corrupt, train, crossval,
-    quantize,
+    estimate, info, compare, view, replay, record, fuse, export, demo, simulate, label, attack, corrupt, train,
+    crossval, quantize,
 )  # fmt: skip
 
 for _command in _COMMANDS:

@@ -52,15 +52,15 @@ def stem_of(name: str) -> str:
     return name
 
 
-def parse_results(text: str) -> tuple[str, ...]:
-    """Return what is written of each sweep, pictures and formats of ``EXPORTERS``, in their order.
+def parse_results(text: str, known: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return what is written, in the order of what is known: of each sweep pictures and formats of ``EXPORTERS``.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
     """
     from viewshed.io.export import EXPORTERS
 
-    wanted, known = text.split(","), tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
+    wanted, known = text.split(","), known or tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
     for name in wanted:
         if name not in known:
             raise ValueError(f"results must be some of {','.join(known)}, with commas, got {text!r}")

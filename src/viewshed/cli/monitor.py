@@ -268,8 +268,9 @@ def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failu
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    drives, held = Drives(), HeldEvidence()
+    agents: dict[str, tuple[Drives, HeldEvidence]] = {}
     for seen in sources:
+        drives, held = agents.setdefault(seen.sweep.agent, (Drives(), HeldEvidence()))
         try:
             monitored = drives.next(level(seen.sweep, grid), f"{seen.scene} {seen.sweep.agent}")
             if len(monitored.earlier) < EARLIER_SWEEPS:

@@ -201,6 +201,33 @@ def monitor(
 
 
 @study_app.command()
+def agents(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: scenes, runs, page.")] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """Many agents: some lie about objects or about what they see; who is found, and who is accused wrongly.
+
+    Example: viewshed study agents --preset tiny --out study
+    """
+    from viewshed._jobs import engine_named
+    from viewshed.studies.agents.jobs import run_study
+    from viewshed.studies.agents.page import page_of
+    from viewshed.studies.agents.plan import STEPS, AgentsPlan
+    from viewshed.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "agents")
+    store, runner = ResultStore.open(folder, AgentsPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        _show(page or folder, {"agents.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
 def wild(
     preset: Annotated[str, typer.Option(help="What is run: tiny, small (the development set), sealed.")] = "small",
     out: Out = None,

@@ -2,22 +2,23 @@
 
 A view that claims too much convicts others, or hides a removal; one that claims too little escapes contradiction. Each
 check makes one number of a claimed view, larger where it is more suspicious, NaN where it has nothing to look at. What
-is large is not decided here: honest views err as well, and :class:`ViewLimits` knows how much.
+is large is not decided here: honest views err as well, and :class:`ViewScale` knows how much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
-from viewshed.objects import Detections, moved_boxes
+from viewshed.integrity.score import SurpriseScale
+from viewshed.objects import Detections
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +41,9 @@ ELEVATED_M = 4.0
 
 SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
+
+USUAL = 0.5
+"""Surprise up to which a check says nothing: three honest views in ten are as suspicious."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,50 +265,42 @@ def check_view(view: ClaimedView, checks: Mapping[str, Callable[[ClaimedView], f
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewLimits:
-    """How rare numbers of checks are among honest views, of elevated sensors and of others.
+class ViewScale:
+    """How rare numbers of checks are among honest views, of sensors among the traffic and of elevated ones.
 
     Attributes:
-        low: (N, C) of benign scenes, each check by itself ascending, NaN last: sensors among the traffic.
-        elevated: (M, C) the same of sensors that look over it.
+        low: of sensors among the traffic.
+        elevated: of sensors that look over it.
     """
 
-    low: Floats
-    elevated: Floats
+    low: SurpriseScale
+    elevated: SurpriseScale
 
     @classmethod
-    def of(cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]]) -> ViewLimits:
-        """Return the limits of checks of benign scenes (N, C) and (M, C), one agent of each scene.
+    def fit(cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]]) -> Self:
+        """Return the scale of checks of honest views (N, C) and (M, C).
 
         Raises:
             ValueError: the checks differ.
         """
         if low.ndim != 2 or elevated.ndim != 2 or low.shape[1] != elevated.shape[1]:
             raise ValueError(f"checks must be (N, C) and (M, C) alike, got {low.shape} and {elevated.shape}")
-        return cls(np.sort(low.astype(np.float64), axis=0), np.sort(elevated.astype(np.float64), axis=0))
+        return cls(SurpriseScale.fit(low[..., None]), SurpriseScale.fit(elevated[..., None]))
 
-    def p_values(self, numbers: Floats, *, elevated: bool) -> Floats:
-        """Return the conformal p-value (C,) of each check's number (C,); 1 where it abstains."""
-        table = self.elevated if elevated else self.low
-        out = np.ones(len(numbers))
-        for k, number in enumerate(numbers):
-            benign = table[np.isfinite(table[:, k]), k]
-            if np.isfinite(number) and len(benign):
-                out[k] = (1 + len(benign) - np.searchsorted(benign, number, "left")) / (1 + len(benign))
-        return out
+    def __call__(self, numbers: NDArray[np.floating[Any]], *, elevated: bool) -> Floats:
+        """Return the surprise (…, C) of numbers (…, C): -log10 of the share of honest views that are as suspicious.
 
-
-def surprise(p_values: Floats) -> float:
-    """Return one surprise of several checks, -log10: the rarest counts, as if all had been tried (Bonferroni)."""
-    return float(-np.log10(min(1.0, len(p_values) * float(p_values.min(initial=1.0)))))
+        A check that abstains is no surprise.
+        """
+        rows = np.asarray(numbers, np.float64).reshape(-1, np.shape(numbers)[-1], 1)
+        surprises = (self.elevated if elevated else self.low)(rows)[..., 0]
+        return np.nan_to_num(surprises.astype(np.float64), nan=0.0).reshape(np.shape(numbers))
 
 
-def agents_elsewhere(boxes: Floats, estimate: FovEstimate) -> Floats:
-    """Return boxes (K, 7) of the world in the ``level`` frame of a view."""
-    assert estimate.world_from_level is not None
-    return moved_boxes(boxes, estimate.world_from_level.inverse())
+def view_doubt(surprises: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return one number of the surprises (…, C) of several checks: what each is beyond the usual, added up.
 
-
-def views_of_others(views: Sequence[FovEstimate], agent: str) -> tuple[FovEstimate, ...]:
-    """Return the views of all but one agent."""
-    return tuple(view for view in views if view.agent != agent)
+    >>> view_doubt(np.array([[0.3, 0.2, 0.4], [2.5, 0.1, 1.5]])).tolist()
+    [0.0, 3.0]
+    """
+    return np.asarray(np.maximum(np.asarray(surprises) - USUAL, 0.0).sum(axis=-1), np.float64)

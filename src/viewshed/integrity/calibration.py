@@ -64,7 +64,11 @@ def p_values(benign: ArrayLike, scores: ArrayLike, rng: np.random.Generator | No
     >>> p_values([1.0, 2.0, 2.0, 3.0], [0.0, 2.0, 9.0])
     array([1. , 0.8, 0.2])
     """
-    ordered, asked = np.sort(_checked("benign", benign)), _checked("scores", scores)
+    return _p_values_of_ordered(np.sort(_checked("benign", benign)), _checked("scores", scores), rng)
+
+
+def _p_values_of_ordered(ordered: Floats, asked: Floats, rng: np.random.Generator | None) -> Floats:
+    """Return the p-values (M,) of scores against ascending benign ones, all of them numbers."""
     above = len(ordered) - np.searchsorted(ordered, asked, "right")
     equal = len(ordered) - np.searchsorted(ordered, asked, "left") - above
     share = np.ones(asked.shape) if rng is None else rng.random(asked.shape)
@@ -383,7 +387,7 @@ class Calibration:
         found = []
         for each in self.alike(group):
             scores = self.scores[each]
-            p = float(p_values(scores, [score], rng)[0])
+            p = float(_p_values_of_ordered(scores, np.array([score]), rng)[0])
             found.append(self.real.correct(_place(scores, score)[0], p, len(scores)) if len(self.real) else p)
         return max(found)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -14,10 +15,10 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, probability_of_visible
 from viewshed.geometry import Rigid
 from viewshed.objects import moved_boxes
+from viewshed.perception.matching import corners_of
 from viewshed.preprocess.evidence import expected_returns
 from viewshed.preprocess.held_ground import pose_of
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.tracking.association import corners
 
 Floats = NDArray[np.float64]
 
@@ -223,8 +224,7 @@ def hidden_within(view: View, boxes: Floats, within_m: Floats) -> Floats:
     """
     if not len(boxes):
         return np.zeros(0)
-    rings = int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS))
-    unit = np.concatenate([np.zeros((1, 2)), *(_ring(k / rings, 6 * k) for k in range(1, rings + 1))])
+    unit = _places(int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS)))
     places = np.repeat(boxes[:, None], len(unit), axis=1)
     places[..., :2] += within_m[:, None, None] * unit
     visible = view.visible(places.reshape(-1, 7)).reshape(len(boxes), len(unit))
@@ -236,7 +236,7 @@ def points_before(boxes: Floats, step_m: float) -> Floats:
 
     Where the sensor stands in the box, its own place.
     """
-    at_corners = corners(boxes)
+    at_corners = corners_of(boxes)
     middle = np.arctan2(boxes[:, 1], boxes[:, 0])
     off = np.arctan2(at_corners[..., 1], at_corners[..., 0]) - middle[:, None]
     off = (off + np.pi) % (2 * np.pi) - np.pi
@@ -254,9 +254,14 @@ def points_before(boxes: Floats, step_m: float) -> Floats:
     return np.asarray(sights * np.maximum(entry_m - step_m, 0.0)[..., None])
 
 
-def _ring(radius: float, count: int) -> Floats:
-    angles = 2 * np.pi * np.arange(count) / count
-    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+@lru_cache(maxsize=_MOST_RINGS)
+def _places(rings: int) -> Floats:
+    """Return the center of the unit circle and ``rings`` rings about it, of 6, 12, ... places: (places, 2)."""
+    numbers = np.arange(1, rings + 1)
+    radii = np.repeat(numbers / rings, 6 * numbers)
+    angles = np.concatenate([2 * np.pi * np.arange(6 * k) / (6 * k) for k in numbers])
+    around = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([np.zeros((1, 2)), around])
 
 
 def _level_from_tracks(world_from_level: Rigid | None) -> Rigid:
