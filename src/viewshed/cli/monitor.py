@@ -244,7 +244,7 @@ class _Source:
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
         jobs = list(options.chosen([Path(place)], None))
-        poses, count = poses_of(reading), 0
+        poses, count = poses_of(reading, jobs), 0
         for job in jobs:
             path = job[0]
             several = path.is_dir()
