@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.integrity.calibration import Calibration, Group, alarm_limit
-from viewshed.integrity.score import EvidenceScore, pooled
+from viewshed.integrity.score import EvidenceScore
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
 from viewshed.studies.monitor.plan import FRAMES, ONSET
@@ -41,7 +41,7 @@ class Scored:
     Attributes:
         table: of the sweeps.
         scores: (N, 2) what is inconsistent and what is degraded.
-        sectors: (N, SECTORS) the part of each sector in what is inconsistent.
+        sectors: (N, SECTORS) what each sector says for what is inconsistent.
     """
 
     table: SweepTable
@@ -57,14 +57,15 @@ class Scored:
             table: of the sweeps.
             silent: (E,) evidence that is made to abstain; none if not given.
         """
-        parts = []
+        scores, sectors = [], []
         for start in range(0, len(table.evidence), _CHUNK):
             evidence = table.evidence[start : start + _CHUNK].astype(np.float32)
             if silent is not None:
                 evidence[:, silent] = np.nan
-            parts.append(score.logits(evidence))
-        logits = np.concatenate(parts)
-        return cls(table, pooled(logits), logits[..., INCONSISTENT])
+            of_sweeps, of_sectors = score.of_sweeps(evidence)
+            scores.append(of_sweeps)
+            sectors.append(of_sectors)
+        return cls(table, np.concatenate(scores), np.concatenate(sectors))
 
     def rows(self, mask: Mask) -> Scored:
         """Return those of a mask (N,)."""
