@@ -109,6 +109,14 @@ def test_evidence_that_abstains_counts_as_common() -> None:
     assert np.isfinite(WHOLE(np.full((2, SECTORS), np.nan, np.float32)).inconsistent)
 
 
+def test_what_is_rare_counts_without_any_network() -> None:
+    still = StatisticsNetwork(*(np.zeros_like(getattr(network(1), name)) for name in network(1).__slots__))
+    silent = replace(whole_sweep(), in_context=still, by_itself=still, degraded=still)
+    evidence = BENIGN[:20].copy()
+    evidence[:, 1, 30:33] += 20.0
+    assert (silent(evidence)[:, 0] > silent(BENIGN[:20])[:, 0] + 0.5).all()
+
+
 def test_a_whole_sweep_by_hand() -> None:
     surprises = np.zeros((1, 2 * STATISTICS), np.float32)
     surprises[0, 0] = 2.0
