@@ -220,7 +220,7 @@ def test_arrays_hold_all_of_a_score() -> None:
     assert_array_equal(again.logits(evidence), score.logits(evidence))
     assert again.whole is None
     whole = EvidenceScore.from_arrays(WHOLE.arrays())
-    assert_array_equal(whole.of_sweeps(BENIGN[:9])[0], WHOLE.of_sweeps(BENIGN[:9])[0])
+    assert_array_equal(whole.of_sweeps(BENIGN[:9]), WHOLE.of_sweeps(BENIGN[:9]))
 
 
 def test_refuses_what_does_not_fit() -> None:

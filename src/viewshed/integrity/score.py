@@ -387,17 +387,19 @@ class EvidenceScore:
         Raises:
             ValueError: there is other evidence than the score was trained on.
         """
-        scores, sectors = self.of_sweeps(np.asarray(evidence)[None])
-        return Scores(float(scores[0, 0]), float(scores[0, 1]), sectors[0])
+        several = np.asarray(evidence)[None]
+        sectors = self.logits(several)[0, :, 0]
+        inconsistent, degraded = self.of_sweeps(several)[0]
+        return Scores(float(inconsistent), float(degraded), sectors)
 
-    def of_sweeps(self, evidence: NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
-        """Return the scores (N, 2) of evidence (N, E, SECTORS), and what sectors say (N, SECTORS) is inconsistent.
+    def of_sweeps(self, evidence: NDArray[np.floating[Any]]) -> Floats:
+        """Return the scores (N, 2) of evidence (N, E, SECTORS), without those of sectors.
 
         Raises:
             ValueError: there is other evidence than the score was trained on.
         """
-        logits = self.logits(evidence)
-        return pooled(logits) if self.whole is None else self.whole(evidence), logits[..., 0]
+        self._require(evidence)
+        return pooled(self.logits(evidence)) if self.whole is None else self.whole(evidence)
 
     def logits(self, evidence: NDArray[np.floating[Any]]) -> Floats:
         """Return what the network says of each sector (N, SECTORS, 2) of evidence (N, E, SECTORS).
@@ -405,11 +407,7 @@ class EvidenceScore:
         Raises:
             ValueError: there is other evidence than the score was trained on.
         """
-        if evidence.ndim != 3 or evidence.shape[1:] != (len(self.names), SECTORS):
-            raise ValueError(
-                f"evidence must be {len(self.names)} lines of {SECTORS} sectors ({', '.join(self.names)}), got shape"
-                f" {evidence.shape}; use the monitor of this version"
-            )
+        self._require(evidence)
         of_sectors, of_sweep = features(self.scale(evidence))
         split = of_sectors.shape[-1]
         of_sectors = _standardized(of_sectors, self.mean[:split], self.spread[:split])
@@ -418,6 +416,13 @@ class EvidenceScore:
         hidden = of_sectors @ self.weights[:split] + (of_sweep @ self.weights[split:] + self.offsets)[:, None]
         result: Floats = np.maximum(hidden, 0.0) @ self.outputs + self.output_offsets
         return result
+
+    def _require(self, evidence: NDArray[np.floating[Any]]) -> None:
+        if evidence.ndim != 3 or evidence.shape[1:] != (len(self.names), SECTORS):
+            raise ValueError(
+                f"evidence must be {len(self.names)} lines of {SECTORS} sectors ({', '.join(self.names)}), got shape"
+                f" {evidence.shape}; use the monitor of this version"
+            )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all of it as arrays by name, as :meth:`from_arrays` takes them."""
