@@ -64,7 +64,15 @@ def _fit(folder: Path, *more: str) -> list[str]:
 
 def _check(folder: Path, *files: str) -> list[str]:
     named = [str(folder / file) for file in files]
-    return ["monitor", "check", *named, "--monitor", str(folder / "monitor.npz"), "--weights", str(folder / "net.onnx")]
+    return [
+        "monitor",
+        "check",
+        *named,
+        "--monitor-file",
+        str(folder / "monitor.npz"),
+        "--weights",
+        str(folder / "net.onnx"),
+    ]
 
 
 def test_fit_says_what_it_did(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,15 +96,15 @@ def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.Capture
 def test_a_page_shows_what_the_monitor_says(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page, net = tmp_path / "run.html", ["--weights", str(place / "net.onnx")]
     words = ["view", str(place / "calm.npz"), str(place / "cut.npz"), "--html", str(page), *net]
-    code, said, err = _run(capsys, *words, "--monitor", str(place / "monitor.npz"))
+    code, said, err = _run(capsys, *words, "--monitor-file", str(place / "monitor.npz"))
     assert (code, err) == (0, "")
     assert ["ALARM" in line for line in said.splitlines()] == [False, True, False]
     calm, cut = map(json.loads, re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")))
     assert calm["score"] <= calm["limit"] == cut["limit"] < cut["score"]
     assert [len(about["alarms"]) for about in (calm, cut)] == [0, 1]
-    code, _, err = _run(capsys, *words, "--monitor", str(place / "monitor.npz"), "--method", "shadow_map")
+    code, _, err = _run(capsys, *words, "--monitor-file", str(place / "monitor.npz"), "--method", "shadow_map")
     assert code == 2
-    assert "--monitor was fitted on mc_dropout, got --method shadow_map" in err
+    assert "--monitor-file was fitted on mc_dropout, got --method shadow_map" in err
 
 
 def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,7 +136,9 @@ def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path, capsys: pyte
     assert (code, err) == (2, "viewshed: a false-alarm rate of 0.05 needs at least 19 benign sweeps, got 5\n")
     assert not (tmp_path / "no.npz").exists()
     (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
-    code, _, err = _run(capsys, "monitor", "check", str(place / "calm.npz"), "--monitor", str(tmp_path / "bad.npz"))
+    code, _, err = _run(
+        capsys, "monitor", "check", str(place / "calm.npz"), "--monitor-file", str(tmp_path / "bad.npz")
+    )
     assert code == 2
     assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; calibrate it again\n", err)
     other = card(threshold=0.7)

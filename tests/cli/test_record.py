@@ -1,5 +1,6 @@
 """``viewshed replay --to`` and ``viewshed record`` as a stranger types them."""
 
+import re
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,14 @@ import numpy as np
 import pytest
 from tests.cli.test_networks import run
 
+import viewshed.plot
 from viewshed import read_sweep, write_sweep
 from viewshed.cli._outputs import Failures
 from viewshed.cli._record import Awaited, Listener
+from viewshed.cli.monitor import _benign, _Source
+from viewshed.grid import GRIDS
+from viewshed.integrity import IntegrityReport
+from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, ReactionState
 
@@ -80,7 +86,7 @@ def test_a_bad_file_costs_a_line_and_the_bag_stays(files: list[Path], tmp_path: 
     [
         (["replay", "{file}", "--as-fast", "--to", "run.db3"], "a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder"),
         (["replay", "{file}", "--schemas", "foxglove"], "--schemas goes with --to"),
-        (["replay", "{file}", "--as-fast", "--to", "a.mcap", "--monitor", "{file}"],
+        (["replay", "{file}", "--as-fast", "--to", "a.mcap", "--monitor-file", "{file}"],
          "sweep0.ply must be a whole monitor"),
         (["record", "{bad}", "--to", "run.mcap"], "no sweep could be read, run.mcap was not written"),
         (["record", "sim", "--to", "run.mcap", "--world", "moon"], "world must be one of street, "),
@@ -124,3 +130,57 @@ def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.C
         listener(Answer(agent, number, None, None, None, ReactionState(), 0.0, (), "nothing was usable", 0.01))
     assert failures.count == 2
     assert [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()] == ["0.200 s", "0.100 s"]
+
+
+def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tmp_path: Path) -> None:
+    """Of two agents by turns: each is judged with its own earlier sweeps."""
+    drive = tmp_path / "drive.mcap"
+    sim = ("record", "sim", "--preset", "ugv", "--agents", 2, "--seconds", 0.6, "--seed", 4, "--monitor", "--to", drive)
+    words = [
+        sim,
+        ("replay", drive, "--as-fast", "--monitor"),
+        ("estimate", drive, "--monitor", "--results", "npz", "--out", tmp_path / "out"),
+        ("view", drive, "--html", tmp_path / "run.html", "--monitor"),
+        ("monitor", "check", drive),
+    ]
+    said = []
+    for command in words:
+        code, out, err = run(*command)
+        assert (code, err) == (0, "")
+        said.append(re.findall(r"(?:nothing|INCONSISTENT|DEGRADED)\b.*?(?=; \d+\.\d kB$|$)", out, re.MULTILINE))
+    assert len(said[0]) == 12
+    assert [line.count("judged without earlier sweeps") for line in said[0]] == [1] * 10 + [0] * 2
+    assert all(each == said[0] for each in said[1:])
+
+
+def test_a_picture_shows_the_evidence_as_it_was_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is measured of a sweep alone, without what is held over sweeps, is another picture."""
+    drive = tmp_path / "drive.mcap"
+    assert run("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", 0.8, "--seed", 4, "--to", drive)[0] == 0
+    shown: list[IntegrityReport] = []
+    drawn = viewshed.plot.monitor_picture
+
+    def draw(panel: Any, report: IntegrityReport, names: Any, surprises: Any) -> bytes:
+        score = shipped_monitor().score
+        assert score(report.evidence).inconsistent == report.score
+        np.testing.assert_array_equal(surprises, score.scale(report.evidence[None])[0])
+        shown.append(report)
+        return drawn(panel, report, names, surprises)
+
+    monkeypatch.setattr(viewshed.plot, "monitor_picture", draw)
+    assert run("monitor", "check", drive, "--out", tmp_path / "found")[0] == 0
+    code, out, _ = run("monitor", "explain", drive, "--number", 7, "--out", tmp_path / "explained.png")
+    assert code == 0
+    assert out.splitlines()[0].startswith("drive.mcap 00007: ")
+    assert len(shown) == 9
+    assert (tmp_path / "explained.png").read_bytes() == (tmp_path / "found" / "drive.mcap 00007.png").read_bytes()
+
+
+def test_a_calibration_knows_the_earlier_sweeps_of_agents_that_take_turns(tmp_path: Path) -> None:
+    drive, failures = tmp_path / "drive.mcap", Failures()
+    words = ("record", "sim", "--preset", "ugv", "--agents", 2, "--seconds", 1.2, "--seed", 4, "--to", drive)
+    assert run(*words)[0] == 0
+    benign = list(_benign(_Source((str(drive),), None, "auto"), GRIDS["road"], shipped_monitor(), failures))
+    assert failures.count == 0
+    assert [sum(each.group.earlier == earlier for each in benign) for earlier in ("none", "posed")] == [10, 6]
+    assert len({each.scene for each in benign}) == 2

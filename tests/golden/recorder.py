@@ -292,7 +292,7 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run("evaluate", "crossview", "posed/index.json", "--attacks", "cluster_on_beams", "--out", "crossview.md")
     run("attack", "sweeps", "--attack", "ghost_wall", "--out", "attacked")
     run("monitor", "fit", "sweeps", "--passes", "3", "--false-alarm-rate", "0.1", "--out", "monitor.npz")
-    told = run("monitor", "check", "sweeps", "attacked", "--monitor", "monitor.npz")
+    told = run("monitor", "check", "sweeps", "attacked", "--monitor-file", "monitor.npz")
     pages = {name: (folder / path).read_text(encoding="utf-8") for name, path in TINY_PAGES.items()}
     lines = "".join(f"| {line} |\n" for line in told.splitlines())
     return pages | {"monitor": f"# Monitor\n\n| what the monitor said |\n|---|\n{lines}"}

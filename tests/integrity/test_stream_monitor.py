@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from tests.integrity.benign import KINDS, score_by_hand
 
 from viewshed import BevGrid, Sweep
@@ -12,6 +13,7 @@ from viewshed.geometry import Rigid
 from viewshed.integrity import SweepMonitor
 from viewshed.integrity.evidence import MonitoredSweep
 from viewshed.integrity.over_time import EDetector
+from viewshed.integrity.score import measure_all
 from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, Rates, group_of
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -66,6 +68,18 @@ def test_the_sixth_sweep_is_judged_with_five_earlier_ones_about_a_tenth_of_a_sec
         assert reports[first].now.score == expected.score
 
 
+def test_a_report_has_the_evidence_that_was_scored_what_is_held_included() -> None:
+    kinds = {**KINDS, "change": replace(KINDS["change"], over_time=True)}
+    stream = StreamMonitor(_monitor(), EDetector(1000.0), evidence=kinds)
+    sweeps = [_leveled(7000 + k, _time_ns(k)) for k in range(8)]
+    reports = [stream.check(sweep) for sweep in sweeps]
+    for report in reports:
+        assert _monitor().score(report.now.evidence).inconsistent == report.now.score
+    alone = [measure_all(MonitoredSweep(sweeps[k], tuple(sweeps[k - EARLIER_SWEEPS : k])), kinds) for k in (5, 6, 7)]
+    assert_array_equal(reports[7].now.evidence[[0, 2]], alone[-1][[0, 2]])
+    assert_array_equal(reports[7].now.evidence[1], np.max([each[1] for each in alone], axis=0))
+
+
 @pytest.mark.parametrize(
     ("time", "note"),
     [
@@ -111,6 +125,7 @@ def test_a_lasting_attack_alarms_with_its_delay_and_agents_are_apart() -> None:
     assert k - 8 <= 5
     # Doubt may have begun a little before the attack, never after it.
     assert (k - 8) * 0.1 - 1e-6 <= attacked.delay_s <= (k - 8) * 0.1 + 0.5
+    assert attacked.delay_s == pytest.approx(0.1 * (attacked.doubtful_sweeps - 1))
 
 
 def test_agents_are_bounded_and_bad_settings_refused() -> None:

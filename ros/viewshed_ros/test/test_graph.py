@@ -23,10 +23,11 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 import viewshed
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
+from viewshed.io.export.ros import visibility_layer
 from viewshed.io.samples import junction_path
 from viewshed.sweep import Sweep
 from viewshed_ros.conversions import pose_of, stamp_of
-from viewshed_ros.layers import LAYERS, STATE_VALUES
+from viewshed_ros.layers import LAYERS
 from viewshed_ros.node import LATCHED
 
 STEP_NS = 100_000_000
@@ -152,7 +153,7 @@ def test_what_comes_back_is_what_the_library_says(robot: Robot) -> None:
     t_ns = robot.t_ns
     sweep = Sweep(POINTS, t_ns=t_ns, world_from_sensor=pose_at(t_ns), agent="front")
     expected = viewshed.estimate(sweep, method="shadow_map")
-    values = np.array([STATE_VALUES[state] for state in sorted(STATE_VALUES)], np.int8)[expected.state]
+    values = visibility_layer(expected, "state")
     got = np.array(message.data, np.int8).reshape(expected.grid.shape).T
     # Earlier sweeps from the same place help: they may open what this one alone leaves UNKNOWN.
     assert (got == values).mean() > 0.98

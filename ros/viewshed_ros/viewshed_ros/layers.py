@@ -1,4 +1,4 @@
-"""What is published of an answer, one function a topic: grids, the inner polygon, markers, and what nav2 takes.
+"""What is published of an answer, one function a topic: grids, a polygon, markers, and what nav2 takes.
 
 Arrays of messages are set from ``array.array``: from numpy they would be checked element by element, a thousand times
 slower.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,23 +19,16 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from shapely.geometry.polygon import orient
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.integrity.evidence import SECTORS
+from viewshed.io.export.ros import visibility_layer
 from viewshed_ros import nav2
 from viewshed_ros.conversions import pose_of
-
-UNKNOWN = -1
-"""Of an OccupancyGrid: nothing is known."""
-
-STATE_VALUES = {CellState.UNKNOWN: UNKNOWN, CellState.FREE: 0, CellState.HIDDEN: 50, CellState.SURFACE: 100}
-"""Of the layer ``state``: HIDDEN is told from UNKNOWN."""
-
-_VALUES = np.array([STATE_VALUES[CellState(state)] for state in range(len(CellState))], np.int8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,29 +70,9 @@ class View:
         return self.estimate.world_from_level
 
 
-def visibility(view: View) -> OccupancyGrid:
-    """Return the probability of being visible in percent, -1 where UNKNOWN."""
-    return _percent(view, view.estimate.visible_prob)
-
-
-def doubt(view: View) -> OccupancyGrid:
-    """Return the probability in percent that the likelier answer is wrong (0 to 50), -1 where UNKNOWN."""
-    return _percent(view, view.estimate.doubt())
-
-
-def state(view: View) -> OccupancyGrid:
-    """Return the states by ``STATE_VALUES``."""
-    return _own_grid(view, _VALUES[view.estimate.state])
-
-
-def _percent(view: View, share: NDArray[np.float32]) -> OccupancyGrid:
-    percent = np.rint(100.0 * share).astype(np.int8)
-    percent[view.estimate.state == CellState.UNKNOWN] = UNKNOWN
-    return _own_grid(view, percent)
-
-
-def _own_grid(view: View, values: NDArray[np.int8]) -> OccupancyGrid:
-    return _grid(values, view.estimate.grid, view.header(), view.frame_from_level)
+def own_grid(view: View, layer: str) -> OccupancyGrid:
+    """Return a layer of :func:`viewshed.io.export.ros.visibility_layer`: visibility, state or doubt."""
+    return _grid(visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level)
 
 
 def speed_mask(view: View) -> OccupancyGrid:
@@ -127,8 +101,8 @@ def _grid(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_gr
     return message
 
 
-def inner_polygon(view: View) -> PolygonStamped:
-    """Return the largest part of the view as one ring, see :func:`keyhole`: it claims no cell too much."""
+def largest_part(view: View) -> PolygonStamped:
+    """Return the largest part of the view as one ring, see :func:`keyhole`: exactly its cells."""
     parts = view.estimate.polygon().geoms
     corners = keyhole(max(parts, key=lambda part: part.area)) if parts else np.zeros((0, 2))
     on_ground = view.frame_from_level @ np.column_stack([corners, np.zeros(len(corners))])
@@ -144,15 +118,21 @@ def keyhole(polygon: shapely.Polygon) -> NDArray[np.float64]:
     18.0
     """
     polygon = orient(polygon)  # holes turn the other way
-    ring, holes = np.asarray(polygon.exterior.coords)[:-1], list(polygon.interiors)
-    while holes:
-        # The hole nearest to what is joined already: the shortest bridge crosses nothing.
-        outline = shapely.linestrings(np.vstack([ring, ring[:1]]))
-        hole = holes.pop(int(shapely.distance(outline, holes).argmin()))
-        here, there = shapely.get_coordinates(shapely.shortest_line(outline, hole))
+    ring, holes = np.asarray(polygon.exterior.coords)[:-1], np.array(polygon.interiors, object)
+    # Next is always the hole nearest to what is joined already (Prim's tree): the shortest bridges cross nothing.
+    nearest, apart_m = np.full(len(holes), polygon.exterior), shapely.distance(polygon.exterior, holes)
+    for _ in holes:
+        number = int(apart_m.argmin())
+        hole = holes[number]
+        here, there = shapely.get_coordinates(shapely.shortest_line(nearest[number], hole))
         inner = np.asarray(hole.coords)[:-1]
         cut, begin = _edge_at(ring, here) + 1, _edge_at(inner, there) + 1
         ring = np.vstack([ring[:cut], here, there, np.roll(inner, -begin, axis=0), there, here, ring[cut:]])
+        # What is left may be nearer to this hole; what is joined lies infinitely far.
+        apart_m[number] = np.inf
+        to_hole_m = np.where(np.isinf(apart_m), np.inf, shapely.distance(hole, holes))
+        nearest[to_hole_m < apart_m] = hole
+        apart_m = np.minimum(apart_m, to_hole_m)
     return ring
 
 
@@ -211,6 +191,11 @@ def clearing(view: View) -> PointCloud2:
     return message
 
 
+def obstruction(view: View) -> String:
+    """Return what hides the view from the beginning as the value of STVL's ``obstruction_polygons``."""
+    return String(data=nav2.obstruction_polygons(view.estimate))
+
+
 @dataclass(frozen=True, slots=True)
 class Layer:
     """A topic: the type of its messages, what makes them, and whether who comes late is given the last one."""
@@ -221,13 +206,14 @@ class Layer:
 
 
 LAYERS = {
-    "visibility": Layer(OccupancyGrid, visibility, latched=True),
-    "state": Layer(OccupancyGrid, state, latched=True),
-    "doubt": Layer(OccupancyGrid, doubt, latched=True),
-    "view": Layer(PolygonStamped, inner_polygon, latched=False),
+    "visibility": Layer(OccupancyGrid, partial(own_grid, layer="visibility"), latched=True),
+    "state": Layer(OccupancyGrid, partial(own_grid, layer="state"), latched=True),
+    "doubt": Layer(OccupancyGrid, partial(own_grid, layer="doubt"), latched=True),
+    "view": Layer(PolygonStamped, largest_part, latched=False),
     "markers": Layer(MarkerArray, markers, latched=False),
     "speed_mask": Layer(OccupancyGrid, speed_mask, latched=True),
     "keepout_mask": Layer(OccupancyGrid, keepout_mask, latched=True),
     "clearing": Layer(PointCloud2, clearing, latched=False),
+    "obstruction": Layer(String, obstruction, latched=True),
 }
 """The topics of a sensor that are made from an estimate, by name below the sensor's."""

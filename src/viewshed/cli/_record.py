@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
+from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
     from viewshed.datasets.recorder.moment import DriveTruth, Moment, RisingTimes
-    from viewshed.integrity import StreamMonitor
     from viewshed.pipeline import Answer, Pipeline
     from viewshed.sweep import Sweep
 
@@ -23,30 +24,6 @@ To = Annotated[
     Path | None, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")
 ]
 SchemaNames = Annotated[str, typer.Option("--schemas", help="Messages of the bag: ros, or foxglove (NAME.mcap).")]
-MonitorFile = Annotated[
-    str | None, typer.Option("--monitor", help="File of monitor calibrate, or shipped: watch the stream.")
-]
-
-
-SHIPPED = "shipped"
-"""In place of a file: the monitor in the box."""
-
-
-def stream_monitor(name: str | None) -> StreamMonitor | None:
-    """Return what watches a stream: a file of ``monitor calibrate``, or ``shipped``; None for nothing.
-
-    Raises:
-        ValueError: the file is no such monitor.
-        OSError: it cannot be read.
-    """
-    if name is None:
-        return None
-    from viewshed.cli._verdicts import FALSE_ALARMS_PER_HOUR, HZ, monitor_of
-    from viewshed.integrity import StreamMonitor
-    from viewshed.integrity.over_time import EDetector
-
-    monitor = monitor_of(None if name == SHIPPED else Path(name))
-    return StreamMonitor(monitor, EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ))
 
 
 class Awaited(NamedTuple):
@@ -85,9 +62,9 @@ class Listener:
         if answer.estimate is None:
             self._failures.report(f"{awaited.due_s:.3f} s", ValueError(answer.refused))
         else:
-            alarm = ", ALARM" if answer.report is not None and (answer.report.alarm or answer.report.now.alarm) else ""
+            said = "" if answer.report is None else f"; {stream_verdicts(answer.report)}"
             visible = f"visible {answer.estimate.area_m2():.0f} m²"
-            typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{alarm}")
+            typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{said}")
         if self._records:
             self._record(answer, awaited)
 
@@ -103,7 +80,7 @@ class Listener:
 
 @contextmanager
 def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
-    """Open the bag that was asked for, if any.
+    """Open the bag to write, if any.
 
     Raises:
         ValueError: it would replace an input, or its name is that of no bag.
@@ -138,6 +115,9 @@ def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Nam
 
 def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited]) -> int:
     """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were."""
+    from viewshed.pipeline import SWITCH_INTERVAL_S
+
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     count = 0
     try:
         with pipeline:

@@ -1,19 +1,18 @@
-"""What a monitor says of sweeps, one after the other, in lines: for ``estimate --monitor`` and ``monitor check``."""
+"""The monitor that a command was given, and what it says of sweeps in lines."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from viewshed.integrity import IntegrityReport
+    from viewshed.integrity import IntegrityReport, StreamMonitor
     from viewshed.integrity.evidence import MonitoredSweep
-    from viewshed.integrity.over_time import EDetector
-    from viewshed.integrity.score import HeldEvidence
-    from viewshed.integrity.stream_monitor import EarlierSweeps
+    from viewshed.integrity.stream_monitor import RecentSweeps, StreamReport
     from viewshed.integrity.sweep_monitor import SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
 
@@ -31,23 +30,36 @@ def monitor_of(file: Path | None) -> SweepMonitor:
     return shipped_monitor() if file is None else load_sweep_monitor(file)
 
 
+def stream_monitor(file: Path | None) -> StreamMonitor:
+    """Return what watches a stream: :func:`monitor_of` a file, and its alarms over time.
+
+    Raises:
+        ValueError: the file is no such monitor.
+        OSError: it cannot be read.
+    """
+    from viewshed.integrity import StreamMonitor
+    from viewshed.integrity.over_time import EDetector
+
+    return StreamMonitor(monitor_of(file), EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ))
+
+
 @dataclass(slots=True)
 class Drives:
     """Goes through sweeps drive by drive, and says what was measured before each of them."""
 
     name: str = ""
     began_ns: int = 0
-    earlier: EarlierSweeps | None = None
+    earlier: RecentSweeps | None = None
     goes_on: bool = False
 
     def next(self, leveled: LeveledSweep, drive: str) -> MonitoredSweep:
         """Return the next sweep with those before it, and keep it."""
         from viewshed.integrity.evidence import MonitoredSweep
-        from viewshed.integrity.stream_monitor import EarlierSweeps
+        from viewshed.integrity.stream_monitor import RecentSweeps
 
         self.goes_on = self.earlier is not None and drive == self.name and not self.earlier.why_anew(leveled)
         if self.earlier is None or not self.goes_on:
-            self.name, self.began_ns, self.earlier = drive, leveled.sweep.t_ns or 0, EarlierSweeps()
+            self.name, self.began_ns, self.earlier = drive, leveled.sweep.t_ns or 0, RecentSweeps()
         monitored = MonitoredSweep(leveled, self.earlier.before(leveled))
         self.earlier.add(leveled)
         return monitored
@@ -57,45 +69,21 @@ class Drives:
         return f"{self.name} {self.began_ns} {((leveled.sweep.t_ns or 0) - self.began_ns) // SCENE_NS}"
 
 
-@dataclass(slots=True)
-class Judge:
-    """A monitor at work on sweeps in their order."""
+def watching(wanted: bool, file: Path | None) -> StreamMonitor | None:
+    """Return the :func:`stream_monitor` of ``--monitor`` and ``--monitor-file``; None where neither was given."""
+    return stream_monitor(file) if wanted or file is not None else None
 
-    monitor: SweepMonitor
-    checked: int = 0
-    inconsistent: int = 0
-    degraded: int = 0
-    alarms: int = 0
-    _drives: Drives = field(default_factory=Drives)
-    _detector: EDetector | None = None
-    _held: HeldEvidence | None = None
 
-    def judge(self, leveled: LeveledSweep, drive: str) -> tuple[MonitoredSweep, IntegrityReport, str]:
-        """Return the next sweep with those before it, what the monitor says of it, and that in words."""
-        from viewshed.integrity.over_time import EDetector
-        from viewshed.integrity.score import HeldEvidence
-
-        monitored = self._drives.next(leveled, drive)
-        if self._detector is None or self._held is None or not self._drives.goes_on:
-            self._detector = EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ)
-            self._held = HeldEvidence()
-        report = self.monitor.check(monitored, held=self._held)
-        alarm = self._detector.add(report.p_value)
-        self.checked += 1
-        self.inconsistent += report.inconsistent
-        self.degraded += report.degraded
-        self.alarms += alarm
-        over_time = f"; ALARM over the last {self._detector.doubtful_sweeps} sweeps" if alarm else ""
-        return monitored, report, f"{verdicts(report)}{over_time}"
-
-    def summary(self) -> str:
-        """Return how many sweeps were checked and what was found, in a line."""
-        over_time = f", {self.alarms} alarms over time" if self.alarms else ""
-        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{over_time}"
+def stream_verdicts(report: StreamReport) -> str:
+    """Return what a monitor says of a sweep and of its stream so far, in a line: see :func:`verdicts`."""
+    over_time = f"; ALARM over the last {report.doubtful_sweeps} sweeps" if report.alarm else ""
+    return f"{verdicts(report.now)}{over_time}{''.join(f'; {note}' for note in report.notes)}"
 
 
 def verdicts(report: IntegrityReport) -> str:
     """Return what a monitor says of a sweep in a line: verdicts, p-value, suspect azimuths, and the first reason.
+
+    The published detector has no p-value: score, limit and suspect area.
 
     >>> import numpy as np
     >>> from viewshed.integrity import IntegrityReport
@@ -104,6 +92,9 @@ def verdicts(report: IntegrityReport) -> str:
     >>> verdicts(IntegrityReport("sweep", 3.0, 2.0, 0.002, suspect=suspect, reasons=reasons))
     'INCONSISTENT (p = 0.002) at 20° to 25°: 7 % of the returns at 22° lie on no beam'
     """
+    if math.isnan(report.p_value):
+        found = f"ALARM, {report.suspect_m2:.0f} m² suspect" if report.alarm else "no alarm"
+        return f"score {report.score:.4f}, limit {report.threshold:.4f}, {found}"
     said = [word for word, is_so in (("INCONSISTENT", report.inconsistent), ("DEGRADED", report.degraded)) if is_so]
     where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
     why = f": {report.reasons[0]}" if report.reasons and said else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,23 +10,26 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     AbstainBelow,
     Device,
     HistorySweeps,
+    MonitorFile,
     NetworkOptions,
     Passes,
     Reading,
     RequireConfirmation,
     Seed,
     Weights,
+    WithMonitor,
 )
-from viewshed.cli._outputs import Failures, Run, output_names, parse_results, refuse_inputs
+from viewshed.cli._outputs import Failures, Run, make_folder, output_names, parse_results, refuse_inputs
 from viewshed.cli._stream import named_sweeps
-from viewshed.cli._verdicts import Judge, monitor_of
+from viewshed.cli._verdicts import watching
 
 Files = Annotated[
-    list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
+    list[Path] | None,
+    typer.Argument(metavar="FILE...", help="Sweeps in any known format, folders of them, patterns, or recordings."),
 ]
 
 Method = Annotated[
@@ -45,22 +49,18 @@ Batch = Annotated[
     ),
 ]
 
-Results = Annotated[str, typer.Option(help="What is written of each sweep: some of png,geojson,npz.")]
+Results = Annotated[
+    str, typer.Option(help="What is written of each sweep: some of png,geojson,npz, or other formats of export.")
+]
 
 
 def estimate(
     files: Files = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    crs: options.Crs = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
     weights: Weights = None,
@@ -72,9 +72,8 @@ def estimate(
     history: HistorySweeps = 0,
     require_confirmation: RequireConfirmation = False,
     batch: Batch = 1,
-    monitor: Annotated[
-        bool, typer.Option("--monitor", help="Say of each sweep whether it is inconsistent or degraded, and why.")
-    ] = False,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
@@ -88,24 +87,24 @@ def estimate(
 
     if history and batch > 1:
         raise ValueError("--history goes with --batch 1: a sweep is remembered before the next one is estimated")
-    if monitor and batch > 1:
+    if (monitor or monitor_file) and batch > 1:
         raise ValueError("--monitor goes with --batch 1: it judges a sweep by those before it")
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
     kinds = parse_results(results)
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
-    judge = Judge(monitor_of(None)) if monitor else None
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, judge)
+    watch = watching(monitor, monitor_file)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs)
+    reading = replace(reading, crs=crs)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
-    refuse_inputs((out / f"{name}.{kind}" for name in names for kind in kinds), (file for file, _ in jobs))
-    out.mkdir(parents=True, exist_ok=True)
+    refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
+    make_folder(out)
     failures = Failures()
-    for line in run.lines(named_sweeps(reading, jobs, names, failures), failures, batch):
+    for line in run.lines(named_sweeps(reading, jobs, names, failures, history=history), failures, batch):
         typer.echo(line)
     if failures.count:
         raise typer.Exit(2)

@@ -12,26 +12,25 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, Passes, Reading, Seed, Weights, complain
-from viewshed.cli._outputs import Failures, free_name, refuse_inputs, stem_of, with_bar
-from viewshed.cli._verdicts import Drives, Judge, monitor_of
+from viewshed.cli._options import AUTO, BAD_INPUTS, MonitorFile, Passes, Reading, Seed, Weights, complain
+from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
+from viewshed.cli._places import place_of_result
+from viewshed.cli._stream import placed_sweeps, poses_of
+from viewshed.cli._verdicts import Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
     from viewshed.estimators.unet import UnetEstimator
     from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
-    from viewshed.integrity import DeviationMonitor, IntegrityReport
-    from viewshed.integrity.evidence import MonitoredSweep
+    from viewshed.integrity import DeviationMonitor, IntegrityReport, StreamMonitor
+    from viewshed.integrity.stream_monitor import StreamReport
     from viewshed.integrity.sweep_monitor import BenignSweep, SweepMonitor
+    from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
 
 monitor_app = typer.Typer(help="Is a sweep inconsistent or degraded, where and why.")
-
-BaseMonitor = Annotated[
-    Path | None,
-    typer.Option("--monitor", help="File of viewshed monitor calibrate or fit; the one in the box if not given."),
-]
 
 
 @monitor_app.callback()
@@ -98,7 +97,7 @@ def calibrate(
         list[str] | None,
         typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
     ] = None,
-    monitor: BaseMonitor = None,
+    monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -119,12 +118,14 @@ def calibrate(
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
     refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
-    base, rng = monitor_of(monitor), np.random.default_rng(seed or 0)
+    base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
     benign = [
         replace(sweep, clear=clear)
         for places, clear in ((sources, True), (worse or (), False))
-        for sweep in _benign(_Source(tuple(places), split, sensor), options.parse_grid(grid), base, failures)
+        for sweep in _benign(
+            _Source(tuple(places), split, sensor, failures=failures), options.parse_grid(grid), base, failures
+        )
     ]
     if correct:
         made = base.corrected(benign, rng)
@@ -147,11 +148,13 @@ def calibrate(
 @monitor_app.command()
 def check(
     sources: options.Sources,
-    monitor: BaseMonitor = None,
+    monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     weights: Weights = None,
     sensor: options.SensorName = AUTO,
+    topic: options.Topic = None,
+    poses: options.Poses = None,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
 ) -> None:
     """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
@@ -160,14 +163,14 @@ def check(
     cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2. An alarm
     does not change the exit code.
 
-    Example: viewshed monitor check drive --monitor monitor.npz
+    Example: viewshed monitor check drive --monitor-file monitor.npz
     """
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-    run = _watching(monitor, options.parse_grid(grid), weights, out)
+        make_folder(out)
+    run = _watching(monitor_file, options.parse_grid(grid), weights, out)
     for source in sources:
         try:
-            for seen in _Source((source,), split, sensor):
+            for seen in _Source((source,), split, sensor, topic, poses, run.failures):
                 run.one(seen)
         except BAD_INPUTS as error:
             run.failures.report(source, error)
@@ -180,11 +183,11 @@ def check(
 def explain(
     source: Annotated[str, typer.Argument(metavar="SRC", help="A sweep, or a recording or data set.")],
     number: Annotated[int, typer.Option(min=0, help="Of the sweep in its recording, from 0.")] = 0,
-    monitor: BaseMonitor = None,
+    monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("explained.png"),
+    out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
 ) -> None:
     """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
 
@@ -193,36 +196,43 @@ def explain(
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """
     from viewshed._files import write_atomic
-    from viewshed.preprocess.leveling import level
 
-    refuse_inputs((out,), [Path(source)])
-    judge = Judge(monitor_of(monitor))
+    picture = place_of_result(out, "explained.png")
+    refuse_inputs((picture,), [Path(source)])
+    run = _SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
     for place, seen in enumerate(_Source((source,), split, sensor)):
-        monitored, report, said = judge.judge(level(seen.sweep, options.parse_grid(grid)), seen.drive)
+        leveled, report = run.check(seen)
         if place == number:
-            write_atomic(out, explaining_picture(judge.monitor, monitored, report, f"{seen.name}: {said}"))
-            typer.echo(f"{seen.name}: {said} → {out}")
-            for reason in report.reasons[1:]:
+            line = f"{seen.name}: {stream_verdicts(report)}"
+            write_atomic(picture, run.picture(leveled, report.now, line))
+            typer.echo(f"{line} → {picture}")
+            for reason in report.now.reasons[1:]:
                 typer.echo(f"  {reason}")
             return
     raise ValueError(f"number must be below the sweeps of {source}, got {number}")
 
 
 class Seen(NamedTuple):
-    """A sweep with the drive that it is of and its own name."""
+    """A sweep with the file or scene that it is of and its own name."""
 
-    drive: str
+    scene: str
     name: str
     sweep: Sweep
 
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """Sweeps that can be gone through more than once, in their order."""
+    """Sweeps that can be gone through more than once, in their order.
+
+    A file that cannot be read is reported to ``failures``, or an error where there are none.
+    """
 
     places: tuple[str, ...]
     split: str | None
     sensor: str
+    topic: str | None = None
+    poses: Path | None = None
+    failures: Failures | None = None
 
     def __iter__(self) -> Iterator[Seen]:
         for place in self.places:
@@ -231,20 +241,31 @@ class _Source:
             elif self.split is not None:
                 raise ValueError(f"--split goes with a data set that has splits, got {place}")
             else:
-                yield from self._read(Path(place))
+                yield from self._read(place)
 
     def _archived(self, place: str) -> Iterator[Seen]:
         from viewshed.datasets import Archive
 
         archive = Archive.open(place)
         for number, sample in enumerate(archive if self.split is None else archive.split(self.split)):
-            yield Seen(f"{place} {sample.scene} {sample.sweep.agent}", f"{sample.scene} {number:05}", sample.sweep)
+            yield Seen(f"{place} {sample.scene}", f"{sample.scene} {number:05}", sample.sweep)
 
-    def _read(self, path: Path) -> Iterator[Seen]:
-        several = path.is_dir()
-        for number, sweep in enumerate(Reading(self.sensor).sweeps(path)):
-            name = f"{path.name} {number:05}" if several or number else path.name
-            yield Seen(f"{path} {sweep.agent}", name, sweep)
+    def _read(self, place: str) -> Iterator[Seen]:
+        reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
+        jobs = list(options.chosen([Path(place)], None))
+        poses, count = poses_of(reading), 0
+        for job in jobs:
+            path = job[0]
+            several = path.is_dir()
+            try:
+                for number, sweep in enumerate(placed_sweeps(reading, jobs, job, poses, count)):
+                    count += 1
+                    name = f"{path.name} {number:05}" if several or number else path.name
+                    yield Seen(str(path) if poses is None else place, name, sweep)
+            except BAD_INPUTS as error:
+                if self.failures is None:
+                    raise
+                self.failures.report(path, error)
 
 
 def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
@@ -256,10 +277,11 @@ def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failu
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    drives, held = Drives(), HeldEvidence()
+    agents: dict[str, tuple[Drives, HeldEvidence]] = {}
     for seen in sources:
+        drives, held = agents.setdefault(seen.sweep.agent, (Drives(), HeldEvidence()))
         try:
-            monitored = drives.next(level(seen.sweep, grid), seen.drive)
+            monitored = drives.next(level(seen.sweep, grid), f"{seen.scene} {seen.sweep.agent}")
             if len(monitored.earlier) < EARLIER_SWEEPS:
                 monitored = replace(monitored, earlier=())
             group, measured = group_of(monitored), measure_all(monitored)
@@ -299,52 +321,70 @@ def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path |
         return _DeviationRun(fitted, estimator_of(fitted, weights), out)
     if weights is not None:
         raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
-    return _SweepRun(Judge(monitor_of(file)), grid, out)
+    return _SweepRun(stream_monitor(file), grid, out)
 
 
 @dataclass(slots=True)
 class _SweepRun:
     """The monitor of all evidence at work."""
 
-    judge: Judge
+    monitor: StreamMonitor
     grid: BevGrid
     out: Path | None = None
+    checked: int = 0
+    inconsistent: int = 0
+    degraded: int = 0
+    alarms: int = 0
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
+    scene: str = ""
+    estimator: Estimator | None = None
+
+    def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
+        """Return the next sweep, leveled, and what the monitor says of it; each file or scene begins anew."""
+        from viewshed.preprocess.leveling import level
+
+        if seen.scene != self.scene:
+            self.monitor.reset()
+        self.scene = seen.scene
+        leveled = level(seen.sweep, self.grid)
+        return leveled, self.monitor.check(leveled)
 
     def one(self, seen: Seen) -> None:
         """Say what the monitor finds in a sweep."""
         from viewshed._files import write_atomic
-        from viewshed.preprocess.leveling import level
 
         try:
-            monitored, report, said = self.judge.judge(level(seen.sweep, self.grid), seen.drive)
-            line = f"{seen.name}: {said}"
+            leveled, report = self.check(seen)
+            line = f"{seen.name}: {stream_verdicts(report)}"
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
-                write_atomic(place, explaining_picture(self.judge.monitor, monitored, report, line))
+                write_atomic(place, self.picture(leveled, report.now, line))
                 line = f"{line} → {place}"
             typer.echo(line)
         except BAD_INPUTS as error:
             self.failures.report(seen.name, error)
+        else:
+            self.checked += 1
+            self.inconsistent += report.now.inconsistent
+            self.degraded += report.now.degraded
+            self.alarms += report.alarm
 
     def summary(self) -> str:
         """Return how many sweeps were checked and what was found, in a line."""
-        return self.judge.summary()
+        over_time = f", {self.alarms} alarms over time" if self.alarms else ""
+        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{over_time}"
 
+    def picture(self, leveled: LeveledSweep, report: IntegrityReport, line: str) -> bytes:
+        """Return the PNG of a report: suspect sectors on the map of the default estimate, and the evidence scored."""
+        from viewshed.estimators import load_estimator
+        from viewshed.grid import BevGrid
+        from viewshed.plot import Panel, monitor_picture
 
-def explaining_picture(monitor: SweepMonitor, monitored: MonitoredSweep, report: IntegrityReport, line: str) -> bytes:
-    """Return the PNG of a report: suspect sectors on the map of the default estimate, and all evidence."""
-    from viewshed.estimators import load_estimator
-    from viewshed.grid import BevGrid
-    from viewshed.integrity.score import measure_all
-    from viewshed.plot import Panel, monitor_picture
-
-    grid = BevGrid(256, monitored.leveled.ground.half_extent_m)
-    estimate = load_estimator(grid=grid).estimate(monitored.leveled)
-    surprises = monitor.score.scale(measure_all(monitored)[None])[0]
-    panel = Panel(estimate, line, monitored.leveled, estimate.threshold)
-    return monitor_picture(panel, report, monitor.score.names, surprises)
+        self.estimator = self.estimator or load_estimator(grid=BevGrid(256, leveled.ground.half_extent_m))
+        estimate, score = self.estimator.estimate(leveled), self.monitor.monitor.score
+        panel = Panel(estimate, line, leveled, estimate.threshold)
+        return monitor_picture(panel, report, score.names, score.scale(report.evidence[None])[0])
 
 
 @dataclass(slots=True)
@@ -365,8 +405,7 @@ class _DeviationRun:
         try:
             found = self.estimator.estimate(sweep)
             report = self.monitor.check(found)
-            word = f"ALARM, {report.suspect_m2:.0f} m² suspect" if report.alarm else "no alarm"
-            line = f"{name}: score {report.score:.4f}, limit {report.threshold:.4f}, {word}"
+            line = f"{name}: {verdicts(report)}"
             typer.echo(line if self.out is None else f"{line} → {self._drawn(name, line, found, report, sweep)}")
         except BAD_INPUTS as error:
             self.failures.report(name, error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -12,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, HistorySweeps, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._options import (
+    AS_THEY_ARE,
+    BAD_INPUTS,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Passes,
+    Reading,
+    Seed,
+    Weights,
+    WithMonitor,
+)
 from viewshed.cli._outputs import (
     Failures,
     Named,
@@ -22,8 +32,10 @@ from viewshed.cli._outputs import (
     summary_line,
     warm_up,
 )
-from viewshed.cli._record import Awaited, Listener, repeated, run, stream_monitor
+from viewshed.cli._profile import ProfileName, settings
+from viewshed.cli._record import Awaited, Listener, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
 from viewshed.cli.estimate import Files, Method
 from viewshed.cli.monitor import estimator_of
 from viewshed.cli.replay import Pace
@@ -33,11 +45,12 @@ if TYPE_CHECKING:
     from viewshed.estimators.temporal import SweepBuffer
     from viewshed.fov.estimate import FovEstimate
     from viewshed.integrity import IntegrityReport, StreamMonitor
+    from viewshed.pipeline.reactions import ReactionRules
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.view import Frame, PackedFrame
 
-    Check = Callable[[LeveledSweep, FovEstimate], IntegrityReport]
-    """What a monitor says of the next sweep and its estimate."""
+    Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
+    """What a monitor says of the next sweep and its estimate, and that in words."""
 
 Every = Annotated[int, typer.Option(min=1, help="Take every so many sweeps.")]
 
@@ -45,30 +58,24 @@ MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End aft
 
 
 def view(
+    ctx: typer.Context,
     files: Files = None,
     html: Annotated[Path | None, typer.Option(help="The page to write, one file that needs no network.")] = None,
     rerun: Annotated[Path | None, typer.Option(help="The file to write for Rerun: NAME.rrd.")] = None,
     foxglove: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Serve live to Foxglove at this port, until Ctrl-C.")
     ] = None,
+    profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     target: options.TargetName = "car",
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
-    monitor: Annotated[
-        Path | None, typer.Option(help="File of monitor calibrate, or of monitor fit, which brings method and grid.")
-    ] = None,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
     history: HistorySweeps = 0,
     every: Every = 1,
     sweeps: MostSweeps = None,
@@ -84,25 +91,28 @@ def view(
     """
     if [html, rerun, foxglove].count(None) != 2:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    network = NetworkOptions(weights, passes, seed)
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
     failures, names = Failures(), output_names(places)
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     if foxglove is not None:
-        estimator = network.estimator(method, options.parse_grid(grid), target)
-        watch = stream_monitor(None if monitor is None else str(monitor))
-        taken = islice(repeated(read, loop=sweeps is None), 0, None if sweeps is None else every * sweeps, every)
-        _serve(foxglove, taken, estimator, history_buffer(estimator, history), watch, failures)
+        estimator = network.estimator(chosen.method, cells, target)
+        watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
+        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else every * sweeps, every)
+        buffer = history_buffer(estimator, chosen.history)
+        _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures)
     else:
-        own, check = (None, None) if monitor is None else _monitored(monitor, weights, method)
-        estimator = own or network.estimator(method, options.parse_grid(grid), target)
-        taken = islice(read(), 0, None if sweeps is None else every * sweeps, every)
-        frames = _frames(taken, estimator, history_buffer(estimator, history), check, failures)
+        own, check = (None, None)
+        if chosen.monitor or monitor_file:
+            own, check = _monitored(monitor_file, weights, method)
+        estimator = own or network.estimator(chosen.method, cells, target)
+        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else every * sweeps, every)
+        frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -140,6 +150,7 @@ def _serve(
     estimator: Estimator,
     buffer: SweepBuffer | None,
     watch: StreamMonitor | None,
+    rules: ReactionRules,
     failures: Failures,
 ) -> None:
     """Show sweeps live in Foxglove, at the pace at which they were measured."""
@@ -150,25 +161,33 @@ def _serve(
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
         listener = Listener([record], failures, is_live=True)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=rules)
         run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps)))
 
 
-def _monitored(file: Path, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
+def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
     """Return the estimator that a monitor was fitted on, if it was on one, and what the monitor says of each sweep."""
-    from viewshed.integrity import StreamMonitor, load_monitor, load_sweep_monitor
+    from viewshed.integrity import load_monitor
     from viewshed.integrity.deviation import NAME as DEVIATION
-    from viewshed.integrity.over_time import EDetector
     from viewshed.integrity.sweep_monitor import kind_of_monitor
 
-    if kind_of_monitor(file) == DEVIATION:
+    if file is not None and kind_of_monitor(file) == DEVIATION:
         if method not in {None, "mc_dropout"}:
-            raise ValueError(f"--monitor was fitted on mc_dropout, got --method {method}; leave it out")
+            raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave it out")
         fitted = load_monitor(file)
-        return estimator_of(fitted, weights), lambda _, estimate: fitted.check(estimate)
-    # The page shows sweep by sweep: doubt that adds up over them is not asked for.
-    stream = StreamMonitor(load_sweep_monitor(file), EDetector(limit=math.inf))
-    return None, lambda leveled, estimate: stream.check(leveled, {estimate.method: estimate}).now
+
+        def check_estimate(_: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
+            report = fitted.check(estimate)
+            return report, verdicts(report)
+
+        return estimator_of(fitted, weights), check_estimate
+    stream = stream_monitor(file)
+
+    def check(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
+        report = stream.check(leveled, {estimate.method: estimate})
+        return report.now, stream_verdicts(report)
+
+    return None, check
 
 
 def _frames(
@@ -194,7 +213,7 @@ def _frames(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
-            report = None if check is None else check(leveled, estimate)
+            report, said = (None, "") if check is None else check(leveled, estimate)
         except BAD_INPUTS as error:
             failures.report(named.file, error)
             continue
@@ -202,6 +221,5 @@ def _frames(
             buffer.add(leveled)
         sensor = leveled.sensor_id.model
         report_doubts(leveled, named.name)
-        alarm = ", ALARM" if report is not None and report.alarm else ""
-        line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{alarm}"
+        line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{f'; {said}' if said else ''}"
         yield Frame(named.name, estimate, leveled, report), line

@@ -36,6 +36,8 @@ class IntegrityReport:
         suspect_cells: (cells, cells) bool on the grid; (0, 0) without one.
         reasons: what speaks against the sweep, the strongest first; a sentence each.
         notes: what the report could not rest on, and what was done instead; a sentence each.
+        evidence: (E, SECTORS) float32 that was scored, what is held over sweeps included; (0, SECTORS) where the
+            monitor looks at no evidence.
 
     Raises:
         ValueError: score or threshold is not a number, a p-value lies outside (0, 1], or a mask does not fit.
@@ -56,6 +58,7 @@ class IntegrityReport:
     suspect_cells: Mask = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    evidence: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, SECTORS), np.float32))
 
     def __post_init__(self) -> None:
         if math.isnan(self.score) or math.isnan(self.threshold):

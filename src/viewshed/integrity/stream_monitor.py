@@ -26,6 +26,7 @@ class StreamReport:
         limit: of the wealth.
         delay_s: time since the doubt that is left began, in seconds; 0 where there is none, or without times.
         notes: what became of the stream: a sentence each.
+        doubtful_sweeps: sweeps since the doubt that is left began.
     """
 
     now: IntegrityReport
@@ -34,17 +35,19 @@ class StreamReport:
     limit: float
     delay_s: float
     notes: tuple[str, ...] = ()
+    doubtful_sweeps: int = 0
 
 
 @dataclass(slots=True)
-class EarlierSweeps:
+class RecentSweeps:
     """The last sweeps of one stream, as evidence over time is given them.
 
     A stream begins anew, without earlier sweeps, where its time goes back, repeats or jumps, or its sensor changes.
 
     Attributes:
         every_s: time between the earlier sweeps that the evidence is given; they may be a quarter nearer.
-        jump_s: a stream without a sweep for longer begins anew.
+        jump_s: a stream without a sweep for longer begins anew: what appeared or vanished meanwhile may have done so
+            for a cause that nobody saw. Estimates are helped by sweeps of up to 10 s ago (``temporal.FORGET_S``).
 
     Raises:
         ValueError: a time is not positive.
@@ -108,7 +111,7 @@ class _Agent:
     """What is kept of one agent."""
 
     detector: EDetector
-    earlier: EarlierSweeps
+    earlier: RecentSweeps
     held: HeldEvidence = field(default_factory=HeldEvidence)
     onset_ns: int | None = None
 
@@ -142,7 +145,7 @@ class StreamMonitor:
     _agents: dict[str, _Agent] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        EarlierSweeps(self.every_s, self.jump_s)
+        RecentSweeps(self.every_s, self.jump_s)
         if self.agents < 1:
             raise ValueError(f"agents must be 1 at least, got {self.agents}")
 
@@ -170,7 +173,8 @@ class StreamMonitor:
         self._agents[name] = agent
         while len(self._agents) > self.agents:
             del self._agents[next(iter(self._agents))]
-        return StreamReport(now, alarm, agent.detector.wealth, agent.detector.limit, delay_s, notes)
+        detector = agent.detector
+        return StreamReport(now, alarm, detector.wealth, detector.limit, delay_s, notes, detector.doubtful_sweeps)
 
     def reset(self, agent: str | None = None) -> None:
         """Forget an agent, or all: its stream begins anew, without earlier sweeps and without doubt."""
@@ -181,7 +185,7 @@ class StreamMonitor:
         """Return the agent of a sweep, or one that begins anew where the sweep does not follow, and why."""
         why = "" if agent is None else agent.earlier.why_anew(leveled)
         if agent is None or why:
-            new = _Agent(self.detector.fresh(), EarlierSweeps(self.every_s, self.jump_s))
+            new = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
             return new, (why,) if why else ()
         if leveled.sweep.t_ns is None:
             return agent, ("the sweep has no time: it is judged without earlier sweeps",)

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import lzma
-import struct
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import __version__
-from viewshed._files import write_atomic
+from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.grid import BevGrid
 from viewshed.integrity.calibration import (
     Calibration,
@@ -41,7 +37,7 @@ EARLIER_SWEEPS = 5
 """Earlier sweeps that evidence over time is given; a sweep with fewer is judged by itself."""
 
 UNUSUAL = 0.01
-"""A reason is told if at most this share of benign scenes of the group shows its evidence as strongly."""
+"""A reason is given if at most this share of benign scenes of the group shows its evidence as strongly."""
 
 Floats = NDArray[np.float64]
 
@@ -275,7 +271,7 @@ class SweepMonitor:
             NAME, inconsistent, threshold, self.inconsistent.p_value(inconsistent, group),
             float(row[1]) > self.degraded.limit(group), self.degraded.p_value(float(row[1]), group), suspect, grid,
             np.zeros((0, 0), np.bool_) if grid is None else cells_of_sectors(suspect, grid),
-            self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes,
+            self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes, np.asarray(evidence, np.float32),
         )  # fmt: skip
 
     def suspect_sectors(self, sectors: ArrayLike, group: Group, *, any_dependence: bool = False) -> Mask:
@@ -374,7 +370,7 @@ class SweepMonitor:
 def group_of(monitored: MonitoredSweep) -> Group:
     """Return the group with which a sweep is calibrated: its sensor, and whether all earlier sweeps have poses.
 
-    Sensors without a name are told apart by whether their rings are known, which much of the evidence needs.
+    Sensors without a name are distinguished by whether their rings are known, which much of the evidence needs.
     """
     sensor = monitored.leveled.sensor_id
     name = sensor.model.name if sensor.model is not None else "unknown sensor"
@@ -417,11 +413,6 @@ SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 _MAX_BYTES = 1 << 26
 """Largest part of a file, unpacked: a hundred thousand scenes by 72 sectors."""
 
-_BROKEN = (
-    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
-    MemoryError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
-)  # fmt: skip
-
 
 def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
     """Write a monitor to ``path`` (compressed NPZ) at once or not at all; the same monitor, the same bytes.
@@ -463,14 +454,9 @@ def load_sweep_monitor(path: str | Path) -> SweepMonitor:
     """
     raw = Path(path).read_bytes()
     try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            for member in archive.infolist():
-                if member.file_size > _MAX_BYTES:
-                    raise ValueError(f"{member.filename} must be at most {_MAX_BYTES} bytes, got {member.file_size}")
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(raw, _MAX_BYTES)
         return _monitor(json.loads(arrays["about"].tobytes()), arrays)
-    except _BROKEN as error:
+    except DAMAGED as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(
             f"{path} must be a whole monitor file of this version, got: {why}; calibrate it again"
@@ -490,12 +476,8 @@ def kind_of_monitor(path: str | Path) -> str:
     """
     raw = Path(path).read_bytes()
     try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            if archive.getinfo("about.npy").file_size > _MAX_BYTES:
-                return ""
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            return str(json.loads(file["about"].tobytes())["monitor"])
-    except _BROKEN:
+        return str(json.loads(read_arrays(raw, _MAX_BYTES, ("about",))["about"].tobytes())["monitor"])
+    except DAMAGED:
         return ""
 
 

@@ -20,6 +20,7 @@ class Tracks:
         states: (N, 4) x, y in meters and their velocities in m/s.
         covariances: (N, 4, 4) of the states.
         boxes: (N, 7) columns ``viewshed.objects.BOX_COLUMNS``; the centers are those of the states.
+        box_variances: (N, 5) of z, length, width, height (square meters) and yaw (square radians).
         kinds: (N,) uint8 of :class:`viewshed.objects.ObjectKind`.
         existence: (N,) probability that there is such an object.
         confirmed: (N,) bool, existence has been high enough once; what others are shown.
@@ -29,6 +30,8 @@ class Tracks:
         born_s: (N,) time of its first detection.
         seen_s: (N,) time of its last detection.
         born_hidden: (N,) probability, at its first detection, that it could have come from where nothing was seen.
+        in_world: False where the sweep had no pose, so that all of this is in its ``level`` frame.
+        notes: what was refused or dropped in this sweep, and why, in sentences.
     """
 
     t_s: float
@@ -36,6 +39,7 @@ class Tracks:
     states: Floats
     covariances: Floats
     boxes: Floats
+    box_variances: Floats
     kinds: NDArray[np.uint8]
     existence: Floats
     confirmed: NDArray[np.bool_]
@@ -45,6 +49,8 @@ class Tracks:
     born_s: Floats
     seen_s: Floats
     born_hidden: Floats
+    in_world: bool = True
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of tracks."""

@@ -2,12 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, probability_of_visible
+from viewshed.geometry import Rigid
+from viewshed.objects import moved_boxes
+from viewshed.perception.matching import corners_of
+from viewshed.preprocess.evidence import expected_returns
+from viewshed.preprocess.held_ground import pose_of
+from viewshed.preprocess.leveling import LeveledSweep
 
 Floats = NDArray[np.float64]
+
+Kinds = NDArray[np.uint8]
+
+DetectionProb = Callable[[Floats, Floats, Kinds], Floats]
+"""Probability (K,) that a detector finds objects, by expected returns (K,), range (K,) in meters and kind (K,)."""
+
+ALWAYS_FOUND = 0.9
+"""Probability that a detector finds what is seen, where nothing better is known of it."""
+
+_STEP_M = 1.5
+"""Distance between places of which ``hides_near`` asks, ..."""
+
+_MOST_RINGS = 8
+"""... and the most rings of them, whatever the radius."""
+
+_SIGHTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+"""Lines of sight to a box that are looked at: parts of its width as the sensor sees it."""
 
 
 class View(Protocol):
@@ -18,11 +48,16 @@ class View(Protocol):
         """Time of the sweep."""
         ...
 
+    @property
+    def in_world(self) -> bool:
+        """True where the tracks' frame is the world; False where the sweep has no pose and it is ``level``."""
+        ...
+
     def visible(self, boxes: Floats) -> Floats:
         """Return the probability (K,) that an object in each box could be seen."""
         ...
 
-    def detectable(self, boxes: Floats, kinds: NDArray[np.uint8]) -> Floats:
+    def detectable(self, boxes: Floats, kinds: Kinds) -> Floats:
         """Return the probability (K,) that the detector finds an object in each box where it can be seen."""
         ...
 
@@ -32,3 +67,202 @@ class View(Protocol):
         An object may appear at the box if it came from there; the border of the grid counts as such a place.
         """
         ...
+
+
+class SeesAll:
+    """No field of view: all is visible, and yet whatever appears may have come unseen."""
+
+    def __init__(self, t_s: float, *, detectable: float = ALWAYS_FOUND, in_world: bool = True) -> None:
+        """Make the view of a sweep at ``t_s``."""
+        self.t_s, self.in_world, self._detectable = t_s, in_world, detectable
+
+    def visible(self, boxes: Floats) -> Floats:
+        """Return ones (K,)."""
+        return np.ones(len(boxes))
+
+    def detectable(self, boxes: Floats, kinds: Kinds) -> Floats:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        """Return ones (K,)."""
+        return np.ones(len(boxes))
+
+
+class PolygonView:
+    """The published question: does the polygon cover the center?"""
+
+    def __init__(
+        self, polygon: BaseGeometry, world_from_level: Rigid | None, t_s: float, detectable: float = ALWAYS_FOUND
+    ) -> None:
+        """Make the view of a sweep from a polygon in its ``level`` frame.
+
+        Args:
+            polygon: what is visible.
+            world_from_level: pose of the sweep; None leaves the tracks in ``level``.
+            t_s: time of the sweep.
+            detectable: probability that an object in view is found.
+        """
+        self.t_s, self.in_world = t_s, world_from_level is not None
+        self._level_from_tracks = _level_from_tracks(world_from_level)
+        self._polygon, self._detectable = polygon, detectable
+        shapely.prepare(polygon)
+
+    @classmethod
+    def of(cls, estimate: FovEstimate, t_s: float, detectable: float = ALWAYS_FOUND) -> PolygonView:
+        """Return the view of an estimate's polygon: exactly its visible cells."""
+        return cls(estimate.polygon(), estimate.world_from_level, t_s, detectable)
+
+    def visible(self, boxes: Floats) -> Floats:
+        """Return 1 (K,) where the polygon covers the center, else 0."""
+        level = moved_boxes(boxes, self._level_from_tracks)
+        return np.asarray(shapely.contains_xy(self._polygon, level[:, 0], level[:, 1]), np.float64)
+
+    def detectable(self, boxes: Floats, kinds: Kinds) -> Floats:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        """Return 1 (K,) where the polygon ends within (K,) meters, else 0."""
+        return hidden_within(self, boxes, within_m)
+
+
+class GridView:
+    """An estimate of the field of view, asked in front of an object: what stands in a cell hides that cell.
+
+    Five lines of sight across the box are followed to its near side, and one cell back; the object is as visible as the
+    mean of these cells.
+    """
+
+    def __init__(
+        self, estimate: FovEstimate, t_s: float, *, hard: bool = False, detectable: float = ALWAYS_FOUND
+    ) -> None:
+        """Make the view of an estimate; where it has no pose, tracks are in its ``level`` frame.
+
+        Args:
+            estimate: of the sweep's field of view.
+            t_s: time of the sweep.
+            hard: take cells as visible or not by the estimate's threshold, instead of their probability.
+            detectable: probability that an object in view is found.
+        """
+        self.t_s, self.in_world = t_s, estimate.world_from_level is not None
+        self._level_from_tracks = _level_from_tracks(estimate.world_from_level)
+        self._estimate, self._hard, self._detectable = estimate, hard, detectable
+
+    def visible(self, boxes: Floats) -> Floats:
+        """Return the probability (K,) of the cells before each box; 0 outside the grid."""
+        level = moved_boxes(boxes, self._level_from_tracks)
+        prob = self._estimate.at(points_before(level, self._estimate.grid.cell_m)).astype(np.float64)
+        if self._hard:
+            prob = np.where(np.isnan(prob), 0.0, prob >= np.float32(self._estimate.threshold))
+        return np.asarray(np.nan_to_num(prob, nan=0.0).mean(axis=1))
+
+    def detectable(self, boxes: Floats, kinds: Kinds) -> Floats:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
+        return hidden_within(self, boxes, within_m)
+
+
+class BeamView:
+    """The beams of the sweep, asked how many would meet a box if its own returns were not there."""
+
+    def __init__(
+        self,
+        leveled: LeveledSweep,
+        t_s: float,
+        *,
+        found: DetectionProb | None = None,
+        min_returns: int = CAR.min_returns,
+    ) -> None:
+        """Make the view of a leveled sweep; where it has no pose, tracks are in its ``level`` frame.
+
+        Args:
+            leveled: the sweep.
+            t_s: its time.
+            found: probability that the detector finds an object, from expected returns, range and kind; None is
+                :data:`ALWAYS_FOUND` of what is visible.
+            min_returns: returns from which on an object counts as seen.
+        """
+        self.t_s, self.in_world = t_s, leveled.world_from_level is not None
+        self._leveled, self._found, self._min_returns = leveled, found, min_returns
+        self._level_from_tracks = _level_from_tracks(pose_of(leveled) if self.in_world else None)
+
+    def visible(self, boxes: Floats) -> Floats:
+        """Return the probability (K,) that at least so many beams meet each box."""
+        return self._visible(self._counts(moved_boxes(boxes, self._level_from_tracks)))
+
+    def detectable(self, boxes: Floats, kinds: Kinds) -> Floats:
+        """Return the probability (K,) that the detector finds an object, given that it can be seen.
+
+        The detector's own table counts few returns already: times :meth:`visible` it is that table, or less.
+        """
+        if self._found is None:
+            return np.full(len(boxes), ALWAYS_FOUND)
+        level = moved_boxes(boxes, self._level_from_tracks)
+        counts = self._counts(level)
+        found = self._found(counts, np.hypot(level[:, 0], level[:, 1]), kinds)
+        return np.clip(found / np.maximum(self._visible(counts), 1e-6), 0.0, 1.0)
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
+        return hidden_within(self, boxes, within_m)
+
+    def _counts(self, level: Floats) -> Floats:
+        return expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
+
+    def _visible(self, counts: Floats) -> Floats:
+        return probability_of_visible(counts.astype(np.float32), self._min_returns).astype(np.float64)
+
+
+def hidden_within(view: View, boxes: Floats, within_m: Floats) -> Floats:
+    """Return the greatest probability (K,) of not being seen at any place within (K,) meters of each box.
+
+    Places lie on rings about the center, the box moved there; up to eight rings, 1.5 m apart where these suffice.
+    """
+    if not len(boxes):
+        return np.zeros(0)
+    unit = _places(int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS)))
+    places = np.repeat(boxes[:, None], len(unit), axis=1)
+    places[..., :2] += within_m[:, None, None] * unit
+    visible = view.visible(places.reshape(-1, 7)).reshape(len(boxes), len(unit))
+    return np.asarray(1.0 - visible.min(axis=1))
+
+
+def points_before(boxes: Floats, step_m: float) -> Floats:
+    """Return points (K, 5, 2) in front of boxes (K, 7) in ``level``: where lines of sight meet them, ``step_m`` nearer.
+
+    Where the sensor stands in the box, its own place.
+    """
+    at_corners = corners_of(boxes)
+    middle = np.arctan2(boxes[:, 1], boxes[:, 0])
+    off = np.arctan2(at_corners[..., 1], at_corners[..., 0]) - middle[:, None]
+    off = (off + np.pi) % (2 * np.pi) - np.pi
+    low, high = off.min(axis=1, keepdims=True), off.max(axis=1, keepdims=True)
+    azimuth = middle[:, None] + low + (high - low) * _SIGHTS
+    sights = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)  # (K, 5, 2)
+
+    # The range at which each line enters the box: the later of its entries into the two slabs between its sides.
+    cos, sin = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
+    axes = np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=1)  # (K, axis, 2)
+    center = (axes @ boxes[:, :2, None])[:, None, :, 0]  # (K, 1, axis)
+    slope = sights @ axes.transpose(0, 2, 1)  # (K, 5, axis)
+    slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
+    entry_m = ((center - np.sign(slope) * boxes[:, None, 3:5] / 2) / slope).max(axis=-1)
+    return np.asarray(sights * np.maximum(entry_m - step_m, 0.0)[..., None])
+
+
+@lru_cache(maxsize=_MOST_RINGS)
+def _places(rings: int) -> Floats:
+    """Return the center of the unit circle and ``rings`` rings about it, of 6, 12, ... places: (places, 2)."""
+    numbers = np.arange(1, rings + 1)
+    radii = np.repeat(numbers / rings, 6 * numbers)
+    angles = np.concatenate([2 * np.pi * np.arange(6 * k) / (6 * k) for k in numbers])
+    around = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([np.zeros((1, 2)), around])
+
+
+def _level_from_tracks(world_from_level: Rigid | None) -> Rigid:
+    return Rigid.identity() if world_from_level is None else world_from_level.inverse()

@@ -70,18 +70,22 @@ def drive_sweeps(plan: ScenePlan) -> Iterator[tuple[Sweep, DriveTruth]]:
         if k in carriers or thing.kind in OBJECT_KINDS or thing.track is not None
     ]  # fmt: skip
     mounts = {agent.name: None if agent.carrier is None else agent.mount for agent in world.agents}
-    boxes = {k: _box_of(world.things[k]) for k in movable}
+    boxes = {k: box_of(world.things[k]) for k in movable}
     objects: tuple[ObjectTruth, ...] = ()
     for frame in range(plan.frames):
         time, number = divmod(frame, agents)
         t_s, agent = (time + 0.5) * plan.preset.interval_s, world.agents[number]
         if number == 0:
-            objects = tuple(_object(world, k, t_s, *boxes[k]) for k in movable)
+            objects = tuple(object_at(world, k, t_s, *boxes[k]) for k in movable)
         scan, stored = scan_frame(plan, frame)
-        returns = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
-        seen = tuple(each for each in objects if returns[each.number] >= SEEN_RETURNS and each.number != agent.carrier)
+        by_thing = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
+        returns = by_thing[movable].astype(np.int32)
+        seen = tuple(
+            each for each, count in zip(objects, returns, strict=True)
+            if count >= SEEN_RETURNS and each.number != agent.carrier
+        )  # fmt: skip
         pose, velocity_mps = _carrier(world, agent, t_s)
-        yield stored.sweep(), DriveTruth(mounts, objects, seen, pose, velocity_mps)
+        yield stored.sweep(), DriveTruth(mounts, objects, returns, seen, agent.carrier, pose, velocity_mps)
 
 
 def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.float64]]:
@@ -94,7 +98,7 @@ def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.
     return pose, velocity
 
 
-def _box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
+def box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
     """Return center (3,) and size of the box about all parts of a thing, in its own frame."""
     corners = []
     for part in thing.parts:
@@ -109,8 +113,9 @@ def _box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, floa
     return (low + high) / 2, (length_m, width_m, height_m)
 
 
-def _object(
+def object_at(
     world: World, number: int, t_s: float, center: NDArray[np.float64], size_m: tuple[float, float, float]
 ) -> ObjectTruth:
+    """Return a thing of a world at a time, with the center and the size of :func:`box_of`."""
     pose = world.pose_of(number, t_s)
     return ObjectTruth(number, world.things[number].kind, pose @ Rigid(np.eye(3), center), size_m)

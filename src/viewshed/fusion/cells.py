@@ -1,0 +1,152 @@
+"""What the cells of a field of view say of boxes: obstacle surfaces in them, beams through them, or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import FloatArray, Rigid
+from viewshed.grid import BevGrid
+
+Floats = NDArray[np.float64]
+
+FINE, COARSE = (17, 9), (9, 5)
+"""Points along and across a box on which it is looked at: to know what it holds, and to move it."""
+
+MARGIN_M = 0.25
+"""Boxes are looked at a little larger than they are: half a cell of a grid for roads."""
+
+REACH_M, STEP_M = 2.0, 0.5
+"""How far, and in what steps, a box is moved to find where its surface stands."""
+
+_RING_M = 1.0
+
+_NO_SURFACE_M = 10.0
+
+_WEIGHTS = np.array([0.0, -1.0, 1.0, 0.0])
+"""What a point of a box is worth by its cell's state (unknown, free, surface, hidden) when the box is moved."""
+
+_SHARPNESS = 8.0
+"""How much the best places outweigh others; shares of points times this are log weights."""
+
+_NEAR_FIRST_PER_M2 = 0.12
+"""Worth lost with the square of the distance: of equal places the nearest wins."""
+
+
+class BoxCells(NamedTuple):
+    """What the cells in and about K boxes are, (K,) each; shares lie in [0, 1].
+
+    Attributes:
+        surface: share of the footprint in cells with an obstacle return.
+        free: share in cells that beams pass.
+        hidden: share in cells that something nearer blocks; what is left is unknown or outside the grid.
+        ring: share of the meter around the box with an obstacle return.
+        ring_free: share of that meter that beams pass.
+        near_free: share of the side toward the sensor that beams pass.
+        first_m: meters from the side toward the sensor to the first surface in the box, 10 for none.
+        range_m: meters from the sensor.
+    """
+
+    surface: Floats
+    free: Floats
+    hidden: Floats
+    ring: Floats
+    ring_free: Floats
+    near_free: Floats
+    first_m: Floats
+    range_m: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenCells:
+    """The states of a field of view, to be asked in the frame of the tracks.
+
+    Attributes:
+        grid: where the cells are.
+        state: (cells, cells) uint8 of ``CellState``.
+        frame_from_level: pose of the ``level`` frame of the sweep in the tracks' frame.
+    """
+
+    grid: BevGrid
+    state: NDArray[np.uint8]
+    frame_from_level: Rigid
+
+    @classmethod
+    def of(cls, estimate: FovEstimate) -> SeenCells:
+        """Return the cells of an estimate, in the world if it has a pose, else in its own ``level`` frame."""
+        return cls(estimate.grid, estimate.state, estimate.world_from_level or Rigid.identity())
+
+    def states_at(self, xy: FloatArray) -> NDArray[np.uint8]:
+        """Return the states (…,) at points (…, 2) of the tracks' frame; UNKNOWN outside the grid."""
+        yaw = self.frame_from_level.yaw
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        away = np.asarray(xy, np.float64)[..., :2] - self.frame_from_level.translation[:2]
+        cells, inside = self.grid.index(away @ np.array([[cos, -sin], [sin, cos]]))
+        found = self.state[cells[..., 0], cells[..., 1]]
+        return np.where(inside, found, np.uint8(CellState.UNKNOWN))
+
+    def look(self, boxes: Floats, place: Floats) -> BoxCells:
+        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,)."""
+        points = footprint_points(boxes)
+        states = self.states_at(points)
+        is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE
+        # How deep each point lies in the box, along the line of sight to its center.
+        away = boxes[:, :2] - place
+        range_m = np.hypot(*away.T)
+        depth_m = ((points - boxes[:, None, :2]) * (away / np.maximum(range_m, 1e-6)[:, None])[:, None]).sum(axis=-1)
+        depth_m -= depth_m.min(axis=1, keepdims=True)
+        near = depth_m <= np.maximum(0.4 * depth_m.max(axis=1, keepdims=True), 0.8)
+        # The points of a box a meter larger that do not lie in the box itself.
+        around = footprint_points(boxes, margin_m=_RING_M)
+        outside = ~_inside(around, boxes)
+        about = self.states_at(around)
+        outer = np.maximum(outside.sum(axis=1), 1)
+        return BoxCells(
+            is_surface.mean(axis=1),
+            is_free.mean(axis=1),
+            (states == CellState.HIDDEN).mean(axis=1),
+            ((about == CellState.SURFACE) & outside).sum(axis=1) / outer,
+            ((about == CellState.FREE) & outside).sum(axis=1) / outer,
+            (is_free & near).sum(axis=1) / near.sum(axis=1),
+            np.where(is_surface, depth_m, _NO_SURFACE_M).min(axis=1),
+            range_m,
+        )
+
+    def shifts(self, boxes: Floats) -> Floats:
+        """Return the vector (K, 2) in meters from each box to where its surface stands, 0 where none is near.
+
+        The box is moved within :data:`REACH_M`; surface in it speaks for a place, free cells in it against. The answer
+        is the mean over all places, weighted by what speaks for them, so that it is finer than a cell.
+        """
+        steps = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
+        moves = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        points = footprint_points(boxes, COARSE)[:, None] + moves[:, None]
+        states = self.states_at(points)
+        worth = _WEIGHTS[states].mean(axis=2) - _NEAR_FIRST_PER_M2 * (moves**2).sum(axis=1)
+        weight = np.exp(_SHARPNESS * (worth - worth.max(axis=1, keepdims=True, initial=-np.inf)))
+        mean = weight @ moves / weight.sum(axis=1, keepdims=True)
+        has_surface = (states == CellState.SURFACE).any(axis=(1, 2))
+        return np.asarray(np.where(has_surface[:, None], mean, 0.0))
+
+
+def footprint_points(boxes: Floats, counts: tuple[int, int] = FINE, margin_m: float = MARGIN_M) -> NDArray[Any]:
+    """Return points (K, P, 2) spread over the footprints of boxes (K, 7), which are taken larger by a margin."""
+    along, across = np.meshgrid(*(np.linspace(-0.5, 0.5, count) for count in counts), indexing="ij")
+    forward = along.ravel() * (boxes[:, 3:4] + 2 * margin_m)
+    left = across.ravel() * (boxes[:, 4:5] + 2 * margin_m)
+    cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
+    points = np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
+    return np.asarray(boxes[:, None, :2] + points)
+
+
+def _inside(points: NDArray[Any], boxes: Floats) -> NDArray[np.bool_]:
+    """Return which points (K, P, 2) lie in their boxes (K, 7), taken larger by the margin."""
+    away = points - boxes[:, None, :2]
+    cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
+    forward, left = cos * away[..., 0] + sin * away[..., 1], -sin * away[..., 0] + cos * away[..., 1]
+    half = boxes[:, 3:5] / 2 + MARGIN_M
+    return np.asarray((np.abs(forward) <= half[:, :1]) & (np.abs(left) <= half[:, 1:]))

@@ -1,0 +1,271 @@
+"""Drives with exact truth: what stands where, what a detector says of it, and what each field of view lets be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from viewshed import _core
+from viewshed.datasets.recorder.drive import OBJECT_KINDS, box_of, object_at
+from viewshed.datasets.simulated import ScenePlan, scan_frame, world_of
+from viewshed.estimators import DEFAULT_ESTIMATOR, load_estimator
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import CAR, Beams, probability_of_visible
+from viewshed.fusion.cells import SeenCells
+from viewshed.fusion.single import SensorView
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.objects import Detections, ObjectKind, moved_boxes
+from viewshed.preprocess.evidence import expected_returns
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sim.raycast.scan import ExactScan
+from viewshed.sim.truth.exact import exact_truth
+from viewshed.sim.world import Agent, World
+from viewshed.sweep import Sweep
+from viewshed.tracking.views import BeamView, GridView, PolygonView, SeesAll, View, hidden_within
+
+FOVS = ("none", "polygon", "default_hard", "default", "exact")
+"""No field of view; the published polygon; the default method's as a mask; its probability; the exact one."""
+
+POLYGON = "paper_concave_hull"
+"""The estimator that is the published polygon."""
+
+HZ = 10.0
+
+GRID = BevGrid(512, 64.0)
+"""As far as the grid for roads, with cells of 0.25 m: a car is more than a handful of them."""
+
+Floats = NDArray[np.float64]
+
+KINDS = {
+    "car": ObjectKind.CAR, "van": ObjectKind.CAR, "truck": ObjectKind.TRUCK, "bus": ObjectKind.TRUCK,
+    "trailer": ObjectKind.TRUCK, "tractor": ObjectKind.TRUCK, "pedestrian": ObjectKind.PEDESTRIAN,
+    "cyclist": ObjectKind.CYCLIST, "motorcycle": ObjectKind.CYCLIST,
+}  # fmt: skip
+"""Of the things of a simulated world; all others are ``OTHER``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectsTruth:
+    """What stands in the world at the time of a sweep.
+
+    Attributes:
+        numbers: (N,) int32, the same for one object over time.
+        boxes: (N, 7) in the world.
+        kinds: (N,) uint8 of ``ObjectKind``.
+        returns: (N,) int32 that each gave.
+    """
+
+    numbers: NDArray[np.int32]
+    boxes: Floats
+    kinds: NDArray[np.uint8]
+    returns: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """One sweep of a drive.
+
+    Attributes:
+        t_s: its time.
+        ground: (3,) place on the ground below the sensor, in the world.
+        truth: all objects but the vehicle that carries the sensor.
+        detections: honest ones, in the world.
+        of_object: (K,) int32 number of the object that each is of, -1 for false ones.
+        visible: (N,) probability that the default field of view gives for each object of the truth.
+        views: by name of ``FOVS``.
+    """
+
+    t_s: float
+    ground: Floats
+    truth: ObjectsTruth
+    detections: Detections
+    of_object: NDArray[np.int32]
+    visible: Floats
+    views: dict[str, SensorView]
+
+
+SEEN_FROM = 5
+"""Expected returns from which an object can be seen."""
+
+_FOUND = ((0, 0.0), (2, 0.1), (5, 0.6), (10, 0.85), (20, 0.95), (60, 0.98))
+"""Returns of an object, and the probability that the simulated detector finds it; straight lines between."""
+
+_STEADY_S = 1.0
+"""How long the luck of the detector with one object lasts."""
+
+_CENTER_STD_M, _YAW_STD_DEG, _SIZE_STD = 0.15, 3.0, 0.05
+"""Errors of its boxes: each axis of the center, the heading, and the share of each side."""
+
+_FALSE_PER_SWEEP, _FALSE_S = 0.3, 0.5
+"""False detections at obstacle surfaces that are no object: how many at a time, and how long one lasts."""
+
+
+def found_probability(returns: NDArray[Any]) -> Floats:
+    """Return the probability (N,) that the simulated detector finds objects with so many returns (N,)."""
+    counts, shares = np.array(_FOUND).T
+    return np.interp(np.asarray(returns, np.float64), counts, shares)
+
+
+class ExactView:
+    """A view that knows what each beam met: the exact beams, asked how many would meet a box without its own returns."""
+
+    def __init__(self, t_s: float, scan: ExactScan, world_from_level: Rigid) -> None:
+        """Make the view of a scan without noise."""
+        self.t_s, self.in_world = t_s, True
+        self._level_from_world = world_from_level.inverse()
+        self._height_m = float(scan.world_from_sensor.translation[2] - world_from_level.translation[2])
+        direction = scan.direction.reshape(-1, 3) @ world_from_level.rotation
+        flat = np.hypot(direction[:, 0], direction[:, 1])
+        azimuth = np.arctan2(direction[:, 1], direction[:, 0])
+        beams = Beams(azimuth, direction[:, 2] / flat, scan.depth_m.reshape(-1) * flat)
+        self._beams = _core.BeamsByAzimuth(*beams.arrays)
+
+    def visible(self, boxes: Floats) -> Floats:
+        """Return 1 (K,) where enough beams meet a box, else 0."""
+        return (self._counts(boxes) >= SEEN_FROM).astype(np.float64)
+
+    def detectable(self, boxes: Floats, kinds: NDArray[np.uint8]) -> Floats:
+        """Return the probability (K,) that the detector finds an object in each box where it can be seen."""
+        return found_probability(np.maximum(self._counts(boxes), SEEN_FROM))
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        """Return 1 (K,) where a box could be somewhere unseen within (K,) meters, else 0."""
+        return hidden_within(self, boxes, within_m)
+
+    def _counts(self, boxes: Floats) -> NDArray[np.int32]:
+        level = moved_boxes(boxes, self._level_from_world)
+        return self._beams.expected_returns(np.ascontiguousarray(level, np.float32), self._height_m, True)
+
+
+@dataclass(slots=True, eq=False)
+class SimulatedDetector:
+    """A detector by tables: finds objects by their returns, errs a little, and now and then finds one that is none.
+
+    Its luck with an object lasts about a second, as that of detectors does.
+
+    Attributes:
+        rng: draws all that is random.
+    """
+
+    rng: np.random.Generator
+    _luck: dict[int, float] = field(default_factory=dict, repr=False)
+    _false: list[tuple[float, Floats]] = field(default_factory=list, repr=False)
+    _last_s: float = field(default=0.0, repr=False)
+
+    def detect(self, truth: ObjectsTruth, surface: Floats, t_s: float) -> tuple[Detections, NDArray[np.int32]]:
+        """Return the detections of a sweep and the number (K,) of the object of each, -1 for false ones.
+
+        Args:
+            truth: what stands there.
+            surface: (S, 3) places of obstacle surfaces, where false detections are.
+            t_s: time of the sweep.
+        """
+        rng, kept = self.rng, float(np.exp(-(t_s - self._last_s) / _STEADY_S))
+        self._last_s = t_s
+        for number in truth.numbers.tolist():
+            before = self._luck.get(number)
+            drawn = rng.normal()
+            self._luck[number] = drawn if before is None else kept * before + np.sqrt(1 - kept**2) * drawn
+        luck = np.array([self._luck[number] for number in truth.numbers.tolist()])
+        found = ndtr(luck) < found_probability(truth.returns)
+        boxes = truth.boxes[found].copy()
+        boxes[:, :2] += rng.normal(0.0, _CENTER_STD_M, (len(boxes), 2))
+        boxes[:, 3:6] *= np.exp(rng.normal(0.0, _SIZE_STD, (len(boxes), 3)))
+        boxes[:, 6] += np.deg2rad(rng.normal(0.0, _YAW_STD_DEG, len(boxes)))
+        self._false = [one for one in self._false if one[0] > t_s]
+        if len(surface):
+            for _ in range(rng.poisson(_FALSE_PER_SWEEP / _FALSE_S / HZ)):
+                place = surface[rng.integers(len(surface))]
+                row = np.array([*place, 4.2, 1.8, 1.5, rng.uniform(-np.pi, np.pi)])
+                self._false.append((t_s + rng.exponential(_FALSE_S), row))
+        false = np.array([row for _, row in self._false]).reshape(-1, 7)
+        count = len(false)
+        detections = Detections(
+            np.concatenate([boxes, false]),
+            np.concatenate([truth.kinds[found], np.full(count, ObjectKind.CAR, np.uint8)]),
+            np.concatenate([truth.returns[found], np.full(count, SEEN_FROM, np.int32)]),
+        )
+        return detections, np.concatenate([truth.numbers[found], np.full(count, -1, np.int32)])
+
+
+def simulate_drive(
+    plan: ScenePlan, fovs: tuple[str, ...] = FOVS, sensor: str = "top", grid: BevGrid = GRID
+) -> Iterator[Moment]:
+    """Yield the sweeps of a drive of one vehicle with truth, honest detections and fields of view."""
+    world, agent = world_of(plan), world_of(plan).agents[0]
+    estimator, polygon = load_estimator(DEFAULT_ESTIMATOR, grid=grid), load_estimator(POLYGON, grid=grid)
+    detector = SimulatedDetector(np.random.Generator(np.random.PCG64(plan.seed(99))))
+    movable = [
+        k for k, thing in enumerate(world.things)
+        if k != agent.carrier and (thing.kind in OBJECT_KINDS or thing.track is not None)
+    ]  # fmt: skip
+    about = {k: box_of(world.things[k]) for k in movable}
+    kinds = np.array([KINDS.get(world.things[k].kind, ObjectKind.OTHER) for k in movable], np.uint8)
+    for frame in range(plan.frames):
+        t_s = (frame + 0.5) * plan.preset.interval_s
+        scan, stored = scan_frame(plan, frame)
+        counts = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
+        boxes = [_row(object_at(world, k, t_s, *about[k]).world_from_box, about[k][1]) for k in movable]
+        truth = ObjectsTruth(
+            np.array(movable, np.int32), np.array(boxes, np.float64).reshape(-1, 7), kinds,
+            counts[movable].astype(np.int32),
+        )  # fmt: skip
+        sweep = stored.sweep()
+        leveled = level(sweep, grid)
+        estimate, hull = estimator.estimate(leveled), polygon.estimate(leveled)
+        world_from_level = leveled.world_from_level
+        if world_from_level is None:
+            raise ValueError("a drive must have poses, got a sweep without one")
+        level_from_world = world_from_level.inverse()
+        place, yaw = world_from_level.translation[:2], world_from_level.yaw
+        views: dict[str, SensorView] = {}
+        for fov in fovs:
+            if fov == "exact":
+                cells, view = _exact_cells(scan, sweep, world, agent, grid)
+            else:
+                cells = None if fov in ("none", "polygon") else SeenCells.of(estimate)
+                view = _view_of(fov, t_s, leveled, estimate, hull)
+            views[fov] = SensorView(sensor, view, place, cells, yaw=yaw)
+        counts = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
+        visible = probability_of_visible(counts.astype(np.float32), SEEN_FROM).astype(np.float64)
+        surface = grid.centers[estimate.state == CellState.SURFACE]
+        surface_xyz = world_from_level @ np.column_stack([surface, np.full(len(surface), 0.75)])
+        detections, of_object = detector.detect(truth, surface_xyz, t_s)
+        yield Moment(t_s, world_from_level.translation, truth, detections, of_object, visible, views)
+
+
+def _view_of(fov: str, t_s: float, leveled: LeveledSweep, estimate: FovEstimate, hull: FovEstimate) -> View:
+    """Return the view of a field of view by its name."""
+    views: dict[str, Callable[[], View]] = {
+        "none": lambda: SeesAll(t_s),
+        "polygon": lambda: PolygonView.of(hull, t_s),
+        "default_hard": lambda: GridView(estimate, t_s, hard=True),
+        "default": lambda: BeamView(leveled, t_s, found=_found),
+    }
+    return views[fov]()
+
+
+def _found(counts: Floats, _range_m: Floats, _kinds: NDArray[np.uint8]) -> Floats:
+    return found_probability(counts)
+
+
+def _exact_cells(
+    scan: ExactScan, sweep: Sweep, world: World, agent: Agent, grid: BevGrid
+) -> tuple[SeenCells, ExactView]:
+    """Return what a scan without noise lets be seen: the exact states of the cells, and the view by its beams."""
+    pose = scan.world_from_sensor
+    below = np.array([0.0, 0.0, sweep.sensor_height_m or 0.0])
+    world_from_level = Rigid.from_yaw(pose.yaw, pose.translation - below)
+    truth, _ = exact_truth(scan, world, grid, (CAR,), agent)
+    t_s = (sweep.t_ns or 0) * 1e-9
+    return SeenCells(grid, truth.state[CAR.name], world_from_level), ExactView(t_s, scan, world_from_level)
+
+
+def _row(world_from_box: Rigid, size_m: tuple[float, float, float]) -> list[float]:
+    return [*world_from_box.translation, *size_m, world_from_box.yaw]

@@ -1,0 +1,547 @@
+"""Detections and views, sweep by sweep, to tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.objects import Detections, ObjectKind
+from viewshed.tracking.association import assign, assignment_solver, inside
+from viewshed.tracking.existence import (
+    LEVELS,
+    existence_after_detection,
+    existence_after_miss,
+    forget,
+    found_probability,
+    levels_after,
+    shares_found,
+)
+from viewshed.tracking.kalman import (
+    Motion,
+    inverse,
+    predict,
+    quarter_turned,
+    squared_distances,
+    update,
+    update_boxes,
+    wrapped,
+)
+from viewshed.tracking.tracks import Tracks
+from viewshed.tracking.views import View
+
+Floats = NDArray[np.float64]
+
+Numbers = NDArray[np.int32]
+
+SAME_TIME_S = 0.02
+"""A view further than this from the time of the detections is of another sweep."""
+
+MOTION = Motion()
+"""How road users move, and how well boxes about clusters of returns measure them."""
+
+SPREAD_FROM_M = 0.5
+"""The view is asked at several places of a track from this standard deviation of its place on."""
+
+_EXTENT = [2, 3, 4, 5, 6]
+"""Columns of a box that are filtered beside the state: z, length, width, height, yaw."""
+
+_KIND_KEPT = 0.9
+"""Part of the votes for a track's kind that a further vote leaves."""
+
+_SPEEDS_MPS = {
+    ObjectKind.OTHER: 15.0, ObjectKind.PEDESTRIAN: 4.0, ObjectKind.CYCLIST: 15.0,
+    ObjectKind.CAR: 40.0, ObjectKind.TRUCK: 30.0,
+}  # fmt: skip
+"""The fastest that an object of a kind comes out of where nothing is seen."""
+
+
+@dataclass(slots=True)
+class TrackTable:
+    """What a tracker holds of N tracks; the first arrays are those of :class:`Tracks`.
+
+    Attributes:
+        votes: (N, kinds) of the detections for each kind.
+        levels: (N, LEVELS) what is known of the number that decides what can be found; see ``existence``.
+        updates: (N,) int32 detections so far.
+        misses: (N,) int32 sweeps without a detection since the last one, of those that count.
+    """
+
+    ids: NDArray[np.int64]
+    states: Floats
+    covariances: Floats
+    boxes: Floats
+    box_variances: Floats
+    existence: Floats
+    confirmed: NDArray[np.bool_]
+    detection: Numbers
+    visible: Floats
+    detectable: Floats
+    born_s: Floats
+    seen_s: Floats
+    born_hidden: Floats
+    votes: Floats
+    levels: Floats
+    updates: Numbers
+    misses: Numbers
+
+    @classmethod
+    def begun(cls, t_s: float, boxes: Floats, kinds: NDArray[np.uint8], noise: Floats, motion: Motion) -> Self:
+        """Return tracks that begin at detections (K, 7) with center covariances (K, 2, 2); without ids."""
+        count = len(boxes)
+        states = np.zeros((count, 4))
+        states[:, :2] = boxes[:, :2]
+        std = motion.box_std if motion.new_box_std is None else motion.new_box_std
+        votes = np.zeros((count, len(ObjectKind)))
+        votes[np.arange(count), kinds] = 1.0
+        return cls(
+            ids=np.full(count, -1, np.int64),
+            states=states,
+            covariances=motion.new_covariances(noise),
+            boxes=np.array(boxes, np.float64),
+            box_variances=np.tile(np.square(std), (count, 1)),
+            existence=np.ones(count),
+            confirmed=np.zeros(count, np.bool_),
+            detection=np.full(count, -1, np.int32),
+            visible=np.ones(count),
+            detectable=np.ones(count),
+            born_s=np.full(count, t_s),
+            seen_s=np.full(count, t_s),
+            born_hidden=np.ones(count),
+            votes=votes,
+            levels=np.full((count, LEVELS), 1.0 / LEVELS),
+            updates=np.ones(count, np.int32),
+            misses=np.zeros(count, np.int32),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self.ids)
+
+    @property
+    def kinds(self) -> NDArray[np.uint8]:
+        """(N,) the kind with most votes."""
+        return np.asarray(self.votes.argmax(axis=1), np.uint8)
+
+    def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """Return some of the tracks, as a copy."""
+        return type(self)(*(getattr(self, each.name)[chosen] for each in fields(self)))
+
+    def joined(self, others: Self) -> Self:
+        """Return these tracks and others after them."""
+        arrays = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
+        return type(self)(*(np.concatenate(pair) for pair in arrays))
+
+
+class Rules(Protocol):
+    """What a tracker does with what it has predicted: which detection is whose, which tracks begin, and which end."""
+
+    @property
+    def motion(self) -> Motion:
+        """How objects move and are measured."""
+        ...
+
+    @property
+    def most_tracks(self) -> int:
+        """The most tracks that are held."""
+        ...
+
+    @property
+    def most_detections(self) -> int:
+        """The most detections of one sweep."""
+        ...
+
+    @property
+    def longest_m(self) -> float:
+        """The longest box that is taken for an object."""
+        ...
+
+    @property
+    def late_s(self) -> float:
+        """Detections late by up to this are left out; those from still longer ago begin a new recording."""
+        ...
+
+    def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
+        """Write what the view says of each track, and what ``dt_s`` seconds change."""
+        ...
+
+    def match(self, tracks: TrackTable, boxes: Floats, noise: Floats) -> Numbers:
+        """Return the number (N,) of the detection of each track, -1 for none."""
+        ...
+
+    def judge(self, tracks: TrackTable, boxes: Floats, noise: Floats, matched: Numbers) -> None:
+        """Write what hits and misses say of each track; states are those before the detections."""
+        ...
+
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
+        """Write what is known of new tracks, and return those (K,) that begin."""
+        ...
+
+    def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
+        """Write which tracks are confirmed, and return those (N,) that are kept."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ExistenceRules:
+    """A track is kept by the probability that it exists, and what was not seen is asked of the field of view.
+
+    Attributes:
+        motion: how objects move and are measured.
+        gate: squared Mahalanobis distance beyond which no detection is of a track; 13.8 leaves out one in a thousand.
+        clutter_per_m2: false detections per square meter and sweep.
+        unseen_per_m2: objects per square meter that are not tracked yet, where they could not be seen.
+        seen_share: part of these where they would have been seen.
+        recurrence: how often a false detection comes back where it was, against how often an object does.
+        most_found: probability that a detector finds what it can find, at most.
+        doubt_s: seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence.
+        lifetime_s: mean time that an object exists.
+        surest: existence is never above this.
+        confirm_from: a track is confirmed when its existence reaches this.
+        drop_below: a track ends when its existence is lower.
+        lost_m: a track ends when the standard deviation of its place is larger.
+        spreads: ask the view at five places of a track's distribution where its mean is not enough.
+        most_tracks: the most tracks that are held; further detections begin none, and a note says so.
+        most_detections: more of them in one sweep are refused.
+        longest_m: longer boxes are left out, and a note says so.
+        late_s: detections late by up to this are left out; those from still longer ago begin a new recording.
+    """
+
+    motion: Motion = MOTION
+    gate: float = 13.8
+    clutter_per_m2: float = 1e-4
+    unseen_per_m2: float = 2e-4
+    seen_share: float = 0.05
+    recurrence: float = 0.5
+    most_found: float = 0.98
+    doubt_s: float = 0.2
+    lifetime_s: float = 60.0
+    surest: float = 0.99
+    confirm_from: float = 0.8
+    drop_below: float = 0.05
+    lost_m: float = 8.0
+    spreads: bool = True
+    most_tracks: int = 500
+    most_detections: int = 1000
+    longest_m: float = 30.0
+    late_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
+        for name in ("gate", "clutter_per_m2", "unseen_per_m2", "lifetime_s", "lost_m", "longest_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+    def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
+        """Ask the view of each track, let existence decay, and let what is known of its doubt fade."""
+        tracks.visible = _spread_visible(tracks, view) if self.spreads else view.visible(tracks.boxes)
+        tracks.detectable = view.detectable(tracks.boxes, tracks.kinds)
+        tracks.existence = tracks.existence * np.exp(-dt_s / self.lifetime_s)
+        tracks.levels = forget(tracks.levels, float(np.exp(-dt_s / self.doubt_s)) if self.doubt_s > 0.0 else 0.0)
+
+    def match(self, tracks: TrackTable, boxes: Floats, noise: Floats) -> Numbers:
+        """Return the assignment that is most likely: log-likelihood ratios of (track's, false) are added up."""
+        squared, determinants = squared_distances(tracks.states, tracks.covariances, boxes[:, :2], noise)
+        # A track that could not be seen may be found all the same: the view may be wrong.
+        found = np.clip(self._found(tracks), 1.0 - self.most_found, self.most_found)
+        real = tracks.existence * found
+        log_density = -0.5 * (squared + np.log(determinants)) - np.log(2.0 * np.pi)
+        benefit = log_density + np.log(real / (1.0 - real))[:, None] - np.log(self.clutter_per_m2)
+        return assign(np.where(squared <= self.gate, benefit, 0.0))
+
+    def judge(self, tracks: TrackTable, boxes: Floats, noise: Floats, matched: Numbers) -> None:
+        """Write existence and doubt after hits and misses."""
+        is_hit = matched >= 0
+        shares = shares_found(tracks.visible * tracks.detectable, self.most_found)
+        found = found_probability(tracks.levels, shares)
+        density = np.zeros(len(tracks))
+        density[is_hit] = _center_density(
+            tracks.states[is_hit], tracks.covariances[is_hit], boxes[matched[is_hit]], noise[matched[is_hit]]
+        )
+        hit = existence_after_detection(tracks.existence, found, density, self.clutter_per_m2, self.recurrence)
+        miss = existence_after_miss(tracks.existence, found, self.recurrence)
+        tracks.existence = np.minimum(np.where(is_hit, hit, miss), self.surest)
+        hit_levels = (1.0 - shares) * self.clutter_per_m2 + shares * density[:, None]
+        tracks.levels = levels_after(tracks.levels, np.where(is_hit[:, None], hit_levels, 1.0 - shares))
+
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
+        """Write how plausible it is that new tracks are objects: could they have come unseen?
+
+        What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
+        """
+        born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
+        unseen = np.ones(len(born))
+        if before is not None:
+            speeds = np.array([_SPEEDS_MPS[kind] for kind in ObjectKind])[born.kinds]
+            within_m = speeds * abs(view.t_s - before.t_s) + self.motion.center_std_m
+            born.born_hidden = before.hides_near(born.boxes, within_m)
+            # It may also have been there, in view, and not found.
+            unseen = 1.0 - (1.0 - born.born_hidden) * before.detectable(born.boxes, born.kinds)
+        expected = self.unseen_per_m2 * (self.seen_share + (1.0 - self.seen_share) * unseen)
+        born.existence = np.minimum(expected / (expected + self.clutter_per_m2), self.surest)
+        shares = shares_found(born.visible * born.detectable, self.most_found)
+        born.levels = levels_after(born.levels, shares)
+        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
+        return np.asarray(~is_part & _first_of_doubles(born.boxes))
+
+    def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
+        """Keep what is likely enough and whose place is known."""
+        tracks.confirmed = tracks.confirmed | (tracks.existence >= self.confirm_from)
+        variance = np.maximum(tracks.covariances[:, 0, 0], tracks.covariances[:, 1, 1])
+        return np.asarray((tracks.existence >= self.drop_below) & (variance <= self.lost_m**2))
+
+    def _found(self, tracks: TrackTable) -> Floats:
+        return found_probability(tracks.levels, shares_found(tracks.visible * tracks.detectable, self.most_found))
+
+
+class Tracker:
+    """Tracks of one sensor's detections over time, in the world or, without poses, in the sensor's ``level`` frame.
+
+    >>> from viewshed.tracking.views import SeesAll
+    >>> car = np.array([[10.0, 0.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
+    >>> tracker = Tracker()
+    >>> for k in range(5):
+    ...     found = Detections(car + [k, 0, 0, 0, 0, 0, 0], np.array([ObjectKind.CAR]), np.array([50]))
+    ...     tracks = tracker.step(0.1 * k, found, SeesAll(0.1 * k))
+    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round(1).tolist()
+    ([0], [True], [14.0, 0.0, 9.9, 0.0])
+    """
+
+    def __init__(self, rules: Rules | None = None) -> None:
+        """Make a tracker without tracks.
+
+        Args:
+            rules: what it does with detections; None is :class:`ExistenceRules`.
+
+        Raises:
+            ImportError: scipy is not installed.
+        """
+        assignment_solver()
+        self.rules: Rules = ExistenceRules() if rules is None else rules
+        self._next_id = 0
+        self._table = _no_tracks(self.rules.motion)
+        self._last: Tracks | None = None
+        self._view: View | None = None
+
+    def reset(self) -> None:
+        """Forget all tracks and times; ids go on where they were."""
+        self._table, self._last, self._view = _no_tracks(self.rules.motion), None, None
+
+    def step(self, t_s: float, detections: Detections, view: View, noise: Floats | None = None) -> Tracks:
+        """Return all tracks after the detections of one sweep.
+
+        Args:
+            t_s: time of the sweep.
+            detections: in the frame of the view: the world, or ``level`` where there is no pose.
+            view: what could be seen in this sweep.
+            noise: (K, 2, 2) covariance of each detection's center in square meters; None is the rules' own.
+
+        Raises:
+            ValueError: there are too many detections, a covariance is not positive definite, or the view is of
+                another time. The tracks are as before, and the next sweep can follow.
+        """
+        rules, notes = self.rules, list[str]()
+        noise = self._checked(t_s, detections, view, noise)
+        late = self._time_note(t_s, view, notes)
+        if late is not None:
+            return late
+        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= rules.longest_m)
+        if len(numbers) < len(detections):
+            refused = len(detections) - len(numbers)
+            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {rules.longest_m:g} m")
+        boxes, kinds, noise = detections.boxes[numbers], detections.kinds[numbers], noise[numbers]
+
+        # Predict, ask the view, and find which detection is whose.
+        tracks, motion = self._table.take(np.arange(len(self._table))), rules.motion  # a copy: a view may raise
+        dt_s = 0.0 if self._last is None else t_s - self._last.t_s
+        _predict(tracks, dt_s, motion)
+        rules.look(tracks, view, dt_s)
+        matched = rules.match(tracks, boxes, noise)
+        rules.judge(tracks, boxes, noise, matched)
+        _update(tracks, t_s, boxes, kinds, noise, matched, motion)
+
+        # What is left over begins tracks, as far as there is room.
+        is_left = np.ones(len(boxes), np.bool_)
+        is_left[matched[matched >= 0]] = False
+        left = np.flatnonzero(is_left)
+        left = left[np.lexsort((boxes[left, 1], boxes[left, 0], -detections.returns[numbers[left]]))]
+        born = TrackTable.begun(t_s, boxes[left], kinds[left], noise[left], motion)
+        born.detection = left.astype(np.int32)
+        if len(born):
+            born = born.take(rules.begin(born, tracks, view, self._view))
+        tracks = _kept(tracks, rules.keep(tracks, t_s))
+        room = max(rules.most_tracks - len(tracks), 0)
+        if len(born) > room:
+            notes.append(f"{len(born) - room} new tracks refused: {rules.most_tracks} are held")
+            born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:room]))
+        born.ids = np.arange(self._next_id, self._next_id + len(born))
+        self._next_id += len(born)
+        if len(born):
+            tracks = tracks.joined(born)
+            tracks = _kept(tracks, rules.keep(tracks, t_s))
+
+        self._table, self._view = tracks, view
+        self._last = _shown(tracks, t_s, numbers, view.in_world, tuple(notes))
+        return self._last
+
+    def _checked(self, t_s: float, detections: Detections, view: View, noise: Floats | None) -> Floats:
+        """Return the covariances (K, 2, 2) of the detections' centers, or raise ValueError."""
+        count, most = len(detections), self.rules.most_detections
+        if not np.isfinite(t_s):
+            raise ValueError(f"t_s must be finite, got {t_s}")
+        if count > most:
+            raise ValueError(f"detections must be at most {most}, got {count}; this sweep is refused")
+        if not abs(view.t_s - t_s) <= SAME_TIME_S:
+            raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
+        if noise is None:
+            return self.rules.motion.center_noise(count)
+        noise = np.asarray(noise, np.float64)
+        if noise.shape != (count, 2, 2):
+            raise ValueError(f"noise must have shape ({count}, 2, 2), got {noise.shape}")
+        determinants = noise[:, 0, 0] * noise[:, 1, 1] - noise[:, 0, 1] * noise[:, 1, 0]
+        is_good = (determinants > 0.0) & (noise[:, 0, 0] > 0.0) & np.isfinite(noise).all(axis=(1, 2))
+        is_good &= np.isclose(noise[:, 0, 1], noise[:, 1, 0])
+        if not is_good.all():
+            first = int(np.flatnonzero(~is_good)[0])
+            raise ValueError(
+                f"noise must be symmetric and positive definite, got {noise[first].tolist()} for detection {first}"
+            )
+        return noise
+
+    def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
+        """Return the last tracks where a sweep is late or doubled; begin anew where the recording did."""
+        last = self._last
+        if last is None:
+            return None
+        back_s = last.t_s - t_s
+        if 0.0 <= back_s <= self.rules.late_s:
+            what = "again" if back_s == 0.0 else f"{back_s:.3f} s late"
+            return replace(
+                last, detection=np.full(len(last), -1, np.int32), notes=(f"a sweep {what}: its detections left out",)
+            )
+        if back_s > 0.0:
+            notes.append(f"time went back by {back_s:.3f} s: all tracks dropped")
+            self.reset()
+        elif last.in_world != view.in_world:
+            frame = "the world" if view.in_world else "the sensor's level frame, for want of poses"
+            notes.append(f"tracks are in {frame} from now on: all tracks dropped")
+            self.reset()
+        return None
+
+
+def _kept(tracks: TrackTable, is_kept: NDArray[np.bool_]) -> TrackTable:
+    return tracks if is_kept.all() else tracks.take(is_kept)
+
+
+def _no_tracks(motion: Motion) -> TrackTable:
+    return TrackTable.begun(0.0, np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros((0, 2, 2)), motion)
+
+
+def _predict(tracks: TrackTable, dt_s: float, motion: Motion) -> None:
+    """Move tracks ``dt_s`` seconds on."""
+    noise = motion.process_noise(dt_s)
+    tracks.states, tracks.covariances = predict(tracks.states, tracks.covariances, dt_s, noise)
+    tracks.boxes[:, :2] = tracks.states[:, :2]
+    tracks.box_variances = tracks.box_variances + np.square(motion.box_drift) * dt_s
+
+
+def _update(
+    tracks: TrackTable, t_s: float, boxes: Floats, kinds: NDArray[np.uint8], noise: Floats, matched: Numbers,
+    motion: Motion,
+) -> None:  # fmt: skip
+    """Write states, boxes and kinds of the tracks that were matched with a detection."""
+    hit = np.flatnonzero(matched >= 0)
+    of = matched[hit]
+    tracks.detection = matched
+    tracks.states[hit], tracks.covariances[hit] = update(
+        tracks.states[hit], tracks.covariances[hit], boxes[of, :2], noise[of]
+    )
+    extents, variances = tracks.boxes[hit][:, _EXTENT], tracks.box_variances[hit]
+    extents, tracks.box_variances[hit] = update_boxes(
+        extents, variances, boxes[of][:, _EXTENT], np.array(motion.box_std)
+    )
+    vx, vy = tracks.states[hit, 2], tracks.states[hit, 3]
+    turns = np.round(wrapped(np.arctan2(vy, vx) - extents[:, 4]) / (np.pi / 2))
+    turns[np.hypot(vx, vy) < motion.heading_from_mps] = 0.0
+    extents = quarter_turned(extents, turns)
+    extents[:, 4] = wrapped(extents[:, 4])
+    odd = hit[turns % 2 == 1]
+    tracks.box_variances[odd] = tracks.box_variances[odd][:, [0, 2, 1, 3, 4]]
+    tracks.boxes[hit[:, None], _EXTENT] = extents
+    tracks.boxes[:, :2] = tracks.states[:, :2]
+    tracks.votes[hit] *= _KIND_KEPT
+    tracks.votes[hit, kinds[of]] += 1.0
+    tracks.seen_s[hit] = t_s
+    tracks.updates[hit] += 1
+    tracks.misses[hit] = 0
+
+
+def _spread_visible(tracks: TrackTable, view: View) -> Floats:
+    """Return the probability (N,) that each track could be seen, over where it may be.
+
+    The unscented mean (Julier and Uhlmann, 1997) over five places: the mean weighs 1/3, the others, √3 standard
+    deviations along both axes of the covariance, 1/6 each. A track whose place is known is asked for at that place.
+    """
+    covariances = tracks.covariances[:, :2, :2]
+    wide = np.flatnonzero(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > SPREAD_FROM_M**2)
+    if not len(wide):
+        return view.visible(tracks.boxes)
+    values, axes = np.linalg.eigh(covariances[wide])
+    steps = (np.sqrt(3.0 * np.maximum(values, 0.0))[:, None, :] * axes).transpose(0, 2, 1)  # (wide, axis, xy)
+    places = np.repeat(tracks.boxes[wide, None], 4, axis=1)
+    places[:, :2, :2] += steps
+    places[:, 2:, :2] -= steps
+    visible = view.visible(np.concatenate([tracks.boxes, places.reshape(-1, 7)]))
+    seen, around = visible[: len(tracks)].copy(), visible[len(tracks) :].reshape(-1, 4)
+    seen[wide] = seen[wide] / 3.0 + around.sum(axis=1) / 6.0
+    return seen
+
+
+def _center_density(states: Floats, covariances: Floats, boxes: Floats, noise: Floats) -> Floats:
+    """Return the density (M,) per square meter of each track's detection (M, 7) under its prediction."""
+    inverses, determinants = inverse(covariances[:, :2, :2] + noise)
+    off = boxes[:, :2] - states[:, :2]
+    squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
+    return np.asarray(np.exp(-0.5 * squared) / (2.0 * np.pi * np.sqrt(determinants)))
+
+
+def _first_of_doubles(boxes: Floats) -> NDArray[np.bool_]:
+    """Return the boxes (K,) whose center lies in none of those that are returned before them."""
+    is_double = np.triu(inside(boxes, boxes), k=1)
+    first = np.ones(len(boxes), np.bool_)
+    for k in range(len(boxes)):
+        first[k] = not (is_double[:k, k] & first[:k]).any()
+    return first
+
+
+def _shown(tracks: TrackTable, t_s: float, numbers: NDArray[np.intp], in_world: bool, notes: tuple[str, ...]) -> Tracks:
+    """Return a copy of the tracks for others; their detections by the numbers that these came with."""
+    numbers = np.append(numbers, -1)
+    shown = Tracks(
+        t_s=t_s,
+        ids=tracks.ids.copy(),
+        states=tracks.states.copy(),
+        covariances=tracks.covariances.copy(),
+        boxes=tracks.boxes.copy(),
+        box_variances=tracks.box_variances.copy(),
+        kinds=tracks.kinds,
+        existence=tracks.existence.copy(),
+        confirmed=tracks.confirmed.copy(),
+        detection=numbers[tracks.detection].astype(np.int32),
+        visible=tracks.visible.copy(),
+        detectable=tracks.detectable.copy(),
+        born_s=tracks.born_s.copy(),
+        seen_s=tracks.seen_s.copy(),
+        born_hidden=tracks.born_hidden.copy(),
+        in_world=in_world,
+        notes=notes,
+    )
+    for each in fields(shown):
+        value = getattr(shown, each.name)
+        if each.name not in ("t_s", "in_world", "notes"):
+            value.setflags(write=False)
+    return shown
