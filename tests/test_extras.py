@@ -45,6 +45,7 @@ NEEDS = [
          r"writing Foxglove's schemas needs foxglove-sdk: pip install 'viewshed\[foxglove\]'"),
     Need("foxglove", "view v.pcap --foxglove 8765",
          r"writing Foxglove's schemas needs foxglove-sdk: pip install 'viewshed\[foxglove\]'"),
+    Need("rasterio", "export v.pcap --to geotiff", r"writing a GeoTIFF needs rasterio: pip install 'viewshed\[geo\]'"),
     Need("rerun", "view v.pcap --rerun made.rrd", r"writing for Rerun needs rerun-sdk: pip install 'viewshed\[view\]'"),
     Need("yaml", "info opv2v", r"reading OPV2V needs pyyaml: pip install 'viewshed\[opv2v\]'"),
     Need("ray", "simulate nuscenes --sweeps 2 --engine ray --out made",

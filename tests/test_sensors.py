@@ -8,12 +8,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viewshed.sensors import LidarModel, lidar_model, sensor_names
+import viewshed
+from viewshed import GRIDS, Sweep, read_sweep, write_sweep
+from viewshed.datasets.archive.schema import model_of_text, text_of_model
+from viewshed.preprocess.leveling import level
+from viewshed.preprocess.plausibility import doubts
+from viewshed.preprocess.sensor_identification import identify_sensor
+from viewshed.sensors import LidarModel, inferable_sensors, lidar_model, sensor_names
 
 RINGS = {
     "carla": 32, "carla256": 256, "hdl32e": 32, "hdl64e": 64, "os0_128": 128, "os0_32": 32, "os0_64": 64,
     "os1_128": 128, "os1_32": 32, "os1_32g": 32, "os1_64": 64, "ot128": 128, "pandar40p": 40, "pandar64": 64,
     "roadside": 128, "vlp16": 16, "vlp32c": 32, "xt32": 32,
+    # named only, never inferred
+    "at128": 128, "bpearl": 32, "helios32": 32, "os2_128": 128, "os2_32": 32, "os2_64": 64, "pandar128": 128,
+    "qt64": 64, "rs16": 16, "rs32": 32, "ruby_plus": 128, "vls128": 128, "xt16": 16,
+    # without rings
+    "livox_avia": 32, "livox_hap": 32, "livox_horizon": 32, "livox_mid360": 32, "livox_mid40": 32, "livox_mid70": 32,
 }  # fmt: skip
 GOOD = 'name = "mine"\nelevations_deg = [-10, 0, 5.5]\nazimuth_columns = 900\n'
 
@@ -38,6 +49,9 @@ def test_a_shipped_table_ascends_and_cites_its_source(name: str) -> None:
     [
         ("vlp16", -15, 15), ("hdl32e", -30.67, 10.67), ("vlp32c", -25, 15), ("xt32", -16, 15), ("carla", -30, 10),
         ("carla256", -30, 60), ("pandar64", -24.9, 14.9), ("pandar40p", -25, 14.8), ("ot128", -24.7, 15.1),
+        ("vls128", -25, 15), ("qt64", -52.1, 52.1), ("pandar128", -24.7, 15.1), ("at128", -12.47, 12.93),
+        ("os2_128", -11.25, 11.25), ("rs32", -25.03, 14.98), ("helios32", -55, 15), ("bpearl", 2.3, 89.5),
+        ("ruby_plus", -25.05, 15.03), ("xt16", -15, 15), ("livox_mid360", -7, 52), ("livox_hap", -12.5, 12.5),
         ("os0_128", -46.3, 45.8), ("os1_128", -21.8, 21.0), ("hdl64e", -25, 1.9), ("roadside", -55, 0),
     ],
 )  # fmt: skip
@@ -58,7 +72,7 @@ def test_case_and_punctuation_do_not_matter(spelling: str) -> None:
 
 
 def test_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"sensor must be one of carla, .*xt32 or a TOML file, got 'sick'"):
+    with pytest.raises(ValueError, match=r"sensor must be one of at128, .*xt32 or a TOML file, got 'sick'"):
         lidar_model("sick")
 
 
@@ -101,6 +115,7 @@ def test_own_table_is_read_again_when_it_changes(tmp_path: Path) -> None:
         (GOOD.replace("900", "true"), "azimuth_columns must be a whole number, got True"),
         (GOOD.replace("900", "3"), r"azimuth_columns must lie in \[4, 36000\], got 3"),
         (GOOD.replace('"mine"', '""'), "name must be text in quotes, got ''"),
+        (GOOD + "inferred = 1", "inferred must be true or false, got 1"),
         (GOOD + "source = 1", "source must be text in quotes, got 1"),
         (GOOD + "min_range_m = true", "min_range_m must be a number, got True"),
         (GOOD + "min_range_m = 200", "ranges must satisfy 0 ≤ min_range_m < max_range_m"),
@@ -142,3 +157,41 @@ def test_what_is_written_is_read(
     assert [math.degrees(e) for e in model.azimuth_offset] == pytest.approx(offsets)
     assert model.origin_m.tolist() == origins
     assert model.azimuth_columns == columns
+
+
+def test_only_sensors_that_were_held_against_sweeps_or_stand_alone_are_inferred() -> None:
+    names = set(inferable_sensors())
+    assert names == set(RINGS) - {
+        "at128", "bpearl", "helios32", "os2_128", "os2_32", "os2_64", "pandar128", "qt64", "rs16", "rs32", "ruby_plus",
+        "vls128", "xt16", *(name for name in RINGS if name.startswith("livox")),
+    }  # fmt: skip
+
+
+def test_a_sensor_without_rings_keeps_that_in_files(tmp_path: Path) -> None:
+    model = lidar_model("livox_mid360")
+    assert not model.fires_rings
+    write_sweep(Sweep(np.ones((4, 3), np.float32), model=model), tmp_path / "a.npz")
+    back = read_sweep(tmp_path / "a.npz").model
+    assert back is not None
+    assert (back.fires_rings, back.reach_m) == (False, 40.0)
+    assert model_of_text(text_of_model(model)) is model
+    plain = lidar_model("vlp16")
+    assert "fires_rings" not in text_of_model(plain)
+
+
+@pytest.mark.parametrize("name", ["livox_mid360", "livox_avia"])
+def test_no_rings_are_looked_for_in_a_field(name: str) -> None:
+    model = lidar_model(name)
+    rng = np.random.default_rng(3)
+    azimuth, elevation = rng.uniform(-0.6, 0.6, 5000), rng.uniform(model.elevation[0], model.elevation[-1], 5000)
+    towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    points = (10.0 * np.column_stack(towards)).astype(np.float32)
+    sweep = Sweep(points, ring=np.zeros(5000, np.int16), model=model)
+    found = identify_sensor(sweep)
+    assert found.ring is None
+    assert found.model is model
+    leveled = level(sweep, GRIDS["indoor"])
+    assert not [doubt for doubt in doubts(leveled) if "outside of the field" in doubt]
+    tilted = sweep.replace(points=points[:, [0, 2, 1]] * np.array([0.2, 1.0, 9.0], np.float32))
+    assert any("outside of the field of Livox" in doubt for doubt in doubts(level(tilted, GRIDS["indoor"])))
+    assert viewshed.estimate(sweep, grid="indoor").basis is not None

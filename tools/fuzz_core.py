@@ -115,9 +115,11 @@ def use_everything() -> None:
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
     from viewshed.io import read_sweep, write_sweep
+    from viewshed.perception.detector import Detector
     from viewshed.preprocess.beam_matching import match_beams, polar
     from viewshed.preprocess.elevation_clusters import find_clusters
     from viewshed.preprocess.history import History
+    from viewshed.preprocess.leveling import level
     from viewshed.preprocess.ring_recovery import recover_rings
     from viewshed.preprocess.sensor_identification import identify_sensor, infer_sensor
     from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
@@ -169,9 +171,12 @@ def use_everything() -> None:
     del estimate, History
     for each in (sweep, noisy, shuffled):
         _use_evidence(each)
+    for each in (sweep, noisy, bare):
+        Detector().detect(level(each, viewshed.BevGrid()))
     _use_features(sweep)
     _use_ground(sweep)
     _use_polygons(rng)
+    _use_codes(rng)
 
 
 def _use_evidence(sweep: Any) -> None:
@@ -233,6 +238,18 @@ def _use_polygons(rng: np.random.Generator) -> None:
     inner_polygon_of_mask(mask, grid, 12)
     for whole in (True, False):
         sectors_of_mask(mask, grid, 4, whole_cells=whole)
+
+
+def _use_codes(rng: np.random.Generator) -> None:
+    """Encode and decode views, with deviations and without."""
+    from viewshed import BevGrid, FovEstimate
+    from viewshed.messages.fov_code import decode_fov, encode_fov
+
+    grid = BevGrid(40, 10.0, (3.0, -2.0))
+    prob = np.clip(0.8 - np.hypot(*np.moveaxis(grid.centers, -1, 0)) / 20 + rng.normal(0, 0.03, grid.shape), 0.0, 1.0)
+    state = np.where(prob >= 0.5, 1, 3)
+    for std in (None, 0.3 * (1.0 - prob)):
+        decode_fov(encode_fov(FovEstimate(grid, prob, state, std)), grid, 0.5, std is not None)
 
 
 def _copied(value: Any) -> Any:

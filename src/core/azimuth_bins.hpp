@@ -43,7 +43,7 @@ struct BinRanges {
     Buffer<float> farthest_m, nearest_m;
 };
 
-// The ranges of so many bins; of as many as the returns fill where 0 is asked for.
+// The ranges of so many bins; of as many as the returns fill where 0 is given.
 BinRanges find_ranges(const Returns& returns, std::size_t bins);
 
 // The ranges of as many bins as the returns fill, from those of the NARROWEST_BINS.

@@ -20,7 +20,7 @@ struct ElevationClusters {
 // is taken whose clusters explain about as many returns as those of any other.
 std::optional<ElevationClusters> find_clusters(const Directions& seen);
 
-// The rings told by the elevations at which the returns gather: the clusters from the lowest to the highest, so that a
+// The rings by the elevations at which the returns gather: the clusters from the lowest to the highest, so that a
 // beam without returns has none; -1 far from all of them.
 struct ClusteredRings {
     Rings rings;

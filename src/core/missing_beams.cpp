@@ -100,7 +100,7 @@ void find_missing(View1<const std::uint8_t> counts, MissingBeams& beams) {
 }
 
 Turn::Turn(std::size_t columns) : cos(columns), sin(columns) {
-    // Coarse and fine angles alone are asked for; those of each column follow by the angle sum.
+    // Coarse and fine angles alone are computed; those of each column follow by the angle sum.
     constexpr std::size_t FINE = 64;
     double fine_cos[FINE], fine_sin[FINE];
     const double step = 2 * std::numbers::pi / double(columns);

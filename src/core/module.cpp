@@ -19,6 +19,8 @@ NB_MODULE(_core, m) {
     viewshed::bind_visibility(m);
     viewshed::bind_evidence(m);
     viewshed::bind_boxes(m);
+    viewshed::bind_object_candidates(m);
+    viewshed::bind_shape_classifier(m);
     viewshed::bind_history(m);
     viewshed::bind_integrity_evidence(m);
     viewshed::bind_features(m);
@@ -28,4 +30,5 @@ NB_MODULE(_core, m) {
     viewshed::bind_polygons(m);
     viewshed::bind_files(m);
     viewshed::bind_temporal_evidence(m);
+    viewshed::bind_fov_code(m);
 }

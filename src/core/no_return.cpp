@@ -458,7 +458,7 @@ void bind_no_return(nb::module_& m) {
             std::optional<BeamColumns> beams;
             {
                 nb::gil_scoped_release unlocked;
-                // Neither obstacles nor shares of ground are asked for.
+                // Neither obstacles nor shares of ground are needed.
                 const Returns returns{view(range_m), view(height_m), view(rows)};
                 beams = no_return_beams(depth_images(pixels, returns, NONE, NONE), aims, fill);
             }

@@ -28,7 +28,7 @@ constexpr std::size_t SOON = 8;
 constexpr float BACKWARD = 0.003f;
 constexpr double MOST_BACKWARD = 0.03;
 
-// Fewer rings are not told by the order, and more are noise.
+// Fewer rings do not show in the order, and more are noise.
 constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
 
 // First and last rings of less than this share of the others' size are joined to their neighbor.
@@ -46,7 +46,7 @@ constexpr std::size_t RETURNS_OF_RING = 256;
 // Median slopes of rings go from the first to the last in at most this much of the way between these.
 constexpr double MOST_WAY = 1.5;
 
-// Rings told by the order of the points are taken at once where they change by less than this share of a step.
+// Rings that follow from the order of the points are taken at once where they change by less than this share of a step.
 constexpr double LITTLE = 0.3;
 
 // Points of a part that is worth a thread.

@@ -1,4 +1,4 @@
-// How a spinning sensor moved while it measured, told by its points alone.
+// How a spinning sensor moved while it measured, inferred from its points alone.
 #pragma once
 
 #include <array>

@@ -18,6 +18,8 @@ void bind_height_map(nb::module_& m);
 void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
 void bind_boxes(nb::module_& m);
+void bind_object_candidates(nb::module_& m);
+void bind_shape_classifier(nb::module_& m);
 void bind_history(nb::module_& m);
 void bind_integrity_evidence(nb::module_& m);
 void bind_features(nb::module_& m);
@@ -26,6 +28,7 @@ void bind_ray_trace(nb::module_& m);
 void bind_concave_hull(nb::module_& m);
 void bind_polygons(nb::module_& m);
 void bind_files(nb::module_& m);
+void bind_fov_code(nb::module_& m);
 void bind_temporal_evidence(nb::module_& m);
 
 }  // namespace viewshed

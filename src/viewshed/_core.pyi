@@ -315,6 +315,31 @@ class BeamsByAzimuth:
         self, boxes: NDArray[np.float32], sensor_height_m: float, leave_out_own: bool
     ) -> NDArray[np.int32]: ...
 
+# object_candidates.cpp
+
+def object_candidates(
+    points: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    sensor_height_m: float,
+) -> tuple[
+    NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]
+]: ...
+
+# shape_classifier.cpp
+
+def shape_probabilities(
+    shapes: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    first: NDArray[np.float32],
+    first_bias: NDArray[np.float32],
+    second: NDArray[np.float32],
+    second_bias: NDArray[np.float32],
+    third: NDArray[np.float32],
+    third_bias: NDArray[np.float32],
+) -> NDArray[np.float32]: ...
+
 # history.cpp
 
 def obstacle_image(
@@ -428,6 +453,20 @@ def thin_returns(
     points: NDArray[np.float32], range_m: NDArray[np.float32], x_m: float, y_m: float, cell_m: float
 ) -> tuple[NDArray[np.float64], bool]: ...
 def fill_rings(edges: NDArray[np.float64], x_m: float, y_m: float, cell_m: float, cells: int) -> NDArray[np.bool_]: ...
+
+# fov_code.cpp
+
+def encode_view(
+    state: NDArray[np.uint8], level: NDArray[np.uint8], deviation: NDArray[np.uint8], row: int, column: int
+) -> bytes: ...
+def decode_view(
+    code: NDArray[np.uint8],
+    cells: int,
+    row: int,
+    column: int,
+    prob: NDArray[np.float32],
+    std: NDArray[np.float32],
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32] | None] | None: ...
 
 # polygons.cpp
 

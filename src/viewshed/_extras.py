@@ -10,14 +10,17 @@ EXTRAS = {
     "pyarrow": "data",
     "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
     "rosbags": "bags", "mcap": "bags", "lz4": "bags", "zstandard": "bags",
+    "rasterio": "geo",
     "foxglove": "foxglove", "rerun": "view",
     "velodyne_decoder": "packets",
+    "cbor2": "agents", "cwt": "agents", "cryptography": "agents", "zenoh": "agents",
     "openvino": "openvino", "ray": "ray", "yaml": "opv2v",
 }  # fmt: skip
 """The extra that installs a package, by the name under which Python imports it."""
 
 _DISTRIBUTIONS = {
-    "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
+    "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "zenoh": "eclipse-zenoh",
+    "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
 }  # fmt: skip
 """What is installed, where that is not the name of the import."""
 

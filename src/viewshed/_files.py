@@ -1,14 +1,49 @@
-"""Files that survive a kill: written whole or not at all, or JSON lines that are only appended."""
+"""Files that survive a kill: written whole or not at all, or JSON lines that are only appended; archives of arrays."""
 
 from __future__ import annotations
 
+import io
 import json
+import lzma
 import os
 import secrets
-from collections.abc import Iterator
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+DAMAGED = (
+    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
+    MemoryError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
+)  # fmt: skip
+"""What the reader of a damaged archive of arrays, or of what it holds, may raise."""
+
+
+def read_arrays(raw: bytes, most_bytes: int, names: Iterable[str] = ()) -> dict[str, NDArray[Any]]:
+    """Return arrays of an NPZ by name, all of them unless some are named; nothing is unpickled.
+
+    Args:
+        raw: the file.
+        most_bytes: an array that is larger, unpacked, is refused.
+        names: of the arrays.
+
+    Raises:
+        DAMAGED: the file is no such archive, an array is missing or too large.
+    """
+    import numpy as np
+
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        for member in [archive.getinfo(f"{name}.npy") for name in names] or archive.infolist():
+            if member.file_size > most_bytes:
+                raise ValueError(f"{member.filename} must be at most {most_bytes} bytes, got {member.file_size}")
+    with np.load(io.BytesIO(raw), allow_pickle=False) as file:
+        return {name: file[name] for name in names or file.files}
 
 
 def write_atomic(path: str | Path, content: bytes) -> None:
@@ -31,6 +66,9 @@ def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
     target = Path(path)
     if target.is_dir():
         raise IsADirectoryError(f"path must name a file, got the folder {target}")
+    if not target.parent.is_dir():
+        kind = NotADirectoryError if target.parent.exists() else FileNotFoundError
+        raise kind(f"{target} must lie in a folder that exists, got {target.parent}; make it first")
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
     try:
         with draft.open("xb") as file:

@@ -16,7 +16,7 @@ MAX_RINGS = 4096
 
 _TOML_KEYS = {
     "name", "elevations_deg", "azimuth_offsets_deg", "origins_m", "azimuth_columns",
-    "min_range_m", "max_range_m", "reach_m", "reach_source", "source",
+    "min_range_m", "max_range_m", "reach_m", "reach_source", "source", "fires_rings", "inferred",
 }  # fmt: skip
 
 
@@ -42,6 +42,10 @@ class LidarModel:
         reach_m: range up to which a target of 10 % reflectivity that faces the sensor returns every second time, or
             None where nobody states it.
         reach_source: where ``reach_m`` comes from.
+        fires_rings: False for a sensor that fires anywhere in its field (Livox): its returns belong to no rings, none
+            are looked for, and ``elevation`` is a ladder from the lowest shot to the highest. The simulator fires it.
+        inferred: whether the sensor may be inferred from points. False for those whose beams are like another's, or
+            whose table was never held against real sweeps.
 
     Raises:
         ValueError: an attribute is not as above.
@@ -58,6 +62,8 @@ class LidarModel:
     reach_m: float | None = None
     reach_source: str = ""
     shots: NDArray[np.float64] | None = None
+    fires_rings: bool = True
+    inferred: bool = True
 
     def __post_init__(self) -> None:
         elevation = np.array(self.elevation, dtype=np.float64)
@@ -145,6 +151,8 @@ def _parse(raw: bytes, where: str) -> LidarModel:
             source=_text(table, "source"),
             reach_m=_number("reach_m", table["reach_m"]) if "reach_m" in table else None,
             reach_source=_text(table, "reach_source"),
+            fires_rings=_flag(table, "fires_rings"),
+            inferred=_flag(table, "inferred"),
         )
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
@@ -161,6 +169,14 @@ def _text(table: dict[str, Any], key: str) -> str:
     value = table.get(key, "")
     if not isinstance(value, str) or (key == "name" and not value):
         raise ValueError(f"{key} must be text in quotes, got {value!r}")
+    return value
+
+
+def _flag(table: dict[str, Any], key: str) -> bool:
+    """Return what is under ``key``, true if it is left out."""
+    value = table.get(key, True)
+    if not isinstance(value, bool):
+        raise ValueError(f"{key} must be true or false, got {value!r}")
     return value
 
 
@@ -183,6 +199,12 @@ def _numbers(table: dict[str, Any], key: str) -> NDArray[np.float64]:
     if not isinstance(value, list):
         raise ValueError(f"{key} must be a list of numbers, got {value!r}")
     return np.array([_number(key, item) for item in value], dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def inferable_sensors() -> tuple[str, ...]:
+    """Return the names of the sensors that may be inferred from points, in alphabetical order."""
+    return tuple(name for name in sensor_names() if lidar_model(name).inferred)
 
 
 @lru_cache(maxsize=1)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from viewshed import _core
 from viewshed.geometry import Rigid, attitude_of, rotation_from_quaternion
-from viewshed.sensors import LidarModel
+from viewshed.sensors import LidarModel, lidar_model
 
 
 def unorganized(sweep: Sweep) -> Sweep:
@@ -236,6 +236,48 @@ def shape_remedy(shape: tuple[int, ...]) -> str:
     if len(shape) == 2 and shape[1] > 3:
         return "; take its first three columns (points[:, :3])"
     return ""
+
+
+def sweep_of_points(
+    points: ArrayLike,
+    *,
+    sensor: str | LidarModel | None = None,
+    sensor_height_m: float | None = None,
+    world_from_sensor: Rigid | None = None,
+) -> Sweep:
+    """Return the sweep of an array.
+
+    Args:
+        points: (N, 3+) in meters, x forward, y left, z up, the sensor at the origin; a fourth column is intensity,
+            others are left out. Or (N,) with fields x, y, z and perhaps intensity and ring.
+        sensor: beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
+        sensor_height_m: mounting height above the ground, if it is known.
+        world_from_sensor: pose in the map, if it is known.
+
+    Raises:
+        ValueError: the array is none of these.
+
+    >>> sweep_of_points(np.ones((2, 5)), sensor="vlp16").intensity.tolist()
+    [1.0, 1.0]
+    """
+    array = np.asarray(points)
+    columns: dict[str, NDArray[Any]] = {}
+    if array.dtype.names is not None:
+        missing = [name for name in "xyz" if name not in array.dtype.names]
+        if missing:
+            raise ValueError(f"points must have fields x, y and z, got {', '.join(array.dtype.names)}")
+        flat = array.ravel()
+        columns = {name: flat[name] for name in ("intensity", "ring") if name in array.dtype.names}
+        array = np.column_stack([flat[name] for name in "xyz"])
+    elif array.ndim != 2 or array.shape[1] < 3 or (array.shape[0] in (3, 4) and array.shape[1] > _MOST_COLUMNS):
+        raise ValueError(f"points must have shape (N, 3+), got {array.shape}{shape_remedy(array.shape)}")
+    elif array.shape[1] > 3:
+        columns = {"intensity": array[:, 3]}
+    return Sweep(
+        array[:, :3], columns.get("intensity"), columns.get("ring"),
+        model=lidar_model(sensor) if isinstance(sensor, str) else sensor,
+        sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor,
+    )  # fmt: skip
 
 
 def _points(value: ArrayLike) -> NDArray[np.float32]:

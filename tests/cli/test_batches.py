@@ -132,7 +132,7 @@ def test_a_sweep_that_cannot_be_estimated_is_told_with_its_own_file(
     failures = Failures()
     lines = list(Run(Picky(), 0.5, tmp_path, ("npz",)).lines(sweeps, failures, batch))
     assert [line.partition(":")[0] for line in lines] == ["s2", "s4", "s6", "s8"]
-    assert [read_npz(tmp_path / f"s{t_ns}.npz").t_ns for t_ns in (2, 4, 6, 8)] == [2, 4, 6, 8]
+    assert [read_npz(tmp_path / f"s{t_ns}_picky.npz").t_ns for t_ns in (2, 4, 6, 8)] == [2, 4, 6, 8]
     told = capsys.readouterr().err.splitlines()
     assert told == [f"viewshed: f{t_ns}.bin: no time {t_ns}" for t_ns in (1, 3, 5)]
     assert failures.count == 3
@@ -153,8 +153,14 @@ def test_a_result_that_cannot_be_written_costs_a_line(files: list[Path], tmp_pat
         (("--batch", 0), "Invalid value for '--batch'"),
         (("--batch", 1025), "Invalid value for '--batch'"),
         (("--batch", 2, "--history", 3), "--history goes with --batch 1: a sweep is remembered before the next one"),
-        (("--results", "jpeg"), "results must be some of png,geojson,npz, with commas, got 'jpeg'"),
-        (("--results", ""), "results must be some of png,geojson,npz, with commas, got ''"),
+        (
+            ("--results", "jpeg"),
+            "osi,cpm, with commas, got 'jpeg'",
+        ),
+        (
+            ("--results", ""),
+            "osi,cpm, with commas, got ''",
+        ),
     ],
 )
 def test_what_cannot_be_done_costs_one_line(

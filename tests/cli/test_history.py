@@ -41,9 +41,9 @@ def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, t
     estimator, alone = TemporalEstimator(ShadowMap(GRID), SweepBuffer(3)), ShadowMap(GRID)
     fewer = 0
     for number, (_, sweep) in enumerate(each_sweep(ArchiveSource.open(drive))):
-        found = read_npz(tmp_path / "past" / f"street_{number:03}.npz")
+        found = read_npz(tmp_path / "past" / f"street_{sweep.agent}_{number:03}.npz")
         np.testing.assert_allclose(found.visible_prob, estimator.estimate(sweep).visible_prob, atol=0.01)
-        before = read_npz(tmp_path / "alone" / f"street_{number:03}.npz")
+        before = read_npz(tmp_path / "alone" / f"street_{sweep.agent}_{number:03}.npz")
         np.testing.assert_allclose(before.visible_prob, alone.estimate(sweep).visible_prob, atol=0.01)
         fewer += int(found.visible().sum() < before.visible().sum())
     assert number == 11
@@ -67,7 +67,7 @@ def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, t
     assert run(*words, tmp_path / "wary", "--wary")[0] == 0
     assert run(*words, tmp_path / "past")[0] == 0
     wary, past = (
-        [read_npz(tmp_path / kind / f"street_{number:03}.npz").visible() for number in range(12)]
+        [read_npz(next((tmp_path / kind).glob(f"street_*_{number:03}.npz"))).visible() for number in range(12)]
         for kind in ("wary", "past")
     )
     assert not any(mask.any() for mask in wary[:2])

@@ -126,9 +126,9 @@ def test_points_counted_from_the_axle_are_noticed_and_an_origin_mends_it(tmp_pat
     assert "are the points counted from the axle or the road? Say with --origin X,Y,Z where the sensor is" in line
     code, none = lines(path, "--origin", "1.3,0.1,1.5")
     assert (code, none) == (0, [])
-    mended = read_npz(tmp_path / "out" / "a.npz").visible()
+    mended = read_npz(tmp_path / "out" / "a_first_blocker.npz").visible()
     assert lines(written(STREET.points, tmp_path)) == (0, [])
-    assert (mended == read_npz(tmp_path / "out" / "a.npz").visible()).mean() > 0.999
+    assert (mended == read_npz(tmp_path / "out" / "a_first_blocker.npz").visible()).mean() > 0.999
 
 
 def test_an_origin_must_be_three_numbers(tmp_path: Path) -> None:

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -262,3 +264,16 @@ def test_lattices_of_other_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="two columns"):
         _core.lattice_positions(np.zeros((1, 1), np.float32), 1.0, 8)
     assert HeightMap(FLAT, 8.0, FLAT > 0).at(np.array([[np.nan, 1e30], [-np.inf, 3.0]])).tolist() == [0.0, 0.0]
+
+
+def test_no_windows_are_left_at_exit_whoever_keeps_the_function() -> None:
+    """nanobind would report each as leaked."""
+    code = """
+import ctypes
+from viewshed.fov.visibility import cell_windows
+from viewshed.grid import BevGrid
+cell_windows(BevGrid(16, 8.0), 1.8)
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(cell_windows))
+"""
+    ended = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=True, timeout=60)
+    assert (ended.stdout, ended.stderr) == ("", "")

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from viewshed.fusion.cells import BoxCells
 from viewshed.fusion.evidence import (
     BLIND,
-    CAP,
     BOX_FEATURES,
+    CAP,
     EvidenceTable,
     cell_bins,
     cell_ratios,

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 from viewshed import BevGrid
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.integrity.evidence import SECTORS
-from viewshed.pipeline.reactions import Caution, Finding, ReactionRules, ReactionState, react, speed_for_view, withdraw
+from viewshed.pipeline.reactions import (
+    Caution,
+    Finding,
+    ReactionRules,
+    ReactionState,
+    Vehicle,
+    react,
+    speed_for_view,
+    withdraw,
+)
 
 GRID = BevGrid(64, 32.0)
 FRONT = np.arange(SECTORS) // 4 == 9  # the four sectors left of straight ahead
@@ -116,3 +125,17 @@ def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
 def test_rules_are_checked() -> None:
     with pytest.raises(ValueError, match="recover_sweeps and persist_sweeps must be 1 or more"):
         ReactionRules(recover_sweeps=0)
+
+
+def test_a_short_and_narrow_vehicle_uses_what_is_free_to_it_and_one_that_cannot_stop_is_refused() -> None:
+    ahead = np.abs(GRID.centers[..., 1]) < 0.75
+    state = np.where(ahead & (GRID.centers[..., 0] < 14.0), np.uint8(CellState.FREE), np.uint8(CellState.HIDDEN))
+    view = FovEstimate(GRID, np.ones(GRID.shape, np.float32), state)
+    assert speed_for_view(view) == 0.0
+    robot = Vehicle(front_m=0.5, half_width_m=0.4, delay_s=0.2, braking_mps2=1.0)
+    clear_m = GRID.centers[:, 0, 0][GRID.centers[:, 0, 0] >= 14.0].min() - GRID.cell_m / 2 - 0.5
+    speed_mps = speed_for_view(view, robot)
+    assert speed_mps * 0.2 + speed_mps**2 / 2.0 == pytest.approx(clear_m)
+    for wrong in ({"braking_mps2": 0.0}, {"half_width_m": -1.0}, {"delay_s": -0.1}, {"front_m": np.nan}):
+        with pytest.raises(ValueError, match="half_width_m and braking_mps2 must be positive"):
+            Vehicle(**wrong)

@@ -17,7 +17,7 @@ from viewshed.integrity import IntegrityReport
 from viewshed.integrity.evidence import SECTORS
 from viewshed.integrity.stream_monitor import StreamMonitor, StreamReport
 from viewshed.io.samples import junction_path
-from viewshed.pipeline import Answer, Caution, Pipeline
+from viewshed.pipeline import Answer, Caution, Pipeline, Vehicle, speed_for_view
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
@@ -54,7 +54,8 @@ def alarming(*numbers: int) -> StreamMonitor:
 def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
     answers: list[Answer] = []
     sweeps = [at(0.1 * n, SWEEP) for n in range(3)]
-    with Pipeline(shadow_map(), answers.append, lossless=True) as pipeline:
+    slow = Vehicle(braking_mps2=1.0)
+    with Pipeline(shadow_map(), answers.append, vehicle=slow, lossless=True) as pipeline:
         for sweep in sweeps:
             pipeline.put(sweep, "car")
     assert [(answer.number, answer.agent, answer.refused) for answer in answers] == [(n, "car", "") for n in range(3)]
@@ -63,7 +64,7 @@ def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
         assert answer.estimate is not None
         assert np.array_equal(answer.estimate.visible_prob, alone.visible_prob)
         assert np.array_equal(answer.estimate.state, alone.state)
-        assert answer.speed_mps > 0
+        assert answer.speed_mps == speed_for_view(alone, slow) > 0
         assert answer.reaction.caution == Caution.KEEP
 
 

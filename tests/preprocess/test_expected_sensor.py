@@ -12,13 +12,13 @@ from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.io import read_index, read_indexed
 from viewshed.preprocess import leveling
 from viewshed.preprocess.sensor_identification import SensorId, identify_sensor
-from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sensors import LidarModel, inferable_sensors, lidar_model
 from viewshed.sim import Box, Scene, cast, junction
 from viewshed.threats.attacks import ATTACKS, EARLIER
 
 SCENE = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
 GRID = BevGrid(64, 32.0)
-MODELS = [lidar_model(name) for name in sensor_names()]
+MODELS = [lidar_model(name) for name in inferable_sensors()]
 
 
 def sweep_of(name: str, seed: int = 0) -> Sweep:
@@ -43,7 +43,7 @@ def looked_at_first(count: int) -> NDArray[np.intp]:
 
 
 @pytest.mark.parametrize("as_read", [lambda sweep: sweep, in_order])
-@pytest.mark.parametrize("name", sensor_names())
+@pytest.mark.parametrize("name", inferable_sensors())
 def test_any_expected_sensor_leaves_the_answer_as_it_is(name: str, as_read: Callable[[Sweep], Sweep]) -> None:
     sweep = as_read(sweep_of(name))
     alone = identify_sensor(sweep)

@@ -33,7 +33,12 @@ def test_the_example_is_read_and_what_is_missing_for_it_is_refused_and_can_be_me
             ("front", "front/points", "PointCloud2"), ("laser", "scan", "LaserScan"),
         ]  # fmt: skip
         assert settings.sensors[1].changes == {"sensor_height_m": 0.25}
-        for wrong, value in (("pose_source", "tf"), ("profile", "car"), ("front.model", "vlp17")):
+        for wrong, value in (
+            ("pose_source", "tf"),
+            ("profile", "car"),
+            ("front.model", "vlp17"),
+            ("vehicle_braking_mps2", 0.0),
+        ):
             right = node.get_parameter(wrong).value if wrong != "pose_source" else "odometry"
             node.set_parameters([Parameter(wrong, value=value)])
             assert node.trigger_configure() == TransitionCallbackReturn.FAILURE

@@ -1,5 +1,6 @@
 """What is published of an answer, by hand on small asymmetric grids."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -124,6 +125,29 @@ def test_between_the_blind_range_and_each_end_of_a_clearing_beam_all_is_free() -
             assert inside.all()
             # Samples are a quarter of a cell apart: a beam may clip a cell's corner, never cross the cell.
             assert (state[cells[:, 0], cells[:, 1]] != F).sum() * 0.02 <= 0.125 * np.sqrt(2) * length
+
+
+def test_what_the_body_hides_is_said_as_stvl_takes_it() -> None:
+    # Hidden behind the robot: azimuths from 135° to 225°, and a strip to the right of it from 300° to 330°.
+    grid = BevGrid(160, 10.0)
+    azimuth = np.degrees(np.arctan2(grid.centers[..., 1], grid.centers[..., 0])) % 360
+    hidden = ((azimuth > 135) & (azimuth < 225)) | ((azimuth > 300) & (azimuth < 330))
+    shown = view(state=np.where(hidden, np.uint8(H), np.uint8(F)), grid=grid)
+    polygons = json.loads(LAYERS["obstruction"].make(shown).data)
+    spans = [(np.degrees(min(polygon[::2])), np.degrees(max(polygon[::2]))) for polygon in polygons]
+    covered = sum(last - first for first, last in spans)
+    # An edge is uncertain by a cell at 1 m.
+    assert covered == pytest.approx(120.0, abs=15.0)
+    for polygon in polygons:
+        assert len(polygon) == 8
+        assert 0.0 <= min(polygon[::2]) < max(polygon[::2]) <= min(polygon[::2]) + np.pi / 2 + 1e-3
+        assert max(polygon[::2]) <= 2 * np.pi
+        assert (min(polygon[1::2]), max(polygon[1::2])) == (-1.4, 1.4)
+    for inside in (150.0, 180.0, 210.0, 315.0):
+        assert any(first < inside < last for first, last in spans)
+    for outside in (0.0, 90.0, 120.0, 240.0, 290.0, 345.0):
+        assert not any(first < outside < last for first, last in spans)
+    assert LAYERS["obstruction"].make(view(state=np.full(grid.shape, F, np.uint8), grid=grid)).data == ""
 
 
 class _Info:

@@ -38,25 +38,29 @@ class Input:
     """A type of message that holds a sweep.
 
     Attributes:
-        package: of the message, imported when a sensor uses it.
-        name: of the message in it.
-        sweep_of: makes the sweep, without its time.
+        packages: of the message, the first that is installed is taken when a sensor uses it.
+        name: of the message in them.
+        sweep_of: makes the sweep, without its time; None of messages that hold a packet each.
+        packet: the attribute that holds the bytes of a packet; empty for messages that hold a sweep.
     """
 
-    package: str
+    packages: tuple[str, ...]
     name: str
-    sweep_of: Callable[[Any], Sweep]
+    sweep_of: Callable[[Any], Sweep] | None
+    packet: str = ""
 
     def message_type(self) -> type[Any]:
         """Return the class of the message.
 
         Raises:
-            ValueError: its package is not installed.
+            ValueError: none of its packages is installed.
         """
-        try:
-            return getattr(import_module(f"{self.package}.msg"), self.name)  # type: ignore[no-any-return]
-        except ImportError as error:
-            raise ValueError(f"type {self.name} needs the package {self.package}, which is not installed") from error
+        for package in self.packages:
+            try:
+                return getattr(import_module(f"{package}.msg"), self.name)  # type: ignore[no-any-return]
+            except ImportError:
+                continue
+        raise ValueError(f"type {self.name} needs the package {' or '.join(self.packages)}, which is not installed")
 
     def sweep(self, message: Any, **known: Any) -> Sweep:
         """Return the sweep of a message at the time of its header, with attributes that are known.
@@ -64,6 +68,8 @@ class Input:
         Raises:
             ValueError: the message contradicts itself, or what is known; the text says how.
         """
+        if self.sweep_of is None:
+            raise ValueError(f"a message of {self.name} holds a packet, no sweep")
         return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
 
 
@@ -95,9 +101,11 @@ def _sweep_of_scan(message: LaserScan) -> Sweep:
 
 
 INPUTS = {
-    "cloud": Input("sensor_msgs", "PointCloud2", _sweep_of_cloud),
-    "scan": Input("sensor_msgs", "LaserScan", _sweep_of_scan),
-    "velodyne": Input("velodyne_msgs", "VelodyneScan", sweep_of_velodyne),
+    "cloud": Input(("sensor_msgs",), "PointCloud2", _sweep_of_cloud),
+    "scan": Input(("sensor_msgs",), "LaserScan", _sweep_of_scan),
+    "velodyne": Input(("velodyne_msgs",), "VelodyneScan", sweep_of_velodyne),
+    "ouster": Input(("ouster_sensor_msgs", "ouster_ros"), "PacketMsg", None, packet="buf"),
+    "ouster_bytes": Input(("std_msgs",), "UInt8MultiArray", None, packet="data"),
 }
 """What a sensor may send, by the value of its parameter ``type``."""
 

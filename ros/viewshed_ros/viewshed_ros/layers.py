@@ -19,7 +19,7 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from shapely.geometry.polygon import orient
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from viewshed.fov.estimate import FovEstimate
@@ -191,6 +191,11 @@ def clearing(view: View) -> PointCloud2:
     return message
 
 
+def obstruction(view: View) -> String:
+    """Return what hides the view from the beginning as the value of STVL's ``obstruction_polygons``."""
+    return String(data=nav2.obstruction_polygons(view.estimate))
+
+
 @dataclass(frozen=True, slots=True)
 class Layer:
     """A topic: the type of its messages, what makes them, and whether who comes late is given the last one."""
@@ -209,5 +214,6 @@ LAYERS = {
     "speed_mask": Layer(OccupancyGrid, speed_mask, latched=True),
     "keepout_mask": Layer(OccupancyGrid, keepout_mask, latched=True),
     "clearing": Layer(PointCloud2, clearing, latched=False),
+    "obstruction": Layer(String, obstruction, latched=True),
 }
 """The topics of a sensor that are made from an estimate, by name below the sensor's."""

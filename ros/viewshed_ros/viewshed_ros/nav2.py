@@ -5,6 +5,7 @@ numpy alone; :mod:`viewshed_ros.layers` makes messages of it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.io.export.nav2 import NOTHING_KNOWN, in_the_map, keepout_values
+
+__all__ = [
+    "NOTHING_KNOWN", "NO_LIMIT", "SpeedLimits", "blind_m", "clearing_ends", "in_the_map", "keepout_values",
+    "speed_values",
+]  # fmt: skip
 
 NO_LIMIT = 0
 """Of a speed mask."""
-
-NOTHING_KNOWN = -1
-"""Of any mask: the filter leaves the cell as it is."""
 
 _RAYS_A_CELL, _STEPS_A_CELL = 2.0, 4.0
 """Rays for each cell at the grid's nearest edge, and samples along a ray for each cell's side."""
@@ -66,34 +69,6 @@ def speed_values(estimate: FovEstimate, speed_mps: float, limits: SpeedLimits) -
     return values
 
 
-def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
-    """Return 100 (cells, cells) where nothing is seen, 0 where it is; beyond the sensor's reach nothing is said."""
-    values = np.where(estimate.visible(), np.int8(0), np.int8(100))
-    if estimate.basis is not None:
-        values[polar_of_cells(estimate.grid)[0] > estimate.basis.reach_m] = NOTHING_KNOWN
-    return values
-
-
-def in_the_map(
-    values: NDArray[np.int8], grid: BevGrid, world_from_level: Rigid
-) -> tuple[BevGrid, NDArray[np.int8]]:  # fmt: skip
-    """Return values on a grid along the map's axes (costmap filters know no rotation), whose cells lie on its raster.
-
-    Args:
-        values: (cells, cells) on ``grid``.
-        grid: in the ``level`` frame.
-        world_from_level: its pose.
-    """
-    center = world_from_level @ np.array([*grid.offset_m, 0.0])
-    on_raster = (np.round(center[:2] / grid.cell_m) * grid.cell_m).tolist()
-    map_grid = BevGrid(grid.cells, grid.half_extent_m, (on_raster[0], on_raster[1]))
-    # Each cell of the mask takes the value at its center; on the ground, so that a slope does not shift it.
-    x_m, y_m = map_grid.centers[..., 0], map_grid.centers[..., 1]
-    world = np.stack([x_m, y_m, np.full(grid.shape, center[2])], axis=-1)
-    cells, inside = grid.index((world_from_level.inverse() @ world)[..., :2])
-    return map_grid, np.where(inside, values[cells[..., 0], cells[..., 1]], np.int8(NOTHING_KNOWN))
-
-
 def clearing_ends(estimate: FovEstimate) -> NDArray[np.float64]:
     """Return the ends (K, 2) of virtual beams in ``level``, meters.
 
@@ -112,6 +87,42 @@ def blind_m(estimate: FovEstimate) -> float:
     ends_m, starts_m, _ = _free_rays(estimate)
     return float(starts_m[ends_m > 0.0].max(initial=0.0))
 
+
+def obstruction_polygons(estimate: FovEstimate) -> str:
+    """Return the directions in which the sensor sees nothing from the beginning, as STVL's parameter takes them.
+
+    ``[[azimuth, elevation, …], …]`` in radians: convex polygons, azimuths in [0, 2π], none across 0. A direction is
+    obstructed where no cell from 1 m to 5 m is FREE: by the robot itself, or by what stands right before it. Walls
+    farther off cannot be said so: the polygons know no range. Empty where nothing is obstructed, or everything: a
+    sensor that looks over these cells knows nothing of its robot.
+    """
+    angle, range_m, number = _rays(estimate.grid)
+    near = (range_m >= _BODY_M) & (range_m <= BLIND_MOST_M)
+    free = np.append(estimate.state == CellState.FREE, False)[number[:, near]].any(axis=1)
+    # 1. Rays by azimuth from 0 on, so that no polygon lies across 0.
+    order = np.argsort(angle % (2.0 * math.pi))
+    azimuth, is_hidden = (angle % (2.0 * math.pi))[order], ~free[order]
+    if is_hidden.all():
+        return ""
+    half = math.pi / len(azimuth)
+    # 2. Where rows of hidden rays begin and end, each cut into quarter turns at most: wider ones are not convex.
+    edge = np.flatnonzero(np.diff(np.concatenate([[False], is_hidden, [False]]).astype(np.int8)))
+    quads = []
+    for begin, end in zip(edge[::2], edge[1::2], strict=True):
+        first, last = max(azimuth[begin] - half, 0.0), min(azimuth[end - 1] + half, 2.0 * math.pi)
+        if last - first < _LEAST_OBSTRUCTION:
+            continue
+        parts = np.linspace(first, last, 1 + math.ceil((last - first) / (math.pi / 2.0)))
+        quads += [
+            f"[{one:.4f},{-_TALL:g}, {other:.4f},{-_TALL:g}, {other:.4f},{_TALL:g}, {one:.4f},{_TALL:g}]"
+            for one, other in itertools.pairwise(parts)
+        ]
+    return f"[{', '.join(quads)}]" if quads else ""
+
+
+_BODY_M, _LEAST_OBSTRUCTION, _TALL = 1.0, math.radians(2.0), 1.4
+"""From here on a view is no obstructed one; narrower obstructions are left out; elevations in radians up to and down to
+which a polygon reaches."""
 
 BLIND_MOST_M = 5.0
 """A ray that meets no FREE cell up to here gives no beam: what hides its beginning may hide more."""

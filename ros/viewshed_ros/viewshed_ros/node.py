@@ -13,9 +13,10 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from viewshed.estimators import load_estimator
@@ -24,18 +25,26 @@ from viewshed.geometry import Rigid
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
-from viewshed.pipeline import Answer, Pipeline
+from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Pipeline
 from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
 from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.packets import Revolution, Revolutions
 from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
+
+NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+"""Each event of each publisher would be waited for anew at every message, which takes longer than a laser scan;
+subscribers still say themselves where their quality of service does not fit."""
 
 FALSE_ALARM_SWEEPS = 36_000.0
 """Mean number of sweeps between false alarms of a stream: an hour at 10 Hz."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Reliable, and who comes late is given the last message."""
+
+PACKETS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of sensors that send packets: two revolutions of most of them."""
 
 LIVE = QoSProfile(depth=5)
 """Reliable, for who is there."""
@@ -52,6 +61,7 @@ class Sensor:
     frame: str = ""
     last_ns: int | None = None
     last_view: View | None = None
+    last_said: tuple[object, ...] = ()
     subscription: Any = None
 
 
@@ -145,7 +155,8 @@ class FieldOfView(LifecycleNode):
         # 3. The threads that do it.
         history = SweepBuffer(settings.history) if settings.history else None
         self._pipeline = Pipeline(
-            estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules
+            estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
+            vehicle=settings.vehicle,
         )  # fmt: skip
         self._told_s = time.monotonic()
 
@@ -186,16 +197,20 @@ class FieldOfView(LifecycleNode):
 
     def _publisher(self, message_type: type[Any], topic: str, qos: QoSProfile) -> Any:
         publisher = self.create_lifecycle_publisher(
-            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
-        )
+            message_type, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=NO_EVENTS,
+        )  # fmt: skip
         self._destroy.append(partial(self.destroy_lifecycle_publisher, publisher))
         return publisher
 
     def _listen(self) -> None:
         for sensor in self._sensors.values():
             settings = sensor.settings
+            take = self._take if settings.revolutions is None else self._take_packet
+            # Packets come some hundred times for each revolution: more of them may wait than of clouds.
+            qos = qos_profile_sensor_data if settings.revolutions is None else PACKETS
             sensor.subscription = self.create_subscription(
-                settings.input.message_type(), settings.topic, partial(self._take, sensor), qos_profile_sensor_data,
+                settings.input.message_type(), settings.topic, partial(take, sensor), qos,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )  # fmt: skip
             self.get_logger().info(f"{settings.name} listens to {sensor.subscription.topic_name}")
@@ -219,9 +234,29 @@ class FieldOfView(LifecycleNode):
     # Messages in
 
     def _take(self, sensor: Sensor, message: Any) -> None:
-        """Put a message in, unless it comes sooner after the one before than the rate allows."""
+        """Put in a message that holds a sweep."""
         sensor.counts.received += 1
-        settings, t_ns = self._settings_now(), nanoseconds_of(message.header.stamp)
+        source = partial(self._sweep, sensor, message)
+        self._put(sensor, nanoseconds_of(message.header.stamp), source)
+
+    def _take_packet(self, sensor: Sensor, message: Any) -> None:
+        """Gather packets, and put in the revolution that one ends; its time is that of the node's clock."""
+        revolutions = sensor.settings.revolutions
+        if revolutions is None:
+            raise RuntimeError("the sensor sends no packets")
+        try:
+            data = getattr(message, sensor.settings.input.packet)
+            revolution = revolutions.add(data, self.get_clock().now().nanoseconds)
+        except ValueError as error:
+            sensor.counts.count(f"refused: {error}")
+            return
+        if revolution is not None:
+            sensor.counts.received += 1
+            self._put(sensor, revolution.t_ns, partial(self._sweep_of_packets, sensor, revolutions, revolution))
+
+    def _put(self, sensor: Sensor, t_ns: int, source: Callable[[], Sweep]) -> None:
+        """Put a sweep in, unless it comes sooner after the one before than the rate allows."""
+        settings = self._settings_now()
         # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
         least_ns = 0.9e9 / settings.rate_hz if settings.rate_hz else 0.0
         if sensor.last_ns is not None and 0 < t_ns - sensor.last_ns < least_ns:
@@ -229,7 +264,14 @@ class FieldOfView(LifecycleNode):
             return
         sensor.last_ns = t_ns
         if self._pipeline is not None:
-            self._pipeline.put(partial(self._sweep, sensor, message), sensor.settings.name)
+            self._pipeline.put(source, sensor.settings.name)
+
+    def _sweep_of_packets(self, sensor: Sensor, revolutions: Revolutions, revolution: Revolution) -> Sweep:
+        """Return the sweep of a revolution's packets; the pipeline calls this in its thread."""
+        sensor.frame = sensor.settings.frame
+        pose = self._pose(sensor, revolution.t_ns)
+        sweep = revolutions.sweep(revolution)
+        return sweep.replace(agent=sensor.settings.name, world_from_sensor=pose, **sensor.settings.changes)
 
     def _sweep(self, sensor: Sensor, message: Any) -> Sweep:
         """Return the sweep of a message with what is known of its sensor; the pipeline calls this in its thread.
@@ -272,7 +314,10 @@ class FieldOfView(LifecycleNode):
         """Publish of an answer what somebody listens to; the pipeline calls this in its thread."""
         sensor = self._sensors[answer.agent]
         name = f"{self.get_name()}: {answer.agent}"
-        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=True)
+        # Who comes late is given the last alarm that said something new.
+        says = (answer.reaction.caution, answer.refused, answer.notes)
+        is_new, sensor.last_said = says != sensor.last_said, says
+        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=is_new)
         if answer.notes:
             sensor.counts.last_note = answer.notes[0]
         if answer.estimate is None:
@@ -342,19 +387,26 @@ class FieldOfView(LifecycleNode):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the node until it is told to end."""
+    """Run the node until a signal ends it; one that comes while it starts ends it as well."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     rclpy.init(args=arguments or sys.argv)
-    node = FieldOfView()
+    node = None
     try:
+        node = FieldOfView()
         is_wanted = node.get_parameter("autostart").value
         if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             node.trigger_activate()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:
+        # A signal shuts the context down at once; whatever is made after that fails, each thing in its own words.
+        if rclpy.ok():
+            raise
     finally:
-        node._release()
-        node.destroy_node()
+        if node is not None:
+            node._release()
+            node.destroy_node()
         rclpy.try_shutdown()
 
 

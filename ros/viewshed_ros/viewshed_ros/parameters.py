@@ -12,9 +12,11 @@ from rclpy.node import Node
 
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.pipeline.profiles import Profile, profile_named
+from viewshed.pipeline.reactions import VEHICLE, Vehicle
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_ros.conversions import INPUTS, Input
 from viewshed_ros.nav2 import SpeedLimits
+from viewshed_ros.packets import Revolutions
 from viewshed_ros.poses import POSE_TOPICS
 
 Value = bool | str | float | int | list[str] | list[float]
@@ -52,6 +54,10 @@ PARAMETERS: dict[str, Parameter] = {
     "output": Parameter("sensor", "Frame of grids, polygons and markers.", ("sensor", "world")),
     "speed_most_mps": Parameter(10.0, "100 percent of the speed mask."),
     "speed_unseen_mps": Parameter(1.0, "Speed of the mask where nothing is seen."),
+    "vehicle_front_m": Parameter(VEHICLE.front_m, "From the sensor to the front of the vehicle."),
+    "vehicle_half_width_m": Parameter(VEHICLE.half_width_m, "Half of the width of the lane that must be free."),
+    "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act."),
+    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes."),
     "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does."),
     "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
 }
@@ -60,6 +66,8 @@ PARAMETERS: dict[str, Parameter] = {
 SENSOR_PARAMETERS: dict[str, Parameter] = {
     "topic": Parameter("", "Topic of its messages; empty for NAME/points."),
     "type": Parameter("cloud", "Type of its messages.", tuple(INPUTS)),
+    "metadata": Parameter("", "Of type ouster or ouster_bytes: file of the sensor's metadata (JSON)."),
+    "frame": Parameter("", "Frame of a sensor whose messages name none (packets); empty for NAME."),
     "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none."),
     "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it."),
     "attitude": Parameter([0.0, 0.0, 0.0, 0.0], "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it."),
@@ -81,6 +89,10 @@ class SensorSettings:
     changes: dict[str, Any]
     """Attributes of its sweeps that are given."""
     base_from_sensor: Rigid
+    frame: str
+    """Of messages that name none."""
+    revolutions: Revolutions | None
+    """Gathers packets, of a sensor whose messages hold one each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +114,7 @@ class Settings:
     world_frame: str
     output: str
     limits: SpeedLimits
+    vehicle: Vehicle
     diagnostics_hz: float
 
 
@@ -142,6 +155,12 @@ def read(node: Node) -> Settings:
         world_frame=given["world_frame"],
         output=given["output"],
         limits=SpeedLimits(given["speed_most_mps"], given["speed_unseen_mps"]),
+        vehicle=Vehicle(
+            given["vehicle_front_m"],
+            given["vehicle_half_width_m"],
+            given["vehicle_delay_s"],
+            given["vehicle_braking_mps2"],
+        ),
         diagnostics_hz=given["diagnostics_hz"],
     )
 
@@ -163,7 +182,12 @@ def _sensor(node: Node, name: str) -> SensorSettings:
         raise ValueError(f"{name}.mounting must be seven numbers, got {len(given['mounting'])}")
     base_from_sensor = Rigid.from_quaternion(given["mounting"][3:], given["mounting"][:3])
     topic = given["topic"] or f"{name}/points"
-    return SensorSettings(name, topic, INPUTS[given["type"]], changes, base_from_sensor)
+    kind, revolutions = INPUTS[given["type"]], None
+    if kind.packet:
+        if not given["metadata"]:
+            raise ValueError(f"{name}.metadata must name the file of the sensor's metadata for packets, got none")
+        revolutions = Revolutions.of(given["metadata"])
+    return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"] or name, revolutions)
 
 
 def _declare(node: Node, table: dict[str, Parameter]) -> None:

@@ -10,13 +10,15 @@ import typer
 
 from viewshed import __version__
 from viewshed._extras import needed_for
-from viewshed.cli._options import BAD_INPUTS, complain, one_line
+from viewshed.cli._options import BAD_INPUTS, complain, one_line, with_reading
+from viewshed.cli._status import status_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
 from viewshed.cli.estimate import estimate
 from viewshed.cli.evaluate import evaluate_app
 from viewshed.cli.export import export
+from viewshed.cli.fuse import fuse
 from viewshed.cli.info import info
 from viewshed.cli.label import label
 from viewshed.cli.monitor import monitor_app
@@ -34,12 +36,12 @@ _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typ
 app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (
-    estimate, info, compare, view, replay, record, export, demo, simulate, label, attack, corrupt, train, crossval,
-    quantize,
+    estimate, info, compare, view, replay, record, fuse, export, demo, simulate, label, attack, corrupt, train,
+    crossval, quantize,
 )  # fmt: skip
 
 for _command in _COMMANDS:
-    app.command()(_command)
+    app.command()(with_reading(_command))
 app.command(hidden=True)(reproduce)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")
@@ -77,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
-            with needed_for(" ".join(["viewshed", *words[:1]])):
+            with status_line(" ".join(words[:1])), needed_for(" ".join(["viewshed", *words[:1]])):
                 sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
     except _Refused as error:
         _refuse(cast(typer.BadParameter, error).format_message())

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -30,6 +32,18 @@ Height = Annotated[float | None, typer.Option("--height", help="Sensor height ab
 Origin = Annotated[
     str | None, typer.Option("--origin", help="Where the sensor stands in the file's frame, X,Y,Z in meters.")
 ]
+Topic = Annotated[
+    str | None, typer.Option("--topic", help="Of a bag with several: the topic whose clouds or scans are read.")
+]
+Poses = Annotated[
+    Path | None,
+    typer.Option("--poses", help="Poses of the sweeps: 12 numbers a line (KITTI), or t x y z qx qy qz qw (TUM)."),
+]
+Crs = Annotated[
+    str | None,
+    typer.Option("--crs", help="Reference system of the poses, or of the points with --origin: EPSG:25832."),
+]
+Number = Annotated[int, typer.Option("--number", min=0, help="Which sweep of a file or recording of several, from 0.")]
 RingSource = Annotated[str, typer.Option("--ring", help="file: the ring column, where there is one; none: without it.")]
 VehicleYaw = Annotated[
     float | None,
@@ -55,38 +69,55 @@ RING_SOURCES = ("file", "none")
 
 PROFILES = ("sound", "paper")
 
+_NO_OPTION = "no option"
+
+_COARSE_M = 0.02
+"""Points that float32 stores in coarser steps than this are noted."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How files are read: what the options say about them."""
+    """How files are read: what the options say about them; see :func:`with_reading`."""
 
-    sensor: str = AUTO
-    format: str = AUTO
-    file_frame: str | None = None
-    height_m: float | None = None
-    attitude: str | None = None
-    origin: str | None = None
-    ring: str = "file"
-    vehicle_yaw_deg: float | None = None
+    sensor: SensorName = AUTO
+    format: FormatName = AUTO
+    file_frame: FrameName = None
+    height_m: Height = None
+    attitude: Attitude = None
+    origin: Origin = None
+    ring: RingSource = "file"
+    vehicle_yaw_deg: VehicleYaw = None
+    topic: Topic = None
+    poses: Poses = None
+    crs: str | None = field(default=None, metadata={_NO_OPTION: True})
 
     def __post_init__(self) -> None:
         if self.ring not in RING_SOURCES:
             raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
 
-    def sweep(self, file: Path, index: Path | None = None) -> Sweep:
-        """Return the first sweep of a file, with what an index says of it."""
-        [(path, entry)] = chosen([file], index)
-        return next(self.sweeps(path, entry))
+    def sweep(self, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
+        """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
+        from viewshed.cli._stream import all_sweeps
+
+        count = 0
+        for sweep in all_sweeps(self, list(chosen([file], index))):
+            if count > number:
+                note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
+                break
+            taken, count = sweep, count + 1
+        if count <= number:
+            raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
+        return taken
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
-        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that was asked for."""
+        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         origin_m = parse_numbers("origin", self.origin, 3)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
             if origin_m is not None:
-                sweep = sweep.seen_from(origin_m)  # noqa: PLW2901
+                sweep = self._seen_from(origin_m, sweep)  # noqa: PLW2901
             changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}
             if self.sensor != AUTO:
                 changes |= {"model": model, "infer_sensor": False}
@@ -94,12 +125,30 @@ class Reading:
                 changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
             yield sweep.replace(**changes) if changes else sweep
 
+    def _seen_from(self, origin_m: list[float], sweep: Sweep) -> Sweep:
+        """Return a sweep seen from the sensor; its place is its pose where the points lie in a reference system."""
+        import numpy as np
+
+        from viewshed.geometry import Rigid
+
+        if self.crs is not None and sweep.world_from_sensor is None and self.poses is None:
+            sweep = sweep.replace(world_from_sensor=Rigid.identity())
+        step_m = float(np.spacing(np.float32(max(map(abs, origin_m)))))
+        if step_m > _COARSE_M:
+            note(
+                f"coordinates as large as --origin are read to {step_m:g} m; subtract the sensor's position before they"
+                " are written"
+            )
+        return sweep.seen_from(origin_m)
+
     def _read(self, path: Path) -> Iterator[Sweep]:
         from viewshed.io import read_sweeps
         from viewshed.io.formats import is_recording
 
         if self.format == AUTO and is_recording(path):
             return self._recorded(path)
+        if self.topic is not None:
+            raise ValueError(f"--topic goes with a bag, got {path}; leave it out")
         return read_sweeps(
             path, format=self.format, file_frame=self.file_frame,
             sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
@@ -119,7 +168,10 @@ class Reading:
             problems += 1
             complain(line)
 
-        for _, sweep in each_sweep(open_sweep_source(path), on_damage=on_damage):
+        source = open_sweep_source(path, topic=self.topic)
+        for line in source.notes():
+            note(line)
+        for _, sweep in each_sweep(source, on_damage=on_damage):
             count += 1
             yield self._overridden(sweep)
         if problems or not count:
@@ -138,9 +190,47 @@ class Reading:
         return sweep.replace(**{name: value for name, value in given.items() if value is not None})
 
 
+AS_THEY_ARE = Reading()
+"""Files are read as they say themselves."""
+
+
+def with_reading(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameter ``reading`` is an option for each field of :class:`Reading`; others as it is.
+
+    The reference system is no such option: only commands that write maps have one.
+    """
+    if "reading" not in command.__annotations__:
+        return command
+    signature, hints = inspect.signature(command, eval_str=True), get_type_hints(Reading, include_extras=True)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    own = [
+        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
+        for each in fields(Reading)
+        if _NO_OPTION not in each.metadata
+    ]
+
+    @wraps(command)
+    def with_options(**given: Any) -> None:
+        reading = Reading(**{each.name: given.pop(each.name) for each in own})
+        command(**given, reading=reading)
+
+    # Typer takes options from the signature and their types from the annotations.
+    parameters: list[inspect.Parameter] = []
+    for each in signature.parameters.values():
+        parameters += own if each.name == "reading" else [each.replace(kind=kind)]
+    with_options.__dict__["__signature__"] = signature.replace(parameters=parameters)
+    with_options.__annotations__ = {each.name: each.annotation for each in parameters}
+    return with_options
+
+
 def complain(line: str) -> None:
     """Print a line about what is wrong on standard error."""
     typer.echo(f"viewshed: {line}", err=True)
+
+
+def note(line: str) -> None:
+    """Print a line on standard error about what was assumed or left out; nothing is wrong."""
+    typer.echo(f"viewshed: note: {line}", err=True)
 
 
 def is_data_set(place: str) -> bool:
@@ -202,6 +292,8 @@ def one_line(error: BaseException) -> str:
     >>> one_line(ValueError("a\nb"))
     'a b'
     """
+    if isinstance(error, OSError) and error.strerror is not None and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -210,13 +302,18 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
     if index is None:
         if not files:
             raise ValueError("name at least one FILE, or an --index")
-        yield from ((file, None) for file in files)
+        from viewshed.cli._places import files_in
+
+        yield from ((file, None) for place in files for file in files_in(place))
         return
     from viewshed.io import read_index
 
     entries = {entry.file: entry for entry in read_index(index)}
     if not files:
-        yield from ((file, entry) for file, entry in entries.items() if entry.points)
+        named = [(file, entry) for file, entry in entries.items() if entry.points]
+        if not named:
+            raise ValueError(f"{index} must name a sweep, got none")
+        yield from named
     for file in files:
         entry = entries.get(Path(os.path.realpath(file)))
         if entry is None:

@@ -32,9 +32,12 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 RESULTS = ("png", "geojson", "npz")
-"""What can be written of an estimate: picture, polygons, arrays."""
+"""What is written of an estimate: picture, polygons, arrays; other formats of ``EXPORTERS`` where they are named."""
 
-_SUFFIXES = (".gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap")
+_SUFFIXES = (
+    ".gz", ".zst", ".zstd", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap", ".bag", ".mcap",
+    ".db3",
+)  # fmt: skip
 
 
 def stem_of(name: str) -> str:
@@ -49,17 +52,41 @@ def stem_of(name: str) -> str:
     return name
 
 
-def parse_results(text: str) -> tuple[str, ...]:
-    """Return which of ``RESULTS`` are asked for, in their order.
+def parse_results(text: str, known: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return what is written, in the order of what is known: of each sweep pictures and formats of ``EXPORTERS``.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
     """
-    wanted = text.split(",")
+    from viewshed.io.export import EXPORTERS
+
+    wanted, known = text.split(","), known or tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
     for name in wanted:
-        if name not in RESULTS:
-            raise ValueError(f"results must be some of {','.join(RESULTS)}, with commas, got {text!r}")
-    return tuple(name for name in RESULTS if name in wanted)
+        if name not in known:
+            raise ValueError(f"results must be some of {','.join(known)}, with commas, got {text!r}")
+    return tuple(name for name in known if name in wanted)
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder of the results.
+
+    Raises:
+        ValueError: something else is there.
+    """
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"--out must be a folder, got the file {out}")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def stem_of_result(name: str, method: str) -> str:
+    """Return what the files of a sweep's results are named: one name for each method, the default one's the shortest.
+
+    >>> stem_of_result("a", "shadow_map"), stem_of_result("a", "unet")
+    ('a', 'a_unet')
+    """
+    from viewshed.estimators import DEFAULT_ESTIMATOR
+
+    return name if method == DEFAULT_ESTIMATOR else f"{name}_{method}"
 
 
 def output_names(files: Sequence[Path]) -> list[str]:
@@ -115,6 +142,7 @@ class Failures:
     """Reports each failure in a line on standard error, and counts them."""
 
     count: int = 0
+    _said: set[str] = field(default_factory=set, init=False)
 
     def report(self, file: Path | str, error: Exception) -> None:
         """Say what went wrong with a file; an error that is no fault of the input is raised."""
@@ -122,7 +150,10 @@ class Failures:
             raise error
         self.count += 1
         text = one_line(error)
-        complain(text if Path(file).name in text else f"{file}: {text}")
+        line = text if Path(file).name in text else f"{file}: {text}"
+        if line not in self._said:  # what is wrong with each sweep of a file is said once
+            self._said.add(line)
+            complain(line)
 
 
 def progress_bar(*columns: ProgressColumn | str, transient: bool = False) -> Progress:
@@ -180,8 +211,9 @@ class Run:
         estimator: what looks at it.
         threshold: probability from which a cell counts as visible.
         out: folder of the results.
-        results: which of ``RESULTS`` are written.
+        results: what is written, ``png`` or names of ``EXPORTERS``.
         monitor: says what it finds in each sweep; None without one.
+        crs: reference system of the poses, for the formats that have one; None for none.
     """
 
     estimator: Estimator
@@ -189,6 +221,7 @@ class Run:
     out: Path
     results: tuple[str, ...] = RESULTS
     monitor: StreamMonitor | None = None
+    crs: str | None = None
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
@@ -202,10 +235,21 @@ class Run:
             except BAD_INPUTS as error:
                 failures.report(named.file, error)
 
+    def places(self, name: str) -> list[Path]:
+        """Return the files of a sweep's results, pictures of nav2's maps aside, in the order of ``results``."""
+        from viewshed.io.export import EXPORTERS
+
+        stem = stem_of_result(name, self.estimator.name)
+        ends = [".png" if kind == "png" else EXPORTERS[kind].suffix for kind in self.results]
+        return [self.out / f"{stem}{end}" for end in ends]
+
     def one(self, sweep: Sweep, name: str) -> tuple[FovEstimate, str]:
         """Level one sweep, estimate, write the results, and return the estimate and its summary line."""
+        from viewshed.io.export.crs import crs_named
         from viewshed.preprocess.leveling import level
 
+        if self.crs is not None:
+            crs_named(self.crs, sweep.world_from_sensor)
         if not self._is_warm:
             warm_up(self.estimator, sweep)
             self._is_warm = True
@@ -261,14 +305,19 @@ class Run:
     def write(self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
         """Write the results of an estimate and return its summary line, with the time if there is one."""
         from viewshed._files import write_atomic
+        from viewshed.io.export import EXPORTERS, write_export
 
         report_doubts(leveled, name)
         estimate = replace(estimate, threshold=self.threshold)
         summary = summary_line(estimate, elapsed_ms)
-        for kind in self.results:
-            write_atomic(self.out / f"{name}.{kind}", _content(kind, estimate, leveled, f"{name}\n{summary}"))
+        places = self.places(name)
+        for kind, place in zip(self.results, places, strict=True):
+            if kind == "png":
+                write_atomic(place, estimate.plot(leveled, f"{name}\n{summary}"))
+            else:
+                write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
         remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
-        return f"{name}: {summary}{remarks} → {self.out / name}.{self.results[0]}"
+        return f"{name}: {summary}{remarks} → {places[0]}"
 
 
 def warm_up(estimator: Estimator, sweep: Sweep) -> None:
@@ -287,13 +336,6 @@ def report_doubts(leveled: LeveledSweep, name: str) -> None:
 
     for doubt in doubts(leveled):
         complain(f"{name}: warning: {doubt}")
-
-
-def _content(kind: str, estimate: FovEstimate, leveled: LeveledSweep, title: str) -> bytes:
-    """Return the content of a result's file."""
-    from viewshed.io.export import EXPORTERS
-
-    return estimate.plot(leveled, title) if kind == "png" else EXPORTERS[kind].encode(estimate)
 
 
 def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:

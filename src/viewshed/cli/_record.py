@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,7 +80,7 @@ class Listener:
 
 @contextmanager
 def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
-    """Open the bag that was asked for, if any.
+    """Open the bag to write, if any.
 
     Raises:
         ValueError: it would replace an input, or its name is that of no bag.
@@ -114,6 +115,9 @@ def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Nam
 
 def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited]) -> int:
     """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were."""
+    from viewshed.pipeline import SWITCH_INTERVAL_S
+
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     count = 0
     try:
         with pipeline:

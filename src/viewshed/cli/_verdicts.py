@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from viewshed.integrity import IntegrityReport, StreamMonitor
     from viewshed.integrity.evidence import MonitoredSweep
-    from viewshed.integrity.stream_monitor import EarlierSweeps, StreamReport
+    from viewshed.integrity.stream_monitor import RecentSweeps, StreamReport
     from viewshed.integrity.sweep_monitor import SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
 
@@ -49,17 +49,17 @@ class Drives:
 
     name: str = ""
     began_ns: int = 0
-    earlier: EarlierSweeps | None = None
+    earlier: RecentSweeps | None = None
     goes_on: bool = False
 
     def next(self, leveled: LeveledSweep, drive: str) -> MonitoredSweep:
         """Return the next sweep with those before it, and keep it."""
         from viewshed.integrity.evidence import MonitoredSweep
-        from viewshed.integrity.stream_monitor import EarlierSweeps
+        from viewshed.integrity.stream_monitor import RecentSweeps
 
         self.goes_on = self.earlier is not None and drive == self.name and not self.earlier.why_anew(leveled)
         if self.earlier is None or not self.goes_on:
-            self.name, self.began_ns, self.earlier = drive, leveled.sweep.t_ns or 0, EarlierSweeps()
+            self.name, self.began_ns, self.earlier = drive, leveled.sweep.t_ns or 0, RecentSweeps()
         monitored = MonitoredSweep(leveled, self.earlier.before(leveled))
         self.earlier.add(leveled)
         return monitored

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts
+from viewshed.cli._places import place_of_result
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -25,22 +26,16 @@ def compare(
         str, typer.Option(help="Estimators, with commas; 'all' for every one but the networks.")
     ] = "shadow_map,majority_vote,first_blocker",
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    number: options.Number = 0,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
     device: Device = "cpu",
-    out: Annotated[Path, typer.Option(help="The picture.")] = Path("compare.png"),
+    out: Annotated[str, typer.Option(help="The picture, or a folder for it.")] = "compare.png",
 ) -> None:
     """Show several estimators side by side: a picture and a table.
 
@@ -54,9 +49,9 @@ def compare(
     cells = options.parse_grid(grid)
     names = _all_names(profile, cells) if methods == "all" else _current_names(methods)
     estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
-    refuse_inputs([out], [file])
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    sweep = reading.sweep(file, index)
+    place = place_of_result(out, "compare.png")
+    refuse_inputs([place], [file])
+    sweep = reading.sweep(file, index, number)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
     report_doubts(leveled, file.name)
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
@@ -64,11 +59,11 @@ def compare(
     rows = [_row(name, estimate, elapsed_ms, first) for name, (estimate, elapsed_ms) in results.items()]
     panels = [Panel(estimate, name, leveled) for name, (estimate, _) in results.items()]
     header = _header()
-    write_atomic(out, comparison(panels, rows, header))
+    write_atomic(place, comparison(panels, rows, header))
     typer.echo(table(header, rows))
     if first.basis is not None:
         typer.echo(first.basis.height_line)
-    typer.echo(f"→ {out}")
+    typer.echo(f"→ {place}")
 
 
 def _all_names(profile: str, grid: BevGrid) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     AbstainBelow,
     Device,
     HistorySweeps,
@@ -22,12 +23,13 @@ from viewshed.cli._options import (
     Weights,
     WithMonitor,
 )
-from viewshed.cli._outputs import Failures, Run, output_names, parse_results, refuse_inputs
+from viewshed.cli._outputs import Failures, Run, make_folder, output_names, parse_results, refuse_inputs
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._verdicts import watching
 
 Files = Annotated[
-    list[Path] | None, typer.Argument(metavar="FILE...", help="Sweeps in any known format, or recordings.")
+    list[Path] | None,
+    typer.Argument(metavar="FILE...", help="Sweeps in any known format, folders of them, patterns, or recordings."),
 ]
 
 Method = Annotated[
@@ -47,22 +49,18 @@ Batch = Annotated[
     ),
 ]
 
-Results = Annotated[str, typer.Option(help="What is written of each sweep: some of png,geojson,npz.")]
+Results = Annotated[
+    str, typer.Option(help="What is written of each sweep: some of png,geojson,npz, or other formats of export.")
+]
 
 
 def estimate(
     files: Files = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    crs: options.Crs = None,
     target: options.TargetName = "car",
     profile: options.Profile = "sound",
     weights: Weights = None,
@@ -86,6 +84,7 @@ def estimate(
     Example: viewshed estimate sweep.pcd.bin --out out
     """
     from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+    from viewshed.io.export.crs import crs_of
 
     if history and batch > 1:
         raise ValueError("--history goes with --batch 1: a sweep is remembered before the next one is estimated")
@@ -94,19 +93,21 @@ def estimate(
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
     kinds = parse_results(results)
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
     estimator = network.estimator(method, options.parse_grid(grid), target, profile)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs)
+    reading = replace(reading, crs=crs)
+    if crs is not None:
+        crs_of(crs)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
-    refuse_inputs((out / f"{name}.{kind}" for name in names for kind in kinds), (file for file, _ in jobs))
-    out.mkdir(parents=True, exist_ok=True)
+    refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
+    make_folder(out)
     failures = Failures()
-    for line in run.lines(named_sweeps(reading, jobs, names, failures), failures, batch):
+    for line in run.lines(named_sweeps(reading, jobs, names, failures, history=history), failures, batch):
         typer.echo(line)
     if failures.count:
         raise typer.Exit(2)

@@ -2,70 +2,78 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Device, NetworkOptions, Passes, Reading, Seed, Weights
-from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of
+from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of, stem_of_result
+from viewshed.cli._places import place_of_result
 
 
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
-    to: Annotated[str, typer.Option(help="geojson, occupancy_grid, grid_map, osi, cpm or npz.")] = "geojson",
+    to: Annotated[
+        str, typer.Option(help="geojson, geotiff, nav2_map, nav2_mask, occupancy_grid, grid_map, osi, cpm, npz.")
+    ] = "geojson",
     sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,
     method: Annotated[
         str | None, typer.Option(help="Estimator, where FILE is a sweep; as for estimate if not given.")
     ] = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    crs: options.Crs = None,
+    number: options.Number = 0,
     target: options.TargetName = "car",
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
     device: Device = "cpu",
     out: Annotated[
-        Path | None, typer.Option(help="File, or a folder that exists; if not given, here, named after FILE.")
+        str | None, typer.Option(help="File, or a folder; if not given, here, named after FILE and method.")
     ] = None,
 ) -> None:
-    """Write the field of view as GeoJSON, ROS messages, OSI-style polygons or an ETSI CPM perception region.
+    """Write the field of view as GeoJSON, GeoTIFF, nav2 map, ROS messages, OSI-style polygons or an ETSI CPM region.
 
     Example: viewshed export sweep.bin --to cpm --sectors 16
     """
-    import json
-
     from viewshed._files import write_atomic
     from viewshed.io.export import EXPORTERS, read_npz, to_cpm
+    from viewshed.io.export.crs import crs_named
     from viewshed.preprocess.leveling import level
 
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
-    if _is_estimate(file):
+    exporter = EXPORTERS[to]
+    exporter.check_crs(crs)
+    stem = stem_of(file.name) or "viewshed"
+    estimator = None
+    if not _is_estimate(file):
+        network = NetworkOptions(weights, passes, seed, device=device)
+        estimator = network.estimator(method, options.parse_grid(grid), target)
+        stem = stem_of_result(stem, estimator.name)
+    place = place_of_result(out, stem + exporter.suffix)
+    refuse_inputs([place], [file])
+    if estimator is None:
         estimate = read_npz(file)
     else:
-        estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
-            method, options.parse_grid(grid), target
-        )
-        reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-        leveled = level(reading.sweep(file, index), estimator.grid)
+        sweep = replace(reading, crs=crs).sweep(file, index, number)
+        if crs is not None:
+            crs_named(crs, sweep.world_from_sensor)
+        leveled = level(sweep, estimator.grid)
         report_doubts(leveled, file.name)
         estimate = estimator.estimate(leveled)
-    content = json.dumps(to_cpm(estimate, sectors=sectors)).encode() if to == "cpm" else EXPORTERS[to].encode(estimate)
-    name = stem_of(file.name) + EXPORTERS[to].suffix
-    path_out = Path(name) if out is None else out / name if out.is_dir() else out
-    refuse_inputs([path_out], [file])
-    write_atomic(path_out, content)
-    typer.echo(f"{path_out}: {len(content)} bytes. {EXPORTERS[to].states}")
+    if to == "cpm":
+        exporter = replace(exporter, function=partial(to_cpm, sectors=sectors))
+    files = exporter.files(estimate, place.name, crs)
+    for name, content in files.items():
+        write_atomic(place.with_name(name), content)
+    typer.echo(f"{place}: {sum(map(len, files.values()))} bytes. {exporter.states}")
 
 
 def _is_estimate(file: Path) -> bool:

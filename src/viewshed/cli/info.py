@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Reading
+from viewshed.cli._options import AS_THEY_ARE, AUTO, Reading
 from viewshed.cli._outputs import report_doubts
 
 if TYPE_CHECKING:
@@ -20,15 +20,9 @@ if TYPE_CHECKING:
 def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
+    number: options.Number = 0,
 ) -> None:
     """Tell what a file holds: points, rings, sensor, ground, coverage.
 
@@ -36,11 +30,10 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    sweep = reading.sweep(file, index)
+    sweep = reading.sweep(file, index, number)
     leveled = level(sweep, options.parse_grid(grid))
     report_doubts(leveled, file.name)
-    for name, value in (*_points(sweep, leveled), *_beams(sweep, sensor), *_ground(sweep, leveled)):
+    for name, value in (*_points(sweep, leveled), *_beams(sweep, reading.sensor), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")
 
 

@@ -13,7 +13,9 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, BAD_INPUTS, MonitorFile, Passes, Reading, Seed, Weights, complain
-from viewshed.cli._outputs import Failures, free_name, refuse_inputs, stem_of, with_bar
+from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
+from viewshed.cli._places import place_of_result
+from viewshed.cli._stream import placed_sweeps, poses_of
 from viewshed.cli._verdicts import Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
@@ -91,6 +93,10 @@ def calibrate(
         bool,
         typer.Option("--correct", help="Correct the simulated calibration by these few scenes; do not replace it."),
     ] = False,
+    worse: Annotated[
+        list[str] | None,
+        typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
+    ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
@@ -100,7 +106,8 @@ def calibrate(
     """Calibrate the monitor on sweeps that nobody attacked: a rate of false alarms that holds on more like these.
 
     What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
-    of one recording are alike; the rate then holds for that place and time.
+    of one recording are alike; the rate then holds for that place and time. Inconsistent is calibrated on all of them,
+    degraded on those that are not given by --worse.
 
     Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
     """
@@ -110,10 +117,16 @@ def calibrate(
 
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
-    refuse_inputs((out,), map(Path, sources))
+    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
     base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
-    benign = list(_benign(_Source(tuple(sources), split, sensor), options.parse_grid(grid), base, failures))
+    benign = [
+        replace(sweep, clear=clear)
+        for places, clear in ((sources, True), (worse or (), False))
+        for sweep in _benign(
+            _Source(tuple(places), split, sensor, failures=failures), options.parse_grid(grid), base, failures
+        )
+    ]
     if correct:
         made = base.corrected(benign, rng)
     else:
@@ -140,6 +153,8 @@ def check(
     grid: options.GridName = "road",
     weights: Weights = None,
     sensor: options.SensorName = AUTO,
+    topic: options.Topic = None,
+    poses: options.Poses = None,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
 ) -> None:
     """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
@@ -151,11 +166,11 @@ def check(
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
     run = _watching(monitor_file, options.parse_grid(grid), weights, out)
     for source in sources:
         try:
-            for seen in _Source((source,), split, sensor):
+            for seen in _Source((source,), split, sensor, topic, poses, run.failures):
                 run.one(seen)
         except BAD_INPUTS as error:
             run.failures.report(source, error)
@@ -172,7 +187,7 @@ def explain(
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("explained.png"),
+    out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
 ) -> None:
     """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
 
@@ -182,14 +197,15 @@ def explain(
     """
     from viewshed._files import write_atomic
 
-    refuse_inputs((out,), [Path(source)])
+    picture = place_of_result(out, "explained.png")
+    refuse_inputs((picture,), [Path(source)])
     run = _SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
     for place, seen in enumerate(_Source((source,), split, sensor)):
         leveled, report = run.check(seen)
         if place == number:
             line = f"{seen.name}: {stream_verdicts(report)}"
-            write_atomic(out, run.picture(leveled, report.now, line))
-            typer.echo(f"{line} → {out}")
+            write_atomic(picture, run.picture(leveled, report.now, line))
+            typer.echo(f"{line} → {picture}")
             for reason in report.now.reasons[1:]:
                 typer.echo(f"  {reason}")
             return
@@ -206,11 +222,17 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """Sweeps that can be gone through more than once, in their order."""
+    """Sweeps that can be gone through more than once, in their order.
+
+    A file that cannot be read is reported to ``failures``, or an error where there are none.
+    """
 
     places: tuple[str, ...]
     split: str | None
     sensor: str
+    topic: str | None = None
+    poses: Path | None = None
+    failures: Failures | None = None
 
     def __iter__(self) -> Iterator[Seen]:
         for place in self.places:
@@ -219,7 +241,7 @@ class _Source:
             elif self.split is not None:
                 raise ValueError(f"--split goes with a data set that has splits, got {place}")
             else:
-                yield from self._read(Path(place))
+                yield from self._read(place)
 
     def _archived(self, place: str) -> Iterator[Seen]:
         from viewshed.datasets import Archive
@@ -228,11 +250,22 @@ class _Source:
         for number, sample in enumerate(archive if self.split is None else archive.split(self.split)):
             yield Seen(f"{place} {sample.scene}", f"{sample.scene} {number:05}", sample.sweep)
 
-    def _read(self, path: Path) -> Iterator[Seen]:
-        several = path.is_dir()
-        for number, sweep in enumerate(Reading(self.sensor).sweeps(path)):
-            name = f"{path.name} {number:05}" if several or number else path.name
-            yield Seen(str(path), name, sweep)
+    def _read(self, place: str) -> Iterator[Seen]:
+        reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
+        jobs = list(options.chosen([Path(place)], None))
+        poses, count = poses_of(reading, jobs), 0
+        for job in jobs:
+            path = job[0]
+            several = path.is_dir()
+            try:
+                for number, sweep in enumerate(placed_sweeps(reading, jobs, job, poses, count)):
+                    count += 1
+                    name = f"{path.name} {number:05}" if several or number else path.name
+                    yield Seen(str(path) if poses is None else place, name, sweep)
+            except BAD_INPUTS as error:
+                if self.failures is None:
+                    raise
+                self.failures.report(path, error)
 
 
 def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
@@ -244,8 +277,9 @@ def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failu
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    drives, held = Drives(), HeldEvidence()
+    agents: dict[str, tuple[Drives, HeldEvidence]] = {}
     for seen in sources:
+        drives, held = agents.setdefault(seen.sweep.agent, (Drives(), HeldEvidence()))
         try:
             monitored = drives.next(level(seen.sweep, grid), f"{seen.scene} {seen.sweep.agent}")
             if len(monitored.earlier) < EARLIER_SWEEPS:

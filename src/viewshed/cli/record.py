@@ -12,6 +12,7 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
 from viewshed.cli._outputs import Failures, output_names
+from viewshed.cli._profile import ProfileName, Settings, settings
 from viewshed.cli._record import (
     Awaited,
     Listener,
@@ -34,9 +35,11 @@ SIMULATED = "sim"
 
 
 def record(
+    ctx: typer.Context,
     files: Annotated[list[Path], typer.Argument(metavar="sim|SRC...", help="sim, or recordings and files.")],
     to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
     schemas: SchemaNames = "ros",
+    profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -49,12 +52,12 @@ def record(
         str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",
     world: Annotated[
-        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first unless told.")
+        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first if not given.")
     ] = None,
     seconds: Annotated[float, typer.Option(help="Of sim: how long the drive lasts.")] = 10.0,
     hz: Annotated[float, typer.Option(help="Of sim: sweeps of each agent a second.")] = 10.0,
     agents: Annotated[int, typer.Option(help="Of sim: vehicles that measure.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's unless told.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's if not given.")] = None,
 ) -> None:
     """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
 
@@ -65,15 +68,17 @@ def record(
     from viewshed.pipeline import Pipeline
 
     is_simulated = [str(file) for file in files] == [SIMULATED]
-    estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
-    buffer, watch, failures = history_buffer(estimator, history), watching(monitor, monitor_file), Failures()
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
+    buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, monitor_file)
+    failures = Failures()
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
-        stream = _read(Reading(sensor), files, failures)
+        stream = _read(Reading(sensor), files, chosen, failures)
     with recorders(to, schemas, [] if is_simulated else files) as records:
         listener = Listener(records, failures, is_live=False)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=True)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=chosen.rules, lossless=True)
         count = run(pipeline, listener, _timed(islice(stream, sweeps)))
         if not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
@@ -91,10 +96,13 @@ def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaite
         yield Awaited(sweep.agent, due_s, sweep, truth)
 
 
-def _read(reading: Reading, files: list[Path], failures: Failures) -> Iterator[tuple[Sweep, DriveTruth | None]]:
-    """Yield the sweeps of files and recordings."""
+def _read(
+    reading: Reading, files: list[Path], chosen: Settings, failures: Failures
+) -> Iterator[tuple[Sweep, DriveTruth | None]]:
+    """Yield the sweeps of files and recordings, as many a second as are wanted."""
     jobs = list(options.chosen(files, None))
-    for named in named_sweeps(reading, jobs, output_names(files), failures):
+    names = output_names([file for file, _ in jobs])
+    for named in chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=chosen.history)):
         yield named.sweep, None
 
 

@@ -12,6 +12,7 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
 from viewshed.cli._outputs import Failures, Named, output_names
+from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import (
     Awaited,
     Listener,
@@ -71,7 +72,9 @@ def _period_s(last_ns: int | None, now_ns: int | None) -> float:
 
 
 def replay(
+    ctx: typer.Context,
     files: Files = None,
+    profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
@@ -95,21 +98,22 @@ def replay(
     """
     from viewshed.pipeline import Pipeline
 
-    estimator = NetworkOptions().estimator(method, options.parse_grid(grid), target)
-    buffer = history_buffer(estimator, history)
-    watch = watching(monitor, monitor_file)
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
+    buffer = history_buffer(estimator, chosen.history)
+    watch = watching(chosen.monitor, monitor_file)
     reading, failures = Reading(sensor), Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     pace = Pace(0.0 if as_fast else rate)
     with recorders(to, schemas, [file for file, _ in jobs]) as records:
         listener = Listener(records, failures, is_live=not as_fast)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, lossless=as_fast)
-        taken = pace.kept(repeated(read, loop=loop))
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=chosen.rules, lossless=as_fast)
+        taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
         count = run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken))
         if to is not None and not count:
             raise ValueError(f"no sweep could be read, {to} was not written")

@@ -108,8 +108,7 @@ def paper(
     if "pages" in scope.steps:
         results = PaperResults.read(store)
         for name in protocols:
-            _write(page or folder, files := files_of(results, name))
-            typer.echo(f"Look at {(page or folder) / next(reversed(files))}")
+            _show(page or folder, files_of(results, name))
     _require_all_done(failed)
 
 
@@ -136,8 +135,7 @@ def ablation(
     store = ResultStore.open(folder, AblationPlan.load(preset))
     failed = _with_bars(lambda progress: run_study(store, steps, workers, progress))
     if "page" in steps:
-        _write(page or folder, {"ablation.md": page_of(store).encode()})
-        typer.echo(f"Look at {(page or folder) / 'ablation.md'}")
+        _show(page or folder, {"ablation.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -163,8 +161,7 @@ def deviation(
     _require_results(folder, run=run)
     store = ResultStore.open(folder, DeviationPlan.load(preset))
     failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
-    _write(page or folder, {"deviation.md": page_of(store).encode()})
-    typer.echo(f"Look at {(page or folder) / 'deviation.md'}")
+    _show(page or folder, {"deviation.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -199,8 +196,34 @@ def monitor(
 
         measure_recorded(recorded, folder / FOLDER, store.plan)
     if "page" in steps:
-        _write(page or folder, {"monitor.md": page_of(store).encode()})
-        typer.echo(f"Look at {(page or folder) / 'monitor.md'}")
+        _show(page or folder, {"monitor.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
+def agents(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: scenes, runs, page.")] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """Many agents: some lie about objects or about what they see; who is found, and who is accused wrongly.
+
+    Example: viewshed study agents --preset tiny --out study
+    """
+    from viewshed._jobs import engine_named
+    from viewshed.studies.agents.jobs import run_study
+    from viewshed.studies.agents.page import page_of
+    from viewshed.studies.agents.plan import STEPS, AgentsPlan
+    from viewshed.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "agents")
+    store, runner = ResultStore.open(folder, AgentsPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        _show(page or folder, {"agents.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -271,8 +294,7 @@ def wild(
         opening.log(log)
     store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
     failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []
-    _write(page or folder, page_of(store))
-    typer.echo(f"Look at {(page or folder) / 'wild.md'}")
+    _show(page or folder, page_of(store))
     _require_all_done(failed)
 
 
@@ -332,6 +354,12 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_atomic(folder / name, content)
+
+
+def _show(folder: Path, files: dict[str, bytes]) -> None:
+    """Write the pages of a study and say where the main one is, the last."""
+    _write(folder, files)
+    typer.echo(f"Look at {folder / next(reversed(files))}")
 
 
 def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:

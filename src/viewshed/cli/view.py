@@ -12,7 +12,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     BAD_INPUTS,
     HistorySweeps,
     MonitorFile,
@@ -32,6 +32,7 @@ from viewshed.cli._outputs import (
     summary_line,
     warm_up,
 )
+from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import Awaited, Listener, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from viewshed.estimators.temporal import SweepBuffer
     from viewshed.fov.estimate import FovEstimate
     from viewshed.integrity import IntegrityReport, StreamMonitor
+    from viewshed.pipeline.reactions import ReactionRules
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.view import Frame, PackedFrame
 
@@ -56,22 +58,17 @@ MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End aft
 
 
 def view(
+    ctx: typer.Context,
     files: Files = None,
     html: Annotated[Path | None, typer.Option(help="The page to write, one file that needs no network.")] = None,
     rerun: Annotated[Path | None, typer.Option(help="The file to write for Rerun: NAME.rrd.")] = None,
     foxglove: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Serve live to Foxglove at this port, until Ctrl-C.")
     ] = None,
+    profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
-    format: options.FormatName = AUTO,  # noqa: A002
-    file_frame: options.FrameName = None,
-    height: options.Height = None,
-    attitude: options.Attitude = None,
-    origin: options.Origin = None,
-    ring: options.RingSource = "file",
-    vehicle_yaw: options.VehicleYaw = None,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     target: options.TargetName = "car",
     weights: Weights = None,
@@ -94,25 +91,28 @@ def view(
     """
     if [html, rerun, foxglove].count(None) != 2:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
-    reading = Reading(sensor, format, file_frame, height, attitude, origin, ring, vehicle_yaw)
-    network = NetworkOptions(weights, passes, seed)
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
     jobs = list(options.chosen(files or [], index))
     places = [file for file, _ in jobs]
     failures, names = Failures(), output_names(places)
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures)
+        return named_sweeps(reading, jobs, names, failures, history=history)
 
     if foxglove is not None:
-        estimator = network.estimator(method, options.parse_grid(grid), target)
-        watch = watching(monitor, monitor_file)
-        taken = islice(repeated(read, loop=sweeps is None), 0, None if sweeps is None else every * sweeps, every)
-        _serve(foxglove, taken, estimator, history_buffer(estimator, history), watch, failures)
+        estimator = network.estimator(chosen.method, cells, target)
+        watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
+        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else every * sweeps, every)
+        buffer = history_buffer(estimator, chosen.history)
+        _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures)
     else:
-        own, check = _monitored(monitor_file, weights, method) if monitor or monitor_file else (None, None)
-        estimator = own or network.estimator(method, options.parse_grid(grid), target)
-        taken = islice(read(), 0, None if sweeps is None else every * sweeps, every)
-        frames = _frames(taken, estimator, history_buffer(estimator, history), check, failures)
+        own, check = (None, None)
+        if chosen.monitor or monitor_file:
+            own, check = _monitored(monitor_file, weights, method)
+        estimator = own or network.estimator(chosen.method, cells, target)
+        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else every * sweeps, every)
+        frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -150,6 +150,7 @@ def _serve(
     estimator: Estimator,
     buffer: SweepBuffer | None,
     watch: StreamMonitor | None,
+    rules: ReactionRules,
     failures: Failures,
 ) -> None:
     """Show sweeps live in Foxglove, at the pace at which they were measured."""
@@ -160,7 +161,7 @@ def _serve(
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
         listener = Listener([record], failures, is_live=True)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=rules)
         run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps)))
 
 

@@ -36,12 +36,13 @@ class Recording:
         return self.sweeps()
 
 
-def open_recording(path: str | os.PathLike[str]) -> Recording:
+def open_recording(path: str | os.PathLike[str], *, topic: str | None = None) -> Recording:
     """Return the recording at ``path``.
 
     Args:
         path: a folder of nuScenes, KITTI, CARLA, OPV2V or an archive of ours as its makers hand it out; a ROS bag or
             MCAP file; or a file of one or more sweeps in a format of :func:`viewshed.read_sweep`.
+        topic: of a bag, whose messages are read; None is all of the preferred type.
 
     Raises:
         ValueError: nothing that is known is there.
@@ -51,15 +52,17 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     if not is_recording(place):
         if not place.is_file():
             raise FileNotFoundError(f"{place}: no such file or folder")
+        if topic is not None:
+            raise ValueError(f"{place}: topic goes with a bag, got {topic!r}; leave it out")
         return Recording(place, lambda: read_sweeps(place))
-    source = open_sweep_source(place)
+    source = open_sweep_source(place, topic=topic)
     return Recording(place, lambda: (sweep for _, sweep in each_sweep(source)))
 
 
-def open_sweep_source(place: Path) -> SweepSource:
+def open_sweep_source(place: Path, *, topic: str | None = None) -> SweepSource:
     """Return an archive of ours or somebody else's recording, scene by scene; errors as :func:`open_recording`."""
-    if not is_archive(place):
-        return open_source(place)
+    if topic is not None or not is_archive(place):
+        return open_source(place, topic=topic)
     from viewshed.datasets.archive.archive import ArchiveSource  # its sweeps are computed as the simulator does
 
     return ArchiveSource.open(place)

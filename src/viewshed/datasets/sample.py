@@ -23,7 +23,7 @@ class Sample:
 
     Attributes:
         measured: what the sensor measured: a range image, or points where there is none. Archives store a range image
-            in a tenth of the space of its points; :attr:`sweep` computes the points when they are first asked for.
+            in a tenth of the space of its points; :attr:`sweep` computes the points when they are first needed.
         truth: what the sensor could have seen.
         known: (cells, cells) bool, False where no truth exists (below the vehicle itself, outside the world).
         scene: where it was measured; splits never cut through a scene.

@@ -6,7 +6,6 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from viewshed.estimators.base import EarlierSweeps, Estimator
@@ -19,11 +18,13 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import LEARNED, load_network
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, TARGETS, Target
+from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.networks.runtime import load_runner
 from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.sweep import Sweep
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep, sweep_of_points
 
 
 class EstimatorFactory(Protocol):
@@ -159,24 +160,44 @@ def estimate(
     target: str | Target = "car",
     history: EarlierSweeps = None,
     device: str = "cpu",
+    sensor: str | LidarModel | None = None,
+    sensor_height_m: float | None = None,
+    world_from_sensor: Rigid | None = None,
 ) -> FovEstimate:
     """Return the field of view of one sweep by :data:`DEFAULT_ESTIMATOR`, or by ``method``.
 
     The estimator is loaded once and kept; for options of networks take :func:`load_estimator`.
 
     Args:
-        sweep: a Sweep; or points (N, 3) in meters, x forward, y left, z up, the sensor at the origin.
+        sweep: a Sweep; or points (N, 3+) in meters, x forward, y left, z up, the sensor at the origin; a fourth column
+            is intensity.
         method: as ``name`` of :func:`load_estimator`.
         grid: a name of :data:`GRIDS`, or a grid.
         target: a name of :data:`TARGETS`, or a target.
         history: earlier sweeps of the sensor with poses, for a method that uses them.
         device: of a network, ``cpu`` or ``cuda``.
+        sensor: of points, beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
+        sensor_height_m: of points, height of the sensor above the ground, if it is known.
+        world_from_sensor: of points, pose of the sensor in the map, if it is known.
 
     Raises:
-        ValueError: the points are no sweep, or a name is unknown.
+        ValueError: the points are no sweep, a name is unknown, or something is said of a Sweep that it says itself.
+
+    >>> import numpy as np
+    >>> estimate(np.zeros((0, 4)), sensor="vlp16", world_from_sensor=Rigid.identity()).method
+    'shadow_map'
     """
     estimator = _loaded(method, grid_named(grid), target_named(target), device)
-    measured = sweep if isinstance(sweep, Sweep | LeveledSweep) else Sweep(np.asarray(sweep))
+    if isinstance(sweep, Sweep | LeveledSweep):
+        if sensor is not None or sensor_height_m is not None or world_from_sensor is not None:
+            raise ValueError(
+                "sensor, sensor_height_m and world_from_sensor go with points, got a Sweep; say them there:"
+                " sweep.replace(model=viewshed.lidar_model(NAME), …)"
+            )
+        return estimator.estimate(sweep, history)
+    measured = sweep_of_points(
+        sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
+    )
     return estimator.estimate(measured, history)
 
 

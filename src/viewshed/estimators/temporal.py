@@ -21,6 +21,9 @@ from viewshed.sweep import Sweep
 if TYPE_CHECKING:
     from viewshed.estimators.base import BatchSteps, EarlierSweeps, Estimator
 
+FORGET_S = 10.0
+"""Sweeps from longer before do not help an estimate: who stood there has gone."""
+
 
 @dataclass(slots=True)
 class SweepBuffer:
@@ -37,7 +40,7 @@ class SweepBuffer:
 
     sweeps: int = HISTORY_SWEEPS
     every_s: float = 1.0
-    forget_s: float = 10.0
+    forget_s: float = FORGET_S
     agents: int = 64
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
@@ -182,7 +185,7 @@ def stream(
         require_confirmation: claim only what an earlier sweep would have seen as well.
 
     Raises:
-        ValueError: the estimator uses no history, or confirmation is asked for without any.
+        ValueError: the estimator uses no history, or confirmation is required without any.
     """
     if history == 0 and require_confirmation:
         raise ValueError("require_confirmation goes with a history of 1 or more: it claims what earlier sweeps saw")

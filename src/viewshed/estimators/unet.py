@@ -28,7 +28,7 @@ from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
 
 PASSES = 20
-"""Passes of Monte Carlo dropout where none are asked for."""
+"""Passes of Monte Carlo dropout if not given."""
 
 NEVER_ABSTAIN = 0.5
 """Every cell is at least this sure to be visible, or not to be."""

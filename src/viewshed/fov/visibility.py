@@ -8,6 +8,7 @@ spans are the difference of two sums, at the two ends of its window of azimuth.
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -151,3 +152,7 @@ def poisson_table(min_returns: int) -> NDArray[np.float32]:
 def cell_windows(grid: BevGrid, width_m: float) -> _core.CellWindows:
     """Return the windows of azimuth of a target of a width that it turns to the sensor, in each cell of a grid."""
     return _core.CellWindows(*polar_of_cells(grid), grid.cell_m, width_m)
+
+
+# Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
+atexit.register(cell_windows.cache_clear)

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 Promise = Literal["expected", "confident"]
-"""Which of the two rates must not exceed the one that was asked for."""
+"""Which of the two rates must not exceed the chosen one."""
 
 Per = Literal["sweep", "drive"]
 """What alarms are counted in: single sweeps, or drives that alarm at any of their sweeps."""
@@ -64,7 +64,11 @@ def p_values(benign: ArrayLike, scores: ArrayLike, rng: np.random.Generator | No
     >>> p_values([1.0, 2.0, 2.0, 3.0], [0.0, 2.0, 9.0])
     array([1. , 0.8, 0.2])
     """
-    ordered, asked = np.sort(_checked("benign", benign)), _checked("scores", scores)
+    return _p_values_of_ordered(np.sort(_checked("benign", benign)), _checked("scores", scores), rng)
+
+
+def _p_values_of_ordered(ordered: Floats, asked: Floats, rng: np.random.Generator | None) -> Floats:
+    """Return the p-values (M,) of scores against ascending benign ones, all of them numbers."""
     above = len(ordered) - np.searchsorted(ordered, asked, "right")
     equal = len(ordered) - np.searchsorted(ordered, asked, "left") - above
     share = np.ones(asked.shape) if rng is None else rng.random(asked.shape)
@@ -294,7 +298,7 @@ def _place(ordered: Floats, score: float) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Benign scores of one verdict by group, the rate of false alarms that was asked for, and what is promised.
+    """Benign scores of one verdict by group, the chosen rate of false alarms, and what is promised.
 
     A sweep of a group without benign scores takes the largest p-value over the groups with the same history: its rate
     holds if it is like any one of them. Where there is no such group it is refused.
@@ -383,7 +387,7 @@ class Calibration:
         found = []
         for each in self.alike(group):
             scores = self.scores[each]
-            p = float(p_values(scores, [score], rng)[0])
+            p = float(_p_values_of_ordered(scores, np.array([score]), rng)[0])
             found.append(self.real.correct(_place(scores, score)[0], p, len(scores)) if len(self.real) else p)
         return max(found)
 

@@ -7,10 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import lzma
-import struct
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._files import write_atomic
+from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.fov.estimate import FovEstimate
 from viewshed.grid import MAX_CELLS, BevGrid, polar_of_cells
 from viewshed.integrity.calibration import alarm_limit
@@ -204,10 +200,8 @@ def _thresholds(moments: NDArray[np.float64], grid: BevGrid, rule: Rule) -> NDAr
 
 FORMAT_VERSION = 1
 
-_BROKEN = (
-    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
-    MemoryError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
-)  # fmt: skip
+_MAX_BYTES = 4 * MAX_CELLS**2 + 4096
+"""Largest array of a file, unpacked."""
 
 
 def save_monitor(monitor: DeviationMonitor, path: str | Path) -> None:
@@ -242,20 +236,11 @@ def load_monitor(path: str | Path) -> DeviationMonitor:
     """
     raw = Path(path).read_bytes()
     try:
-        return _monitor(*_contents(raw))
-    except _BROKEN as error:
+        arrays = read_arrays(raw, _MAX_BYTES, ("about", "thresholds"))
+        return _monitor(json.loads(arrays["about"].tobytes()), arrays["thresholds"])
+    except DAMAGED as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{path} must be a whole monitor file of this version, got: {why}; fit it again") from error
-
-
-def _contents(raw: bytes) -> tuple[dict[str, Any], Any]:
-    limit = 4 * MAX_CELLS**2 + 4096
-    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-        for member in archive.infolist():
-            if member.file_size > limit:
-                raise ValueError(f"{member.filename} must be at most {limit} bytes, got {member.file_size}")
-    with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-        return json.loads(file["about"].tobytes()), file["thresholds"]
 
 
 def _monitor(about: dict[str, Any], thresholds: Any) -> DeviationMonitor:

@@ -39,14 +39,15 @@ class StreamReport:
 
 
 @dataclass(slots=True)
-class EarlierSweeps:
+class RecentSweeps:
     """The last sweeps of one stream, as evidence over time is given them.
 
     A stream begins anew, without earlier sweeps, where its time goes back, repeats or jumps, or its sensor changes.
 
     Attributes:
         every_s: time between the earlier sweeps that the evidence is given; they may be a quarter nearer.
-        jump_s: a stream without a sweep for longer begins anew.
+        jump_s: a stream without a sweep for longer begins anew: what appeared or vanished meanwhile may have done so
+            for a cause that nobody saw. Estimates are helped by sweeps of up to 10 s ago (``temporal.FORGET_S``).
 
     Raises:
         ValueError: a time is not positive.
@@ -110,7 +111,7 @@ class _Agent:
     """What is kept of one agent."""
 
     detector: EDetector
-    earlier: EarlierSweeps
+    earlier: RecentSweeps
     held: HeldEvidence = field(default_factory=HeldEvidence)
     onset_ns: int | None = None
 
@@ -144,7 +145,7 @@ class StreamMonitor:
     _agents: dict[str, _Agent] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        EarlierSweeps(self.every_s, self.jump_s)
+        RecentSweeps(self.every_s, self.jump_s)
         if self.agents < 1:
             raise ValueError(f"agents must be 1 at least, got {self.agents}")
 
@@ -184,7 +185,7 @@ class StreamMonitor:
         """Return the agent of a sweep, or one that begins anew where the sweep does not follow, and why."""
         why = "" if agent is None else agent.earlier.why_anew(leveled)
         if agent is None or why:
-            new = _Agent(self.detector.fresh(), EarlierSweeps(self.every_s, self.jump_s))
+            new = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
             return new, (why,) if why else ()
         if leveled.sweep.t_ns is None:
             return agent, ("the sweep has no time: it is judged without earlier sweeps",)

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import lzma
-import struct
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import __version__
-from viewshed._files import write_atomic
+from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.grid import BevGrid
 from viewshed.integrity.calibration import (
     Calibration,
@@ -41,7 +37,7 @@ EARLIER_SWEEPS = 5
 """Earlier sweeps that evidence over time is given; a sweep with fewer is judged by itself."""
 
 UNUSUAL = 0.01
-"""A reason is told if at most this share of benign scenes of the group shows its evidence as strongly."""
+"""A reason is given if at most this share of benign scenes of the group shows its evidence as strongly."""
 
 Floats = NDArray[np.float64]
 
@@ -71,11 +67,13 @@ class BenignSweep:
         scene: that it is of; sweeps of one drive share it.
         group: with which it is calibrated, see :func:`group_of`.
         evidence: (E, SECTORS) of :func:`viewshed.integrity.score.measure_all`.
+        clear: whether the scene is as it should be; one in bad weather is no false alarm of *degraded*.
     """
 
     scene: str
     group: Group
     evidence: NDArray[np.floating[Any]]
+    clear: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +146,8 @@ class SweepMonitor:
     ) -> Self:
         """Return the monitor that keeps its rates on further scenes like these.
 
+        What is inconsistent is calibrated on all scenes; what is degraded on those that are clear.
+
         Args:
             score: of all evidence; it may have been trained on anything but these scenes.
             benign: sweeps of scenes that nobody attacked, several of each if there are, in the order of recording.
@@ -162,14 +162,18 @@ class SweepMonitor:
             ValueError: a group has too few scenes for a rate; evidence is not that of the score, or gives no score.
         """
         rows: dict[Group, list[tuple[str, Floats]]] = {}
+        unclear: set[tuple[Group, str]] = set()
         for sweep in benign:
             rows.setdefault(sweep.group, []).append((sweep.scene, _row(score, sweep.evidence)))
+            if not sweep.clear:
+                unclear.add((sweep.group, sweep.scene))
         inconsistent, degraded, tables = {}, {}, {}
         for group, of_group in rows.items():
-            _, chosen = one_per_scene(
+            scenes, chosen = one_per_scene(
                 [scene for scene, _ in of_group], np.array([row for _, row in of_group]), per, rng
             )
-            inconsistent[group], degraded[group] = chosen[:, 0], chosen[:, 1]
+            clear = np.array([(group, scene) not in unclear for scene in scenes])
+            inconsistent[group], degraded[group] = chosen[:, 0], chosen[clear, 1]
             sectors, strongest = chosen[:, 2 : 2 + SECTORS], chosen[:, 2 + SECTORS :]
             share = max(rates.discoveries, 0.1)
             every = sectors.reshape(-1, 1)
@@ -366,7 +370,7 @@ class SweepMonitor:
 def group_of(monitored: MonitoredSweep) -> Group:
     """Return the group with which a sweep is calibrated: its sensor, and whether all earlier sweeps have poses.
 
-    Sensors without a name are told apart by whether their rings are known, which much of the evidence needs.
+    Sensors without a name are distinguished by whether their rings are known, which much of the evidence needs.
     """
     sensor = monitored.leveled.sensor_id
     name = sensor.model.name if sensor.model is not None else "unknown sensor"
@@ -409,11 +413,6 @@ SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 _MAX_BYTES = 1 << 26
 """Largest part of a file, unpacked: a hundred thousand scenes by 72 sectors."""
 
-_BROKEN = (
-    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
-    MemoryError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
-)  # fmt: skip
-
 
 def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
     """Write a monitor to ``path`` (compressed NPZ) at once or not at all; the same monitor, the same bytes.
@@ -455,14 +454,9 @@ def load_sweep_monitor(path: str | Path) -> SweepMonitor:
     """
     raw = Path(path).read_bytes()
     try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            for member in archive.infolist():
-                if member.file_size > _MAX_BYTES:
-                    raise ValueError(f"{member.filename} must be at most {_MAX_BYTES} bytes, got {member.file_size}")
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(raw, _MAX_BYTES)
         return _monitor(json.loads(arrays["about"].tobytes()), arrays)
-    except _BROKEN as error:
+    except DAMAGED as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(
             f"{path} must be a whole monitor file of this version, got: {why}; calibrate it again"
@@ -482,12 +476,8 @@ def kind_of_monitor(path: str | Path) -> str:
     """
     raw = Path(path).read_bytes()
     try:
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            if archive.getinfo("about.npy").file_size > _MAX_BYTES:
-                return ""
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            return str(json.loads(file["about"].tobytes())["monitor"])
-    except _BROKEN:
+        return str(json.loads(read_arrays(raw, _MAX_BYTES, ("about",))["about"].tobytes())["monitor"])
+    except DAMAGED:
         return ""
 
 

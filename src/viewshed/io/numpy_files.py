@@ -148,13 +148,14 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
         float(limits[1]), float(limits[2]), str(members["model_source"]),
         float(members["model_reach_m"]) if "model_reach_m" in members else None,
         str(members.get("model_reach_source", "")),
+        fires_rings="model_fires_no_rings" not in members,
     )  # fmt: skip
 
 
 _KEYS = {
     "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
     "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits", "model_reach_m",
-    "model_reach_source",
+    "model_reach_source", "model_fires_no_rings",
     *(f"model_{key}" for key in _BEAMS),
 }  # fmt: skip
 
@@ -181,6 +182,7 @@ def write_npz(sweep: Sweep) -> bytes:
     if sweep.model is not None:
         arrays |= {"model_name": sweep.model.name, "model_source": sweep.model.source}
         arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAMS}
+        arrays |= {} if sweep.model.fires_rings else {"model_fires_no_rings": True}
         arrays |= {"model_reach_m": sweep.model.reach_m, "model_reach_source": sweep.model.reach_source}
         arrays["model_limits"] = np.array([getattr(sweep.model, key) for key in _LIMITS], dtype=np.float64)
     buffer = io.BytesIO()

@@ -23,7 +23,7 @@ _ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 c
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class PacketLayout:
     """The bytes of a lidar packet: a header, columns (a header, pixels, a footer each), a footer.
 
     Attributes:
@@ -53,21 +53,21 @@ class Profile:
     footer: int = 32
 
 
-def _low_rate(pixel: int) -> Profile:
-    return Profile(pixel, "<u2", 15, 8, 2, None)
+def _low_rate(pixel: int) -> PacketLayout:
+    return PacketLayout(pixel, "<u2", 15, 8, 2, None)
 
 
 PROFILES = {
-    "LEGACY": Profile(12, range_bits=20, frame=(10, "<u2"), sender=None, header=0, column_header=16, column_footer=4,
-                      footer=0),
-    "RNG19_RFL8_SIG16_NIR16": Profile(12),
-    "RNG19_RFL8_SIG16_NIR16_ZONE16": Profile(12),
-    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(16, reflectivity=3, signal=8),
+    "LEGACY": PacketLayout(12, range_bits=20, frame=(10, "<u2"), sender=None, header=0, column_header=16,
+                           column_footer=4, footer=0),
+    "RNG19_RFL8_SIG16_NIR16": PacketLayout(12),
+    "RNG19_RFL8_SIG16_NIR16_ZONE16": PacketLayout(12),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": PacketLayout(16, reflectivity=3, signal=8),
     "RNG15_RFL8_NIR8": _low_rate(4),
     "RNG15_RFL8_WIN8": _low_rate(4),
     "RNG15_RFL8_NIR8_DUAL": _low_rate(8),
     "RNG15_RFL8_NIR8_ZONE16": _low_rate(8),
-    "FUSA_RNG15_RFL8_NIR8_DUAL": Profile(8, "<u2", 15, 8, 2, None, frame=(4, "<u4"), sender=(1, 11)),
+    "FUSA_RNG15_RFL8_NIR8_DUAL": PacketLayout(8, "<u2", 15, 8, 2, None, frame=(4, "<u4"), sender=(1, 11)),
 }  # fmt: skip
 """Layouts by the metadata's ``udp_profile_lidar``."""
 
@@ -90,7 +90,7 @@ class OusterMetadata:
         serial: serial number, 0 where it is not said.
     """
 
-    profile: Profile
+    profile: PacketLayout
     columns: int
     columns_per_packet: int
     window: tuple[int, int]

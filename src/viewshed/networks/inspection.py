@@ -26,7 +26,7 @@ MOST_NUMBERS = 1 << 28
 """Numbers of the largest tensor in one pass: a GiB in float32."""
 
 _OUTPUTS = (["probability"], ["probability", "deviation"])
-"""Outputs of a graph; the second one of older files, which they compute with Shape and Slice, is never asked for."""
+"""Outputs of a graph; the second one of older files, which they compute with Shape and Slice, is never computed."""
 
 Shape = tuple[int, ...]
 
@@ -202,7 +202,7 @@ def _read_constant(message: memoryview) -> tuple[str, NDArray[np.generic]]:
     dtype = _DTYPES.get(kind)
     if dtype is None:
         raise _RefusedError(f"the constant {name!r} of type {kind}")
-    # The shape is only believed if the file holds every one of its numbers: 16 GB cannot be asked for in 100 bytes.
+    # The shape is only believed if the file holds every one of its numbers: 100 bytes cannot claim 16 GB.
     wanted = math.prod(shape) * np.dtype(dtype).itemsize
     if min(shape, default=1) < 0 or wanted != len(raw):
         raise _RefusedError(

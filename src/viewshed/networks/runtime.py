@@ -281,7 +281,7 @@ def _onnxruntime(content: bytes, threads: int | None, precision: str) -> Call:
 
 
 def values_of(content: bytes, threads: int | None = None) -> Call:
-    """Return what runs a model for any of its outputs; card and checksum are not asked for."""
+    """Return what runs a model for any of its outputs; without reading its card or checking a checksum."""
     session = _session(content, threads)
     return lambda inputs, names: list(session.run(names, inputs))
 

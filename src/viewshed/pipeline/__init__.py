@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from viewshed.pipeline.reactions import Caution, Finding, ReactionRules, ReactionState, react, speed_for_view, withdraw
-from viewshed.pipeline.stream import Answer, Pipeline, Statistics
+from viewshed.pipeline.reactions import (
+    Caution,
+    Finding,
+    ReactionRules,
+    ReactionState,
+    Vehicle,
+    react,
+    speed_for_view,
+    withdraw,
+)
+from viewshed.pipeline.stream import SWITCH_INTERVAL_S, Answer, Pipeline, Statistics
 
 __all__ = [
-    "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "react",
-    "speed_for_view", "withdraw",
+    "SWITCH_INTERVAL_S", "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics",
+    "Vehicle", "react", "speed_for_view", "withdraw",
 ]  # fmt: skip

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-JUMP_S = 10.0
-"""A stream that is silent for longer begins anew."""
+from viewshed.estimators.temporal import FORGET_S
 
 
 @dataclass(slots=True)
 class Clocks:
-    """The time of each agent's last sweep.
+    """The time of each agent's last sweep; a stream begins anew where estimates have forgotten what came before.
+
+    A monitor's evidence begins anew much sooner, see :class:`viewshed.integrity.stream_monitor.RecentSweeps`.
 
     Attributes:
         agents: how many are remembered; of more the one that was heard longest ago is forgotten.
@@ -39,4 +40,4 @@ class Clocks:
             raise ValueError("a sweep must have another time than the one before, got the same again")
         if apart_s < 0.0:
             return f"time went back by {-apart_s:.3g} s: the stream begins anew"
-        return f"time jumped by {apart_s:.3g} s: the stream begins anew" if apart_s > JUMP_S else ""
+        return f"time jumped by {apart_s:.3g} s: the stream begins anew" if apart_s > FORGET_S else ""

@@ -1,4 +1,4 @@
-"""Profiles: what a pipeline needs to be told, by what it is for."""
+"""Profiles: the settings of a pipeline, by what it is for."""
 
 from __future__ import annotations
 

@@ -7,13 +7,16 @@ calm sweeps in a row, so that between two rises to the same step there are alway
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import cells_of_sectors
 
@@ -142,14 +145,39 @@ def withdraw(
     )
 
 
-def speed_for_view(
-    estimate: FovEstimate,
-    *,
-    front_m: float = 4.0,
-    half_width_m: float = 1.25,
-    delay_s: float = 0.5,
-    braking_mps2: float = 3.0,
-) -> float:
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """How a vehicle stops; a car unless its own numbers are given.
+
+    Attributes:
+        front_m: from the sensor to the front of the vehicle; what lies nearer need not be seen.
+        half_width_m: half of the width of the lane that must be free.
+        delay_s: until the brakes act.
+        braking_mps2: how hard it brakes.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    front_m: float = 4.0
+    half_width_m: float = 1.25
+    delay_s: float = 0.5
+    braking_mps2: float = 3.0
+
+    def __post_init__(self) -> None:
+        finite = all(
+            math.isfinite(value) for value in (self.front_m, self.half_width_m, self.delay_s, self.braking_mps2)
+        )
+        if not (finite and self.half_width_m > 0.0 and self.delay_s >= 0.0 and self.braking_mps2 > 0.0):
+            raise ValueError(
+                f"half_width_m and braking_mps2 must be positive, delay_s 0 or more, all of them finite, got {self}"
+            )
+
+
+VEHICLE = Vehicle()
+
+
+def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE) -> float:
     """Return the speed in m/s from which a vehicle stops within what it sees free ahead of it, along x of ``level``.
 
     The root of v · delay + v² / (2 · braking) = distance (the assured clear distance ahead), which ends at the first
@@ -157,16 +185,24 @@ def speed_for_view(
 
     Args:
         estimate: of the sensor on the vehicle.
-        front_m: from the sensor to the front of the vehicle; what lies nearer need not be seen.
-        half_width_m: half of the width of the lane that must be free.
-        delay_s: until the brakes act.
-        braking_mps2: how hard it brakes.
+        vehicle: how it stops.
     """
-    grid = estimate.grid
-    x_m, y_m = grid.centers[..., 0], grid.centers[..., 1]
-    lane = (np.abs(y_m) <= half_width_m) & (x_m > front_m)
-    blocked = lane & (estimate.state != CellState.FREE)
-    # A cell blocks from its near side on; the grid ends where a further cell would begin.
-    near_side_m = np.append(x_m[blocked] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
-    clear_m = max(float(near_side_m.min()) - front_m, 0.0)
-    return float(np.sqrt((braking_mps2 * delay_s) ** 2 + 2 * braking_mps2 * clear_m) - braking_mps2 * delay_s)
+    front_m, braking_mps2 = vehicle.front_m, vehicle.braking_mps2
+    lane, near_side_m = _lane(estimate.grid, front_m, vehicle.half_width_m)
+    blocked = (estimate.state[lane] != CellState.FREE).any(axis=1)
+    clear_m = max(float(near_side_m[np.append(blocked, True).argmax()]) - front_m, 0.0)
+    lost_mps = braking_mps2 * vehicle.delay_s
+    return float(np.sqrt(lost_mps**2 + 2 * braking_mps2 * clear_m) - lost_mps)
+
+
+@lru_cache(maxsize=16)
+def _lane(grid: BevGrid, front_m: float, half_width_m: float) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
+    """Return the cells that the lane ahead touches, and where each of their rows begins (rows + 1,) in meters.
+
+    A cell blocks from its near side on; the last value is where the grid ends.
+    """
+    x_m, y_m = grid.centers[:, 0, 0], grid.centers[0, :, 1]
+    rows, columns = x_m > front_m, np.abs(y_m) < half_width_m + grid.cell_m / 2
+    begin_x, begin_y = int(rows.argmax()) if rows.any() else len(rows), int(columns.argmax())
+    near_side_m = np.append(x_m[begin_x:] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
+    return (slice(begin_x, None), slice(begin_y, begin_y + int(columns.sum()))), near_side_m

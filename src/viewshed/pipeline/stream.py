@@ -22,10 +22,12 @@ from viewshed.pipeline.inbox import Inbox
 from viewshed.pipeline.latency import Latencies
 from viewshed.pipeline.reactions import (
     RULES,
+    VEHICLE,
     Caution,
     Finding,
     ReactionRules,
     ReactionState,
+    Vehicle,
     react,
     speed_for_view,
     withdraw,
@@ -38,6 +40,10 @@ Value = TypeVar("Value")
 
 AGENTS = 64
 """Agents whose state is remembered; of more the one that was heard longest ago is forgotten."""
+
+SWITCH_INTERVAL_S = 0.0005
+"""For ``sys.setswitchinterval`` of a process that runs a pipeline: at Python's usual 5 ms its threads wait longer for
+each other than they work. It holds for the whole process, so the pipeline does not set it by itself."""
 
 REASONS = 50
 """Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
@@ -131,6 +137,7 @@ class Pipeline:
         history: the earlier sweeps of each agent that help, for an estimator that uses them; None for none.
         monitor: what watches the stream, or None.
         rules: how caution rises and falls.
+        vehicle: how the vehicle stops whose speed is answered.
         waiting: sweeps of an agent that may wait for their turn.
         lossless: let :meth:`put` wait for room instead of dropping sweeps, for files.
     """
@@ -143,11 +150,12 @@ class Pipeline:
         history: SweepBuffer | None = None,
         monitor: StreamMonitor | None = None,
         rules: ReactionRules = RULES,
+        vehicle: Vehicle = VEHICLE,
         waiting: int = 1,
         lossless: bool = False,
     ) -> None:
         self._estimator, self._publish, self._history, self._monitor = estimator, publish, history, monitor
-        self._rules = rules
+        self._rules, self._vehicle = rules, vehicle
         # Each thread hands on to the next through a queue of one: who is faster waits, and what comes in meanwhile
         # waits, or is dropped, in the inbox.
         self._inbox: Inbox[_Step] = Inbox(waiting, lossless=lossless)
@@ -260,7 +268,7 @@ class Pipeline:
             if reaction.caution == Caution.CONFIRMED and seen is not None:
                 confirmed = seen.confirmations(estimate.grid, estimate.target) > 0
             estimate = withdraw(estimate, reaction, confirmed, self._rules)
-        speed_mps = 0.0 if estimate is None else speed_for_view(estimate)
+        speed_mps = 0.0 if estimate is None else speed_for_view(estimate, self._vehicle)
         latency_s = time.perf_counter() - step.put_s
         notes = (step.note,) if step.note else () if report is None else report.notes
         return Answer(

@@ -18,7 +18,7 @@ def vehicle_heading(points: NDArray[np.float32], rotation: NDArray[np.float64], 
     """Return the heading of the own vehicle in radians from the sensor's x, in the frame leveled by ``rotation``.
 
     The given one, else that of the returns near the sensor, if they are a hood and a trunk across its x axis; else 0.
-    Ahead and behind are not told apart: a vehicle's box has no front.
+    Ahead and behind are not distinguished: a vehicle's box has no front.
 
     Args:
         points: (N, 3) in the sensor's frame.

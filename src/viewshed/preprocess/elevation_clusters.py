@@ -48,7 +48,7 @@ def find_clusters(azimuth: Angles, slope: Angles, range_m: Angles) -> ElevationC
 def rings_by_clusters(
     azimuth: Angles, slope: Angles, range_m: Angles
 ) -> tuple[NDArray[np.int16], ElevationClusters] | None:
-    """Return the rings (N,) told by the elevations at which the returns gather, and these; None where they do not.
+    """Return the rings (N,) by the elevations at which the returns gather, and these; None where they do not.
 
     Rings are the clusters from the lowest to the highest: a beam without returns has none. -1 far from all of them.
     """

@@ -46,7 +46,7 @@ It holds no sweep: that of a history, which holds the sweeps before, would keep 
 
 
 _SORTED: WeakKeyDictionary[LeveledSweep, _core.BeamsByAzimuth] = WeakKeyDictionary()
-"""The beams of sweeps that are still in use and were asked for boxes."""
+"""The beams of sweeps that are still in use and were compared with boxes."""
 
 TALLEST_BOX_M = 4.0
 """Beams without a return that pass higher above the ground than this, wherever they go, meet no box."""
@@ -173,7 +173,7 @@ def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *,
     A beam counts if its straight line meets the box and it ended no nearer than there (by 0.1 m, the noise of ranges).
     Beams with a return end there, those without one where their surroundings say
     (:func:`viewshed.preprocess.no_return.beams_by_evidence`); where these say nothing, a beam does not count. The
-    beams of a sweep are sorted when they are first asked for.
+    beams of a sweep are sorted when they are first needed.
 
     Args:
         leveled: the sweep.

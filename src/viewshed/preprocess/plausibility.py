@@ -7,6 +7,7 @@ import numpy as np
 from viewshed.preprocess.beam_matching import match_beams, polar
 from viewshed.preprocess.elevation_clusters import find_clusters
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
@@ -25,6 +26,9 @@ _NO_MATCH = 0.15
 
 _MATCH = 0.6
 """... and one that explains less than this share of what the elevations at which the returns gather explain."""
+
+_MOST_OUTSIDE, _FIELD_SLACK = 0.05, np.deg2rad(3.0)
+"""More returns so far above or below the field of a sensor without rings are another sensor's."""
 
 _BELOW_M, _BELOW_SHARE = 0.1, 0.01
 """Of a sensor above the ground more than this share of the points lie lower than this below it."""
@@ -98,6 +102,8 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
 def _doubt_of_sensor(sweep: Sweep) -> str:
     if sweep.model is None:
         return ""
+    if not sweep.model.fires_rings:
+        return _doubt_of_field(sweep, sweep.model)
     azimuth, slope, range_m = polar(sweep.points)
     share = match_beams(slope, range_m, sweep.model).excess
     # Where elevations gather, a sensor's own beams explain about as much as they do; else it may have moved.
@@ -105,6 +111,17 @@ def _doubt_of_sensor(sweep: Sweep) -> str:
     if share >= (_NO_MATCH if clusters is None else _MATCH * clusters.sharpness):
         return ""
     return f"the returns do not lie at the beams of {sweep.model.name}: name another --sensor, or none"
+
+
+def _doubt_of_field(sweep: Sweep, model: LidarModel) -> str:
+    """Return what is said where many returns lie above or below a sensor's field of view."""
+    _, slope, _ = polar(sweep.points)
+    low, high = model.elevation[[0, -1]]
+    outside = float(np.mean((np.arctan(slope) < low - _FIELD_SLACK) | (np.arctan(slope) > high + _FIELD_SLACK)))
+    if outside <= _MOST_OUTSIDE:
+        return ""
+    field = f"{model.name}, {np.rad2deg(low):.0f}° to {np.rad2deg(high):.0f}°"
+    return f"{outside:.0%} of the returns lie outside of the field of {field}: name another --sensor, or none"
 
 
 def _lies_on_the_ground(sweep: Sweep) -> bool:

@@ -92,7 +92,7 @@ def recover_rings(
 
 
 def rings_of_sweep(sweep: Sweep) -> RingAssignment:
-    """Return the beams of ``sweep`` where its rings are told, not guessed from elevations alone.
+    """Return the beams of ``sweep`` where its rings are known, not guessed from elevations alone.
 
     Raises:
         ValueError: the sweep has no rings, and neither the order of its points nor a sensor's table tells them.
@@ -100,7 +100,7 @@ def rings_of_sweep(sweep: Sweep) -> RingAssignment:
     beams = recover_rings(sweep)
     if beams.source == "elevation bins":
         raise ValueError(
-            "the sweep must have rings, got none that can be told; give its ring column or name its sensor"
+            "the sweep must have rings, got none that can be recovered; give its ring column or name its sensor"
         )
     return beams
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.geometry import FloatArray
-from viewshed.sensors import LidarModel, lidar_model, sensor_names
+from viewshed.sensors import LidarModel, inferable_sensors, lidar_model
 from viewshed.sweep import Sweep
 
 
@@ -43,6 +43,8 @@ def identify_sensor(sweep: Sweep, expected: LidarModel | None = None) -> SensorI
     A sensor that is expected, as that of the sweep before in a stream, is looked at first: about 2,000 returns confirm
     it, or all is done as without. It saves time and changes nothing else.
     """
+    if sweep.model is not None and not sweep.model.fires_rings:
+        return SensorId(None, sweep.model)
     if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
         return SensorId(sweep.ring, sweep.model)
     if sweep.model is not None:
@@ -87,11 +89,11 @@ _Tables = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDA
 
 @lru_cache(maxsize=1)
 def _known_sensors() -> tuple[tuple[LidarModel, ...], _Tables]:
-    """Return the sensors whose beam tables travel with the package, and these tables one after the other.
+    """Return the sensors that may be inferred of those that travel with the package, and their tables.
 
     Elevation and height of the origin of all beams, then the number of beams and of columns of each table.
     """
-    models = tuple(lidar_model(name) for name in sensor_names())
+    models = tuple(map(lidar_model, inferable_sensors()))
     return models, (
         np.concatenate([model.elevation for model in models]),
         np.concatenate([model.origin_m for model in models]),

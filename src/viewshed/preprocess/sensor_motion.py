@@ -1,4 +1,4 @@
-"""How a spinning sensor moved while it measured, told by its points alone.
+"""How a spinning sensor moved while it measured, inferred from its points alone.
 
 Points that were put straight lie in one frame, though each was measured from where the sensor was at its time. Seen
 from one place the elevations of a beam are blurred then. A sensor turns evenly, so its place follows from the azimuth:

@@ -46,7 +46,7 @@ class MountingFamily:
         frame: of ``FRAMES``.
 
     Raises:
-        ValueError: a name is unknown, bounds do not ascend, or a base frame is asked for a turned sensor.
+        ValueError: a name is unknown, bounds do not ascend, or a turned sensor is to have a base frame.
     """
 
     name: str

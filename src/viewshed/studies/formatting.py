@@ -88,8 +88,8 @@ def pivot(
 
     Args:
         corner: heads the names of the rows.
-        rows: by name, what the value is told of a row.
-        columns: by name, what it is told of a column.
+        rows: by name, what the value is given of a row.
+        columns: by name, what it is given of a column.
         value: of one cell, as words.
         best: ``row`` or ``column``: the largest figure of each is bold.
     """

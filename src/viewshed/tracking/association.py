@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
+from viewshed.perception.matching import corners_of
 
 Floats = NDArray[np.float64]
 
@@ -46,27 +47,18 @@ def assign(benefit: Floats) -> Numbers:
     return assigned
 
 
-def corners(boxes: Floats) -> Floats:
-    """Return x and y (K, 4, 2) of the corners of boxes (K, 7), counter-clockwise from front left."""
-    half = 0.5 * boxes[:, None, 3:5] * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
-    along, across = half[..., 0], half[..., 1]
-    turned = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
-    return np.asarray(boxes[:, None, :2] + turned)
-
-
-def overlaps(first: Floats, second: Floats) -> Floats:
+def volume_overlaps(first: Floats, second: Floats) -> Floats:
     """Return the intersection over union (N, K) of the volumes of boxes (N, 7) and (K, 7).
 
     >>> box = np.array([[0.0, 0.0, 0.0, 4.0, 2.0, 2.0, 0.0]])
-    >>> overlaps(box, box + np.array([1.0, 0, 0, 0, 0, 0, 0])).tolist()
+    >>> volume_overlaps(box, box + np.array([1.0, 0, 0, 0, 0, 0, 0])).tolist()
     [[0.6]]
     """
     shared = np.zeros((len(first), len(second)))
     reach = np.hypot(first[:, None, 3], first[:, None, 4]) + np.hypot(second[None, :, 3], second[None, :, 4])
     apart = np.hypot(first[:, None, 0] - second[None, :, 0], first[:, None, 1] - second[None, :, 1])
     rows, columns = np.nonzero(2.0 * apart < reach)
-    footprints = np.asarray(shapely.polygons(corners(first))), np.asarray(shapely.polygons(corners(second)))
+    footprints = np.asarray(shapely.polygons(corners_of(first))), np.asarray(shapely.polygons(corners_of(second)))
     areas = shapely.area(shapely.intersection(footprints[0][rows], footprints[1][columns]))
     low = np.maximum((first[:, 2] - first[:, 5] / 2)[rows], (second[:, 2] - second[:, 5] / 2)[columns])
     high = np.minimum((first[:, 2] + first[:, 5] / 2)[rows], (second[:, 2] + second[:, 5] / 2)[columns])

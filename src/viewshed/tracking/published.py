@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.tracking.association import assign, overlaps
+from viewshed.tracking.association import assign, volume_overlaps
 from viewshed.tracking.kalman import Motion
 from viewshed.tracking.tracker import TrackTable
 from viewshed.tracking.views import View
@@ -88,7 +88,7 @@ class PublishedRules:
     def match(self, tracks: TrackTable, boxes: Floats, noise: Floats) -> NDArray[np.int32]:
         """Return the assignment of greatest overlap, or of least distance."""
         if self.cost == "overlap":
-            shared = overlaps(tracks.boxes, boxes)
+            shared = volume_overlaps(tracks.boxes, boxes)
             return assign(np.where(shared > self.least_overlap, shared, 0.0))
         off = tracks.boxes[:, None, :2] - boxes[None, :, :2]
         return assign(self.radius_m - np.hypot(off[..., 0], off[..., 1]))
@@ -97,9 +97,9 @@ class PublishedRules:
         """Count the misses of tracks that the view covers."""
         tracks.misses = tracks.misses + ((matched < 0) & (tracks.visible > 0.5)).astype(np.int32)
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
         """Return all: each detection that is left begins a track."""
-        return np.ones(len(born), np.bool_)
+        return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
         """Keep what was matched lately and not missed too often, and of close tracks the one with most detections."""

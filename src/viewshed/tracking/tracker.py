@@ -19,7 +19,16 @@ from viewshed.tracking.existence import (
     levels_after,
     shares_found,
 )
-from viewshed.tracking.kalman import Motion, predict, quarter_turned, squared_distances, update, update_boxes, wrapped
+from viewshed.tracking.kalman import (
+    Motion,
+    inverse,
+    predict,
+    quarter_turned,
+    squared_distances,
+    update,
+    update_boxes,
+    wrapped,
+)
 from viewshed.tracking.tracks import Tracks
 from viewshed.tracking.views import View
 
@@ -32,6 +41,9 @@ SAME_TIME_S = 0.02
 
 MOTION = Motion()
 """How road users move, and how well boxes about clusters of returns measure them."""
+
+SPREAD_FROM_M = 0.5
+"""The view is asked at several places of a track from this standard deviation of its place on."""
 
 _EXTENT = [2, 3, 4, 5, 6]
 """Columns of a box that are filtered beside the state: z, length, width, height, yaw."""
@@ -114,7 +126,7 @@ class TrackTable:
         return np.asarray(self.votes.argmax(axis=1), np.uint8)
 
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        """Return some of the tracks."""
+        """Return some of the tracks, as a copy."""
         return type(self)(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
     def joined(self, others: Self) -> Self:
@@ -163,8 +175,8 @@ class Rules(Protocol):
         """Write what hits and misses say of each track; states are those before the detections."""
         ...
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
-        """Write what is known of new tracks, and return those (K,) that begin."""
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+        """Return those new tracks that begin, with what is known of them."""
         ...
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
@@ -190,7 +202,7 @@ class ExistenceRules:
         confirm_from: a track is confirmed when its existence reaches this.
         drop_below: a track ends when its existence is lower.
         lost_m: a track ends when the standard deviation of its place is larger.
-        spreads: ask the view at five places of the track's distribution instead of its mean.
+        spreads: ask the view at five places of a track's distribution where its mean is not enough.
         most_tracks: the most tracks that are held; further detections begin none, and a note says so.
         most_detections: more of them in one sweep are refused.
         longest_m: longer boxes are left out, and a note says so.
@@ -201,15 +213,15 @@ class ExistenceRules:
     gate: float = 13.8
     clutter_per_m2: float = 1e-4
     unseen_per_m2: float = 2e-4
-    seen_share: float = 0.02
-    recurrence: float = 0.5
+    seen_share: float = 0.05
+    recurrence: float = 0.6
     most_found: float = 0.98
-    doubt_s: float = 0.5
+    doubt_s: float = 0.1
     lifetime_s: float = 60.0
-    surest: float = 0.999
+    surest: float = 0.99
     confirm_from: float = 0.8
     drop_below: float = 0.05
-    lost_m: float = 8.0
+    lost_m: float = 6.0
     spreads: bool = True
     most_tracks: int = 500
     most_detections: int = 1000
@@ -247,18 +259,22 @@ class ExistenceRules:
         shares = shares_found(tracks.visible * tracks.detectable, self.most_found)
         found = found_probability(tracks.levels, shares)
         density = np.zeros(len(tracks))
-        density[is_hit] = _center_density(tracks.take(is_hit), boxes[matched[is_hit]], noise[matched[is_hit]])
+        density[is_hit] = _center_density(
+            tracks.states[is_hit], tracks.covariances[is_hit], boxes[matched[is_hit]], noise[matched[is_hit]]
+        )
         hit = existence_after_detection(tracks.existence, found, density, self.clutter_per_m2, self.recurrence)
         miss = existence_after_miss(tracks.existence, found, self.recurrence)
         tracks.existence = np.minimum(np.where(is_hit, hit, miss), self.surest)
         hit_levels = (1.0 - shares) * self.clutter_per_m2 + shares * density[:, None]
         tracks.levels = levels_after(tracks.levels, np.where(is_hit[:, None], hit_levels, 1.0 - shares))
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
-        """Write how plausible it is that new tracks are objects: could they have come unseen?
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+        """Return new tracks with how plausible it is that they are objects: could they have come unseen?
 
         What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
         """
+        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
+        born = born.take(~is_part & _first_of_doubles(born.boxes))
         born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
         unseen = np.ones(len(born))
         if before is not None:
@@ -271,8 +287,7 @@ class ExistenceRules:
         born.existence = np.minimum(expected / (expected + self.clutter_per_m2), self.surest)
         shares = shares_found(born.visible * born.detectable, self.most_found)
         born.levels = levels_after(born.levels, shares)
-        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
-        return np.asarray(~is_part & _first_of_doubles(born.boxes))
+        return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
         """Keep what is likely enough and whose place is known."""
@@ -290,11 +305,11 @@ class Tracker:
     >>> from viewshed.tracking.views import SeesAll
     >>> car = np.array([[10.0, 0.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
     >>> tracker = Tracker()
-    >>> for k in range(5):
+    >>> for k in range(20):
     ...     found = Detections(car + [k, 0, 0, 0, 0, 0, 0], np.array([ObjectKind.CAR]), np.array([50]))
     ...     tracks = tracker.step(0.1 * k, found, SeesAll(0.1 * k))
-    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round(1).tolist()
-    ([0], [True], [14.0, 0.0, 9.9, 0.0])
+    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round().tolist()
+    ([0], [True], [29.0, 0.0, 10.0, 0.0])
     """
 
     def __init__(self, rules: Rules | None = None) -> None:
@@ -351,21 +366,24 @@ class Tracker:
         _update(tracks, t_s, boxes, kinds, noise, matched, motion)
 
         # What is left over begins tracks, as far as there is room.
-        left = np.setdiff1d(np.arange(len(boxes)), matched)
+        is_left = np.ones(len(boxes), np.bool_)
+        is_left[matched[matched >= 0]] = False
+        left = np.flatnonzero(is_left)
         left = left[np.lexsort((boxes[left, 1], boxes[left, 0], -detections.returns[numbers[left]]))]
         born = TrackTable.begun(t_s, boxes[left], kinds[left], noise[left], motion)
         born.detection = left.astype(np.int32)
         if len(born):
-            born = born.take(rules.begin(born, tracks, view, self._view))
-        tracks = tracks.take(rules.keep(tracks, t_s))
+            born = rules.begin(born, tracks, view, self._view)
+        tracks = _kept(tracks, rules.keep(tracks, t_s))
         room = max(rules.most_tracks - len(tracks), 0)
         if len(born) > room:
             notes.append(f"{len(born) - room} new tracks refused: {rules.most_tracks} are held")
             born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:room]))
         born.ids = np.arange(self._next_id, self._next_id + len(born))
         self._next_id += len(born)
-        tracks = tracks.joined(born)
-        tracks = tracks.take(rules.keep(tracks, t_s))
+        if len(born):
+            tracks = tracks.joined(born)
+            tracks = _kept(tracks, rules.keep(tracks, t_s))
 
         self._table, self._view = tracks, view
         self._last = _shown(tracks, t_s, numbers, view.in_world, tuple(notes))
@@ -416,6 +434,10 @@ class Tracker:
         return None
 
 
+def _kept(tracks: TrackTable, is_kept: NDArray[np.bool_]) -> TrackTable:
+    return tracks if is_kept.all() else tracks.take(is_kept)
+
+
 def _no_tracks(motion: Motion) -> TrackTable:
     return TrackTable.begun(0.0, np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros((0, 2, 2)), motion)
 
@@ -463,23 +485,29 @@ def _spread_visible(tracks: TrackTable, view: View) -> Floats:
     """Return the probability (N,) that each track could be seen, over where it may be.
 
     The unscented mean (Julier and Uhlmann, 1997) over five places: the mean weighs 1/3, the others, √3 standard
-    deviations along both axes of the covariance, 1/6 each.
+    deviations along both axes of the covariance, 1/6 each. A track whose place is known is asked for at that place.
     """
-    values, axes = np.linalg.eigh(tracks.covariances[:, :2, :2])
-    steps = np.sqrt(3.0 * np.maximum(values, 0.0))[:, None, :] * axes  # (N, xy, axis)
-    places = np.repeat(tracks.boxes[:, None], 5, axis=1)
-    places[:, 1:3, :2] += steps.transpose(0, 2, 1)
-    places[:, 3:5, :2] -= steps.transpose(0, 2, 1)
-    visible = view.visible(places.reshape(-1, 7)).reshape(-1, 5)
-    return np.asarray(visible @ np.array([2.0, 1.0, 1.0, 1.0, 1.0]) / 6.0)
+    covariances = tracks.covariances[:, :2, :2]
+    wide = np.flatnonzero(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > SPREAD_FROM_M**2)
+    if not len(wide):
+        return view.visible(tracks.boxes)
+    values, axes = np.linalg.eigh(covariances[wide])
+    steps = (np.sqrt(3.0 * np.maximum(values, 0.0))[:, None, :] * axes).transpose(0, 2, 1)  # (wide, axis, xy)
+    places = np.repeat(tracks.boxes[wide, None], 4, axis=1)
+    places[:, :2, :2] += steps
+    places[:, 2:, :2] -= steps
+    visible = view.visible(np.concatenate([tracks.boxes, places.reshape(-1, 7)]))
+    seen, around = visible[: len(tracks)].copy(), visible[len(tracks) :].reshape(-1, 4)
+    seen[wide] = seen[wide] / 3.0 + around.sum(axis=1) / 6.0
+    return seen
 
 
-def _center_density(tracks: TrackTable, boxes: Floats, noise: Floats) -> Floats:
+def _center_density(states: Floats, covariances: Floats, boxes: Floats, noise: Floats) -> Floats:
     """Return the density (M,) per square meter of each track's detection (M, 7) under its prediction."""
-    spread = tracks.covariances[:, :2, :2] + noise
-    off = boxes[:, :2] - tracks.states[:, :2]
-    squared = (off[:, None, :] @ np.linalg.inv(spread) @ off[:, :, None])[:, 0, 0]
-    return np.asarray(np.exp(-0.5 * squared) / (2.0 * np.pi * np.sqrt(np.linalg.det(spread))))
+    inverses, determinants = inverse(covariances[:, :2, :2] + noise)
+    off = boxes[:, :2] - states[:, :2]
+    squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
+    return np.asarray(np.exp(-0.5 * squared) / (2.0 * np.pi * np.sqrt(determinants)))
 
 
 def _first_of_doubles(boxes: Floats) -> NDArray[np.bool_]:

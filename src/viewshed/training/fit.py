@@ -143,7 +143,7 @@ _CAUGHT = "Caught "  # how torch begins what a worker raised; its last line is t
 
 
 def check_device(machines: Machines) -> None:
-    """Check that the machine has the graphics cards that are asked for."""
+    """Check that the machine has the graphics cards that were requested."""
     if machines.device == "cuda" and torch.cuda.device_count() < machines.devices:
         raise ValueError(
             f"device cuda needs {machines.devices} graphics card(s), {torch.cuda.device_count()} found; use --device "

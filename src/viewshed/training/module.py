@@ -40,7 +40,7 @@ class StepTimer:
         self.step_began = time.perf_counter()
 
     def stop(self, device: torch.device) -> None:
-        """End it: a graphics card has done what it was told."""
+        """End it: a graphics card has done its work."""
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         self.busy += time.perf_counter() - self.step_began

@@ -5,7 +5,7 @@ every frame, each with an attack of its own, are drawn once and shown in turn: e
 ``versions``. Folders are named by a hash of all that decides a sample, so that another config never reads them. A file
 holds one channel of 256 frames, so that trainings on other channels of the same frames share the rest. Files are
 memory-mapped: all loader processes share one copy in the page cache. Each is written whole or not at all and the truth
-last, so a block whose truth is there has all the channels that were asked for with it.
+last, so a block whose truth is there has all its channels.
 """
 
 from __future__ import annotations

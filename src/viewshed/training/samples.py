@@ -184,7 +184,7 @@ class TrainingFrames:
     Attributes:
         source: the clean frames.
         config: attacks, variant and seed.
-        cached: returns the sample of an epoch and a number that was drawn before; None draws each when it is asked for.
+        cached: returns the sample of an epoch and a number that was drawn before; None draws each when it is needed.
         mirrored: whether frames are turned and mirrored at random.
     """
 

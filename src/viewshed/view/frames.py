@@ -1,4 +1,4 @@
-"""One sweep of a page: its estimate, returns and integrity as few bytes, and what a reader is told in numbers.
+"""One sweep of a page: its estimate, returns and integrity as few bytes, and what a reader sees in numbers.
 
 The bytes, before they are deflated, are arrays one after the other; ``page.js`` reads them in this order:
 
@@ -25,7 +25,7 @@ from viewshed.integrity.report import IntegrityReport
 from viewshed.preprocess.leveling import LeveledSweep
 
 MAX_POINTS = 10_000
-"""Points of a sweep that are kept; the rest would not be told apart at the size of a screen."""
+"""Points of a sweep that are kept; the rest could not be distinguished at the size of a screen."""
 
 POINT_CELLS = 1024
 """Of the points in each cell of a grid of so many, over the same extent, the highest is kept: it is drawn on top."""

@@ -37,7 +37,7 @@ def write_page(path: str | Path, frames: Iterable[PackedFrame], title: str) -> i
 
     Args:
         path: of the HTML file.
-        frames: taken one by one; each is written before the next is asked for.
+        frames: taken one by one; each is written before the next is taken.
         title: of the page, any text.
 
     Raises:
@@ -84,7 +84,7 @@ def _text(name: str) -> str:
 
 
 def _settings() -> dict[str, Any]:
-    """Return what the script is told once: states with their colors by theme, and the colors of values."""
+    """Return what the script is given once: states with their colors by theme, and the colors of values."""
     maps = {"probability": _PROBABILITY_MAP, "doubt": _DOUBT_MAP, "deviation": _DOUBT_MAP, "height": _HEIGHT_MAP}
     return {
         "states": [{"name": state.name, "light": _light(state), "dark": _dark(state)} for state in CellState],

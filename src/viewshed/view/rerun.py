@@ -26,7 +26,7 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
 
     Args:
         path: of the file.
-        frames: taken one by one; each is written before the next is asked for.
+        frames: taken one by one; each is written before the next is taken.
         title: of the recording.
 
     Raises:

@@ -5,13 +5,13 @@ import pytest
 from tests.datasets.labeling.scene import MODEL, Shot
 
 from viewshed.datasets.labeling.beam_image import BeamImage, beam_image
-from viewshed.datasets.labeling.motion import AT_REST, Moment, drift_of
+from viewshed.datasets.labeling.motion import AT_REST, StampedPose, drift_of
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 
 
 def _image(drive: list[Shot], **changes: object) -> BeamImage:
-    moments = [Moment(one.sweep.world_from_sensor, one.sweep.t_ns) for one in drive[3:6]]
+    moments = [StampedPose(one.sweep.world_from_sensor, one.sweep.t_ns) for one in drive[3:6]]
     return beam_image(drive[4].sweep.replace(**changes), np.eye(3), drift_of(*moments))
 
 

@@ -212,7 +212,7 @@ def test_poses_from_a_chain_of_transforms_by_hand(tmp_path: Path, ros: Ros, writ
     np.testing.assert_allclose(_world(source, refs[0]), half, atol=1e-5)
     np.testing.assert_allclose(_world(source, refs[1]), np.column_stack([104 - x, 1 - y, z + 2]), atol=1e-5)
     assert source.read(refs[2]).world_from_sensor is None
-    assert any("1 of 3 clouds of /points lie outside the times" in line for line in source.damage())
+    assert any("1 of 3 clouds of /points lie outside the times" in line for line in source.notes())
 
 
 @KINDS
@@ -248,7 +248,7 @@ def test_missing_frames_are_named_with_those_that_exist(tmp_path: Path) -> None:
         ("/points", 1, ROS2.cloud(0, frame="velodyne")),
     ]
     source = open_source(write_ros2(tmp_path / "a", entries))
-    assert [line.split(": ", 1)[1] for line in source.damage()] == [
+    assert [line.split(": ", 1)[1] for line in source.notes()] == [
         "clouds have no pose: frame 'velodyne' hangs from none of map, odom, world, earth; "
         "frames that exist: base_link, map"
     ]
@@ -471,7 +471,7 @@ def test_empty_topics_and_bags_without_clouds(tmp_path: Path, ros: Ros, write: W
     )
     source = open_source(place)
     assert len(source.refs("a")) == 1
-    assert any("topic /none has no cloud" in line for line in source.damage())
+    assert any("topic /none has no cloud" in line for line in source.notes())
     with pytest.raises(
         ValueError, match=r"no topic has .*PointCloud2 or .* packets; topics that exist: /o \(nav_msgs/msg/Odom"
     ):
@@ -483,7 +483,7 @@ def test_unknown_types_are_left_alone_and_packets_are_named(tmp_path: Path) -> N
                                           ("/own", 3, "my_msgs/msg/Own")])  # fmt: skip
     source = open_source(content)
     assert len(source.refs("a")) == 1
-    [line] = [line for line in source.damage() if "topic" in line]
+    [line] = [line for line in source.notes() if "topic" in line]
     assert "/packets has Hesai packets (pandar_msgs/msg/PandarScan), which are not read; record PointCloud2" in line
 
 
@@ -605,7 +605,7 @@ def test_what_a_sensor_tells_twice_is_read_once(tmp_path: Path) -> None:
     source = open_source(place)
     assert [ref.sensor for ref in source.refs("a")] == ["/points"]
     for topic in ("/packets", "/scan"):
-        assert any(f"topic {topic} (" in line and "is not read beside /points" in line for line in source.damage())
+        assert any(f"topic {topic} (" in line and "is not read beside /points" in line for line in source.notes())
 
 
 def test_real_bags_of_packets_and_scans(real_data: Path) -> None:

@@ -36,6 +36,9 @@ class Half:
     def damage(self) -> tuple[str, ...]:
         return ("list.txt: row 3 is no name",)
 
+    def notes(self) -> tuple[str, ...]:
+        return ()
+
 
 def test_walking_goes_on_after_damage_and_tells_each_once() -> None:
     told: list[tuple[str, str]] = []

@@ -21,12 +21,12 @@ from tests.integrity.evidence.by_hand import (
 
 from viewshed import _core
 from viewshed.integrity.evidence import ABSTAINS, EVIDENCE, SECTORS
-from viewshed.integrity.evidence.beam_image import beam_image_of
 from viewshed.integrity.evidence.before_surface import measure_before_surface
 from viewshed.integrity.evidence.behind_surface import measure_behind_surface
 from viewshed.integrity.evidence.double_returns import measure_double_returns
 from viewshed.integrity.evidence.isolated import measure_isolated
 from viewshed.integrity.evidence.off_beam import measure_off_beam
+from viewshed.integrity.evidence.return_image import return_image_of
 
 AHEAD = sector_at(2.0)
 COLUMN = int(np.flatnonzero(columns_at(2.0, 2.6))[0])
@@ -36,7 +36,7 @@ COLUMN = int(np.flatnonzero(columns_at(2.0, 2.6))[0])
 def test_the_image_has_the_nearest_and_the_farthest_return_and_its_height() -> None:
     range_m = street()
     near = points_at(np.where(np.arange(COLUMNS) == COLUMN, 5.0, np.nan) * np.ones((RINGS, 1)))[0][12:13]
-    image = beam_image_of(monitored(sweep_of(range_m, near, ring=12)).leveled)
+    image = return_image_of(monitored(sweep_of(range_m, near, ring=12)).leveled)
     assert image is not None
     assert image.range_m.shape == (RINGS, COLUMNS)
     np.testing.assert_allclose(image.range_m[3], HEIGHT_M / -np.sin(ELEVATION[3]), atol=1e-4)
@@ -49,7 +49,7 @@ def test_the_image_has_the_nearest_and_the_farthest_return_and_its_height() -> N
 def test_rings_without_returns_are_left_out_of_the_image() -> None:
     range_m = street()
     range_m[[2, 9]] = np.nan
-    image = beam_image_of(monitored(sweep_of(range_m)).leveled)
+    image = return_image_of(monitored(sweep_of(range_m)).leveled)
     assert image is not None
     assert len(image.range_m) == RINGS - 2
 
@@ -61,7 +61,7 @@ def test_a_hole_in_a_wall_through_which_a_beam_passes() -> None:
     range_m[9, COLUMN] = FAR_M
     found = measured(measure_behind_surface, range_m)
     # The eight neighbors of the hole are not surrounded by one surface themselves.
-    image = beam_image_of(monitored(sweep_of(range_m)).leveled)
+    image = return_image_of(monitored(sweep_of(range_m)).leveled)
     assert image is not None
     holes, surrounded = _core.count_holes(image.range_m, image.sector, SECTORS)
     assert holes[AHEAD] == 1

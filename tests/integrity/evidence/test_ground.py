@@ -14,6 +14,7 @@ from tests.integrity.evidence.by_hand import (
     wall,
 )
 
+from viewshed import _core
 from viewshed.integrity.evidence import SECTORS
 from viewshed.integrity.evidence.below_ground import measure_below_ground
 from viewshed.integrity.evidence.beyond_ground import measure_beyond_ground
@@ -148,6 +149,15 @@ def test_noise_of_near_surfaces_alone() -> None:
     # The same noise at the wall at 40 m is too far away.
     far = measured(measure_near_noise, noisy(GROUND_RINGS, 16, 0.1))
     assert not np.nanmax(far) > 2.0
+
+
+def test_a_bend_without_noise_has_none() -> None:
+    """Ranges along the rings on a parabola, to the millimeter that float32 leaves of its squares."""
+    column = np.arange(-60, 60)
+    range_m = np.tile(30.0 + 0.01 * column**2, (8, 1)).astype(np.float32)
+    sector = np.zeros(column.size, np.int16)
+    noise_m = _core.measure_noise(range_m, np.ones_like(range_m), sector, 1, 1)
+    assert noise_m[2, 0, 0] == pytest.approx(0.0, abs=2e-3)
 
 
 def test_leaves_are_too_rough_to_be_noise() -> None:

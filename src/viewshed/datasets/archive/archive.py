@@ -73,7 +73,7 @@ class Archive:
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def __getitem__(self, index: int) -> Sample:
-        """Return one sample; its points are computed when they are first asked for.
+        """Return one sample; its points are computed when they are first needed.
 
         Raises:
             IndexError: there is no such frame.
@@ -100,12 +100,12 @@ class Archive:
         """Yield the samples in order.
 
         Args:
-            on_damage: is told of a shard that cannot be read and why, and the rest of that shard is left out; None
+            on_damage: is called with a shard that cannot be read and why, and the rest of that shard is left out; None
                 raises instead.
 
         Raises:
-            ValueError: a shard is damaged, and nobody is told of it.
-            OSError: a shard cannot be read, and nobody is told of it.
+            ValueError: a shard is damaged, and there is no ``on_damage``.
+            OSError: a shard cannot be read, and there is no ``on_damage``.
         """
         for facts in self.shards:
             try:
@@ -274,6 +274,10 @@ class ArchiveSource:
     def damage(self) -> tuple[str, ...]:
         """Return one line for each shard that could not be read so far."""
         return tuple(self._damage)
+
+    def notes(self) -> tuple[str, ...]:
+        """Return nothing: an archive lacks nothing."""
+        return ()
 
 
 Arrays = dict[str, NDArray[Any]]

@@ -105,6 +105,8 @@ def text_of_model(model: LidarModel) -> str:
     """Return a beam table as one line of JSON, angles in radians; equal tables give equal text."""
     table: dict[str, Any] = {key: getattr(model, key) for key in _SINGLES}
     table |= {key: getattr(model, key).tolist() for key in _LISTS}
+    if not model.fires_rings:
+        table["fires_rings"] = False
     return json.dumps(table, sort_keys=True, ensure_ascii=False)
 
 
@@ -116,7 +118,9 @@ def model_of_text(text: str) -> LidarModel:
         return shipped
     try:
         table = json.loads(text)
-        return LidarModel(**{key: table[key] for key in (*_SINGLES, *_LISTS)})
+        return LidarModel(
+            **{key: table[key] for key in (*_SINGLES, *_LISTS)}, fires_rings=table.get("fires_rings", True)
+        )
     except (KeyError, TypeError) as error:
         raise ValueError(f"a beam table must have the keys {', '.join((*_SINGLES, *_LISTS))}: {error}") from error
 

@@ -123,7 +123,7 @@ class Shard:
                 raise ValueError(f"a row group must hold one frame, got {rows} rows in {len(self)}")
 
     def sample(self, index: int) -> Sample:
-        """Return the sample with this number; its points are computed when they are first asked for."""
+        """Return the sample with this number; its points are computed when they are first needed."""
         with reading(self.name):
             batch = self._file.read_row_group(index, use_threads=False)
             about, *blobs = (batch.column(name)[0] for name in ("about", *BLOBS))

@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_edt
 from viewshed.datasets.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
 from viewshed.datasets.labeling.beam_image import BeamImage, beam_image
 from viewshed.datasets.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
-from viewshed.datasets.labeling.motion import Drift, Moment, drift_of, well_spaced
+from viewshed.datasets.labeling.motion import Drift, StampedPose, drift_of, well_spaced
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
@@ -232,7 +232,7 @@ class Track(Generic[R]):
     sweep_of: Callable[[R], Sweep]
     refs: Sequence[R]
     rules: Rules
-    moments: Sequence[Moment | None]
+    moments: Sequence[StampedPose | None]
     lows: dict[int, Lows]
 
     @classmethod
@@ -242,15 +242,15 @@ class Track(Generic[R]):
         """Return the track of ``refs``, looked through as far as the labels of those in ``span`` (all) need it."""
         first, last = (0, len(refs)) if span is None else span
         ahead = READ_AHEAD * rules.neighbors
-        moments: list[Moment | None] = [None] * len(refs)
+        moments: list[StampedPose | None] = [None] * len(refs)
         lows: dict[int, Lows] = {}
-        last_post: Moment | None = None
+        last_post: StampedPose | None = None
         for index in range(max(first - ahead, 0), min(last + ahead, len(refs))):
             try:
                 sweep = sweep_of(refs[index])
             except (ValueError, OSError):  # reported when it is labeled
                 continue
-            moment = Moment(sweep.world_from_sensor, sweep.t_ns)
+            moment = StampedPose(sweep.world_from_sensor, sweep.t_ns)
             moments[index] = moment
             helps = well_spaced([last_post, moment], SPACING * rules.grid.half_extent_m)
             if rules.neighbors and helps and helps[-1] == 1:
@@ -266,7 +266,7 @@ class Track(Generic[R]):
             OSError: it cannot be read.
         """
         sweep = self.sweep_of(self.refs[index])
-        moment = Moment(sweep.world_from_sensor, sweep.t_ns)
+        moment = StampedPose(sweep.world_from_sensor, sweep.t_ns)
         before = self.moments[index - 1] if index else None
         after = self.moments[index + 1] if index + 1 < len(self.refs) else None
         near = [] if moment.world_from_sensor is None else self._helpers(index)

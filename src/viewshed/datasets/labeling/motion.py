@@ -37,7 +37,7 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class StampedPose:
     """Where a sensor was, and when.
 
     Attributes:
@@ -48,11 +48,11 @@ class Moment:
     world_from_sensor: Rigid | None
     t_ns: int | None
 
-    def seconds_to(self, other: Moment) -> float:
+    def seconds_to(self, other: StampedPose) -> float:
         """Return the seconds from this moment to another; 0 where a time is not known."""
         return 0.0 if self.t_ns is None or other.t_ns is None else (other.t_ns - self.t_ns) * 1e-9
 
-    def meters_to(self, other: Moment) -> float:
+    def meters_to(self, other: StampedPose) -> float:
         """Return the meters to another; infinite where a pose is not known."""
         if self.world_from_sensor is None or other.world_from_sensor is None:
             return float("inf")
@@ -63,12 +63,12 @@ AT_REST = Drift(np.zeros(3), 0.0)
 """No motion, or none that is known."""
 
 
-def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
+def drift_of(before: StampedPose | None, now: StampedPose, after: StampedPose | None) -> Drift:
     """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known.
 
     >>> pose = Rigid.from_yaw(np.pi / 2)
-    >>> later = Moment(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
-    >>> drift_of(None, Moment(pose, 0), later).velocity_mps.round(6).tolist()
+    >>> later = StampedPose(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
+    >>> drift_of(None, StampedPose(pose, 0), later).velocity_mps.round(6).tolist()
     [20.0, 0.0, 0.0]
     """
     posed = [one for one in (before, now, after) if one is not None and one.world_from_sensor is not None]
@@ -84,21 +84,21 @@ def drift_of(before: Moment | None, now: Moment, after: Moment | None) -> Drift:
     return Drift(velocity @ Rigid.from_yaw(pose.yaw).rotation, turned / seconds)
 
 
-def _reachable(one: Moment, other: Moment) -> bool:
+def _reachable(one: StampedPose, other: StampedPose) -> bool:
     return one.meters_to(other) <= MAX_SPEED_MPS * max(abs(one.seconds_to(other)), _SHORT_S)
 
 
-def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]:
+def well_spaced(moments: Sequence[StampedPose | None], spacing_m: float) -> list[int]:
     """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
 
     Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
 
-    >>> at = [Moment(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
+    >>> at = [StampedPose(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
     >>> well_spaced(at, 2.0)
     [0, 2, 4]
     """
     posts: list[int] = []
-    last: Moment | None = None
+    last: StampedPose | None = None
     for place, moment in enumerate(moments):
         if moment is None or moment.world_from_sensor is None:
             continue
@@ -108,5 +108,5 @@ def well_spaced(moments: Sequence[Moment | None], spacing_m: float) -> list[int]
     return posts
 
 
-def _apart(one: Moment, other: Moment, spacing_m: float) -> bool:
+def _apart(one: StampedPose, other: StampedPose, spacing_m: float) -> bool:
     return one.meters_to(other) >= spacing_m or one.seconds_to(other) >= POST_S

@@ -127,7 +127,7 @@ def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob
     """Return the shards of a recording's labels, in order, and one line for each thing that is damaged."""
     source = opened(origin)
     jobs: list[LabelJob] = []
-    problems = list(source.damage())
+    problems = [*source.damage(), *source.notes()]  # a label needs poses, and all that was measured
     for number, scene in enumerate(source.scenes()):
         try:
             refs = source.refs(scene)

@@ -78,10 +78,14 @@ def drive_sweeps(plan: ScenePlan) -> Iterator[tuple[Sweep, DriveTruth]]:
         if number == 0:
             objects = tuple(object_at(world, k, t_s, *boxes[k]) for k in movable)
         scan, stored = scan_frame(plan, frame)
-        returns = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
-        seen = tuple(each for each in objects if returns[each.number] >= SEEN_RETURNS and each.number != agent.carrier)
+        by_thing = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
+        returns = by_thing[movable].astype(np.int32)
+        seen = tuple(
+            each for each, count in zip(objects, returns, strict=True)
+            if count >= SEEN_RETURNS and each.number != agent.carrier
+        )  # fmt: skip
         pose, velocity_mps = _carrier(world, agent, t_s)
-        yield stored.sweep(), DriveTruth(mounts, objects, seen, pose, velocity_mps)
+        yield stored.sweep(), DriveTruth(mounts, objects, returns, seen, agent.carrier, pose, velocity_mps)
 
 
 def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.float64]]:

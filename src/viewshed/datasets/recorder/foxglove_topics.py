@@ -181,7 +181,7 @@ def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Mo
 
     Args:
         port: of the server; 0 takes one that is free.
-        host: where it listens; the own machine alone unless told.
+        host: where it listens; the own machine alone if not given.
 
     Raises:
         ImportError: foxglove-sdk is not installed.

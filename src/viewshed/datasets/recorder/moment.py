@@ -53,14 +53,18 @@ class DriveTruth:
     Attributes:
         mounts: how the sensor of each agent of the drive is mounted, ``carrier_from_sensor``; None on a mast.
         objects: all objects at the time of the sweep.
-        seen: those of ``objects`` that gave the agent's sensor at least five returns.
+        returns: (K,) int32 how many returns each of ``objects`` gave the agent's sensor.
+        seen: those of ``objects`` that gave it at least five, without its own carrier.
+        carrier: number of the object that carries the sensor; None for a mast.
         world_from_carrier: pose of the vehicle that carries the sensor; of a sensor on a mast its own.
         velocity_mps: (3,) of the carrier, in its own frame.
     """
 
     mounts: Mapping[str, Rigid | None]
     objects: tuple[ObjectTruth, ...]
+    returns: NDArray[np.int32]
     seen: tuple[ObjectTruth, ...]
+    carrier: int | None
     world_from_carrier: Rigid
     velocity_mps: NDArray[np.float64]
 
@@ -84,7 +88,7 @@ class Moment:
         sweep: as it was read.
         answer: what the pipeline made of it.
         truth: of a simulated drive.
-        is_live: whether the latency is told; a recording made as fast as possible has no clock in it.
+        is_live: whether the latency is written; a recording made as fast as possible has no clock in it.
     """
 
     agent: str

@@ -35,6 +35,19 @@ _COLUMNS = (
 """Columns of a sweep, their types, and their fields in a cloud."""
 
 
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A message that is bytes already.
+
+    Attributes:
+        __msgtype__: its type, as rosbags' messages name it.
+        raw: its bytes.
+    """
+
+    __msgtype__: str
+    raw: bytes
+
+
 class RosMessages:
     """Makes and encodes messages of ROS 1 (Noetic) or ROS 2 (Humble).
 
@@ -49,9 +62,12 @@ class RosMessages:
         if TF not in self.store.types:
             self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
         self._ros1 = ros1
+        self._fields: dict[str, dict[str, Any]] = {}
 
     def encode(self, message: Any) -> bytes:
         """Return the bytes of a message."""
+        if isinstance(message, Encoded):
+            return message.raw
         serialize = self.store.serialize_ros1 if self._ros1 else self.store.serialize_cdr
         return bytes(serialize(message, message.__msgtype__))
 
@@ -61,7 +77,9 @@ class RosMessages:
 
     def make(self, kind: str, **given: Any) -> Any:
         """Return a message; the fields that are not given are zero or empty."""
-        fields = dict(self.store.get_msgdef(kind).fields)
+        fields = self._fields.get(kind)
+        if fields is None:
+            fields = self._fields[kind] = dict(self.store.get_msgdef(kind).fields)
         values = {name: given.pop(name) if name in given else self._empty(form) for name, form in fields.items()}
         if given:
             raise TypeError(f"{kind} has no field {', '.join(given)}")
@@ -123,12 +141,13 @@ class RosMessages:
         )  # fmt: skip
         return self.make(GRID, header=header, info=info, data=np.ascontiguousarray(layer.T).ravel())
 
-    def polygon(self, corners: NDArray[np.float64], t_ns: int, frame: str) -> Any:
-        """Return corners (V, 2) as a polygon."""
-        point = self.store.types["geometry_msgs/msg/Point32"]
-        points = [point(x, y, 0.0) for x, y in corners.tolist()]
-        ring = self.make("geometry_msgs/msg/Polygon", points=points)
-        return self.make(POLYGON, header=self.header(t_ns, frame), polygon=ring)
+    def polygon(self, corners: NDArray[np.float64], t_ns: int, frame: str) -> Encoded:
+        """Return corners (V, 2) as a polygon: a thousand points one by one would take longer than all else."""
+        empty = self.encode(self.make(POLYGON, header=self.header(t_ns, frame)))
+        # The points come last: their number, then x, y, z of each.
+        points = np.zeros((len(corners), 3), "<f4")
+        points[:, :2] = corners
+        return Encoded(POLYGON, empty[:-4] + len(points).to_bytes(4, "little") + points.tobytes())
 
     def transforms(self, transforms: list[Transform], t_ns: int) -> Any:
         """Return transforms."""
@@ -215,8 +234,8 @@ class Topic:
     Attributes:
         name: with ``{agent}`` where each agent has its own.
         make: the message of a moment, or None where it has none.
-        latched: told once, and again to whoever comes later.
-        per_time: told once for all agents of a time.
+        latched: written once; subscribers that join later receive it as well.
+        per_time: written once for all agents of a time.
     """
 
     name: str
@@ -281,7 +300,7 @@ def ros_name(name: str) -> str:
 
 
 class RosTable:
-    """The messages of moments, in the order of :data:`TOPICS`; what is told once is told once."""
+    """The messages of moments, in the order of :data:`TOPICS`; each latched message once."""
 
     def __init__(self, *, ros1: bool) -> None:
         self.messages = RosMessages(ros1=ros1)

@@ -29,12 +29,13 @@ SOURCES: dict[str, SourceKind] = {
 """Name → how to recognize and open it; the first that fits is taken."""
 
 
-def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSource:
+def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str | None = None) -> SweepSource:
     """Return the recording at a place on disk; whatever its readers raise is one line that names a file of it.
 
     Args:
         place: the folder (or file) as the recording's makers hand it out.
         kind: a name in :data:`SOURCES`, or "auto" to know it by its layout.
+        topic: of a bag, whose messages are read; None is all of the preferred type.
 
     Raises:
         ValueError: there is no such kind, the layout is not known, or the recording is damaged.
@@ -47,6 +48,10 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto") -> SweepSourc
         problem = "its links lead in a circle" if path.is_symlink() else "no such folder"
         raise FileNotFoundError(f"{path}: {problem}")
     with errors_named(path, path.parent):
+        if topic is not None:
+            if not SOURCES["bag"].fits(path):
+                raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")
+            return RecordingSource(path, rosbag.BagRecording.open(path, topic))
         for known in SOURCES.values() if kind == "auto" else (SOURCES[kind],):
             if kind != "auto" or known.fits(path):
                 reader = known.open(path)

@@ -298,6 +298,7 @@ class CarlaRecording:
     def __init__(self, scenes: Mapping[str, _Scene], problems: Sequence[str]) -> None:
         self._scenes = scenes
         self.problems = problems
+        self.notes = ()
         self.scenes = {name: _refs_of(name, scene) for name, scene in scenes.items()}
 
     @classmethod

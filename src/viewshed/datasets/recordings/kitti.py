@@ -29,6 +29,7 @@ class _Kitti:
         self.root = root
         self.scenes: dict[str, tuple[SweepRef, ...]] = {}
         self.problems: list[str] = []
+        self.notes = ()
         self._tracks: dict[str, PoseTrack] = {}
 
     def read(self, ref: SweepRef) -> Sweep:
@@ -74,7 +75,7 @@ class KittiRaw(_Kitti):
     """Drives of KITTI raw (synchronized and rectified): a drive, a date with its drives, or the folder of the dates.
 
     The world of a drive is east, north, up from where its first pose was recorded. The damage of tracklets joins that
-    of the recording when boxes of their drive are first asked for.
+    of the recording when boxes of their drive are first needed.
     """
 
     def __init__(self, place: Path) -> None:

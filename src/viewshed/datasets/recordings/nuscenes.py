@@ -26,6 +26,7 @@ class Nuscenes:
 
     def __init__(self, folder: Path) -> None:
         self.problems: list[str] = []
+        self.notes = ()
         self._folder = folder
         self._tables = Tables.read(folder, self.problems)
         self._annotations: Annotations | None = None

@@ -45,6 +45,7 @@ class Opv2v:
     def __init__(self, scenarios: Mapping[str, _Scenario], problems: Sequence[str]) -> None:
         self._scenarios = scenarios
         self.problems = problems
+        self.notes = ()
         self.scenes = {name: _refs_of(name, scenario) for name, scenario in scenarios.items()}
 
     @classmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -90,6 +91,7 @@ class _Contents:
     odometry: dict[str, list[Any]] = field(default_factory=dict)
     worlds: list[str] = field(default_factory=lambda: list(WORLDS))
     metadata: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +107,7 @@ class Bag:
         encoding: how its messages are written, ``cdr`` or ``ros1``.
         kinds: type of the messages of each topic with sweeps.
         metadata: of each topic with Ouster packets.
+        notes: what it lacks, and which topics are not read.
     """
 
     root: Path
@@ -115,10 +118,19 @@ class Bag:
     encoding: str
     kinds: Mapping[str, str]
     metadata: Mapping[str, str]
+    notes: tuple[str, ...] = ()
 
 
-def scan_bag(root: Path, scene: str, path: Path, damage: list[str]) -> Bag | None:
-    """Return what a bag holds, or None where it has no clouds; what is wrong is added to ``damage``."""
+def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str | None = None) -> Bag | None:
+    """Return what a bag holds, or None where it has no clouds; what is wrong is added to ``damage``.
+
+    Args:
+        root: the recording that it belongs to.
+        scene: its name there.
+        path: where it lies.
+        damage: lines are added to it.
+        topic: whose messages are read; None is all of the preferred type.
+    """
     try:
         file = open_bag(root, path)
     except (ValueError, OSError) as error:
@@ -138,7 +150,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str]) -> Bag | Non
     finally:
         types = file.types
         file.close()
-    _note_topics(types, contents, damage)
+    _note_topics(types, contents, damage, topic)
     return _bag_of(root, scene, path, contents, encoding, damage) if contents.clouds else None
 
 
@@ -251,23 +263,36 @@ def _packet_of(raw: bytes, encoding: str) -> bytes:
     return raw[start : start + int.from_bytes(raw[start - 4 : start], order)]
 
 
-def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str]) -> None:
-    """Keep the preferred messages, and say which topics are not read."""
+def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], wanted: str | None) -> None:
+    """Keep the messages of the topic that is wanted, else the preferred ones, and say which topics are not read."""
+    if wanted is not None:
+        _keep_topic(contents, wanted, damage)
+        return
     held = {cloud.kind for cloud in contents.clouds}
     preferred = next((kinds for kinds in RETURNS if held & set(kinds)), ())
     contents.clouds = [cloud for cloud in contents.clouds if cloud.kind in preferred]
     with_clouds = {cloud.topic for cloud in contents.clouds}
     for topic, kind in sorted(types.items()):
         if kind in UNREAD:
-            note_damage(damage, f"topic {topic} has {UNREAD[kind]} ({kind}), which are not read; record PointCloud2")
+            line = f"topic {topic} has {UNREAD[kind]} ({kind}), which are not read; record PointCloud2"
+            note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
-            note_damage(damage, f"topic {topic} has no cloud")
+            note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
         elif preferred and kind in (VELODYNE, SCAN) and topic not in with_clouds:
-            note_damage(damage, f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}")
+            line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
+            note_damage(contents.notes, line)
     if not with_clouds and CLOUD not in types.values():
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
         wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, Velodyne or Ouster packets"
         note_damage(damage, f"no topic has {wanted}; topics that exist: {topics}")
+
+
+def _keep_topic(contents: _Contents, wanted: str, damage: list[str]) -> None:
+    topics = Counter(cloud.topic for cloud in contents.clouds)
+    contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
+    if not contents.clouds:
+        known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
+        note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
 
 
 def _add_odometry(contents: _Contents, damage: list[str]) -> None:
@@ -297,7 +322,7 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
                  cloud.topic, key=cloud.where)
         for index, cloud in enumerate(clouds)
     )  # fmt: skip
-    worlds = {frame: _world(contents, frame, damage) for frame in dict.fromkeys(cloud.frame for cloud in clouds)}
+    worlds = {frame: _world(contents, frame) for frame in dict.fromkeys(cloud.frame for cloud in clouds)}
     poses = tuple(
         None if (world := worlds[cloud.frame]) is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
         for cloud in clouds
@@ -306,18 +331,18 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
         if at.count(None):
             problem = "lie outside the times of the transforms and have no pose"
-            note_damage(damage, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
+            note_damage(contents.notes, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
     heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
     kinds = {cloud.topic: cloud.kind for cloud in clouds}
     metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
-    return Bag(root, path, refs, poses, heights_m, encoding, kinds, metadata)
+    return Bag(root, path, refs, poses, heights_m, encoding, kinds, metadata, tuple(contents.notes))
 
 
-def _world(contents: _Contents, frame: str, damage: list[str]) -> str | None:
+def _world(contents: _Contents, frame: str) -> str | None:
     try:
         return contents.transforms.world_of(frame, contents.worlds)
     except ValueError as error:
-        note_damage(damage, f"clouds have no pose: {error}")
+        note_damage(contents.notes, f"clouds have no pose: {error}")
         return None
 
 
@@ -348,13 +373,14 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
 class BagRecording:
     """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
-    One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when asked for.
+    One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
     """
 
     def __init__(self, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
         self._bags = bags
         self.problems = problems
         self.scenes = {name: bag.refs for name, bag in bags.items()}
+        self.notes = tuple(dict.fromkeys(f"{bag.path}: {line}" for bag in bags.values() for line in bag.notes))
         self._open: dict[str, BagFile] = {}
         self._process = os.getpid()
 
@@ -362,8 +388,8 @@ class BagRecording:
         return BagRecording, (self._bags, self.problems)
 
     @classmethod
-    def open(cls, place: Path) -> BagRecording:
-        """Return the bags at a place; where none has a cloud, an error of one line that says why."""
+    def open(cls, place: Path, topic: str | None = None) -> BagRecording:
+        """Return the bags at a place; where none has a cloud (of the topic), an error of one line that says why."""
         decoder("cdr")
         root = place if place.is_dir() else place.parent
         damage: dict[str, None] = {}
@@ -371,7 +397,7 @@ class BagRecording:
         for path in bags_in(place) or [place]:
             problems: list[str] = []
             scene = path.stem if path.stem not in bags else path.name
-            bag = scan_bag(root, scene, path, problems)
+            bag = scan_bag(root, scene, path, problems, topic)
             damage |= dict.fromkeys(f"{path}: {line}" for line in problems)
             if bag is not None:
                 bags[scene] = bag

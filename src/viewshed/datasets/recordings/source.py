@@ -119,6 +119,10 @@ class SweepSource(Protocol):
         """Return one line for each thing that was found wrong on opening and that no ref stands for."""
         ...
 
+    def notes(self) -> tuple[str, ...]:
+        """Return one line for each thing that the recording lacks, or that is not read, without being damaged."""
+        ...
+
 
 class SweepReader(Protocol):
     """What one layout says of a recording that :class:`RecordingSource` has opened; errors may be of any type."""
@@ -131,6 +135,11 @@ class SweepReader(Protocol):
     @property
     def problems(self) -> Sequence[str]:
         """The lines of :meth:`SweepSource.damage`; reading may add to them."""
+        ...
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """The lines of :meth:`SweepSource.notes`."""
         ...
 
     def read(self, ref: SweepRef) -> Sweep:
@@ -201,6 +210,10 @@ class RecordingSource:
         """Return one line for each thing that was found wrong so far and that no ref stands for."""
         return tuple(self.reader.problems)
 
+    def notes(self) -> tuple[str, ...]:
+        """Return one line for each thing that the recording lacks, or that is not read."""
+        return tuple(self.reader.notes)
+
     def _check(self, ref: SweepRef) -> None:
         refs = self.refs(ref.scene)
         if not 0 <= ref.index < len(refs) or (refs[ref.index].file, refs[ref.index].key) != (ref.file, ref.key):
@@ -269,6 +282,7 @@ class _Index:
     def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
         self._drives = drives
         self.problems = ()
+        self.notes = ()
         self.scenes = {
             scene: [SweepRef(scene, k, str(entry.file), _t_ns(entry), key=str(k)) for k, entry in enumerate(entries)]
             for scene, entries in drives.items()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep, damped_share
-from viewshed.integrity.evidence.beam_image import beam_image_of
+from viewshed.integrity.evidence.return_image import return_image_of
 
 _FEW = 30
 """Pixels that draw a share toward 0."""
@@ -17,7 +17,7 @@ _FEW = 30
 
 def measure_before_surface(monitored: MonitoredSweep) -> Floats:
     """Return the share (SECTORS,) of pixels before their neighbors and in line; abstains without rings."""
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     if image is None:
         return ABSTAINS
     return damped_share(*_core.count_specks(image.range_m, image.sector, SECTORS), _FEW)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
-from viewshed.integrity.evidence.beam_image import beam_image_of
+from viewshed.integrity.evidence.return_image import return_image_of
 
 
 def measure_common_steps(monitored: MonitoredSweep) -> Floats:
     """Return the largest common step of the ground rings against its spread (SECTORS,); abstains without rings."""
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     if image is None:
         return ABSTAINS
     return _core.measure_steps(image.range_m, image.height_m, image.sector, SECTORS)

@@ -11,7 +11,7 @@ import numpy as np
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep, damped_share
-from viewshed.integrity.evidence.beam_image import beam_image_of
+from viewshed.integrity.evidence.return_image import return_image_of
 
 _FEW = 30
 """Pixels that draw a share toward 0."""
@@ -19,7 +19,7 @@ _FEW = 30
 
 def measure_double_returns(monitored: MonitoredSweep) -> Floats:
     """Return the share (SECTORS,) of pixels with two returns above the sweep's median; abstains without beams."""
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     known = monitored.leveled.range_image
     if image is None or known is None or not known.pixels_are_beams:
         return ABSTAINS

@@ -10,12 +10,12 @@ import numpy as np
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
-from viewshed.integrity.evidence.beam_image import beam_image_of
+from viewshed.integrity.evidence.return_image import return_image_of
 
 
 def measure_empty_runs(monitored: MonitoredSweep) -> Floats:
     """Return the longest run of empty columns through each sector (SECTORS,) in degrees; abstains without rings."""
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     if image is None:
         return ABSTAINS
     return np.rad2deg(_core.measure_empty_runs(image.range_m, image.sector, SECTORS))

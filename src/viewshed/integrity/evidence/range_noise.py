@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
-from viewshed.integrity.evidence.beam_image import BeamImage, beam_image_of
+from viewshed.integrity.evidence.return_image import ReturnImage, return_image_of
 
 _BANDS = 8
 """Bands of rings, each with its own quartile."""
@@ -31,7 +31,7 @@ _FLOOR_M = 0.01
 
 def measure_ground_noise(monitored: MonitoredSweep) -> Floats:
     """Return the noise of ground returns (SECTORS,) against that all around; NaN for too few, or without rings."""
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     if image is None:
         return ABSTAINS
     noise_m = _noise_of(image)[0]
@@ -49,7 +49,7 @@ def measure_surface_noise(monitored: MonitoredSweep) -> Floats:
 
 
 def _against_smoothest(monitored: MonitoredSweep, kind: int) -> Floats:
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     if image is None:
         return ABSTAINS
     noise_m = _noise_of(image)[kind]
@@ -59,7 +59,7 @@ def _against_smoothest(monitored: MonitoredSweep, kind: int) -> Floats:
 
 
 @lru_cache(maxsize=2)
-def _noise_of(image: BeamImage) -> Floats:
+def _noise_of(image: ReturnImage) -> Floats:
     """Return the noise in meters (3, SECTORS, _BANDS) of ground, near and all; NaN where too few or too rough."""
     noise_m = _core.measure_noise(image.range_m, image.height_m, image.sector, SECTORS, _BANDS)
     return np.where(noise_m < _MOST_M, noise_m, np.nan).astype(np.float32)

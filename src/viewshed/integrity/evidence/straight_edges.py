@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from viewshed import _core
 from viewshed.integrity.evidence.base import ABSTAINS, SECTORS, Floats, MonitoredSweep
-from viewshed.integrity.evidence.beam_image import beam_image_of
+from viewshed.integrity.evidence.return_image import return_image_of
 
 
 def measure_straight_edges(monitored: MonitoredSweep) -> Floats:
     """Return the largest share of rings that jump at one column of each sector (SECTORS,); abstains without rings."""
-    image = beam_image_of(monitored.leveled)
+    image = return_image_of(monitored.leveled)
     if image is None:
         return ABSTAINS
     return _core.measure_breaks(image.range_m, image.sector, SECTORS)

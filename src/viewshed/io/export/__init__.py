@@ -13,10 +13,12 @@ from typing import Any
 
 from viewshed._files import write_atomic
 from viewshed.fov.estimate import FovEstimate
-from viewshed.io.export import cpm, geojson, osi, ros
+from viewshed.io.export import cpm, geojson, geotiff, nav2, osi, ros
 from viewshed.io.export import npz as archive
 from viewshed.io.export.cpm import claimed_by_cpm, to_cpm
+from viewshed.io.export.crs import crs_of
 from viewshed.io.export.geojson import fov_from_geojson, to_geojson
+from viewshed.io.export.geotiff import to_geotiff
 from viewshed.io.export.npz import read_npz, to_npz, write_npz
 from viewshed.io.export.osi import polygons_of_osi, to_osi
 from viewshed.io.export.ros import (
@@ -29,8 +31,8 @@ from viewshed.io.export.ros import (
 
 __all__ = [
     "EXPORTERS", "Exporter", "claimed_by_cpm", "format_of_path", "fov_from_geojson", "fov_from_grid_map",
-    "fov_from_occupancy_grid", "polygons_of_osi", "read_npz", "to_cpm", "to_geojson", "to_grid_map", "to_npz",
-    "to_occupancy_grid", "to_occupancy_grids", "to_osi", "write_export", "write_npz",
+    "fov_from_occupancy_grid", "polygons_of_osi", "read_npz", "to_cpm", "to_geojson", "to_geotiff", "to_grid_map",
+    "to_npz", "to_occupancy_grid", "to_occupancy_grids", "to_osi", "write_export", "write_npz",
 ]  # fmt: skip
 
 
@@ -42,20 +44,49 @@ class Exporter:
         function: estimate to a JSON-serializable dictionary, or to bytes.
         suffix: usual end of a file's name.
         states: how the four cell states map.
+        in_crs: the same with the name of the reference system of the world frame; None where the format has none.
+        image: picture that lies beside a YAML file, which begins with its name; None where there is none.
     """
 
     function: Callable[[FovEstimate], dict[str, Any] | bytes]
     suffix: str
     states: str
+    in_crs: Callable[[FovEstimate, str], dict[str, Any] | bytes] | None = None
+    image: Callable[[FovEstimate], bytes] | None = None
 
-    def encode(self, estimate: FovEstimate) -> bytes:
-        """Return the content of the file."""
-        made = self.function(estimate)
-        return made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()
+    def check_crs(self, crs: str | None) -> None:
+        """Check that the format can lie in a reference system.
+
+        Raises:
+            ValueError: it has none, or the system is not known.
+        """
+        if crs is None:
+            return
+        if self.in_crs is None:
+            placed = [known for known, exporter in EXPORTERS.items() if exporter.in_crs is not None]
+            raise ValueError(f"crs goes with {' and '.join(placed)}, got {crs!r} for {self.suffix}; leave it out")
+        crs_of(crs)
+
+    def files(self, estimate: FovEstimate, name: str, crs: str | None = None) -> dict[str, bytes]:
+        """Return file name → content: what belongs beside the file ``name``, and last this file itself.
+
+        Raises:
+            ValueError: a reference system is named for a format without one, or the estimate has no pose in it.
+        """
+        self.check_crs(crs)
+        made = self.function(estimate) if crs is None or self.in_crs is None else self.in_crs(estimate, crs)
+        content = made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()
+        if self.image is None:
+            return {name: content}
+        picture = name.removesuffix(".yaml") + ".pgm"
+        return {picture: self.image(estimate), name: f"image: {json.dumps(picture)}\n".encode() + content}
 
 
 EXPORTERS: dict[str, Exporter] = {
-    "geojson": Exporter(to_geojson, ".geojson", geojson.STATES),
+    "geojson": Exporter(to_geojson, ".geojson", geojson.STATES, lambda estimate, crs: to_geojson(estimate, crs=crs)),
+    "geotiff": Exporter(to_geotiff, ".tif", geotiff.STATES, to_geotiff),
+    "nav2_map": Exporter(nav2.map_yaml, ".nav2_map.yaml", nav2.MAP_STATES, image=nav2.map_image),
+    "nav2_mask": Exporter(nav2.mask_yaml, ".nav2_mask.yaml", nav2.MASK_STATES, image=nav2.mask_image),
     "occupancy_grid": Exporter(to_occupancy_grids, ".occupancy_grid.json", ros.OCCUPANCY_STATES),
     "grid_map": Exporter(to_grid_map, ".grid_map.json", ros.GRID_MAP_STATES),
     "osi": Exporter(to_osi, ".osi.json", osi.STATES),
@@ -81,8 +112,14 @@ def format_of_path(path: str | Path) -> str:
     raise ValueError(f"{path} must end in {suffixes}, or .png for a picture; the suffix chooses the format")
 
 
-def write_export(estimate: FovEstimate, name: str, path: str | Path) -> None:
-    """Write the estimate in the format ``name`` to ``path``, at once or not at all.
+def write_export(estimate: FovEstimate, name: str, path: str | Path, *, crs: str | None = None) -> None:
+    """Write the estimate in the format ``name`` to ``path``, at once or not at all; nav2's picture beside it.
+
+    Args:
+        estimate: what to write.
+        name: of :data:`EXPORTERS`.
+        path: the file.
+        crs: reference system of the world frame (``EPSG:25832``), for GeoJSON and GeoTIFF in a map.
 
     Raises:
         ValueError: no format has this name; the message lists those that exist.
@@ -90,4 +127,6 @@ def write_export(estimate: FovEstimate, name: str, path: str | Path) -> None:
     """
     if name not in EXPORTERS:
         raise ValueError(f"format must be one of {', '.join(EXPORTERS)}, got {name!r}")
-    write_atomic(path, EXPORTERS[name].encode(estimate))
+    place = Path(path)
+    for file, content in EXPORTERS[name].files(estimate, place.name, crs).items():
+        write_atomic(place.with_name(file), content)

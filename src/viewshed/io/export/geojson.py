@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import asdict, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
 
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import mask_of_polygon, polygon_of_mask
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.io.export.crs import crs_named, from_wgs84, to_wgs84
+
+if TYPE_CHECKING:
+    from rasterio.crs import CRS
 
 STATES = (
     "one MultiPolygon each: `free`, `surface`, `hidden`, `unknown`; and `visible`, the cells at or above the threshold"
@@ -22,24 +27,44 @@ _BASIS = tuple(field.name for field in fields(Basis))
 """Properties of each feature that say what the estimate rests on; absent where that is not known."""
 
 
-def to_geojson(estimate: FovEstimate, threshold: float | None = None) -> dict[str, Any]:
+LOCAL_CRS = 'LOCAL_CS["{frame} frame of viewshed",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+"""Of coordinates that lie in no map: without it, GIS programs take meters for longitude and latitude."""
+
+
+def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: str | None = None) -> dict[str, Any]:
     """Return a GeoJSON FeatureCollection (dict) of five MultiPolygons: ``visible`` and the four cell states.
 
-    Coordinates are meters, **not** the WGS84 degrees of RFC 7946: of the ``world`` frame where the estimate has a pose
-    (its x, y and yaw; ``level`` is upright, so nothing else is left), else of ``level``. The member ``viewshed:frame``
-    says which. The four states tile the grid; ``visible`` overlaps them. Each feature's properties also say what the
-    estimate rests on, by the names of :class:`Basis`.
+    With ``crs``, coordinates are longitude and latitude in degrees (RFC 7946). Without, they are meters: of the
+    ``world`` frame where the estimate has a pose (its x, y and yaw; ``level`` is upright, so nothing else is left),
+    else of ``level``; the member ``crs`` then names a local system, so that programs do not take them for degrees. The
+    member ``viewshed:frame`` says which. The four states tile the grid; ``visible`` overlaps them. Each feature's
+    properties also say what the estimate rests on, by the names of :class:`Basis`.
+
+    Args:
+        estimate: what to export.
+        threshold: probability from which a cell counts as visible; None is the estimate's own.
+        crs: reference system of the world frame, as ``EPSG:25832``, in meters.
+
+    Raises:
+        ValueError: the estimate has no pose in the reference system, or this is not known or not in meters.
+        ImportError: a reference system is named, and rasterio is not installed.
     """
     threshold = estimate.threshold if threshold is None else threshold
     pose = estimate.world_from_level
+    system = None if crs is None else crs_named(crs, pose)
     masks = {"visible": estimate.visible(threshold)}
     masks |= {state.name.lower(): estimate.state == state for state in CellState}
+    frame = "level" if pose is None else "world"
+    unit = f"meters in {frame} frame, not WGS84" if crs is None else "degrees, WGS84"
+    local = {"crs": {"type": "name", "properties": {"name": LOCAL_CRS.format(frame=frame)}}}
     return {
         "type": "FeatureCollection",
+        **(local if crs is None else {}),
         "viewshed:frame": {
-            "name": "level" if pose is None else "world",
-            "coordinates": f"meters in {'level' if pose is None else 'world'} frame, not WGS84",
+            "name": frame,
+            "coordinates": unit,
             "axes": "x forward, y left of the sensor" if pose is None else "x and y of the map",
+            "crs": crs,
             "world_from_level": None if pose is None else pose.as_matrix().tolist(),
         },
         "viewshed:grid": {
@@ -47,14 +72,15 @@ def to_geojson(estimate: FovEstimate, threshold: float | None = None) -> dict[st
             "half_extent_m": float(estimate.grid.half_extent_m),
             "offset_m": [float(value) for value in estimate.grid.offset_m],
         },
-        "features": [_feature(layer, mask, estimate, threshold) for layer, mask in masks.items()],
+        "features": [_feature(layer, mask, estimate, threshold, system) for layer, mask in masks.items()],
     }
 
 
-def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float) -> dict[str, Any]:
+def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float, system: CRS | None) -> dict[str, Any]:
     polygon = polygon_of_mask(mask, estimate.grid)
     pose = estimate.world_from_level
-    placed = polygon if pose is None else affine_transform(polygon, _flat(pose))
+    placed: BaseGeometry = polygon if pose is None else affine_transform(polygon, _flat(pose))
+    placed = placed if system is None else to_wgs84(placed, system)
     return {
         "type": "Feature",
         "geometry": {"type": "MultiPolygon", "coordinates": shapely.geometry.mapping(placed)["coordinates"]},
@@ -86,10 +112,12 @@ def fov_from_geojson(collection: dict[str, Any]) -> FovEstimate:
     try:
         where = collection["viewshed:grid"]
         grid = BevGrid(where["cells"], where["half_extent_m"], (where["offset_m"][0], where["offset_m"][1]))
-        matrix = collection["viewshed:frame"]["world_from_level"]
+        frame = collection["viewshed:frame"]
+        matrix, crs = frame["world_from_level"], frame.get("crs")
         pose = None if matrix is None else Rigid.from_matrix(matrix)
+        system = None if crs is None else crs_named(crs, pose)
         features = {feature["properties"]["layer"]: feature for feature in collection["features"]}
-        masks = {layer: _mask(feature["geometry"], pose, grid) for layer, feature in features.items()}
+        masks = {layer: _mask(feature["geometry"], pose, grid, system) for layer, feature in features.items()}
         state = np.zeros(grid.shape, np.uint8)
         for value in CellState:
             state[masks[value.name.lower()]] = value
@@ -103,8 +131,9 @@ def fov_from_geojson(collection: dict[str, Any]) -> FovEstimate:
         raise ValueError(f"collection must come from to_geojson, {error!r} is missing or wrong") from error
 
 
-def _mask(geometry: dict[str, Any], pose: Rigid | None, grid: BevGrid) -> Any:
+def _mask(geometry: dict[str, Any], pose: Rigid | None, grid: BevGrid, system: CRS | None) -> Any:
     polygon = shapely.geometry.shape(geometry)
+    polygon = polygon if system is None else from_wgs84(polygon, system)
     back = polygon if pose is None else affine_transform(polygon, _flat(_upright(pose).inverse()))
     return mask_of_polygon(back, grid)
 

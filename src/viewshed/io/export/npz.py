@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import lzma
-import struct
-import zipfile
-import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from viewshed._files import write_atomic
+from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.fov.estimate import THRESHOLD, Basis, FovEstimate
 from viewshed.fov.visibility import Target
 from viewshed.geometry import Rigid
@@ -26,10 +22,8 @@ _ARRAYS = ("visible_prob", "std", "state")
 
 _VERSION = 1
 
-_BROKEN = (
-    ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
-)  # fmt: skip
+_MAX_BYTES = 4 * MAX_CELLS**2 + 4096
+"""Largest array of a file, unpacked."""
 
 
 def write_npz(estimate: FovEstimate, path: str | Path) -> None:
@@ -70,20 +64,10 @@ def read_npz(path: str | Path) -> FovEstimate:
     """
     raw = Path(path).read_bytes()
     try:
-        _check_sizes(raw)
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            about = json.loads(file["about"].tobytes())
-            return _estimate(about, {name: file[name] for name in _ARRAYS})
-    except _BROKEN as error:
+        arrays = read_arrays(raw, _MAX_BYTES, ("about", *_ARRAYS))
+        return _estimate(json.loads(arrays.pop("about").tobytes()), arrays)
+    except DAMAGED as error:
         raise ValueError(f"{path} must be an NPZ of write_npz: {' '.join(str(error).split())}") from error
-
-
-def _check_sizes(raw: bytes) -> None:
-    limit = 4 * MAX_CELLS**2 + 4096
-    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-        for member in archive.infolist():
-            if member.file_size > limit:
-                raise ValueError(f"{member.filename} must be at most {limit} bytes, got {member.file_size}")
 
 
 def _estimate(about: dict[str, Any], arrays: dict[str, Any]) -> FovEstimate:

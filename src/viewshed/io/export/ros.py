@@ -11,8 +11,9 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
 
 OCCUPANCY_STATES = (
-    "`occupancy`: FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1; "
-    "`visibility`: 0…100 % for FREE, SURFACE and HIDDEN, UNKNOWN -1; both together keep all four"
+    "`occupancy`, for costmaps: FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1; "
+    "`state`: FREE 0, HIDDEN 50, SURFACE 100, UNKNOWN -1; "
+    "`visibility`: 0…100 % for FREE, SURFACE and HIDDEN, UNKNOWN -1"
 )
 
 GRID_MAP_STATES = "layer `state`: UNKNOWN 0, FREE 1, SURFACE 2, HIDDEN 3"
@@ -25,16 +26,15 @@ def to_occupancy_grid(estimate: FovEstimate, layer: str = "occupancy") -> dict[s
 
     Args:
         estimate: what to export.
-        layer: ``occupancy`` (FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1, as costmaps read it) or ``visibility``
-            (probability in whole percent, UNKNOWN -1).
+        layer: ``occupancy`` (FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1, as costmaps read it: nav2's static layer
+            takes any value between for free), or a layer of :func:`visibility_layer`, as ``state``, in which HIDDEN
+            and UNKNOWN differ.
 
     Raises:
         ValueError: another layer.
     """
-    if layer not in ("occupancy", "visibility"):
-        raise ValueError(f"layer must be occupancy or visibility, got {layer!r}")
     grid = estimate.grid
-    values = _occupancy(estimate) if layer == "occupancy" else _visibility(estimate)
+    values = visibility_layer(estimate, layer)
     return {
         "header": _header(estimate),
         "info": {
@@ -49,12 +49,12 @@ def to_occupancy_grid(estimate: FovEstimate, layer: str = "occupancy") -> dict[s
 
 
 def to_occupancy_grids(estimate: FovEstimate) -> dict[str, Any]:
-    """Return both layers of :func:`to_occupancy_grid` by name (dict of two messages)."""
-    return {layer: to_occupancy_grid(estimate, layer) for layer in ("occupancy", "visibility")}
+    """Return layers of :func:`to_occupancy_grid` by name (dict of three messages)."""
+    return {layer: to_occupancy_grid(estimate, layer) for layer in ("occupancy", "state", "visibility")}
 
 
 _STATE_VALUES = np.array([-1, 0, 100, 50], np.int8)
-"""Of the layer ``state``, by :class:`CellState`: HIDDEN is told from UNKNOWN."""
+"""Of the layer ``state``, by :class:`CellState`: HIDDEN differs from UNKNOWN."""
 
 
 def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
@@ -63,7 +63,8 @@ def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
     Args:
         estimate: what to export.
         name: ``visibility`` (probability in whole percent) or ``doubt`` (that the likelier answer is wrong, 0 to 50),
-            both -1 where UNKNOWN; or ``state`` (UNKNOWN -1, FREE 0, HIDDEN 50, SURFACE 100).
+            both -1 where UNKNOWN; ``state`` (UNKNOWN -1, FREE 0, HIDDEN 50, SURFACE 100); or ``occupancy`` (FREE 0,
+            SURFACE 100, else -1).
 
     Raises:
         ValueError: there is no such layer.
@@ -71,12 +72,14 @@ def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
     match name:
         case "visibility":
             return _visibility(estimate)
+        case "occupancy":
+            return _occupancy(estimate)
         case "state":
             return _STATE_VALUES[estimate.state]
         case "doubt":
             percent = np.rint(100.0 * estimate.doubt()).astype(np.int8)
             return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
-    raise ValueError(f"layer must be visibility, state or doubt, got {name!r}")
+    raise ValueError(f"layer must be occupancy, visibility, state or doubt, got {name!r}")
 
 
 def _occupancy(estimate: FovEstimate) -> NDArray[np.int8]:
@@ -91,22 +94,21 @@ def _visibility(estimate: FovEstimate) -> NDArray[np.int8]:
     return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
 
 
-def fov_from_occupancy_grid(occupancy: dict[str, Any], visibility: dict[str, Any]) -> FovEstimate:
+def fov_from_occupancy_grid(state: dict[str, Any], visibility: dict[str, Any]) -> FovEstimate:
     """Return the estimate in the two layers: states exact, probability to the half percent, 0 where UNKNOWN.
 
     Raises:
-        ValueError: a grid is not square or its data have another length.
+        ValueError: a grid is not square or its data have another length, or a state is none of those written.
     """
-    info, origin = occupancy["info"], occupancy["info"]["origin"]["position"]
+    info, origin = state["info"], state["info"]["origin"]["position"]
     half_m = 0.5 * info["resolution"] * info["width"]
     grid = BevGrid(info["width"], half_m, (origin["x"] + half_m, origin["y"] + half_m))
-    taken, percent = (_square(message, grid) for message in (occupancy, visibility))
-    state = np.full(grid.shape, CellState.UNKNOWN, np.uint8)
-    state[(taken < 0) & (percent >= 0)] = CellState.HIDDEN
-    state[taken == 0] = CellState.FREE
-    state[taken == 100] = CellState.SURFACE
+    values, percent = (_square(message, grid) for message in (state, visibility))
+    same = values[..., None] == _STATE_VALUES
+    if not same.any(axis=-1).all():
+        raise ValueError(f"state must be of {_STATE_VALUES.tolist()}, got {values[~same.any(axis=-1)][0]}")
     prob = np.maximum(percent, 0).astype(np.float32) / np.float32(100)
-    return FovEstimate(grid, prob, state, t_ns=_t_ns(occupancy["header"]))
+    return FovEstimate(grid, prob, same.argmax(axis=-1).astype(np.uint8), t_ns=_t_ns(state["header"]))
 
 
 def _square(message: dict[str, Any], grid: BevGrid) -> NDArray[np.int8]:

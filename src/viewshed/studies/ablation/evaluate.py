@@ -227,7 +227,7 @@ class Enveloped(ClassicalEstimator):
 
 
 UNTOUCHED = Case("adaptive", "over_claim_free", "0")
-"""The case without an attack; those with one are told apart by the number of queries that were made."""
+"""The case without an attack; those with one are distinguished by the number of queries that were made."""
 
 POINTS = 150
 """Points that an attacker may add."""

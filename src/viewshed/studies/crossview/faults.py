@@ -131,8 +131,8 @@ def smallest_share(places: Sequence[NDArray[np.float64]], floor: float, rng: np.
     """Return the smallest of ``SHARES`` that columns at ``places`` tell from the metric's own error; NaN for none.
 
     Wrong ground is drawn in blobs of ``BLOB_M``: columns of one sweep that stand beside each other are wrong together,
-    so that a thousand columns of one wall count for little more than one. A share is told if in ``_POWER`` of the draws
-    more columns are wrong than the metric's own error makes wrong in all but ``_CHANCE`` of the cases.
+    so that a thousand columns of one wall count for little more than one. A share is reported if in ``_POWER`` of the
+    draws more columns are wrong than the metric's own error makes wrong in all but ``_CHANCE`` of the cases.
 
     Args:
         places: columns (M, 2) of each sweep, in meters.

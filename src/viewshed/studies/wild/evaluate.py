@@ -44,7 +44,7 @@ AS_TOLD = "shadow_map"
 
 LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ exact ground", "exact ends of all beams",
           "all of it: the counting kernel alone")  # fmt: skip
-"""What the shadow map is given: the first three add up; the fourth has the ground as told; the last has all."""
+"""What the shadow map is given: the first three add up; the fourth has the ground that was given; the last has all."""
 
 
 def records_of(seen: WildObservation, plan: WildPlan) -> Iterator[WildRecord]:

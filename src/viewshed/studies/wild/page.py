@@ -36,7 +36,7 @@ _WHAT = {
 
 
 def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
-    """Return the page ``wild.md`` and its pictures, as files by name.
+    """Return the page ``wild.md``, the last, and its pictures, as files by name.
 
     Raises:
         ValueError: the store holds no results.
@@ -65,7 +65,7 @@ def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
     about = facts(
         plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(tables)), commits=commits(results)
     )  # fmt: skip
-    return {"wild.md": to_markdown(title, about, blocks).encode()} | pictures
+    return pictures | {"wild.md": to_markdown(title, about, blocks).encode()}
 
 
 def _agreement(pool: Pool) -> Table:

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildRecord:
-    """One sweep, one method, one target, and what the method was told.
+    """One sweep, one method, one target, and what the method was given.
 
     Attributes:
         set_name: of ``datasets.wild.SETS``.

@@ -64,7 +64,7 @@ class WhiteBox(Checked):
     Attributes:
         objective: value and gradient of the points; rows are those of the sweep.
         budget: most beams; None for all of the wedge.
-        steps: half before, half after the choice of beams; the gradient is asked for once more in each half.
+        steps: half before, half after the choice of beams; the gradient is computed once more in each half.
         step_m: first step, meters; a beam goes no farther than ``step_m * steps / 4`` before the choice.
         sector_deg: width of the wedge.
         azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.

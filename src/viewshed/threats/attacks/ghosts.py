@@ -19,7 +19,7 @@ from viewshed.threats.attacks.spoofer import (
     LEAVE,
     MEASURED_SPOOFER,
     NO_RETURN,
-    Box,
+    GroundBox,
     Spoofer,
     choose_nearest,
     chord_m,
@@ -144,7 +144,7 @@ class GhostCar(Checked):
         """Return the attacked sweep and what was done to it."""
         azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
         x, y, level_azimuth = position_at(sweep, azimuth, self.range_m)
-        box = Box((x, y), level_azimuth + self.heading, self.size_m, ground_at(sweep, x, y))
+        box = GroundBox((x, y), level_azimuth + self.heading, self.size_m, ground_at(sweep, x, y))
         radius_m = _ROOM * float(np.hypot(*self.size_m[:2])) / 2
         return spoof_box(sweep, box, wedge_around(azimuth, self.range_m, radius_m), self, rng)
 
@@ -175,11 +175,13 @@ class GhostWall(Checked):
         wedge = Wedge.of_sector(azimuth, self.sector_deg)
         x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
         wide = 2 * self.range_m * np.tan(wedge.width / 2) * _ROOM + 1.0
-        box = Box((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))
+        box = GroundBox((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))
         return spoof_box(sweep, box, wedge, self, rng)
 
 
-def spoof_box(sweep: Sweep, box: Box, wedge: Wedge, ghost: GhostCar | GhostWall, rng: np.random.Generator) -> Tampered:
+def spoof_box(
+    sweep: Sweep, box: GroundBox, wedge: Wedge, ghost: GhostCar | GhostWall, rng: np.random.Generator
+) -> Tampered:
     """Return ``sweep`` with a box in it, on the beams of the wedge that meet it before anything else."""
     rays = rays_in(sweep, wedge, empty=True)
     enter, _ = chord_m(*level_rays(sweep, rays), box)

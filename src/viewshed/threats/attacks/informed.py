@@ -84,7 +84,7 @@ _GROUND_M = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _BeamImage:
+class _RayImage:
     """All beams of a sweep, R rings by C columns.
 
     Attributes:
@@ -108,7 +108,7 @@ class _BeamImage:
 
 
 @lru_cache(maxsize=2)
-def _image_of(sweep: Sweep) -> _BeamImage:
+def _image_of(sweep: Sweep) -> _RayImage:
     """Return the beams of a sweep with its objects: obstacles that hang together in depth."""
     rays = rays_in(sweep, FULL_CIRCLE, empty=True)
     rays = rays.select(rays.ring >= 0)
@@ -119,7 +119,7 @@ def _image_of(sweep: Sweep) -> _BeamImage:
     depth_m, obstacle = np.full(shape, np.inf), np.zeros(shape, np.bool_)
     depth_m[rays.ring, rays.column] = rays.depth_m
     obstacle[rays.ring, rays.column] = is_obstacle(sweep, rays)
-    return _BeamImage(rays, number, depth_m, *_objects(depth_m, obstacle))
+    return _RayImage(rays, number, depth_m, *_objects(depth_m, obstacle))
 
 
 def _objects(depth_m: Floats, obstacle: Mask) -> tuple[Ints, int]:
@@ -190,7 +190,7 @@ def _arc(column: Ints, circle: int) -> tuple[int, int]:
     return int(some[(widest + 1) % len(some)]), int(circle - gap[widest] + 1)
 
 
-def _with_skirt(image: _BeamImage, ring: Ints, ahead: Ints, first: int, width: int) -> _Object:
+def _with_skirt(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int) -> _Object:
     """Return an object with the pixels right below it in each column that are about as near, too low for obstacles."""
     circle = image.depth_m.shape[1]
     lowest = np.full(width, image.depth_m.shape[0])
@@ -209,7 +209,18 @@ def _with_skirt(image: _BeamImage, ring: Ints, ahead: Ints, first: int, width: i
 
 
 @dataclass(frozen=True, slots=True)
-class VanishedObject(Checked):
+class _OfObjects(Checked):
+    """The parameters that attacks on the objects near a sensor share."""
+
+    budget: Budget = None
+    sector_deg: Sector = 30.0
+    azimuth: Azimuth = None
+    near_m: Range = 25.0
+    spoofer: Spoofer = EXACT_SPOOFER
+
+
+@dataclass(frozen=True, slots=True)
+class VanishedObject(_OfObjects):
     """A whole object vanishes: each of its beams reports what the same ring shows beside the object.
 
     Ground goes on where both sides show ground, at the heights that they show; else the farther side goes on. No part
@@ -223,12 +234,6 @@ class VanishedObject(Checked):
         near_m: objects nearer than this vanish.
         spoofer: how well the beams are won.
     """
-
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
-    near_m: Range = 25.0
-    spoofer: Spoofer = EXACT_SPOOFER
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -258,18 +263,18 @@ def _random_one(objects: list[_Object], rng: np.random.Generator) -> int:
     return int(rng.choice(len(objects), p=returns / returns.sum()))
 
 
-def _nearest_first(image: _BeamImage, objects: list[_Object], azimuth: float) -> list[_Object]:
+def _nearest_first(image: _RayImage, objects: list[_Object], azimuth: float) -> list[_Object]:
     """Return the objects by how far their middle is from an azimuth."""
     return sorted(objects, key=lambda one: abs((_azimuth_of(image, one) - azimuth + np.pi) % (2 * np.pi) - np.pi))
 
 
-def _azimuth_of(image: _BeamImage, one: _Object) -> float:
+def _azimuth_of(image: _RayImage, one: _Object) -> float:
     """Return the azimuth of an object's middle in the sensor's frame."""
     number = image.number[one.ring, (one.first + one.column) % image.depth_m.shape[1]]
     return _wedge_of(image, number[number >= 0]).azimuth
 
 
-def _wedge_of(image: _BeamImage, number: Ints) -> Wedge:
+def _wedge_of(image: _RayImage, number: Ints) -> Wedge:
     """Return a wedge that holds some rays, with room for their returns at other depths."""
     x, y, _ = image.rays.direction[number].T
     azimuth = np.arctan2(y, x)
@@ -298,7 +303,7 @@ class _Side:
 _NOTHING_SEEN = _Side(np.inf, np.nan, np.zeros(1), 0.0)
 
 
-def _background(sweep: Sweep, image: _BeamImage, chosen: _Object, rng: np.random.Generator) -> tuple[Ints, Floats]:
+def _background(sweep: Sweep, image: _RayImage, chosen: _Object, rng: np.random.Generator) -> tuple[Ints, Floats]:
     """Return the rays (P,) of an object and what they would report without it, in meters, by the beams beside it."""
     circle = image.depth_m.shape[1]
     number = image.number[chosen.ring, (chosen.first + chosen.column) % circle]
@@ -318,7 +323,7 @@ def _background(sweep: Sweep, image: _BeamImage, chosen: _Object, rng: np.random
     return number[fired], background_m[fired]
 
 
-def _side(image: _BeamImage, start: Floats, direction: Floats, ring: int, columns: Ints) -> _Side:
+def _side(image: _RayImage, start: Floats, direction: Floats, ring: int, columns: Ints) -> _Side:
     """Return what the beams of a ring show in some columns (_SIDE,)."""
     number = image.number[ring, columns]
     number = number[number >= 0]
@@ -375,7 +380,7 @@ def _to_ground(height_m: Floats | float, start_z: Floats, down: Floats) -> Float
 
 
 @dataclass(frozen=True, slots=True)
-class CopiedObject(Checked):
+class CopiedObject(_OfObjects):
     """A real object of the sweep appears a second time, at another azimuth, before everything that is there.
 
     Its surface, edges, noise and losses are those of a real one. It stands on ground of the same height, where the view
@@ -388,12 +393,6 @@ class CopiedObject(Checked):
         near_m: objects nearer than this are copied.
         spoofer: how well the beams are won.
     """
-
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
-    near_m: Range = 25.0
-    spoofer: Spoofer = EXACT_SPOOFER
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -415,7 +414,7 @@ class CopiedObject(Checked):
         return untouched(sweep)
 
     def _places(
-        self, image: _BeamImage, objects: list[_Object], rng: np.random.Generator
+        self, image: _RayImage, objects: list[_Object], rng: np.random.Generator
     ) -> Iterator[tuple[_Object, int]]:
         """Yield objects and the columns by which each is turned: as it comes, or the largest first to one azimuth."""
         circle = image.depth_m.shape[1]
@@ -427,7 +426,7 @@ class CopiedObject(Checked):
             yield one, round((self.azimuth - _azimuth_of(image, one)) * circle / (2 * np.pi)) % circle
 
 
-def _is_open(sweep: Sweep, image: _BeamImage, chosen: _Object, turn: int, depth_m: Floats, number: Ints) -> bool:
+def _is_open(sweep: Sweep, image: _RayImage, chosen: _Object, turn: int, depth_m: Floats, number: Ints) -> bool:
     """Return whether a copy would stand before all that is there, apart from the object itself, on level ground."""
     circle = image.depth_m.shape[1]
     apart = min(turn, circle - turn)
@@ -447,7 +446,7 @@ def _lowest_m(sweep: Sweep, rays: Rays, depth_m: Floats) -> float:
     return float((points[:, 2] - scene_of(sweep).ground.at(points[:, :2])).min())
 
 
-def _hollows(image: _BeamImage, chosen: _Object, turn: int) -> Ints:
+def _hollows(image: _RayImage, chosen: _Object, turn: int) -> Ints:
     """Return the rays below a copy's upper edge whose pixels of the real object did not return: nor may these."""
     circle = image.depth_m.shape[1]
     low, high = np.full(chosen.columns, image.depth_m.shape[0]), np.full(chosen.columns, -1)

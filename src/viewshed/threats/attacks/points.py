@@ -22,7 +22,7 @@ from viewshed.threats.attacks.spoofer import (
     FULL_CIRCLE,
     LEAVE,
     MEASURED_SPOOFER,
-    Box,
+    GroundBox,
     Spoofer,
     azimuth_or_random,
     choose_random,
@@ -123,7 +123,7 @@ class Cluster(Checked):
             xy = np.array([x, y]) + rng.uniform(-self.spread_m, self.spread_m, (self.budget, 2))
             return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
         wide = 2 * self.spread_m
-        box = Box((x, y), 0.0, (wide, wide, 3.0), ground_at(sweep, x, y))
+        box = GroundBox((x, y), 0.0, (wide, wide, 3.0), ground_at(sweep, x, y))
         wedge = wedge_around(azimuth, range_m, np.sqrt(2.0) * self.spread_m)
         rays = rays_in(sweep, wedge, empty=True)
         enter, leave = chord_m(*level_rays(sweep, rays), box)

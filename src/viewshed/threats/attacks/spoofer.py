@@ -53,7 +53,7 @@ _ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Box:
+class GroundBox:
     """A box on the ground, in the level frame.
 
     Attributes:
@@ -153,7 +153,7 @@ def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> Floats:
     return depth
 
 
-def chord_m(start: Floats, direction: Floats, box: Box) -> tuple[Floats, Floats]:
+def chord_m(start: Floats, direction: Floats, box: GroundBox) -> tuple[Floats, Floats]:
     """Return the depths (K,) in meters at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
 
     By slabs (Kay and Kajiya 1986).

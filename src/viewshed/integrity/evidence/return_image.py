@@ -1,4 +1,4 @@
-"""The beam image: returns by ring and column, which evidence of one sweep reads; made once for a sweep."""
+"""The return image: returns by ring and column, which evidence of one sweep reads; made once for a sweep."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from viewshed.preprocess.leveling import LeveledSweep
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeamImage:
+class ReturnImage:
     """Leveled returns on an image of rings × columns, without the rings that hardly returned; A rings are left.
 
     Attributes:
@@ -30,11 +30,11 @@ class BeamImage:
     sector: NDArray[np.int16]
 
 
-_MADE: WeakKeyDictionary[LeveledSweep, BeamImage] = WeakKeyDictionary()
+_MADE: WeakKeyDictionary[LeveledSweep, ReturnImage] = WeakKeyDictionary()
 
 
-def beam_image_of(leveled: LeveledSweep) -> BeamImage | None:
-    """Return the beam image of a leveled sweep; None where its rings are not known."""
+def return_image_of(leveled: LeveledSweep) -> ReturnImage | None:
+    """Return the image of a leveled sweep's returns; None where its rings are not known."""
     image = leveled.range_image
     if image is None:
         return None
@@ -49,7 +49,7 @@ def beam_image_of(leveled: LeveledSweep) -> BeamImage | None:
             len(image.elevation),
             image.columns,
         )
-        made = BeamImage(*pixels, _sectors_of_columns(leveled, image.columns))
+        made = ReturnImage(*pixels, _sectors_of_columns(leveled, image.columns))
         _MADE[leveled] = made
     return made
 

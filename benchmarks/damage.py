@@ -1,0 +1,113 @@
+"""Clouds as a driver would send them, and what may be wrong with them; numpy alone, for the soaks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.io.messages.pointcloud2 import PointField
+from viewshed.sweep import Sweep
+
+FLOAT32, UINT16, UINT32 = 7, 4, 6
+"""Of ``PointField.datatype``."""
+
+
+@dataclass(slots=True)
+class Field:
+    """The parts of sensor_msgs/PointField."""
+
+    name: str
+    offset: int
+    datatype: int = FLOAT32
+    count: int = 1
+
+
+@dataclass(slots=True, eq=False)
+class Cloud:
+    """The parts of sensor_msgs/PointCloud2 that are read."""
+
+    fields: Iterable[PointField]
+    width: int
+    point_step: int
+    row_step: int
+    data: NDArray[np.uint8]
+    height: int = 1
+    is_bigendian: bool = False
+
+
+def cloud_of(sweep: Sweep) -> Cloud:
+    """Return a sweep's points, intensity and ring (where it is known) as a cloud."""
+    names = ["x", "y", "z", "intensity"]
+    kinds = [(name, "<f4") for name in names] + ([("ring", "<u2")] if sweep.ring is not None else [])
+    table = np.zeros(len(sweep), kinds)
+    for axis, name in enumerate("xyz"):
+        table[name] = sweep.points[:, axis]
+    if sweep.intensity is not None:
+        table["intensity"] = sweep.intensity
+    fields: list[PointField] = [Field(name, 4 * number) for number, name in enumerate(names)]
+    if sweep.ring is not None:
+        table["ring"] = sweep.ring
+        fields.append(Field("ring", 16, UINT16))
+    return Cloud(fields, len(table), table.itemsize, table.nbytes, table.view(np.uint8).reshape(-1))
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """One thing that may be wrong with a cloud.
+
+    Attributes:
+        change: makes the cloud that is wrong.
+        says: what the refusal says, or "" where the cloud may be answered: nothing in it contradicts itself.
+        why: in words.
+    """
+
+    change: Callable[[Cloud], Cloud]
+    says: str
+    why: str
+
+
+def _without(cloud: Cloud, name: str) -> Cloud:
+    return replace(cloud, fields=[field for field in cloud.fields if field.name != name])
+
+
+def _all_nan(cloud: Cloud) -> Cloud:
+    rows = cloud.data.copy().reshape(cloud.width, cloud.point_step)
+    rows[:, :12] = np.full(3, np.nan, "<f4").view(np.uint8)
+    return replace(cloud, data=rows.reshape(-1))
+
+
+def _swapped(cloud: Cloud) -> Cloud:
+    """Return a cloud that says it is big-endian and is not: its numbers are noise."""
+    return replace(cloud, is_bigendian=True)
+
+
+def _moved(cloud: Cloud) -> Cloud:
+    first, *others = cloud.fields
+    return replace(cloud, fields=[Field(first.name, cloud.point_step - 2, first.datatype), *others])
+
+
+DAMAGES = {
+    "no field x": Damage(lambda cloud: _without(cloud, "x"), "must have fields x, y and z", "a field is missing"),
+    "point_step too small": Damage(
+        lambda cloud: replace(cloud, point_step=11), "leaves a point of 11 bytes", "its layout contradicts itself"
+    ),
+    "x beyond its point": Damage(_moved, "leaves a point of", "its layout contradicts itself"),
+    "cut off": Damage(
+        lambda cloud: replace(cloud, data=cloud.data[: cloud.data.size // 2]), "a cloud is cut off",
+        "there is less than its sizes name",
+    ),
+    "ten million points": Damage(
+        lambda cloud: replace(cloud, width=10**7, row_step=10**7 * cloud.point_step), "a cloud",
+        "there is less than its sizes name",
+    ),
+    "no points": Damage(
+        lambda cloud: replace(cloud, width=0, row_step=0, data=cloud.data[:0]), "must have usable returns",
+        "a sensor that sees nothing: the monitor cannot say whether that is so",
+    ),
+    "all NaN": Damage(_all_nan, "must have usable returns", "points that are no numbers are left out: none is left"),
+    "bytes the other way round": Damage(_swapped, "", "its numbers are noise, and no layout tells"),
+}  # fmt: skip
+"""By name."""

@@ -1,0 +1,232 @@
+"""A node in a process of its own under load: clouds or scans in as raw bytes, the times of its grids out.
+
+Everything is published and taken as serialized bytes, so that what is measured is the node and not this side.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from struct import pack_into, unpack_from
+from typing import Any
+
+import numpy as np
+import rclpy
+from lifecycle_msgs.srv import GetState
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+
+from viewshed.sweep import Sweep
+
+STAMP_AT = 4
+"""Byte of a serialized message at which its header's stamp begins: seconds and nanoseconds, four bytes each."""
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+BEGIN_NS = 1_700_000_000 * 10**9
+"""Time of the first message."""
+
+
+def cloud_bytes(sweep: Sweep) -> bytes:
+    """Return a serialized PointCloud2 of a sweep: x, y, z, intensity, and the ring where it is known."""
+    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")]
+    kinds += [("ring", "<u2")] if sweep.ring is not None else []
+    table = np.zeros(len(sweep), kinds)
+    for axis, name in enumerate("xyz"):
+        table[name] = sweep.points[:, axis]
+    if sweep.ring is not None:
+        table["ring"] = sweep.ring
+    message = PointCloud2(height=1, width=len(sweep), point_step=table.itemsize, is_dense=True)
+    message.row_step = table.nbytes
+    codes = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
+    offsets = [0, 4, 8, 12, 16]
+    message.fields = [
+        PointField(name=name, offset=offset, datatype=codes[kind], count=1)
+        for (name, kind), offset in zip(kinds, offsets, strict=False)
+    ]  # fmt: skip
+    message.header.frame_id = "lidar"
+    message.data = array("B", table.tobytes())
+    return bytes(serialize_message(message))
+
+
+def scan_bytes(ranges_m: NDArray[np.float32], field_of_view: float, range_max_m: float) -> bytes:
+    """Return a serialized LaserScan of ranges (N,) over an angle in radians."""
+    step = field_of_view / (len(ranges_m) - 1)
+    message = LaserScan(angle_min=-field_of_view / 2, angle_max=field_of_view / 2, angle_increment=step)
+    message.range_min, message.range_max = 0.05, range_max_m
+    message.header.frame_id = "lidar"
+    message.ranges = array("f", ranges_m.astype("<f4").tobytes())
+    return bytes(serialize_message(message))
+
+
+def stamped(message: bytes, t_ns: int) -> bytes:
+    """Return a serialized message with another time in its header."""
+    changed = bytearray(message)
+    pack_into("<iI", changed, STAMP_AT, *divmod(t_ns, 10**9))
+    return bytes(changed)
+
+
+def stamp_ns(message: bytes) -> int:
+    """Return the time in the header of a serialized message."""
+    seconds, nanoseconds = unpack_from("<iI", message, STAMP_AT)
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
+@contextmanager
+def running_node(parameters: Mapping[str, object]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the node with autostart; it is ended by Ctrl-C's signal and must then return 0."""
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    command = [sys.executable, "-m", "viewshed_ros.node", "--ros-args", "--log-level", "error", "-p", "autostart:=true"]
+    process = subprocess.Popen([*command, *words], env=os.environ)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        code = process.wait(30)
+    if code != 0:
+        raise RuntimeError(f"the node ended with {code}")
+
+
+def memory_mb(process: int) -> float:
+    """Return the resident memory of a process in 10⁶ bytes."""
+    status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    line = next(line for line in status.splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1]) * 1024 / 1e6
+
+
+def processor_s(process: int) -> float:
+    """Return the seconds of a processor that a process has used."""
+    words = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@dataclass(slots=True)
+class Stream:
+    """One sensor's topic: what is published, and when each message was and its grid came."""
+
+    name: str
+    message: bytes
+    step_ns: int = 100_000_000
+    t_ns: int = BEGIN_NS
+    put_s: dict[int, float] = field(default_factory=dict)
+    latency_s: list[float] = field(default_factory=list)
+    publish: Callable[[bytes], None] = lambda _: None
+
+    def send(self) -> None:
+        """Publish the message at the next time."""
+        self.t_ns += self.step_ns
+        message = stamped(self.message, self.t_ns)
+        self.put_s[self.t_ns] = time.perf_counter()
+        self.publish(message)
+
+    def take(self, grid: bytes) -> None:
+        """Note that the grid of a message has come; those before it that have none were dropped."""
+        now_s, t_ns = time.perf_counter(), stamp_ns(grid)
+        if t_ns in self.put_s:
+            self.latency_s.append(now_s - self.put_s[t_ns])
+            self.put_s = {each: put_s for each, put_s in self.put_s.items() if each > t_ns}
+
+    def waiting(self) -> int:
+        """Return how many messages have no grid yet; one of half a second ago is lost."""
+        lost_s = time.perf_counter() - 0.5
+        self.put_s = {each: put_s for each, put_s in self.put_s.items() if put_s > lost_s}
+        return len(self.put_s)
+
+
+class Load:
+    """Publishes streams and takes their grids.
+
+    Args:
+        streams: by sensor.
+        is_scan: whether they are laser scans.
+    """
+
+    def __init__(self, streams: Sequence[Stream], *, is_scan: bool = False) -> None:
+        self.node: Node = rclpy.create_node("load")
+        self.streams = streams
+        self._publishers: list[Any] = []
+        for stream in streams:
+            publisher = self.node.create_publisher(
+                LaserScan if is_scan else PointCloud2, f"{stream.name}/points", qos_profile_sensor_data
+            )
+            stream.publish = publisher.publish
+            self._publishers.append(publisher)
+            self.node.create_subscription(
+                OccupancyGrid, f"{stream.name}/visibility", partial(self._take, stream), LATCHED, raw=True
+            )
+        self._states = self.node.create_client(GetState, "field_of_view/get_state")
+
+    def _take(self, stream: Stream, grid: bytes) -> None:
+        stream.take(grid)
+
+    def spin(self, seconds: float) -> None:
+        """Take what comes for a time, or until the first message."""
+        rclpy.spin_once(self.node, timeout_sec=max(seconds, 0.0))
+
+    def wait_for_node(self, seconds: float = 60.0) -> None:
+        """Wait until the node listens."""
+        end_s = time.monotonic() + seconds
+        while not all(publisher.get_subscription_count() for publisher in self._publishers):
+            if time.monotonic() > end_s:
+                raise TimeoutError(f"the node did not listen within {seconds:g} s")
+            self.spin(0.02)
+
+    def first_answer(self) -> float:
+        """Publish ten times a second until a grid has come, and return when (of ``time.perf_counter``)."""
+        stream = self.streams[0]
+        while not stream.latency_s:
+            stream.send()
+            end_s = time.monotonic() + 0.1
+            while time.monotonic() < end_s and not stream.latency_s:
+                self.spin(end_s - time.monotonic())
+        return time.perf_counter()
+
+    def run_closed(self, seconds: float, under_way: int) -> float:
+        """Keep so many messages of the first stream under way, and return the seconds that it took."""
+        stream = self.streams[0]
+        begin_s = time.perf_counter()
+        while time.perf_counter() - begin_s < seconds:
+            if stream.waiting() < under_way:
+                stream.send()
+                self.spin(0.0)
+            else:
+                self.spin(0.1)
+        while stream.waiting():
+            self.spin(0.1)
+        return time.perf_counter() - begin_s
+
+    def run_at(self, seconds: float, hz: float, on_step: Callable[[int], None] = lambda _: None) -> None:
+        """Publish all streams ``hz`` times a second, spread over the period."""
+        begin_s = time.perf_counter()
+        count = round(seconds * hz) * len(self.streams)
+        for number in range(count):
+            due_s = begin_s + number / (hz * len(self.streams))
+            while (left_s := due_s - time.perf_counter()) > 0.0:
+                self.spin(left_s)
+            self.streams[number % len(self.streams)].send()
+            on_step(number)
+        end_s = time.perf_counter() + 0.5
+        while time.perf_counter() < end_s:
+            self.spin(0.1)
+
+    def forget(self) -> None:
+        """Begin to count anew."""
+        for stream in self.streams:
+            stream.latency_s.clear()
+
+    def close(self) -> None:
+        """End."""
+        self.node.destroy_node()

@@ -1,0 +1,125 @@
+"""What the node reaches on this machine: ``ros/python.sh ros/measure/rates.py SWEEPS [--seconds S]`` prints JSON.
+
+SWEEPS is a folder that ``python -m benchmarks.robot`` fills: an NPZ of each sweep, and of the laser's ranges.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from load import Load, Stream, cloud_bytes, memory_mb, processor_s, running_node, scan_bytes
+
+from viewshed.sweep import Sweep
+
+AGENTS = 10
+SENSOR_HZ = 10.0
+
+
+def main() -> None:
+    """Measure everything and print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sweeps", type=Path)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
+    chosen = parser.parse_args()
+    rclpy.init()
+    print(json.dumps(list(_measured(chosen.sweeps, chosen.seconds))))
+    rclpy.try_shutdown()
+
+
+def _measured(folder: Path, seconds: float) -> Iterator[dict[str, Any]]:
+    clouds = {name: cloud_bytes(_sweep(folder / f"{name}.npz")) for name in ("35k", "120k", "VLP-16")}
+    with np.load(folder / "scan.npz") as laser:
+        scan = scan_bytes(laser["ranges_m"], float(laser["field_of_view"]), float(laser["range_max_m"]))
+    for monitor in ("never", "always"):
+        for name in ("35k", "120k"):
+            yield from _closed(name, clouds[name], monitor, seconds, is_scan=False)
+        yield from _closed("LaserScan", scan, monitor, seconds, is_scan=True)
+    yield _at_ten_hz("VLP-16", [Stream("lidar", clouds["VLP-16"])], seconds)
+    yield _at_ten_hz(
+        f"{AGENTS} agents", [Stream(f"agent{number}", clouds["VLP-16"]) for number in range(AGENTS)], seconds
+    )
+    with tempfile.TemporaryDirectory() as empty:
+        for caches, prefix in (("cold", empty), ("warm", empty)):
+            yield {"case": "start", "caches": caches, "first_s": _start_s(clouds["35k"], prefix)}
+
+
+def _sweep(path: Path) -> Sweep:
+    with np.load(path) as file:
+        return Sweep(file["points"], file["intensity"], file.get("ring"))
+
+
+def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:
+    """Yield latency with one message under way, and the rate with two of a cloud, three of a scan."""
+    parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
+    if is_scan:
+        parameters |= {"lidar.type": "scan", "grid": "indoor"}
+    stream = Stream("lidar", message)
+    load = Load([stream], is_scan=is_scan)
+    with running_node(parameters) as node:
+        load.wait_for_node()
+        load.first_answer()
+        load.run_closed(1.0, 2)
+        for under_way in (1, 3 if is_scan else 2):
+            load.forget()
+            before_s = processor_s(node.pid)
+            passed_s = load.run_closed(seconds, under_way)
+            used_s = processor_s(node.pid) - before_s
+            yield {
+                "case": name, "monitor": monitor, "under_way": under_way, **_latencies(stream),
+                "hz": len(stream.latency_s) / passed_s, "processor_ms": 1e3 * used_s / max(len(stream.latency_s), 1),
+                "cores": used_s / passed_s, "memory_mb": memory_mb(node.pid),
+            }  # fmt: skip
+    load.close()
+
+
+def _at_ten_hz(name: str, streams: list[Stream], seconds: float) -> dict[str, Any]:
+    """Return what sensors of 10 Hz each cost, with the profile ``robot``."""
+    load = Load(streams)
+    # Sensors do not keep time to the microsecond: all of their sweeps are to be estimated.
+    parameters = {"profile": "robot", "sensors": f"[{', '.join(stream.name for stream in streams)}]"}
+    with running_node(parameters) as node:
+        load.wait_for_node()
+        load.first_answer()
+        load.run_at(1.0, SENSOR_HZ)
+        load.forget()
+        begin_s, before_s = time.perf_counter(), processor_s(node.pid)
+        load.run_at(seconds, SENSOR_HZ)
+        passed_s, used_s = time.perf_counter() - begin_s, processor_s(node.pid) - before_s
+        hz = [len(stream.latency_s) / seconds for stream in streams]
+        found = {
+            "case": name, **_latencies(*streams), "hz": min(hz), "hz_most": max(hz), "cores": used_s / passed_s,
+            "memory_mb": memory_mb(node.pid),
+        }  # fmt: skip
+    load.close()
+    return found
+
+
+def _latencies(*streams: Stream) -> dict[str, float]:
+    taken_ms = 1e3 * np.concatenate([stream.latency_s for stream in streams])
+    p50, p99 = np.percentile(taken_ms, [50, 99])
+    return {"p50_ms": float(p50), "p99_ms": float(p99), "worst_ms": float(taken_ms.max())}
+
+
+def _start_s(message: bytes, caches: str) -> float:
+    """Return the seconds from the start of the process to its first grid; Python's caches are in a folder."""
+    load = Load([Stream("lidar", message)])
+    os.environ["PYTHONPYCACHEPREFIX"] = caches
+    begin_s = time.perf_counter()
+    with running_node({"profile": "infrastructure", "rate_hz": "0.0"}):
+        first_s = load.first_answer() - begin_s
+    del os.environ["PYTHONPYCACHEPREFIX"]
+    load.close()
+    return first_s
+
+
+if __name__ == "__main__":
+    main()

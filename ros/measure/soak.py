@@ -1,0 +1,218 @@
+"""The node worked for some time: ``ros/python.sh ros/measure/soak.py SWEEP.npz SECONDS`` prints JSON.
+
+``python -m benchmarks.soak`` runs it and says what its numbers mean. The node begins anew in turns: ended by Ctrl-C's
+signal and started again, and by its lifecycle, deactivated and activated. Of single messages nothing is known here: a
+best-effort profile may lose some. So sums are compared: of what was sent with what the node's diagnostics say.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from array import array
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from benchmarks.damage import DAMAGES, Cloud, cloud_of
+from benchmarks.soak import (
+    CLOCKS,
+    LINES,
+    SEED,
+    UNDER_WAY,
+    Kind,
+    Script,
+    Soaked,
+    growth_faults,
+    log_line,
+    memory_mb,
+    period_s,
+    plain,
+)
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from load import Load, Stream, running_node, stamped
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+
+from viewshed.pipeline.latency import Latencies
+from viewshed.sweep import Sweep
+
+RESTARTED_SHARE = 3
+"""Of so many times that it begins anew the process is ended once; else its lifecycle goes round."""
+
+
+def main() -> None:
+    """Soak and print."""
+    path, seconds = Path(sys.argv[1]), float(sys.argv[2])
+    with np.load(path) as file:
+        sweep = Sweep(file["points"], file.get("intensity"), file.get("ring"))
+    rclpy.init()
+    soak = Soak(sweep, seconds)
+    soak.run()
+    rclpy.try_shutdown()
+    found = soak.soaked
+    kinds = {
+        name: {
+            "sent": kind.sent, "answered": kind.answered, "refused": kind.refused, "dropped": kind.dropped,
+            "reasons": dict(kind.reasons),
+        }
+        for name, kind in found.kinds.items()
+    }  # fmt: skip
+    print(json.dumps({
+        "seconds": found.seconds, "restarts": found.restarts, "kinds": kinds, "log": found.log, "faults": found.faults,
+    }))  # fmt: skip
+
+
+def message_of(cloud: Cloud) -> bytes:
+    """Return a cloud serialized."""
+    message = PointCloud2(
+        height=cloud.height, width=cloud.width, point_step=cloud.point_step, row_step=cloud.row_step,
+        is_bigendian=cloud.is_bigendian, is_dense=True,
+    )  # fmt: skip
+    message.fields = [
+        PointField(name=field.name, offset=field.offset, datatype=field.datatype, count=field.count)
+        for field in cloud.fields
+    ]  # fmt: skip
+    message.header.frame_id = "lidar"
+    message.data = array("B", cloud.data.tobytes())
+    return bytes(serialize_message(message))
+
+
+class Soak:
+    """The node's soak.
+
+    Args:
+        sweep: what is sent.
+        seconds: for how long.
+    """
+
+    def __init__(self, sweep: Sweep, seconds: float) -> None:
+        cloud = cloud_of(sweep)
+        self._messages = {name: message_of(damage.change(cloud)) for name, damage in DAMAGES.items()}
+        self._stream, self._seconds = Stream("lidar", message_of(cloud)), seconds
+        self._load = Load([self._stream])
+        self._script = Script(np.random.default_rng(SEED))
+        self._load.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+        self._change = self._load.node.create_client(ChangeState, "field_of_view/change_state")
+        self._said: dict[str, str] = {}
+        self.soaked = Soaked(kinds={"all": Kind()})
+        self._before = Kind()
+        self._ended_with_mb: list[float] = []
+
+    def run(self) -> None:
+        """Work the node until the time is up."""
+        begin_s = time.perf_counter()
+        while time.perf_counter() - begin_s < self._seconds:
+            with running_node({"profile": "infrastructure", "rate_hz": "0.0", "diagnostics_hz": "10.0"}) as node:
+                self._load.wait_for_node()
+                for _ in range(RESTARTED_SHARE):
+                    until_s = time.perf_counter() + period_s(self._seconds)
+                    self._work(node, begin_s, min(until_s, begin_s + self._seconds))
+                    self.soaked.restarts += 1
+                    if node.poll() is not None or time.perf_counter() - begin_s >= self._seconds:
+                        break
+                    self._go_round()
+                self._account(node)
+            # What the process that ended has still said is not said by the next one.
+            for _ in range(50):
+                self._load.spin(0.0)
+            self._said.clear()
+        self.soaked.seconds = time.perf_counter() - begin_s
+        ends = ", ".join(f"{memory:.0f}" for memory in self._ended_with_mb)
+        self.soaked.kinds["all"].reasons[f"processes, ended with {ends} MB"] = len(self._ended_with_mb)
+        self._judge()
+
+    def _work(self, node: subprocess.Popen[bytes], begin_s: float, until_s: float) -> None:
+        kind, stream, log = self.soaked.kinds["all"], self._stream, self.soaked.log
+        while (now_s := time.perf_counter()) < until_s:
+            name, t_ns, is_more = self._script.next()
+            stream.put_s[t_ns] = time.perf_counter()
+            stream.publish(stamped(self._messages.get(name, stream.message), t_ns))
+            kind.sent += 1
+            kind.reasons[f"sent: {name}"] += 1
+            # What is refused has no grid: such a one is waited for no longer than the others.
+            end_s = now_s + (0.0 if is_more else 0.2)
+            while stream.waiting() >= UNDER_WAY and time.perf_counter() < end_s:
+                self._load.spin(0.02)
+            self._load.spin(0.0)
+            if now_s - begin_s >= (len(log) + 1) * self._seconds / LINES:
+                latencies = Latencies()
+                for seconds in stream.latency_s:
+                    latencies.add(seconds)
+                self._count()
+                log.append(log_line(self.soaked, now_s - begin_s, latencies, memory_mb(node.pid)))
+                stream.latency_s.clear()
+
+    def _go_round(self) -> None:
+        """Deactivate and activate; what was learned is kept."""
+        for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+            future = self._change.call_async(ChangeState.Request(transition=Transition(id=number)))
+            rclpy.spin_until_future_complete(self._load.node, future, timeout_sec=20.0)
+            if not (future.done() and future.result().success):
+                self.soaked.faults.append(f"the lifecycle refused transition {number}")
+        self._load.wait_for_node()
+
+    def _take(self, message: DiagnosticArray) -> None:
+        """Keep the last diagnostics: those of the pipeline and of the sensor have their own names."""
+        for status in message.status:
+            self._said |= {f"{status.name}/{pair.key}": pair.value for pair in status.values}
+
+    def _value(self, name: str, otherwise: int = 0) -> int:
+        return int(self._said.get(name, otherwise))
+
+    def _count(self) -> None:
+        """Set what is known by now: what was before this process, and what its diagnostics say."""
+        kind, before = self.soaked.kinds["all"], self._before
+        kind.answered = before.answered + self._value("field_of_view/answered")
+        refused = {
+            key: int(value) for key, value in self._said.items() if "/refused: " in key and ": lidar/" not in key
+        }
+        kind.refused = before.refused + sum(refused.values())
+        received = self._value("field_of_view: lidar/messages")
+        kind.reasons["received"] = before.reasons["received"] + received
+        replaced = self._value("field_of_view/dropped")
+        kind.reasons["replaced by newer ones"] = before.reasons["replaced by newer ones"] + replaced
+        for reason in {plain(key.partition("/refused: ")[2]) for key in refused}:
+            count = sum(value for key, value in refused.items() if plain(key.partition("/refused: ")[2]) == reason)
+            kind.reasons[f"refused: {reason}"] = before.reasons[f"refused: {reason}"] + count
+        kind.dropped = replaced + before.reasons["replaced by newer ones"] + kind.sent - kind.reasons["received"]
+
+    def _account(self, node: subprocess.Popen[bytes]) -> None:
+        """Wait until the node is idle and has said so, and keep its sums: those of the next process begin at 0."""
+        if node.poll() is not None:
+            self.soaked.faults.append(f"the node ended by itself with {node.returncode}")
+            return
+        end_s = time.monotonic() + 2.0
+        while time.monotonic() < end_s:
+            self._load.spin(0.1)
+        self._count()
+        kind = self.soaked.kinds["all"]
+        self._ended_with_mb.append(memory_mb(node.pid))
+        self._before = Kind(kind.sent, kind.answered, kind.refused, kind.dropped, Counter(kind.reasons))
+        self._stream.put_s.clear()
+
+    def _judge(self) -> None:
+        """Say what must not be."""
+        kind, faults = self.soaked.kinds["all"], self.soaked.faults
+        if kind.sent != kind.answered + kind.refused + kind.dropped:
+            faults.append(f"of {kind.sent} sent {kind.answered + kind.refused + kind.dropped} are known")
+        damaged = sum(kind.reasons[f"sent: {name}"] for name, damage in DAMAGES.items() if damage.says)
+        most = damaged + kind.reasons["sent: time repeats"]
+        if kind.refused > most:
+            faults.append(f"{kind.refused} were refused, but only {most} could be")
+        words = [damage.says for damage in DAMAGES.values() if damage.says] + [CLOCKS["time repeats"][1]]
+        faults += [
+            f"refused for a reason that nobody expects: {reason}"
+            for reason in kind.reasons
+            if reason.startswith("refused: ") and not any(word in reason for word in words)
+        ]
+        faults += growth_faults(self._ended_with_mb)
+
+
+if __name__ == "__main__":
+    main()

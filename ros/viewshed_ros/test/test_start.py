@@ -1,0 +1,52 @@
+"""The process of the node: it ends by a signal whenever that comes, also where it could not be configured."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import pytest
+
+
+@contextmanager
+def started(*parameters: str) -> Iterator["subprocess.Popen[bytes]"]:
+    given = [word for parameter in ("autostart:=true", *parameters) for word in ("-p", parameter)]
+    command = [sys.executable, "-m", "viewshed_ros.node", "--ros-args", *given]
+    process = subprocess.Popen(command, env=os.environ, stderr=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stderr is not None
+        process.stderr.close()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "word"),
+    [
+        (["method:=nonesuch"], b"not configured: method"),
+        (["monitor:=always", "monitor_file:=/nonesuch.npz"], b"not configured:"),
+        (["lidar.topic:=no topic"], b"not activated:"),
+    ],
+)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_could_not_be_started_ends_by_a_signal(
+    parameters: Sequence[str], word: bytes, number: signal.Signals
+) -> None:
+    with started(*parameters) as process:
+        assert process.stderr is not None
+        assert any(word in line for line in process.stderr)
+        process.send_signal(number)
+        assert process.wait(20) == 0
+
+
+def test_a_signal_while_it_starts_ends_it() -> None:
+    for step in range(4):
+        with started() as process:
+            time.sleep(0.3 + 0.3 * step)
+            process.send_signal(signal.SIGTERM)
+            process.wait(20)

@@ -1,0 +1,92 @@
+"""Ouster's packets, one a message, as the revolutions that they are of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.io.messages.packets import sweep_of_ouster
+from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
+from viewshed.sweep import Sweep
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet of an Ouster sensor, as ``PacketMsg`` holds it."""
+
+    buf: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Revolution:
+    """The packets of one revolution.
+
+    Attributes:
+        packets: in the order in which they came.
+        t_ns: when the first one came.
+    """
+
+    packets: tuple[Packet, ...]
+    t_ns: int
+
+
+@dataclass(slots=True)
+class Revolutions:
+    """Gathers packets, which come one by one, into revolutions.
+
+    Attributes:
+        decoder: of the sensor.
+    """
+
+    decoder: OusterDecoder
+    _packets: list[Packet] = field(default_factory=list)
+    _begin_ns: int = 0
+    _number: int | None = None
+    _before: int | None = None
+
+    @classmethod
+    def of(cls, metadata: str | Path) -> Revolutions:
+        """Return what gathers the packets of the sensor that a file of its metadata describes.
+
+        Raises:
+            ValueError: they are no metadata.
+            OSError: the file cannot be read.
+        """
+        path = Path(metadata)
+        try:
+            return cls(OusterDecoder(OusterMetadata.parse(path.read_text(encoding="utf-8"))))
+        except (ValueError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path.name}: {error}") from error
+
+    def add(self, data: Any, t_ns: int) -> Revolution | None:
+        """Take a packet; return the revolution before where it begins another.
+
+        Args:
+            data: its bytes, as the message's array holds them.
+            t_ns: when it came.
+
+        Raises:
+            ValueError: it is no lidar packet of the sensor.
+        """
+        packet = Packet(np.frombuffer(bytes(data), np.uint8))
+        number = self.decoder.frame_number(packet.buf.tobytes())
+        if number is None:
+            size = self.decoder.packet_bytes
+            raise ValueError(f"a packet must be a lidar packet of {size} bytes of this sensor, got {len(packet.buf)}")
+        if number == self._before:  # late
+            return None
+        ended = None
+        if number != self._number:
+            if self._packets:
+                ended, self._before = Revolution(tuple(self._packets), self._begin_ns), self._number
+            self._packets, self._number, self._begin_ns = [], number, t_ns
+        self._packets.append(packet)
+        return ended
+
+    def sweep(self, revolution: Revolution) -> Sweep:
+        """Return the sweep of a revolution, at the time when it began to come."""
+        return sweep_of_ouster(revolution.packets, self.decoder).replace(t_ns=revolution.t_ns)

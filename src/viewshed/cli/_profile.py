@@ -1,0 +1,83 @@
+"""``--profile`` of the commands that run a pipeline: settings by use, where no option beside it says otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from viewshed.cli._outputs import Named
+    from viewshed.pipeline.reactions import ReactionRules
+
+ProfileName = Annotated[
+    str | None,
+    typer.Option("--profile", help="Settings by use: robot, infrastructure, mapping, contested; other options win."),
+]
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a pipeline is run with.
+
+    Attributes:
+        method: name of the estimator; None for the usual one.
+        grid: name of the grid.
+        history: earlier sweeps that help.
+        monitor: whether the stream is watched.
+        rules: how caution rises and falls.
+        rate_hz: sweeps of an agent that are estimated in a second of the recording; 0 for all.
+    """
+
+    method: str | None
+    grid: str
+    history: int
+    monitor: bool
+    rules: ReactionRules
+    rate_hz: float
+
+    def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
+        """Yield the sweeps without those that come sooner after the one before of their agent than the rate allows."""
+        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
+        least_ns = 0.9e9 / self.rate_hz if self.rate_hz else 0.0
+        last_ns: dict[str, int] = {}
+        for named in sweeps:
+            t_ns, agent = named.sweep.t_ns, named.sweep.agent
+            if t_ns is not None:
+                if agent in last_ns and 0 < t_ns - last_ns[agent] < least_ns:
+                    continue
+                last_ns[agent] = t_ns
+            yield named
+
+
+def settings(
+    ctx: typer.Context, profile: str | None, *, method: str | None, grid: str, history: int, monitor: bool
+) -> Settings:
+    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither.
+
+    Raises:
+        ValueError: there is no profile of this name.
+    """
+    from viewshed.pipeline.profiles import profile_named
+    from viewshed.pipeline.reactions import RULES
+
+    if profile is None:
+        return Settings(method, grid, history, monitor, RULES, 0.0)
+    found = profile_named(profile)
+
+    def chosen(name: str, given: Value, otherwise: Value) -> Value:
+        source = ctx.get_parameter_source(name)
+        return otherwise if source is None or source.name == "DEFAULT" else given
+
+    return Settings(
+        chosen("method", method, found.method),
+        chosen("grid", grid, found.grid),
+        chosen("history", history, found.history),
+        chosen("monitor", monitor, found.monitor),
+        found.rules,
+        found.rate_hz,
+    )

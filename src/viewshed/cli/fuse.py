@@ -1,0 +1,172 @@
+"""``viewshed fuse``: what several agents see together, and which of them contradict the others."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import AS_THEY_ARE, Reading
+from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
+from viewshed.cli._stream import named_sweeps
+from viewshed.cli.estimate import Files, Method
+
+if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
+    from viewshed.fusion.many import AgentReport, CommonPicture
+    from viewshed.perception.detector import Detector
+    from viewshed.sweep import Sweep
+
+FUSED = "fused.jsonl"
+
+
+def fuse(
+    files: Files = None,
+    method: Method = None,
+    grid: options.GridName = "road",
+    reading: Reading = AS_THEY_ARE,
+    index: options.Index = None,
+    slop: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Seconds by which sweeps of one time may lie apart.")
+    ] = 0.1,
+    results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
+) -> None:
+    """Put together what several agents see: joint tracks, joint field of view, and who contradicts whom.
+
+    Agents are those of a recording, or one for each file; their sweeps need times and poses in one world. One line for
+    each time, all numbers in fused.jsonl, and the joint field of view as a picture.
+
+    Example: viewshed fuse junction.mcap --out fused
+    """
+    from viewshed._files import write_atomic
+    from viewshed.fusion.many import CommandCenter
+    from viewshed.perception.detector import Detector
+
+    kinds = parse_results(results, ("jsonl", "png"))
+    estimator = options.NetworkOptions().estimator(method, options.parse_grid(grid), "car")
+    detector = Detector()
+    jobs = list(options.chosen(files or [], index))
+    names = output_names([file for file, _ in jobs])
+    make_folder(out)
+    failures, center, lines, times = Failures(), None, [], 0
+    streams = [named_sweeps(reading, [job], [name], failures) for job, name in zip(jobs, names, strict=True)]
+    for t_s, sweeps in rounds(streams, slop, failures):
+        reports = [report_of(sweep, estimator, detector) for sweep in sweeps]
+        agents = tuple(sorted(report.agent for report in reports))
+        # A center knows its agents: where others come in, it begins anew.
+        if center is None or not set(agents) <= set(center.agents):
+            known = agents if center is None else tuple(sorted({*center.agents, *agents}))
+            center = CommandCenter(known)
+        picture = center.add(t_s, reports)
+        typer.echo(line_of(picture))
+        lines.append(json.dumps(numbers_of(picture)))
+        if "png" in kinds:
+            write_atomic(out / f"fused_{times:04}.png", picture_of(picture, reports))
+        times += 1
+    if "jsonl" in kinds:
+        write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
+    if times:
+        typer.echo(f"{times} times → {out}")
+    if failures.count or not times:
+        if not times and not failures.count:
+            raise ValueError("sweeps must have times and poses to be put together, got none that do")
+        raise typer.Exit(2)
+
+
+def rounds(streams: list[Iterator[Named]], slop: float, failures: Failures) -> Iterator[tuple[float, list[Sweep]]]:
+    """Yield sweeps of about the same time, one of each agent; what has no time or pose is reported."""
+    posed = (_with_times(stream, number, failures) for number, stream in enumerate(streams))
+    together: dict[str, Sweep] = {}
+    began_ns = 0
+    for t_ns, number, _, named in heapq.merge(*posed, key=lambda row: row[:3]):
+        agent = named.sweep.agent if len(streams) == 1 else f"{named.sweep.agent}{number}"
+        if together and (t_ns - began_ns > 1e9 * slop or agent in together):
+            yield began_ns / 1e9, list(together.values())
+            together = {}
+        if not together:
+            began_ns = t_ns
+        together[agent] = named.sweep.replace(agent=agent)
+    if together:
+        yield began_ns / 1e9, list(together.values())
+
+
+def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Iterator[tuple[int, int, int, Named]]:
+    for place, named in enumerate(stream):
+        if named.sweep.t_ns is None or named.sweep.world_from_sensor is None:
+            failures.report(
+                named.name, ValueError("a sweep must have a time and a pose to be put together with others")
+            )
+        else:
+            yield named.sweep.t_ns, number, place, named
+
+
+def report_of(sweep: Sweep, estimator: Estimator, detector: Detector) -> AgentReport:
+    """Return what the agent of a sweep reports."""
+    from dataclasses import replace
+
+    from viewshed.fusion.many import AgentReport
+    from viewshed.preprocess.leveling import leveled_on
+
+    leveled = leveled_on(sweep, estimator.grid)
+    estimate = replace(estimator.estimate(leveled), agent=sweep.agent)
+    return AgentReport.of(estimate, detector.detect(leveled))
+
+
+def line_of(picture: CommonPicture) -> str:
+    """Return a picture in a line: objects, who reports, and who is suspected."""
+    verdicts = picture.verdicts
+    doubted = [
+        f"{agent} (trust {trust:.2f})"
+        for agent, trust, suspect in zip(picture.agents, verdicts.trust, verdicts.suspects, strict=True) if suspect
+    ]  # fmt: skip
+    doubts = f"; contradicted: {', '.join(doubted)}" if doubted else ""
+    return f"{picture.t_s:.2f} s: {picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed{doubts}"
+
+
+def numbers_of(picture: CommonPicture) -> dict[str, Any]:
+    """Return the numbers of a picture as plain values."""
+    tracks, verdicts = picture.tracks, picture.verdicts
+    agents = {
+        agent: {"trust": round(float(trust), 4), "evidence": round(float(evidence), 3), "suspect": bool(suspect)}
+        for agent, trust, evidence, suspect in zip(
+            picture.agents, verdicts.trust, verdicts.evidence, verdicts.suspects, strict=True
+        )
+    }
+    objects = [
+        {
+            "id": int(tracks.ids[k]), "box": tracks.boxes[k].round(3).tolist(),
+            "velocity_mps": tracks.states[k, 2:].round(3).tolist(), "existence": round(float(picture.existence[k]), 4),
+            "believed": bool(picture.believed[k]),
+            "reported_by": [picture.agents[n] for n in picture.reporters[k].nonzero()[0]],
+        }
+        for k in tracks.confirmed.nonzero()[0]
+    ]  # fmt: skip
+    return {"t_s": round(picture.t_s, 6), "agents": agents, "doubt": round(verdicts.doubt, 3), "objects": objects}
+
+
+def picture_of(picture: CommonPicture, reports: list[AgentReport]) -> bytes:
+    """Return the PNG of the joint field of view, about the middle of the agents."""
+    import numpy as np
+
+    from viewshed.fusion.many import joint_fov
+    from viewshed.geometry import Rigid
+    from viewshed.grid import BevGrid
+
+    places = np.array([report.world_from_level.translation for report in reports])
+    middle, extent_m = places.mean(axis=0), max(report.estimate.grid.half_extent_m for report in reports)
+    half_m = extent_m + float(np.abs(places - middle).max())
+    grid = BevGrid(min(512, round(2 * half_m / reports[0].estimate.grid.cell_m)), half_m)
+    trust = dict(zip(picture.agents, picture.verdicts.trust.tolist(), strict=True))
+    joint = joint_fov(
+        [report.estimate for report in reports], grid, Rigid(np.eye(3), middle),
+        np.array([trust[report.agent] for report in reports]),
+    )  # fmt: skip
+    return joint.estimate(round(1e9 * picture.t_s)).plot(
+        title=f"joint view of {len(reports)} agents, {picture.t_s:.2f} s"
+    )

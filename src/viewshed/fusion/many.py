@@ -1,0 +1,413 @@
+"""Many agents, one picture: joint tracks, who is trusted, and what all of them see together.
+
+What agents report of one time is put together in four steps:
+
+1. detections of all agents are matched with each other, each agent's with at most one of another's;
+2. the joint detections go through one tracker, whose probability of detection is that *any* trusted agent sees;
+3. of each track every agent says by its report, or by its silence where it claims to see, how well it agrees
+   (:mod:`viewshed.fusion.trust`);
+4. a track is believed if it exists whoever lies.
+
+What an agent claims about its own vehicle's box is no report: it cannot see itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fusion.claims import ClaimTable, claim_table
+from viewshed.fusion.trust import Reports, Trust, TrustRules, Verdicts
+from viewshed.fusion.view_checks import ELEVATED_M
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.objects import Detections, moved_boxes
+from viewshed.tracking.association import assign
+from viewshed.tracking.tracker import Tracker
+from viewshed.tracking.tracks import Tracks
+from viewshed.tracking.views import GridView, hidden_within
+
+Floats = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]
+
+GATE_M = 4.0
+"""Detections of two agents farther apart are of two objects."""
+
+FAR_M = 50.0
+"""Reports from farther than this, and silence about what is farther, say nothing."""
+
+OWN_SIZE_M = (4.8, 2.0, 1.6)
+"""Size of the vehicle below a low sensor, where it is not known."""
+
+STD_M, STD_PER_M = 0.25, 0.006
+"""Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
+
+LEAST_TRUST = 0.05
+"""Weight of an agent's detections that is left when nobody trusts it."""
+
+BELIEVED = 0.5
+"""Probability of existence, whoever lies, from which a track is believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class AgentReport:
+    """What one agent says of one time.
+
+    Attributes:
+        estimate: its field of view, with a pose and its name.
+        detections: its objects, in ``level``.
+        own_box: (7,) box of its own vehicle in ``level``, which others see; None for a sensor on a mast.
+
+    Raises:
+        ValueError: the view has no pose.
+    """
+
+    estimate: FovEstimate
+    detections: Detections
+    own_box: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if self.estimate.world_from_level is None:
+            raise ValueError(f"the view of {self.estimate.agent} must have a pose: without one it cannot be placed")
+
+    @classmethod
+    def of(cls, estimate: FovEstimate, detections: Detections) -> AgentReport:
+        """Return the report of an agent whose vehicle is not known: one of usual size below a low sensor.
+
+        Raises:
+            ValueError: the view has no pose.
+        """
+        report = cls(estimate, detections)
+        own = np.array([0.0, 0.0, OWN_SIZE_M[2] / 2, *OWN_SIZE_M, 0.0])
+        return report if report.elevated else cls(estimate, detections, own)
+
+    @property
+    def agent(self) -> str:
+        """Its name."""
+        return self.estimate.agent
+
+    @cached_property
+    def world_from_level(self) -> Rigid:
+        """Its pose."""
+        assert self.estimate.world_from_level is not None
+        return self.estimate.world_from_level
+
+    @property
+    def elevated(self) -> bool:
+        """Whether its sensor looks over cars."""
+        basis = self.estimate.basis
+        return basis is not None and basis.sensor_height_m > ELEVATED_M
+
+    @cached_property
+    def in_world(self) -> Detections:
+        """Its detections within ``FAR_M`` in the world."""
+        near = np.hypot(self.detections.boxes[:, 0], self.detections.boxes[:, 1]) <= FAR_M
+        return self.detections.take(near).moved(self.world_from_level)
+
+    def range_m(self, boxes: Floats) -> Floats:
+        """Return the horizontal range (K,) of boxes (K, 7) of the world."""
+        away = boxes[:, :2] - self.world_from_level.translation[:2]
+        return np.hypot(away[:, 0], away[:, 1])
+
+    def chance(self, boxes: Floats, claims: ClaimTable) -> Floats:
+        """Return the chance (K,) that an honest agent in its place reports each box (K, 7) of the world."""
+        if not len(boxes):
+            return np.zeros(0)
+        visible, range_m = GridView(self.estimate, 0.0).visible(boxes), self.range_m(boxes)
+        chance = claims(visible, boxes, range_m, elevated=self.elevated)
+        return np.where((range_m > FAR_M) | self._is_own(boxes), 0.0, chance)
+
+    def _is_own(self, boxes: Floats) -> Mask:
+        if self.own_box is None:
+            return np.zeros(len(boxes), np.bool_)
+        own = moved_boxes(self.own_box[None], self.world_from_level)[0]
+        return np.asarray(np.hypot(boxes[:, 0] - own[0], boxes[:, 1] - own[1]) < own[3] / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointView:
+    """What any of several agents could see, each weighted by how far it is trusted; a :class:`View` of tracking."""
+
+    t_s: float
+    reports: tuple[AgentReport, ...]
+    trust: Floats
+    claims: ClaimTable
+    in_world: bool = True
+
+    def visible(self, boxes: Floats) -> Floats:
+        """Return the chance (K,) that any trusted agent reports each box, 0.9 of which :meth:`detectable` explains."""
+        missed = np.ones(len(boxes))
+        for report, trust in zip(self.reports, self.trust, strict=True):
+            missed *= 1.0 - trust * report.chance(boxes, self.claims)
+        return 1.0 - missed
+
+    def detectable(self, boxes: Floats, kinds: NDArray[np.uint8]) -> Floats:
+        """Return ones (K,): what a claim is worth holds the detector already."""
+        return np.ones(len(boxes))
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
+        return hidden_within(self, boxes, within_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonPicture:
+    """What all agents say together of one time.
+
+    Attributes:
+        t_s: the time.
+        agents: names of all agents.
+        tracks: joint tracks in the world.
+        verdicts: of the agents, and of those tracks that somebody reports now.
+        existence: (N,) probability of each track, whoever lies.
+        reporters: (N, A) bool, who reports each track now.
+        notes: what was left out, a sentence each.
+    """
+
+    t_s: float
+    agents: tuple[str, ...]
+    tracks: Tracks
+    verdicts: Verdicts
+    existence: Floats
+    reporters: Mask
+    notes: tuple[str, ...] = ()
+
+    @property
+    def believed(self) -> Mask:
+        """(N,) bool, confirmed tracks that exist whoever lies."""
+        return self.tracks.confirmed & (self.existence >= BELIEVED)
+
+
+@dataclass(slots=True)
+class CommandCenter:
+    """Puts together what agents report, time by time.
+
+    Args:
+        agents: names of all that may report.
+        rules: of the trust in them.
+        claims: what a claim of visibility is worth; None is the table in the box.
+        trusting: believe everybody alike, for comparison.
+    """
+
+    agents: tuple[str, ...]
+    rules: TrustRules = field(default_factory=TrustRules)
+    claims: ClaimTable = field(default_factory=claim_table)
+    trusting: bool = False
+    _trust: Trust = field(init=False, repr=False)
+    _tracker: Tracker = field(default_factory=Tracker, repr=False)
+    _existence: dict[int, float] = field(default_factory=dict, repr=False)
+    _weights: Floats = field(init=False, repr=False)
+    _last_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if len(set(self.agents)) != len(self.agents) or not self.agents:
+            raise ValueError(f"agents must be different names, got {', '.join(self.agents)}")
+        self._trust = Trust(len(self.agents), self.rules)
+        self._weights = np.ones(len(self.agents))
+
+    def add(self, t_s: float, reports: Sequence[AgentReport]) -> CommonPicture:
+        """Return the picture after the reports of one time, at most one of each agent.
+
+        Raises:
+            ValueError: an agent is not known, or reports twice.
+        """
+        columns = self._columns(reports)
+        if self._last_s is not None and t_s <= self._last_s:
+            raise ValueError(f"t_s must rise, got {t_s:.3f} s after {self._last_s:.3f} s; begin a new center")
+        trust = np.ones(len(reports)) if self.trusting else self._weights[columns]
+        matches = match_agents([report.in_world for report in reports])
+        joint, noise = _joint(reports, matches, trust)
+        tracks = self._tracker.step(t_s, joint, JointView(t_s, tuple(reports), trust, self.claims), noise)
+
+        # Tracks that somebody reports now: what does each agent say of them?
+        reported = np.flatnonzero(tracks.detection >= 0)
+        said = self._said(reports, columns, matches[tracks.detection[reported]], tracks, reported)
+        seconds = 0.5 if self._last_s is None else t_s - self._last_s
+        verdicts, self._last_s = self._trust.add(said, seconds), t_s
+        self._weights = np.maximum(verdicts.trust, LEAST_TRUST)
+        self._existence |= dict(zip(verdicts.ids.tolist(), verdicts.existence.tolist(), strict=True))
+        held = tracks.ids.tolist()
+        self._existence = {number: self._existence.get(number, 1.0) for number in held}
+        believed = np.ones(len(tracks)) if self.trusting else np.array([self._existence[number] for number in held])
+        reporters = np.zeros((len(tracks), len(self.agents)), np.bool_)
+        reporters[reported] = said.seen
+        return CommonPicture(
+            t_s, self.agents, tracks, verdicts, tracks.existence * believed, reporters, tuple(tracks.notes)
+        )
+
+    def _columns(self, reports: Sequence[AgentReport]) -> NDArray[np.intp]:
+        names = [report.agent for report in reports]
+        for name in names:
+            if name not in self.agents or names.count(name) > 1:
+                raise ValueError(f"reports must be of {', '.join(self.agents)}, one each, got {', '.join(names)}")
+        return np.array([self.agents.index(name) for name in names], np.intp)
+
+    def _said(
+        self, reports: Sequence[AgentReport], columns: NDArray[np.intp], members: NDArray[np.int32], tracks: Tracks,
+        reported: NDArray[np.intp],
+    ) -> Reports:  # fmt: skip
+        """Return what every agent says of the tracks that are reported; ``members`` (J, R) are their detections."""
+        boxes, shape = tracks.boxes[reported], (len(reported), len(self.agents))
+        chance, seen = np.zeros(shape), np.zeros(shape, np.bool_)
+        xy_m, std_m = np.full((*shape, 2), np.nan), np.ones(shape)
+        for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
+            hit, of = np.flatnonzero(members[:, place] >= 0), members[members[:, place] >= 0, place]
+            chance[:, column] = report.chance(boxes, self.claims)
+            seen[hit, column] = True
+            xy_m[hit, column] = report.in_world.boxes[of, :2]
+            std_m[:, column] = STD_M + STD_PER_M * report.range_m(boxes)
+        return Reports(tracks.ids[reported], chance, seen, xy_m, std_m)
+
+
+def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:
+    """Return which detections of R agents, in the world, are of one object: (J, R) their numbers, -1 for none.
+
+    Agent after agent is matched with the objects found so far, by the smallest total distance within ``GATE_M``.
+
+    >>> two = Detections(np.array([[0, 0, 0, 4, 2, 2, 0], [9, 0, 0, 4, 2, 2, 0]]), np.array([3, 3]), np.array([9, 9]))
+    >>> match_agents([two, two.take(np.array([1]))]).tolist()
+    [[0, -1], [1, 0]]
+    """
+    members, centers = np.zeros((0, len(detections)), np.int32), np.zeros((0, 2))
+    for place, found in enumerate(detections):
+        xy = found.boxes[:, :2]
+        matched = assign(GATE_M - np.linalg.norm(centers[:, None] - xy[None], axis=2))
+        hit = matched >= 0
+        members[hit, place] = matched[hit]
+        # The center of an object is the mean of those that see it.
+        count = (members[hit] >= 0).sum(axis=1, keepdims=True)
+        centers[hit] += (xy[matched[hit]] - centers[hit]) / count
+        left = np.setdiff1d(np.arange(len(found)), matched).astype(np.int32)
+        new = np.full((len(left), len(detections)), -1, np.int32)
+        new[:, place] = left
+        members, centers = np.concatenate([members, new]), np.concatenate([centers, xy[left]])
+    return members
+
+
+def _joint(reports: Sequence[AgentReport], matches: NDArray[np.int32], trust: Floats) -> tuple[Detections, Floats]:
+    """Return one detection for each object, with the covariance (J, 2, 2) of its center; trusted agents count most.
+
+    The box is that of the agent with most returns, moved to the weighted mean of all centers.
+    """
+    boxes, best = np.zeros((len(matches), 7)), np.full(len(matches), -1.0)
+    kinds, returns = np.zeros(len(matches), np.uint8), np.zeros(len(matches), np.int32)
+    moment, total = np.zeros((len(matches), 2)), np.zeros(len(matches))
+    for place, report in enumerate(reports):
+        hit, found = np.flatnonzero(matches[:, place] >= 0), report.in_world
+        of = matches[hit, place]
+        weight = trust[place] / (STD_M + STD_PER_M * report.range_m(found.boxes[of])) ** 2
+        moment[hit] += weight[:, None] * found.boxes[of, :2]
+        total[hit] += weight
+        merit = trust[place] * (1.0 + found.returns[of])
+        better = merit > best[hit]
+        boxes[hit[better]], kinds[hit[better]] = found.boxes[of[better]], found.kinds[of[better]]
+        best[hit] = np.maximum(best[hit], merit)
+        returns[hit] += found.returns[of]
+    boxes[:, :2] = moment / np.maximum(total, 1e-12)[:, None]
+    return Detections(boxes, kinds, returns), np.eye(2) / np.maximum(total, 1e-12)[:, None, None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointFov:
+    """What several agents see together, on one grid of the world.
+
+    Attributes:
+        grid: where the cells are, about ``world_from_grid``.
+        world_from_grid: pose of the grid.
+        agents: names.
+        visible_prob: (cells, cells) probability that any trusted agent sees a target there.
+        seen_by: (cells, cells) uint8, how many agents claim to see it.
+        surest: (cells, cells) int8 number of the agent that sees it most surely, -1 where nobody sees it.
+        state: (cells, cells) uint8: SURFACE or FREE as the surest agent says, HIDDEN where somebody says so and nobody
+            sees it, UNKNOWN elsewhere.
+    """
+
+    grid: BevGrid
+    world_from_grid: Rigid
+    agents: tuple[str, ...]
+    visible_prob: NDArray[np.float32]
+    seen_by: NDArray[np.uint8]
+    surest: NDArray[np.int8]
+    state: NDArray[np.uint8]
+
+    def estimate(self, t_ns: int | None = None) -> FovEstimate:
+        """Return it as one estimate, to be drawn and saved as others are."""
+        return FovEstimate(
+            self.grid, self.visible_prob, self.state, method=f"joint view of {len(self.agents)}",
+            world_from_level=self.world_from_grid, t_ns=t_ns, agent=" ".join(self.agents),
+        )  # fmt: skip
+
+
+def joint_fov(
+    views: Sequence[FovEstimate], grid: BevGrid, world_from_grid: Rigid, trust: NDArray[np.floating] | None = None
+) -> JointFov:
+    """Return what views with poses see together; an agent's claims count by how far it is trusted (A,).
+
+    Raises:
+        ValueError: a view has no pose, or there is another number of trusts.
+    """
+    weights = np.ones(len(views)) if trust is None else np.asarray(trust, np.float64)
+    if len(weights) != len(views):
+        raise ValueError(f"trust must be of {len(views)} views, got {len(weights)}")
+    missed, seen_by = np.ones(grid.shape), np.zeros(grid.shape, np.uint8)
+    most, surest = np.zeros(grid.shape), np.full(grid.shape, -1, np.int8)
+    state = np.full(grid.shape, CellState.UNKNOWN, np.uint8)
+    for number, (view, weight) in enumerate(zip(views, weights, strict=True)):
+        prob, said = claimed_at(view, grid, world_from_grid)
+        prob = weight * prob
+        state[(said == CellState.HIDDEN) & (surest < 0)] = CellState.HIDDEN
+        missed *= 1.0 - prob
+        seen_by += prob >= view.threshold
+        better = (prob > most) & (prob >= view.threshold)
+        surest[better], state[better], most = number, said[better], np.maximum(most, prob)
+    agents = tuple(view.agent for view in views)
+    return JointFov(grid, world_from_grid, agents, (1.0 - missed).astype(np.float32), seen_by, surest, state)
+
+
+def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> tuple[Floats, NDArray[np.uint8]]:
+    """Return the probability and the state (cells, cells) that a view claims in the cells of another grid.
+
+    Outside its own they are 0 and UNKNOWN.
+
+    Raises:
+        ValueError: the view has no pose.
+    """
+    if view.world_from_level is None:
+        raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be placed")
+    pose = view.world_from_level.inverse() @ world_from_grid
+    centers = grid.centers @ pose.rotation[:2, :2].T + pose.translation[:2]
+    cells, inside = view.grid.index(centers)
+    state = np.where(inside, view.state[cells[..., 0], cells[..., 1]], np.uint8(CellState.UNKNOWN))
+    return np.nan_to_num(view.at(centers).astype(np.float64), nan=0.0), state
+
+
+def confirmed(
+    view: FovEstimate, cells: Mask, others: Sequence[FovEstimate], trust: Floats, least: float
+) -> FovEstimate:
+    """Return a view that claims some cells only where a trusted agent claims them as well; UNKNOWN elsewhere.
+
+    Args:
+        view: with a pose.
+        cells: (cells, cells) bool, those in doubt: a wedge that opened, or all.
+        others: views of other agents, with poses.
+        trust: (O,) in the others.
+        least: trust from which an agent may confirm.
+
+    Raises:
+        ValueError: a view has no pose.
+    """
+    if view.world_from_level is None:
+        raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be confirmed")
+    agreed = np.zeros(view.grid.shape, np.bool_)
+    for other, one in zip(others, trust, strict=True):
+        if one >= least:
+            agreed |= claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
+    doubtful = cells & view.visible() & ~agreed
+    prob = np.where(doubtful, np.minimum(view.visible_prob, np.float32(0.5 * view.threshold)), view.visible_prob)
+    return replace(view, visible_prob=prob, state=np.where(doubtful, np.uint8(CellState.UNKNOWN), view.state))

@@ -1,0 +1,306 @@
+"""Views that lie: what an agent claims to see, held against itself, against others, and against what was before.
+
+A view that claims too much convicts others, or hides a removal; one that claims too little escapes contradiction. Each
+check makes one number of a claimed view, larger where it is more suspicious, NaN where it has nothing to look at. What
+is large is not decided here: honest views err as well, and :class:`ViewScale` knows how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.integrity.score import SurpriseScale
+from viewshed.objects import Detections
+
+Floats = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]
+
+AZIMUTHS, NEAREST_M, FARTHEST_M, STEP_M = 180, 2.0, 40.0, 0.5
+"""Where views are compared: on rays from the sensor."""
+
+MARGIN_M = 1.5
+"""A surface has some depth of its own: what lies so near behind it is not yet behind it."""
+
+SHIFT_M, TURNS = 2.0, np.radians(np.arange(-3.0, 3.1, 1.0))
+"""Poses so far around the claimed one at which surfaces are compared with those of others."""
+
+FEWEST_SURFACES = 30
+"""Surface cells that two agents must share for their poses to be compared."""
+
+ELEVATED_M = 4.0
+"""Sensors higher than this look over cars: their views are compared with those of their kind."""
+
+SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
+"""An elevated sensor sees over surfaces of this height to targets of that height."""
+
+USUAL = 0.5
+"""Surprise up to which a check says nothing: three honest views in ten are as suspicious."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClaimedView:
+    """What one agent claims at one time, and what others claim at about that time.
+
+    Attributes:
+        estimate: its field of view, with a pose.
+        detections: its objects, in ``level``.
+        others: fields of view of other agents, with poses.
+        before: its field of view at the time before, or None.
+
+    Raises:
+        ValueError: a view has no pose.
+    """
+
+    estimate: FovEstimate
+    detections: Detections
+    others: tuple[FovEstimate, ...] = ()
+    before: FovEstimate | None = None
+
+    def __post_init__(self) -> None:
+        for view in (self.estimate, *self.others):
+            if view.world_from_level is None:
+                raise ValueError(f"the view of {view.agent} must have a pose; views without one cannot be compared")
+
+    @property
+    def elevated(self) -> bool:
+        """Whether the sensor looks over cars."""
+        basis = self.estimate.basis
+        return basis is not None and basis.sensor_height_m > ELEVATED_M
+
+    @cached_property
+    def _samples(self) -> tuple[Floats, Floats]:
+        """Places (A, R, 2) on rays from the sensor, in ``level``, and their ranges (R,)."""
+        azimuth = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS) - np.pi
+        range_m = np.arange(NEAREST_M, FARTHEST_M, STEP_M)
+        rays = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+        return rays[:, None] * range_m[:, None], range_m
+
+    @cached_property
+    def _own(self) -> NDArray[np.uint8]:
+        """What the agent itself claims at the places, (A, R)."""
+        return _state_at(self.estimate, self._samples[0])
+
+    @cached_property
+    def _theirs(self) -> NDArray[np.uint8]:
+        """What the others claim at the places, (O, A, R)."""
+        xy = self._samples[0]
+        states = [_state_at(other, _moved(xy, between(other, self.estimate))) for other in self.others]
+        return np.stack(states) if states else np.zeros((0, *xy.shape[:2]), np.uint8)
+
+    def _behind(self, surfaces: Mask) -> Mask:
+        """Return which places (A, R) lie behind one of the surfaces (A, R)."""
+        range_m = self._samples[1]
+        steps = round(MARGIN_M / STEP_M)
+        first_m = np.where(surfaces, range_m, np.inf)
+        # An elevated sensor sees the next target over a surface; from low ones everything behind it is hidden.
+        height_m = self.estimate.basis.sensor_height_m if self.estimate.basis is not None else 0.0
+        reach = (height_m - LOOKED_AT_M) / (height_m - SEEN_OVER_M) if self.elevated else np.inf
+        hidden_to_m = np.maximum.accumulate(np.where(surfaces, range_m * reach, 0.0), axis=1)
+        nearest_m = np.minimum.accumulate(first_m, axis=1)
+        behind = np.zeros_like(surfaces)
+        behind[:, steps:] = (nearest_m[:, :-steps] < np.inf) & (range_m[steps:] < hidden_to_m[:, :-steps])
+        return behind
+
+    def _share(self, part: Mask, whole: Mask) -> float:
+        """Return the share of an area (A, R) that belongs to a part of it; NaN of nothing."""
+        area = np.broadcast_to(self._samples[1], whole.shape)
+        total = float(area[whole].sum())
+        return float(area[part & whole].sum()) / total if total > 0 else np.nan
+
+
+def between(to: FovEstimate, of: FovEstimate) -> Rigid:
+    """Return the pose of one view's ``level`` frame in that of another, both with poses."""
+    assert to.world_from_level is not None
+    assert of.world_from_level is not None
+    return to.world_from_level.inverse() @ of.world_from_level
+
+
+def _moved(xy: Floats, pose: Rigid) -> Floats:
+    moved: Floats = xy @ pose.rotation[:2, :2].T + pose.translation[:2]
+    return moved
+
+
+def _state_at(estimate: FovEstimate, xy: Floats) -> NDArray[np.uint8]:
+    """Return the states (…,) at places (…, 2) in ``level``; UNKNOWN outside the grid."""
+    cells, inside = estimate.grid.index(xy)
+    state: NDArray[np.uint8] = np.where(inside, estimate.state[cells[..., 0], cells[..., 1]], CellState.UNKNOWN)
+    return state
+
+
+def _is_visible(state: NDArray[np.uint8]) -> Mask:
+    visible: Mask = (state == CellState.FREE) | (state == CellState.SURFACE)
+    return visible
+
+
+def hidden_detections(view: ClaimedView) -> float:
+    """Return the share of the agent's own objects that stand where it claims to see nothing."""
+    boxes = view.detections.boxes
+    range_m = np.hypot(boxes[:, 0], boxes[:, 1])
+    near = (range_m > NEAREST_M) & (range_m < FARTHEST_M)
+    if not near.any():
+        return np.nan
+    # An object hides its own center: any of its middle and its near side may be what is seen.
+    scale = 1.0 - np.array([0.0, 0.5, 1.0, 1.3])[:, None] * boxes[near, 4] / 2 / range_m[near]
+    states = _state_at(view.estimate, scale[..., None] * boxes[near, :2])
+    return float(1.0 - _is_visible(states).any(axis=0).mean())
+
+
+def claims_in_shadows(view: ClaimedView) -> float:
+    """Return the share of the places close behind the agent's own objects that it claims to see."""
+    boxes = view.detections.boxes
+    range_m = np.hypot(boxes[:, 0], boxes[:, 1])
+    casts = (range_m > NEAREST_M) & (range_m < FARTHEST_M) & (boxes[:, 3:5].min(axis=1) > 1.0)
+    if not casts.any():
+        return np.nan
+    far_m = range_m[casts] + boxes[casts, 3:5].max(axis=1) / 2
+    behind = (far_m[:, None] + np.array([0.5, 1.0, 1.5, 2.0])) / range_m[casts, None]
+    return float(_is_visible(_state_at(view.estimate, behind[..., None] * boxes[casts, None, :2])).mean())
+
+
+def claims_behind_walls(view: ClaimedView) -> float:
+    """Return the share of what is claimed visible that lies behind surfaces which hide what is behind them for others.
+
+    How tall a surface is no view says; that others see nothing behind one does.
+    """
+    xy, walls = view._samples[0], np.zeros(view._own.shape, np.bool_)
+    for other, theirs in zip(view.others, view._theirs, strict=True):
+        at = _moved(xy, between(other, view.estimate))
+        range_m = np.linalg.norm(at, axis=-1, keepdims=True)
+        behind = [_state_at(other, at * (1.0 + step_m / range_m)) == CellState.HIDDEN for step_m in (1.5, 2.5)]
+        walls |= (theirs == CellState.SURFACE) & behind[0] & behind[1]
+    return view._share(view._behind(walls), _is_visible(view._own)) if view.others else np.nan
+
+
+def open_but_denied(view: ClaimedView) -> float:
+    """Return the share of what nobody's surface hides from the agent that it claims not to see."""
+    surfaces = (view._own == CellState.SURFACE) | (view._theirs == CellState.SURFACE).any(axis=0)
+    known = _is_visible(view._own) | _is_visible(view._theirs).any(axis=0)
+    return view._share(~_is_visible(view._own), ~view._behind(surfaces) & known)
+
+
+def surfaces_claimed_free(view: ClaimedView) -> float:
+    """Return the share of the surfaces that others see, in the agent's view, where it sees none and claims all free."""
+    surfaces = (view._theirs == CellState.SURFACE).any(axis=0) & ~(view._theirs == CellState.FREE).any(axis=0)
+    # Surfaces are seen from different sides, and lie a cell or two apart.
+    xy, about = view._samples[0], np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    near = [_state_at(view.estimate, xy + np.array([x_m, y_m])) for x_m in about for y_m in about]
+    free = np.all([state == CellState.FREE for state in near], axis=0)
+    return view._share(free, surfaces & _is_visible(view._own))
+
+
+def surfaces_seen_free(view: ClaimedView) -> float:
+    """Return the share of the agent's surfaces that others see free and nobody sees as surfaces."""
+    free = (view._theirs == CellState.FREE).any(axis=0) & ~(view._theirs == CellState.SURFACE).any(axis=0)
+    return view._share(free, (view._own == CellState.SURFACE) & _is_visible(view._theirs).any(axis=0))
+
+
+def misplaced(view: ClaimedView) -> float:
+    """Return how many more of the agent's surfaces lie on others' at another pose near the claimed one, as a share."""
+    own = np.argwhere(view.estimate.state == CellState.SURFACE)
+    if not view.others or len(own) < FEWEST_SURFACES:
+        return np.nan
+    at = (own + 0.5) * view.estimate.grid.cell_m + view.estimate.grid.origin_m
+    best = claimed = total = 0.0
+    for other in view.others:
+        pose, cell_m = between(other, view.estimate), other.grid.cell_m
+        # Shifts are whole cells of the other's grid, and a border of them makes room.
+        most = round(SHIFT_M / cell_m)
+        surfaces = np.pad(other.state == CellState.SURFACE, most)
+        steps = np.stack(np.meshgrid(*[np.arange(2 * most + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 1, 2)
+        onto = np.empty((len(TURNS), len(steps)))
+        for row, turn in zip(onto, TURNS, strict=True):
+            cells, inside = other.grid.index(_moved(at @ Rigid.from_yaw(turn).rotation[:2, :2].T, pose))
+            x, y = np.moveaxis(cells[inside] + steps, -1, 0)
+            row[:] = surfaces[x, y].sum(axis=1)
+        if onto.max() >= FEWEST_SURFACES:
+            at_claim = onto[len(TURNS) // 2, len(steps) // 2]
+            best, claimed, total = best + onto.max(), claimed + at_claim, total + onto.max()
+    return (best - claimed) / total if total else np.nan
+
+
+def certainty(view: ClaimedView) -> float:
+    """Return the share of the view within reach that is claimed as good as surely, seen or not."""
+    prob = view.estimate.at(view._samples[0])
+    sure = (prob > 0.99) | (prob < 0.01)
+    return view._share(sure, _is_visible(view._own))
+
+
+def repeated(view: ClaimedView) -> float:
+    """Return the share of doubtful cells whose probability is exactly that of the view before."""
+    if view.before is None:
+        return np.nan
+    now, before = view.estimate.visible_prob, view.before.visible_prob
+    if now.shape != before.shape:
+        return np.nan
+    doubtful = (now > 0.02) & (now < 0.98)
+    return float((now == before)[doubtful].mean()) if doubtful.any() else np.nan
+
+
+VIEW_CHECKS: dict[str, Callable[[ClaimedView], float]] = {
+    "hidden_detections": hidden_detections,
+    "claims_in_shadows": claims_in_shadows,
+    "claims_behind_walls": claims_behind_walls,
+    "open_but_denied": open_but_denied,
+    "surfaces_claimed_free": surfaces_claimed_free,
+    "surfaces_seen_free": surfaces_seen_free,
+    "misplaced": misplaced,
+    "certainty": certainty,
+    "repeated": repeated,
+}
+"""Every check by name."""
+
+
+def check_view(view: ClaimedView, checks: Mapping[str, Callable[[ClaimedView], float]] = VIEW_CHECKS) -> Floats:
+    """Return what every check says of a view (C,), in the order of ``checks``; NaN where it abstains."""
+    return np.array([check(view) for check in checks.values()])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewScale:
+    """How rare numbers of checks are among honest views, of sensors among the traffic and of elevated ones.
+
+    Attributes:
+        low: of sensors among the traffic.
+        elevated: of sensors that look over it.
+    """
+
+    low: SurpriseScale
+    elevated: SurpriseScale
+
+    @classmethod
+    def fit(cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]]) -> Self:
+        """Return the scale of checks of honest views (N, C) and (M, C).
+
+        Raises:
+            ValueError: the checks differ.
+        """
+        if low.ndim != 2 or elevated.ndim != 2 or low.shape[1] != elevated.shape[1]:
+            raise ValueError(f"checks must be (N, C) and (M, C) alike, got {low.shape} and {elevated.shape}")
+        return cls(SurpriseScale.fit(low[..., None]), SurpriseScale.fit(elevated[..., None]))
+
+    def __call__(self, numbers: NDArray[np.floating[Any]], *, elevated: bool) -> Floats:
+        """Return the surprise (…, C) of numbers (…, C): -log10 of the share of honest views that are as suspicious.
+
+        A check that abstains is no surprise.
+        """
+        rows = np.asarray(numbers, np.float64).reshape(-1, np.shape(numbers)[-1], 1)
+        surprises = (self.elevated if elevated else self.low)(rows)[..., 0]
+        return np.nan_to_num(surprises.astype(np.float64), nan=0.0).reshape(np.shape(numbers))
+
+
+def view_doubt(surprises: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return one number of the surprises (…, C) of several checks: what each is beyond the usual, added up.
+
+    >>> view_doubt(np.array([[0.3, 0.2, 0.4], [2.5, 0.1, 1.5]])).tolist()
+    [0.0, 3.0]
+    """
+    return np.asarray(np.maximum(np.asarray(surprises) - USUAL, 0.0).sum(axis=-1), np.float64)

@@ -1,0 +1,100 @@
+"""The jobs of the study: one a scene, whose file all runs share, then one a scene for all of its cases."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from viewshed._files import write_atomic
+from viewshed._jobs import Engine
+from viewshed.fusion.claims import ClaimTable
+from viewshed.perception.detector import Detector
+from viewshed.studies.agents.plan import STEPS, AgentsPlan
+from viewshed.studies.agents.runs import claims_of, run_case
+from viewshed.studies.agents.scenes import FOLDER, Scene, scene_path
+from viewshed.studies.plan import JobKey, check_names
+from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed.studies.store import JobResult, ResultStore
+
+CLAIMS = "claims.json"
+
+
+def run_study(
+    store: ResultStore[AgentsPlan],
+    engine: Engine,
+    steps: tuple[str, ...] = STEPS,
+    on_progress: Progress = ignore_progress,
+) -> Iterator[str]:
+    """Do what is not there yet; yield one line for each job that failed.
+
+    Args:
+        store: of the study.
+        engine: does the jobs.
+        steps: of ``STEPS``.
+        on_progress: is called after each job.
+
+    Raises:
+        ValueError: a step is not known.
+        OSError: something cannot be written.
+    """
+    check_names("only", steps, STEPS)
+    (store.folder / FOLDER).mkdir(exist_ok=True)
+    if "scenes" in steps:
+        yield from run_jobs(store, do_job, store.plan.scene_keys(), engine, on_progress, step="scenes")
+    if "runs" in steps:
+        scenes = set(store.plan.scene_keys())
+
+        def missing(_key: JobKey, done: set[JobKey]) -> str:
+            lacking = len(scenes - done)
+            return f"{lacking} scenes are not made" if lacking else ""
+
+        if scenes <= store.keys() and not (store.folder / CLAIMS).exists():
+            write_atomic(store.folder / CLAIMS, fitted_claims(store).to_json().encode())
+        keys = store.plan.run_keys()
+        yield from run_jobs(store, do_job, keys, engine, on_progress, step="runs", missing=missing)
+
+
+def fitted_claims(store: ResultStore[AgentsPlan]) -> ClaimTable:
+    """Return what claims are worth in the scenes of their split."""
+    parts = [claims_of(Scene.load(scene_path(store.folder, "claims", number))) for number in range(store.plan.claims)]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return ClaimTable.fit(*(columns[name] for name in ("prob", "boxes", "range_m", "elevated", "found")))
+
+
+def do_job(job: Job[AgentsPlan]) -> JobResult:
+    """Make a scene, or run one in all of its cases."""
+    step, split, number = job.key
+    path = scene_path(job.folder, split, int(number))
+    if step == "scene":
+        scene = Scene.simulate(job.plan.scene(split, int(number)), _detector())
+        scene.save(path)
+        return JobResult(facts={"file": path.name, "objects": scene.objects.shape[1], "detections": len(scene.found)})
+    scene, claims = Scene.load(path), ClaimTable.from_json((job.folder / CLAIMS).read_text("utf-8"))
+    seed = (job.plan.seed, split, int(number))
+    runs = [asdict(run_case(scene, case, seed, claims)) for case in job.plan.cases_of(split, int(number))]
+    return JobResult(facts={"runs": runs, "coverage": coverage_of(scene)})
+
+
+def coverage_of(scene: Scene) -> dict[str, list[int]]:
+    """Return of how many objects agents claim so much: by probability [claimed, of these without five returns]."""
+    columns = claims_of(scene)
+    large = columns["boxes"][:, 3:5].max(axis=1, initial=0.0) > 2.4
+    out = {}
+    for least in (0.5, 0.9, 0.95, 0.98, 0.995):
+        claimed = large & (columns["prob"] >= least)
+        out[f"{least:g}"] = [int(claimed.sum()), int((claimed & (columns["returns"] < 5)).sum())]
+    return out
+
+
+@lru_cache(maxsize=1)
+def _detector() -> Detector:
+    return Detector()
+
+
+def claims_path(folder: Path) -> Path:
+    """Return the file of what claims are worth."""
+    return folder / CLAIMS

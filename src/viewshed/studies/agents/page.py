@@ -1,0 +1,360 @@
+"""The page of the study: who is found, who is accused wrongly, and what the common picture gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from viewshed._page import Table, facts, to_markdown
+from viewshed.fusion.trust import TrustLimits, Verdicts
+from viewshed.fusion.view_checks import VIEW_CHECKS, ViewScale, view_doubt
+from viewshed.studies.agents.lies import LIES
+from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
+from viewshed.studies.agents.runs import Run
+from viewshed.studies.cases import generator
+from viewshed.studies.formatting import commits, format_interval, format_rate
+from viewshed.studies.records import Results
+from viewshed.studies.store import ResultStore
+from viewshed.studies.templates import fill_template
+
+RATE = 0.01
+"""Share of benign scenes in which somebody may be accused; more where there are too few scenes for it."""
+
+OVERLAPS = ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, np.inf))
+"""Numbers of other agents that see what was lied about, from and up to."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredRun:
+    """A run with a score for each of A agents; larger is more suspicious.
+
+    Attributes:
+        scene: number of the scene.
+        run: what it came to.
+        score: (A,) evidence of the reports and doubt of the view, the largest over time, in powers of ten.
+        by_time: (T, A) the same at each time; the doubt of the view is that of the whole scene.
+        views: (A,) doubt of the view alone.
+        evidence: (A,) evidence of the reports alone, the largest over time.
+    """
+
+    scene: int
+    run: Run
+    score: Floats
+    by_time: Floats
+    views: Floats
+    evidence: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class AgentsResults:
+    """Runs of a study, and what follows from them.
+
+    Attributes:
+        plan: of the study.
+        results: of its runs.
+    """
+
+    plan: AgentsPlan
+    results: Results[AgentsPlan]
+
+    def runs(self, split: str) -> Iterator[tuple[int, Run]]:
+        """Yield the runs of a split with the numbers of their scenes."""
+        for key, found in sorted(self.results.facts.items()):
+            if key[:2] == ("run", split):
+                for run in found["runs"]:
+                    yield int(key[2]), Run(**run)
+
+    @property
+    def elevated(self) -> NDArray[np.bool_]:
+        """(A,) which agents stand on masts."""
+        return np.arange(self.plan.moving + self.plan.roadside) >= self.plan.moving
+
+    @cached_property
+    def scale(self) -> ViewScale:
+        """How rare numbers of checks are among honest views."""
+        checks = np.array([run.checks for _, run in self.runs("claims")], np.float64)
+        low = checks[:, ~self.elevated].reshape(-1, checks.shape[-1])
+        return ViewScale.fit(low, checks[:, self.elevated].reshape(-1, checks.shape[-1]))
+
+    def scored(self, split: str) -> list[ScoredRun]:
+        """Return the runs of a split with their scores."""
+        out = []
+        for scene, run in self.runs(split):
+            checks = np.array(run.checks, np.float64)
+            views = np.where(
+                self.elevated,
+                view_doubt(self.scale(checks, elevated=True)),
+                view_doubt(self.scale(checks, elevated=False)),
+            )
+            evidence = np.array(run.evidence) / np.log(10.0)
+            by_time = evidence + views
+            out.append(ScoredRun(scene, run, by_time.max(axis=0), by_time, views, evidence.max(axis=0)))
+        return out
+
+    @cached_property
+    def calibration(self) -> list[ScoredRun]:
+        """Benign runs that limits are from."""
+        return self.scored("calibration")
+
+    @cached_property
+    def test(self) -> list[ScoredRun]:
+        """Runs that are reported on."""
+        return self.scored("test")
+
+    @cached_property
+    def limits(self) -> TrustLimits:
+        """Who is accused: limits of one random agent of each calibration scene."""
+        rng = generator(self.plan.seed, "agents")
+        evidence = np.array([one.score[rng.integers(len(one.score))] for one in self.calibration])
+        return TrustLimits.of(evidence, np.array([max(one.run.doubt) for one in self.calibration]))
+
+    @property
+    def rate(self) -> float:
+        """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
+        return max(RATE, len(self.elevated) / (len(self.limits.evidence) + 1.0))
+
+    def accused(self, one: ScoredRun) -> NDArray[np.bool_]:
+        """Return who is accused (A,) in a run at ``rate``, at any time."""
+        return self.limits.accused(_verdicts(one.score, max(one.run.doubt), one), self.rate)
+
+    def disputed(self, one: ScoredRun) -> NDArray[np.bool_]:
+        """Return who is disputed (A,) in a run at its end."""
+        return self.limits.disputed(_verdicts(one.score, max(one.run.doubt), one), self.rate)
+
+    @cached_property
+    def benign(self) -> list[ScoredRun]:
+        """Test scenes in which nobody lies."""
+        return [one for one in self.test if one.run.case == HONEST]
+
+    def of(self, case: str, *, counting: bool = True) -> list[ScoredRun]:
+        """Return the runs of a lie; those in which the liars changed something for a second, unless all are wanted."""
+        runs = [one for one in self.test if one.run.case == case]
+        return [one for one in runs if _counts(one.run, self.plan)] if counting else runs
+
+    def benign_table(self) -> Table:
+        """Return what happens where nobody lies."""
+        accused = [bool(self.accused(one).any()) for one in self.benign]
+        disputed = [bool(self.disputed(one).any()) for one in self.benign]
+        ours, other = (float(np.mean([_gospa(one, name) for one in self.benign])) for name in ("ours", "no trust"))
+        rows = (
+            ("scenes", str(len(accused))),
+            ("of these with an honest agent accused", _share(accused)),
+            ("with honest agents disputed", _share(disputed)),
+            ("GOSPA of the common picture, mean over times", f"{ours:.2f} m"),
+            ("the same where everybody is believed alike", f"{other:.2f} m"),
+            ("ratio", f"{ours / other:.3f}"),
+        )
+        return Table(("where nobody lies", ""), rows)
+
+    def found_table(self) -> Table:
+        """Return for each lie what is found of it."""
+        header = (
+            "lie", "liars", "AUROC", "by reports", "by views", f"accused at {100 * self.rate:.3g} %", "disputed",
+            "honest ones accused", "delay s", "GOSPA, of no trust", "scenes", "do not count",
+        )  # fmt: skip
+        return Table(header, [self._found(name) for name in self.plan.lies if self.of(name)])
+
+    def _found(self, name: str) -> list[str]:
+        runs, lie = self.of(name), LIES[name]
+        liars = [[one.run.liars[0]] if not one.run.liars else one.run.liars for one in runs]
+        accused = [self.accused(one) for one in runs]
+        disputed = [self.disputed(one) for one in runs]
+        honest = [
+            bool(np.delete(mask, one.run.liars).any()) for mask, one in zip(accused, runs, strict=True)
+        ]  # fmt: skip
+        caught = [float(mask[who].mean()) for mask, who in zip(accused, liars, strict=True)]
+        doubted = [float((mask[who]).mean()) for mask, who in zip(disputed, liars, strict=True)]
+        delays = [self._delay_s(one) for one in runs]
+        ratio = np.mean([_gospa(one, "ours") for one in runs]) / np.mean([_gospa(one, "no trust") for one in runs])
+        total = len(self.of(name, counting=False))
+        return [
+            name, str(lie.liars), *(format_rate(self._area(runs, part)) for part in ("score", "evidence", "views")),
+            format_rate(float(np.mean(caught))), format_rate(float(np.mean(doubted))), _share(honest),
+            f"{np.median(delays):g}" if np.isfinite(np.median(delays)) else "–", f"{ratio:.2f}", str(len(runs)),
+            str(total - len(runs)),
+        ]  # fmt: skip
+
+    def _area(self, runs: Sequence[ScoredRun], part: str) -> float:
+        """Return the share of honest agents of benign scenes that score below liars, ties half."""
+        benign = np.sort(np.concatenate([getattr(one, part) for one in self.benign]))
+        values = np.concatenate([getattr(one, part)[one.run.liars] for one in runs])
+        below = np.searchsorted(benign, values, "left") + np.searchsorted(benign, values, "right")
+        return float((below / (2.0 * len(benign))).mean())
+
+    def _delay_s(self, one: ScoredRun) -> float:
+        """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
+        for time, score in enumerate(np.maximum.accumulate(one.by_time, axis=0)):
+            t_s = (time + 0.5) / self.plan.hz
+            if t_s >= ONSET_S and self.limits.accused(_verdicts(score, 0.0, one), self.rate)[one.run.liars].any():
+                return t_s - ONSET_S
+        return float("inf")
+
+    def flip_table(self) -> Table:
+        """Return what becomes of the victims of those who want an honest agent expelled."""
+        rows = []
+        for name in self.plan.lies:
+            runs = self.of(name) if LIES[name].flips else []
+            if runs:
+                victims = [bool(self.accused(one)[one.run.victim]) for one in runs]
+                doubted = [bool(self.disputed(one)[one.run.victim]) for one in runs]
+                caught = [bool(self.accused(one)[one.run.liars].any()) for one in runs]
+                rows.append([name, _share(victims), _share(doubted), _share(caught), str(len(runs))])
+        return Table(("lie", "victim accused", "victim disputed", "a liar accused", "scenes"), rows)
+
+    def overlap_table(self) -> Table:
+        """Return how lies about objects are found by how many other agents see what was lied about."""
+        rows = []
+        names = [name for name in self.plan.lies if LIES[name].about == "objects"]
+        for low, high in OVERLAPS:
+            runs = [one for name in names for one in self.of(name) if low <= one.run.overlap < high]
+            if runs:
+                caught = [bool(self.accused(one)[one.run.liars].any()) for one in runs]
+                honest = [bool(np.delete(self.accused(one), one.run.liars).any()) for one in runs]
+                disputed = [bool(self.disputed(one)[one.run.liars].any()) for one in runs]
+                word = f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"
+                rows.append([
+                    word, format_rate(self._area(runs, "score")), _share(caught), _share(disputed), _share(honest),
+                    str(len(runs)),
+                ])  # fmt: skip
+        return Table(("other agents that see it", "AUROC", "accused", "disputed", "honest ones accused", "runs"), rows)
+
+    def claims_table(self) -> Table:
+        """Return how often agents claim to see a car or a larger object that gave fewer than five returns."""
+        totals: dict[str, NDArray[np.int64]] = {}
+        for key, found in self.results.facts.items():
+            if key[:2] == ("run", "test"):
+                for least, counts in found["coverage"].items():
+                    totals[least] = totals.get(least, np.zeros(2, np.int64)) + np.array(counts)
+        most = totals["0.5"][0]
+        rows = [
+            [least, str(claimed), format_rate(claimed / most), format_rate(wrong / max(claimed, 1), 4)]
+            for least, (claimed, wrong) in totals.items()
+        ]
+        return Table(("claimed with at least", "objects", "of those at .5", "with fewer than five returns"), rows)
+
+    def checks_table(self) -> Table:
+        """Return the AUROC of each check alone for the lies about views."""
+        names = [name for name in self.plan.lies if LIES[name].about == "view" and self.of(name)]
+        benign = np.concatenate([self._surprises(one) for one in self.benign])
+        rows = []
+        for name in names:
+            lied = np.concatenate([self._surprises(one)[one.run.liars] for one in self.of(name)])
+            below = (benign[None] < lied[:, None]).mean(axis=(0, 1)) + 0.5 * (benign[None] == lied[:, None]).mean(
+                axis=(0, 1)
+            )
+            rows.append([name, *(format_rate(float(area), 2) for area in below)])
+        return Table(("lie", *VIEW_CHECKS), rows)
+
+    def _surprises(self, one: ScoredRun) -> Floats:
+        checks = np.array(one.run.checks, np.float64)
+        surprises = np.where(
+            self.elevated[:, None], self.scale(checks, elevated=True), self.scale(checks, elevated=False)
+        )
+        return np.asarray(surprises)
+
+    def target_table(self) -> Table:
+        """Return what was aimed at beside what was reached."""
+
+        def areas(*names: str) -> float:
+            return float(np.mean([self._area(self.of(name), "score") for name in names if self.of(name)]))
+
+        def rate(*names: str) -> float:
+            masks = [self.accused(one)[one.run.liars].mean() for name in names for one in self.of(name)]
+            return float(np.mean(masks))
+
+        alone, together = (
+            [name for name in self.plan.lies if LIES[name].about == about and "stealthy" not in name and self.of(name)]
+            for about in ("objects", "objects together")
+        )
+        flips = [name for name in self.plan.lies if LIES[name].flips]
+        benign = float(np.mean([self.accused(one).any() for one in self.benign]))
+        others = [np.delete(self.accused(one), one.run.liars).any() for name in self.plan.lies for one in self.of(name)]
+        ours = np.mean([_gospa(one, "ours") for name in alone for one in self.of(name)])
+        other = np.mean([_gospa(one, "no trust") for name in alone for one in self.of(name)])
+        quiet = np.mean([_gospa(one, "ours") for one in self.benign]) / np.mean(
+            [_gospa(one, "no trust") for one in self.benign]
+        )
+        rows = [
+            ("scenes with an honest agent accused, nobody lies", "≤ .01", benign, benign <= 0.01),
+            ("the same, others lie", "≤ .01", float(np.mean(others)), np.mean(others) <= 0.01),
+            ("one of five lies about objects, AUROC", "≥ .97", areas(*alone), areas(*alone) >= 0.97),
+            ("accused at 1 %", "≥ .85", rate(*alone), rate(*alone) >= 0.85),
+            ("two lie together, AUROC", "≥ .88", areas(*together), areas(*together) >= 0.88),
+            ("over-claim of 20 % of the area, AUROC", "≥ .92", areas("over_claim"), areas("over_claim") >= 0.92),
+            ("under-claim of 30 %, AUROC", "≥ .80", areas("under_claim"), areas("under_claim") >= 0.80),
+            (
+                "pose shifted by 1 m or turned by 2°, AUROC", "≥ .95", areas("shifted_pose", "turned_pose"),
+                areas("shifted_pose", "turned_pose") >= 0.95,
+            ),
+            ("GOSPA under lies about objects, of no trust", "≤ .7", float(ours / other), ours / other <= 0.7),
+            ("GOSPA where nobody lies, of no trust", "≤ 1.02", float(quiet), quiet <= 1.02),
+        ]  # fmt: skip
+        if flips:
+            victims = [self.accused(one)[one.run.victim] for name in flips for one in self.of(name)]
+            rows.append(("victims of others accused", "≤ .05", float(np.mean(victims)), np.mean(victims) <= 0.05))
+        return Table(
+            ("what", "target", "reached", ""),
+            [[what, target, format_rate(value), "met" if met else "missed"] for what, target, value, met in rows],
+        )
+
+
+def _verdicts(score: Floats, doubt: float, one: ScoredRun) -> Verdicts:
+    agents = len(score)
+    suspects = np.array(one.run.suspects[-1], np.bool_)
+    return Verdicts(score, doubt, np.ones(agents), np.zeros(0, np.int64), np.zeros(0), suspects)
+
+
+def _counts(run: Run, plan: AgentsPlan) -> bool:
+    """Return whether the liars changed an object or 5 % of the area for a second at least."""
+    least = 0.05 if LIES[run.case].about == "view" else 1.0
+    return sum(value >= least for value in run.touched) / plan.hz >= 1.0
+
+
+def _gospa(one: ScoredRun, center: str) -> float:
+    return float(np.mean(one.run.gospa[center][len(one.run.gospa[center]) // 4 :]))
+
+
+def _share(flags: Sequence[bool]) -> str:
+    if not flags:
+        return "–"
+    low, high = binomtest(sum(flags), len(flags)).proportion_ci(method="wilson")
+    return format_interval(sum(flags) / len(flags), (float(low), float(high)))
+
+
+def page_of(store: ResultStore[AgentsPlan]) -> str:
+    """Return the page as Markdown.
+
+    Raises:
+        ValueError: there are no runs.
+    """
+    plan, results = store.plan, store.results("run")
+    if not results.facts:
+        raise ValueError(f"{store.path} must hold runs, got none; run the steps scenes and runs")
+    found = AgentsResults(plan, results)
+    values: dict[str, Any] = {
+        "agents": plan.moving + plan.roadside, "moving": plan.moving, "roadside": plan.roadside,
+        "rate": f"{100 * found.rate:.3g}", "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}", "onset": f"{ONSET_S:g}",
+    }  # fmt: skip
+    title, blocks = fill_template("agents/page.md", values, {
+        "targets": found.target_table,
+        "benign": found.benign_table,
+        "found": found.found_table,
+        "flips": found.flip_table,
+        "overlap": found.overlap_table,
+        "checks": found.checks_table,
+        "claims": found.claims_table,
+    })  # fmt: skip
+    scenes = f"{plan.claims} claims, {plan.calibration} calibration, {plan.test} test"
+    about = facts(
+        plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), worlds=", ".join(plan.worlds),
+        sensors=", ".join(plan.sensors), scenes=scenes, commits=commits(results),
+    )  # fmt: skip
+    return to_markdown(title, about, blocks)

@@ -1,0 +1,170 @@
+"""Scenes of several agents as files: what each sees, detects and could have seen, for all runs to share."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._files import write_atomic
+from viewshed.datasets.recorder.drive import OBJECT_KINDS
+from viewshed.datasets.simulated import ScenePlan, scan_frame, world_of
+from viewshed.estimators import load_estimator
+from viewshed.fov.estimate import Basis, FovEstimate
+from viewshed.fusion.many import AgentReport
+from viewshed.geometry import Rigid
+from viewshed.grid import GRIDS
+from viewshed.objects import Detections, moved_boxes
+from viewshed.perception.detector import Detector
+from viewshed.preprocess.leveling import level
+from viewshed.sim.world import World
+
+FOLDER = "scenes"
+
+GRID = GRIDS["road"]
+
+LEVELS = 255
+"""Steps in which probabilities are kept."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What T times of A agents hold, in files.
+
+    Attributes:
+        times_s: (T,) of the sweeps.
+        prob: (T, A, cells, cells) uint8 steps of the probability of visible.
+        state: (T, A, cells, cells) uint8 states.
+        poses: (T, A, 4, 4) ``world_from_level``.
+        bases: of the estimates, T lists of A.
+        found: boxes, kinds and returns of the detections (D, 9), in ``level``, ...
+        found_at: ... and the time and the agent of each (D, 2).
+        objects: (T, K, 7) boxes of all objects in the world.
+        returns: (T, A, K) int32 returns that each object gave each agent.
+        carriers: (A,) which object carries each agent's sensor, -1 for a mast.
+    """
+
+    times_s: Floats
+    prob: NDArray[np.uint8]
+    state: NDArray[np.uint8]
+    poses: Floats
+    bases: list[list[dict[str, Any]]]
+    found: Floats
+    found_at: NDArray[np.int16]
+    objects: Floats
+    returns: NDArray[np.int32]
+    carriers: NDArray[np.int64]
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Names of the agents."""
+        return tuple(f"agent{number}" for number in range(len(self.carriers)))
+
+    @classmethod
+    def simulate(cls, plan: ScenePlan, detector: Detector) -> Self:
+        """Return a scene: every sweep simulated, leveled, estimated by the default method, and searched for objects."""
+        world, agents, estimator = world_of(plan), plan.preset.agents, load_estimator("shadow_map", grid=GRID)
+        numbers = objects_of(world)
+        times = plan.frames // agents
+        times_s = np.asarray((np.arange(times) + 0.5) * plan.preset.interval_s, np.float64)
+        shape = (times, agents)
+        prob, state = (np.zeros((*shape, *GRID.shape), np.uint8) for _ in range(2))
+        poses, returns = np.zeros((*shape, 4, 4)), np.zeros((*shape, len(numbers)), np.int32)
+        bases: list[list[dict[str, Any]]] = [[] for _ in range(times)]
+        found, found_at = [np.zeros((0, 9))], [np.zeros((0, 2), np.int16)]
+        for frame in range(times * agents):
+            time, agent = divmod(frame, agents)
+            scan, stored = scan_frame(plan, frame)
+            leveled = level(stored.sweep(), GRID)
+            estimate, seen = estimator.estimate(leveled), detector.detect(leveled)
+            if estimate.world_from_level is None or estimate.basis is None:
+                raise ValueError(f"the sweeps of {plan.name} must have poses and points, got frame {frame} without")
+            prob[time, agent], state[time, agent] = np.rint(LEVELS * estimate.visible_prob), estimate.state
+            poses[time, agent] = estimate.world_from_level.as_matrix()
+            bases[time].append({name: getattr(estimate.basis, name) for name in Basis.__slots__})
+            met = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
+            returns[time, agent] = met[numbers]
+            found.append(np.column_stack([seen.boxes, seen.kinds, seen.returns]))
+            found_at.append(np.tile(np.array([time, agent], np.int16), (len(seen), 1)))
+        objects = np.stack([boxes_of(world, numbers, float(t_s)) for t_s in times_s])
+        carriers = [-1 if agent.carrier is None else numbers.index(agent.carrier) for agent in world.agents]
+        return cls(
+            times_s, prob, state, poses, bases, np.concatenate(found), np.concatenate(found_at), objects, returns,
+            np.array(carriers, np.int64),
+        )  # fmt: skip
+
+    def reports(self, time: int) -> list[AgentReport]:
+        """Return what every agent honestly says of a time."""
+        out = []
+        for number, agent in enumerate(self.agents):
+            pose = self.poses[time, number]
+            estimate = FovEstimate(
+                GRID, self.prob[time, number].astype(np.float32) / np.float32(LEVELS), self.state[time, number],
+                method="shadow_map", world_from_level=Rigid(pose[:3, :3], pose[:3, 3]),
+                t_ns=round(1e9 * self.times_s[time]), agent=agent, basis=Basis(**self.bases[time][number]),
+            )  # fmt: skip
+            rows = self.found[(self.found_at == (time, number)).all(axis=1)]
+            detections = Detections(rows[:, :7], rows[:, 7].astype(np.uint8), rows[:, 8].astype(np.int32))
+            carrier = self.carriers[number]
+            own = None
+            if carrier >= 0 and estimate.world_from_level is not None:
+                own = moved_boxes(self.objects[time, [carrier]], estimate.world_from_level.inverse())[0]
+            out.append(AgentReport(estimate, detections, own))
+        return out
+
+    def save(self, path: Path) -> None:
+        """Write it at once or not at all; the same scene, the same bytes."""
+        file = io.BytesIO()
+        bases = np.frombuffer(json.dumps(self.bases).encode(), np.uint8)
+        arrays = {name: getattr(self, name) for name in self.__slots__ if name != "bases"}
+        np.savez_compressed(file, bases=bases, **arrays)
+        write_atomic(path, file.getvalue())
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Return the scene in a file.
+
+        Raises:
+            OSError, ValueError, KeyError: it cannot be read.
+        """
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in cls.__slots__}
+        return replace(cls(**arrays), bases=json.loads(arrays["bases"].tobytes()))
+
+
+def objects_of(world: World) -> list[int]:
+    """Return the numbers of the things of a world that are objects: of such a kind, moving, or carrying a sensor."""
+    carriers = {agent.carrier for agent in world.agents}
+    return [
+        number for number, thing in enumerate(world.things)
+        if number in carriers or thing.kind in OBJECT_KINDS or thing.track is not None
+    ]  # fmt: skip
+
+
+def boxes_of(world: World, numbers: list[int], t_s: float) -> Floats:
+    """Return the boxes (K, 7) of things of a world at a time."""
+    boxes = np.zeros((len(numbers), 7))
+    for box, number in zip(boxes, numbers, strict=True):
+        corners = []
+        for part in world.things[number].parts:
+            x_m, y_m, _ = part.half_sizes_m
+            across = np.abs(Rigid.from_yaw(part.yaw).rotation[:2, :2]) @ (x_m, y_m)
+            at = np.array([part.x_m, part.y_m])
+            corners += [[*(at - across), part.bottom_m], [*(at + across), part.top_m]]
+        low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+        pose = world.pose_of(number, t_s)
+        box[:3], box[3:6] = pose @ ((low + high) / 2), high - low
+        box[6] = np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])
+    return boxes
+
+
+def scene_path(folder: Path, split: str, number: int) -> Path:
+    """Return the file of a scene."""
+    return folder / FOLDER / f"{split}-{number:04d}.npz"

@@ -1,0 +1,160 @@
+"""Trust of agents: who lies, who is disputed, and that honest agents are not convicted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from viewshed.fusion.trust import Reports, Trust, TrustLimits, TrustRules, Verdicts, hypotheses
+
+STD_M = 0.3
+
+
+def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | None = None, first: int = 0) -> Reports:
+    """Return reports about objects that stand 20 m apart, with the noise of an honest detector."""
+    count, agents = seen.shape
+    xy_m = np.zeros((count, agents, 2)) + 20.0 * np.arange(first, first + count)[:, None, None]
+    if rng is not None:
+        xy_m += rng.normal(0.0, STD_M, xy_m.shape)
+    return Reports(np.arange(first, first + count), chance, seen, xy_m, np.full(seen.shape, STD_M))
+
+
+def after(agents: int, seen: list[list[int]], chance: float | np.ndarray = 0.95, seconds: int = 3) -> Verdicts:
+    trust, said = Trust(agents), np.array(seen, bool)
+    for _ in range(seconds):
+        verdicts = trust.add(reports_of(said, np.broadcast_to(chance, said.shape)), 1.0)
+    return verdicts
+
+
+def test_hypotheses_are_small_sets_of_at_most_half() -> None:
+    assert [len(hypotheses(agents)) for agents in (1, 2, 3, 4, 5, 10)] == [1, 3, 4, 11, 16, 56]
+    assert not hypotheses(5)[0].any()
+
+
+def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
+    verdicts = after(2, [[1, 0], [1, 0], [1, 0]])
+    assert verdicts.suspects.tolist() == [True, True]
+    assert verdicts.doubt > 1.0
+    assert verdicts.evidence[0] == pytest.approx(verdicts.evidence[1], abs=0.7)
+    assert verdicts.evidence.max() < 0.7  # neither can be told from the other
+    limits = TrustLimits.of(np.linspace(-1.0, 0.7, 999), np.linspace(0.0, 1.0, 999))
+    assert limits.disputed(verdicts, 0.01).tolist() == [True, True]
+    assert not limits.accused(verdicts, 0.01).any()
+
+
+@pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])
+def test_a_third_view_tells_who_lies(said: list[int]) -> None:
+    verdicts = after(4, [said, said])
+    assert verdicts.evidence.argmax() == 3
+    assert verdicts.suspects.tolist() == [False, False, False, True]
+    assert verdicts.trust[3] < 0.3
+    assert (verdicts.trust[:3] > 0.9).all()
+    assert np.allclose(verdicts.existence, said[0], atol=0.05)
+
+
+def test_two_who_lie_together_are_found_by_three_honest_ones() -> None:
+    verdicts = after(5, [[1, 1, 0, 0, 0], [1, 1, 0, 0, 0], [0, 0, 1, 1, 1]])
+    assert set(np.argsort(verdicts.evidence)[-2:]) == {0, 1}
+    assert verdicts.suspects.tolist() == [True, True, False, False, False]
+
+
+def test_a_miss_where_nothing_could_be_seen_costs_nothing() -> None:
+    seen = [[1, 1, 0]] * 4
+    hidden = np.array([[0.95, 0.95, 0.0]] * 4)
+    assert after(3, seen, hidden).evidence[2] <= 1e-9
+    assert after(3, seen).evidence[2] > 3.0
+
+
+def test_an_agent_that_reports_objects_a_little_off_is_found() -> None:
+    trust = Trust(3)
+    for number in range(4):
+        reports = reports_of(np.ones((4, 3), bool), np.full((4, 3), 0.95), np.random.default_rng(number))
+        shifted = reports.xy_m.copy()
+        shifted[:, 2] += 2.0
+        verdicts = trust.add(Reports(reports.ids, reports.chance, reports.seen, shifted, reports.std_m), 1.0)
+    assert verdicts.suspects.tolist() == [False, False, True]
+
+
+def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
+    rules = TrustRules()
+    verdicts = after(4, [[1, 1, 1, 0]], seconds=60)
+    assert verdicts.evidence.max() <= rules.most_of_object + 1e-9
+    assert after(4, [[1, 1, 1, 0]] * 3, seconds=60).evidence.max() > rules.most_of_object
+
+
+def test_e_values_of_honest_agents_are_at_most_one_on_average() -> None:
+    """Under its own model, with objects that bound nothing: the mean of the e-value is at most 1."""
+    rules, rng = TrustRules(most_of_object=1e6, half_life_s=1e9), np.random.default_rng(5)
+    values = []
+    for _ in range(400):
+        trust, chance = Trust(3, rules), rng.uniform(0.3, 0.95, (6, 3))
+        exists = rng.random(6) < 0.5
+        seen = np.where(exists[:, None], rng.random((6, 3)) < chance, rng.random((6, 3)) < rules.false_report)
+        reports = reports_of(seen, chance, rng)
+        # What is invented lies anywhere on the disc.
+        angle, radius = rng.uniform(0, 2 * np.pi, (6, 3)), rules.disc_m * np.sqrt(rng.random((6, 3)))
+        anywhere = 20.0 * np.arange(6)[:, None, None] + np.stack([np.cos(angle), np.sin(angle)], -1) * radius[..., None]
+        xy_m = np.where(exists[:, None, None], reports.xy_m, anywhere)
+        verdicts = trust.add(Reports(reports.ids, chance, seen, xy_m, reports.std_m), 1.0)
+        values.append(np.exp(verdicts.evidence))
+    assert (np.mean(values, axis=0) <= 1.1).all()
+
+
+def test_agents_may_come_in_any_order() -> None:
+    rng = np.random.default_rng(3)
+    seen, chance = rng.random((5, 4)) < 0.6, rng.uniform(0.2, 0.95, (5, 4))
+    seen[:, 0] = True
+    order = np.array([2, 0, 3, 1])
+    reports = reports_of(seen, chance, rng)
+    turned = Reports(reports.ids, chance[:, order], seen[:, order], reports.xy_m[:, order], reports.std_m[:, order])
+    one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
+    assert np.allclose(one.evidence[order], other.evidence)
+    assert np.allclose(one.trust[order], other.trust)
+    assert np.allclose(one.existence, other.existence)
+
+
+def test_old_reports_fade_and_memory_stays_bounded() -> None:
+    trust = Trust(3)
+    liar = reports_of(np.array([[1, 1, 0]] * 3, bool), np.full((3, 3), 0.95))
+    for _ in range(5):
+        found = trust.add(liar, 1.0)
+    honest = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95), first=10)
+    for _ in range(60):
+        verdicts = trust.add(honest, 1.0)
+    assert found.evidence[2] > 3.0
+    assert verdicts.evidence[2] < 0.5
+    for number in range(300):
+        trust.add(reports_of(np.ones((1, 3), bool), np.full((1, 3), 0.95), first=100 + number), 1.0)
+    assert len(trust._of_objects) < 250
+
+
+def test_limits_hold_their_rate_and_refuse_what_they_cannot() -> None:
+    rng = np.random.default_rng(8)
+    limits = TrustLimits.of(rng.normal(size=999), rng.normal(size=999))
+    accused = [
+        limits.accused(
+            Verdicts(rng.normal(size=5), 0.0, np.ones(5), np.zeros(0, int), np.zeros(0), np.zeros(5, bool)), 0.05
+        )
+        for _ in range(2000)
+    ]
+    assert 0.03 < np.mean([one.any() for one in accused]) < 0.065
+    with pytest.raises(ValueError, match="needs 4999 benign scenes, got 999"):
+        limits.accused(after(5, [[1] * 5]), 0.001)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"chance": np.full((1, 2), 1.5)}, "probabilities"),
+        ({"std_m": np.zeros((1, 2))}, "positive"),
+        ({"xy_m": np.full((1, 2, 2), np.nan)}, "finite"),
+        ({"ids": np.arange(2)}, "must have"),
+    ],
+)
+def test_bad_reports_are_refused(change: dict[str, np.ndarray], message: str) -> None:
+    given = {
+        "ids": np.arange(1), "chance": np.ones((1, 2)), "seen": np.ones((1, 2), bool), "xy_m": np.zeros((1, 2, 2)),
+        "std_m": np.ones((1, 2)),
+    }  # fmt: skip
+    with pytest.raises(ValueError, match=message):
+        Reports(**(given | change))

@@ -1,0 +1,42 @@
+"""Views and detections that a test writes down."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.objects import Detections, ObjectKind
+from viewshed.tracking.views import hidden_within
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedView:
+    """A view that sees a place with a probability that a function of its x and y (K, 2) gives."""
+
+    t_s: float
+    seen: Callable[[Floats], Floats]
+    found: float = 1.0
+    in_world: bool = True
+
+    def visible(self, boxes: Floats) -> Floats:
+        return np.asarray(self.seen(boxes[:, :2]), np.float64)
+
+    def detectable(self, boxes: Floats, kinds: NDArray[np.uint8]) -> Floats:
+        return np.full(len(boxes), self.found)
+
+    def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
+        return hidden_within(self, boxes, within_m)
+
+
+def everywhere(prob: float) -> Callable[[Floats], Floats]:
+    """Return a function that gives each place the same probability."""
+    return lambda xy: np.full(len(xy), prob)
+
+
+def cars(*centers: tuple[float, float], yaw: float = 0.0) -> Detections:
+    """Return cars (4.2 x 1.8 m) at these places."""
+    boxes = np.array([[x, y, 0.75, 4.2, 1.8, 1.5, yaw] for x, y in centers]).reshape(-1, 7)
+    return Detections(boxes, np.full(len(boxes), ObjectKind.CAR), np.full(len(boxes), 50))
