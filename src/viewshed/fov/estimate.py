@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from importlib import import_module  # pictures and formats know this module: it looks them up when it is asked
 from math import isfinite
 from pathlib import Path
@@ -148,7 +149,7 @@ class FovEstimate:
         if not 0.0 < self.threshold <= 1.0:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
         self._store("visible_prob", self.visible_prob, np.float32)
-        std: Any = np.full(self.grid.shape, np.nan, np.float32) if self.std is None else self.std
+        std: Any = _no_deviation(self.grid.cells) if self.std is None else self.std
         self._store("std", std, np.float32)
         self._store("state", self.state, np.uint8)
         # The least and the greatest of numbers with a NaN among them are NaN, and lie in no bounds.
@@ -243,6 +244,14 @@ class FovEstimate:
         plot = import_module("viewshed.plot")
         heading = f"{self.method}, {self.target.name}" if title is None else title
         return cast(bytes, plot.draw(plot.Panel(self, heading, leveled, self.threshold)))
+
+
+@lru_cache(maxsize=8)
+def _no_deviation(cells: int) -> NDArray[np.float32]:
+    """Return the plane (cells, cells) of NaN that estimates without deviations share, read-only."""
+    plane = np.full((cells, cells), np.nan, np.float32)
+    plane.setflags(write=False)
+    return plane
 
 
 class FovEstimator(Protocol):

@@ -7,6 +7,7 @@ leaves open (``src/core/fov_code.cpp``). Decoding takes a bounded number of step
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ MAX_CELLS = 512
 """The most cells per side of a grid in a code."""
 
 _NO_STD = STD_LEVELS
+
+# What levels of deviation stand for: the middles of their intervals, NaN for none.
+_STD_VALUES = np.append((np.arange(STD_LEVELS) + 0.5) / (2 * STD_LEVELS), np.nan).astype(np.float32)
 
 # Where a code would be too long: levels between the extremes become one of two.
 _COARSE = np.array([0, 4, 4, 4, 4, 4, 4, 4, 11, 11, 11, 11, 11, 11, 11, 15], np.uint8)
@@ -56,14 +60,17 @@ def max_code_bytes(grid: BevGrid) -> int:
     return max(64, grid.cells**2 // 4)
 
 
+@lru_cache(maxsize=16)
 def level_values(threshold: float) -> NDArray[np.float32]:
-    """Return the probability (16,) float32 that each level stands for: the middle of its interval.
+    """Return the probability (16,) float32 that each level stands for, read-only: the middle of its interval.
 
     >>> level_values(0.5)[[0, 7, 8, 15]].tolist()
     [0.03125, 0.46875, 0.53125, 0.96875]
     """
-    below = (np.arange(8) + 0.5) / 8 * threshold
-    return np.concatenate([below, threshold + (np.arange(8) + 0.5) / 8 * (1.0 - threshold)]).astype(np.float32)
+    middles = (np.arange(8) + 0.5) / 8
+    values = np.append(middles * threshold, threshold + middles * (1.0 - threshold)).astype(np.float32)
+    values.setflags(write=False)
+    return values
 
 
 def encode_fov(estimate: FovEstimate) -> bytes:
@@ -119,13 +126,12 @@ def decode_fov(code: bytes, grid: BevGrid, threshold: float, with_std: bool) -> 
         raise ValueError(f"a view in a message must have at most {MAX_CELLS} cells per side, got {grid.cells}")
     if len(code) > max_code_bytes(grid):
         raise ValueError(f"the code of a view must have at most {max_code_bytes(grid)} bytes, got {len(code)}")
-    std = np.append((np.arange(STD_LEVELS) + 0.5) / (2 * STD_LEVELS), np.nan).astype(np.float32)
     found = _core.decode_view(
         np.frombuffer(code, np.uint8),
         grid.cells,
         *sensor_cell(grid),
         prob=level_values(threshold),
-        std=std if with_std else std[:0],
+        std=_STD_VALUES if with_std else _STD_VALUES[:0],
     )
     if found is None:
         raise ValueError("the code of a view is damaged, or not of this grid")
@@ -138,5 +144,5 @@ def sensor_cell(grid: BevGrid) -> tuple[int, int]:
     >>> sensor_cell(BevGrid(256, 64.0))
     (128, 128)
     """
-    row, column = (int(np.clip(-corner // grid.cell_m, 0, grid.cells - 1)) for corner in grid.origin_m)
+    row, column = (int(min(max(-corner // grid.cell_m, 0), grid.cells - 1)) for corner in grid.origin_m)
     return row, column
