@@ -64,6 +64,7 @@ def main() -> None:
     content = page(
         "On the robot",
         facts(
+            command="`python -m benchmarks.robot`",
             sweeps=f"{source}; VLP-16 and laser simulated", seed=str(SEED),
             load=f"{load_before:.1f} in the minute before, {os.getloadavg()[0]:.1f} at the end, on all cores",
             threads=f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}",
