@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.processes import VIEWSHED
+from benchmarks.soak import memory_mb
 from viewshed._page import facts, page, table
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
@@ -148,7 +149,9 @@ def _replay(folder: Path) -> Found:
     taken_s, used_s = [], []
     for place in to:
         begin_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([*command, str(place)], check=True, capture_output=True)
+        done = subprocess.run([*command, str(place)], check=False, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"the replay failed: {done.stderr.strip()[-500:]}")
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         taken_s.append(time.perf_counter() - begin_s)
         used_s.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
@@ -198,7 +201,7 @@ def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
     pipeline.close()
     return {
         "median_ms": 1e3 * float(np.median(latencies)), "processor_ms": 1e3 * used_s / count,
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        "memory_mb": memory_mb(os.getpid()),
     }  # fmt: skip
 
 
