@@ -15,7 +15,7 @@ timed = begin=$$(date +%s); $(MAKE) --no-print-directory $(2); code=$$?; \
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo check test properties lint types imports quick unit docs bench fuzz clean
+.PHONY: help demo check test properties lint types imports quick unit docs bench soak fuzz clean
 
 help:  ## list the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -55,6 +55,10 @@ docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
 
 bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/speed.md
 	$(BIN)/python -m benchmarks
+
+MINUTES ?= 30
+soak: $(VENV)/.bench  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less); docs/results/soak.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers
 	$(BIN)/python tools/fuzz_core.py --sanitize --seconds 30

@@ -250,8 +250,8 @@ def _of_cars(results: dict[str, defaultdict[str, Result]]) -> Iterator[str]:
         " of their center. A detection within 40 m is right if it is matched with a car, however few returns that gave;"
         " the second one of a car is wrong. Overlap: share of these cars with a detected box of intersection over union"
         " of .3 from above. Milliseconds: of the processor, on one thread, median over sweeps, after leveling: what"
-        " other processes take is not counted. DBSCAN and HDBSCAN (scikit-learn) group one point for each cell of .2 m; a"
-        " rectangle of a car's size is a car. HDBSCAN sees every fourth sweep."
+        " other processes take is not counted. DBSCAN and HDBSCAN (scikit-learn) group one point for each cell of .2 m;"
+        " a rectangle of a car's size is a car. HDBSCAN sees every fourth sweep."
     )
     rows = []
     for name, by_sensor in results.items():

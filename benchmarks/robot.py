@@ -29,7 +29,7 @@ from viewshed.estimators.temporal import SweepBuffer
 from viewshed.integrity import StreamMonitor
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
-from viewshed.pipeline import SWITCH_INTERVAL_S, Pipeline
+from viewshed.pipeline import Pipeline, prepare_process
 from viewshed.pipeline.profiles import PROFILES, Profile
 from viewshed.sensors import lidar_model
 from viewshed.sim import cast, junction
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement of the node")
     parser.add_argument("--sweeps", type=int, default=200, help="of each profile")
     chosen = parser.parse_args()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -76,10 +76,10 @@ def main() -> None:
     print(content)
 
 
-_NODE_TEXT = """From publishing a cloud to receiving `visibility`, in two processes, default QoS. *Under way* is how many
-clouds are on their way at once: with one, the latency; with more, the rate that the node keeps up with. *Processor* is
-the time that the node's process uses for a sweep, all its threads together; it tells what a machine that others use
-would reach without them."""
+_NODE_TEXT = """From publishing a cloud to receiving `visibility`, in two processes, default QoS. *Under way* is how
+many clouds are on their way at once: with one, the latency; with more, the rate that the node keeps up with.
+*Processor* is the time that the node's process uses for a sweep, all its threads together; it tells what a machine
+that others use would reach without them."""
 _NODE_HEADER = [
     "sweep",
     "monitor",
@@ -92,9 +92,9 @@ _NODE_HEADER = [
     "memory, MB",
 ]
 
-_PROFILES_TEXT = """Each profile's own method, grid, history and monitor through `viewshed.pipeline`, without ROS, one sweep
-after the other; poses are known and the sensor moves by a meter from sweep to sweep. *Processor* is that of the
-process for a sweep, all threads together."""
+_PROFILES_TEXT = """Each profile's own method, grid, history and monitor through `viewshed.pipeline`, without ROS,
+one sweep after the other; poses are known and the sensor moves by a meter from sweep to sweep. *Processor* is that
+of the process for a sweep, all threads together."""
 _PROFILES_HEADER = ["profile", "35k: median, ms", "processor, ms", "120k: median, ms", "processor, ms", "memory, MB"]
 
 
@@ -139,7 +139,7 @@ def _node(folder: Path, seconds: float) -> list[Found]:
 
 
 def _replay(folder: Path) -> Found:
-    """Return how fast a simulated drive of 30 s at 10 Hz is replayed to MCAP with the monitor, in a process of its own."""
+    """Return how fast a simulated drive of 30 s at 10 Hz is replayed to MCAP with the monitor, by the command line."""
     source, to = folder / "drive.mcap", [folder / "seen.mcap", folder / "again.mcap"]
     drive = ["sim", "--preset", "nuscenes", "--agents", "1", "--seconds", str(REPLAY_S), "--hz", str(HZ)]
     subprocess.run([VIEWSHED, "record", *drive, "--to", str(source)], check=True, capture_output=True)
@@ -205,7 +205,8 @@ def _node_rows(node: Sequence[Found]) -> Iterator[list[str]]:
     for found in node:
         if "under_way" in found:
             yield [
-                found["case"], found["monitor"], str(found["under_way"]), f"{found['hz']:.0f}", f"{found['p50_ms']:.1f}",
+                found["case"], found["monitor"], str(found["under_way"]), f"{found['hz']:.0f}",
+                f"{found['p50_ms']:.1f}",
                 f"{found['p99_ms']:.1f}", f"{found['worst_ms']:.1f}", f"{found['processor_ms']:.1f}",
                 f"{found['memory_mb']:.0f}",
             ]  # fmt: skip

@@ -37,7 +37,7 @@ from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io import read_sweep
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.samples import junction_path
-from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Pipeline
+from viewshed.pipeline import Answer, Pipeline, prepare_process
 from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
 
@@ -114,7 +114,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30.0, help="of each of the two soaks")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     pipeline = soak_pipeline(60.0 * chosen.minutes, np.random.default_rng(SEED))
     node = _soak_node(60.0 * chosen.minutes)
     parts = ["## Through `viewshed.pipeline`", *_told(pipeline)]
@@ -136,25 +136,25 @@ def main() -> None:
         sys.exit(1)
 
 
-_INTRO = f"""Sweeps are put in as fast as they are answered, {UNDER_WAY} under way at once; of all {MALFORMED_SHARE:.0%}
-are malformed, {CLOCK_SHARE:.1%} come with a clock that repeats, goes back or jumps, and {BURST_SHARE:.1%} as a burst of
-{BURST} at once, of which some must be dropped. Everything is ended and begun anew {RESTARTS} times, evenly spread (not
-sooner than after {LEAST_S:g} s). A soak
-is passed where each sweep is accounted for, where no good sweep is refused and none answered that contradicts itself,
-where each reason is the one expected, where nothing crashes, and where memory after the first {WARM_SHARE:.0%} of the
-time stays within {GROWTH:.0%} of what it was there."""
+_INTRO = f"""Sweeps are put in as fast as they are answered, {UNDER_WAY} under way at once; of all
+{MALFORMED_SHARE:.0%} are malformed, {CLOCK_SHARE:.1%} come with a clock that repeats, goes back or jumps, and
+{BURST_SHARE:.1%} as a burst of {BURST} at once, of which some must be dropped. Everything is ended and begun anew
+{RESTARTS} times, evenly spread (not sooner than after {LEAST_S:g} s). A soak is passed where each sweep is
+accounted for, where no good sweep is refused and none answered that contradicts itself, where each reason is the
+one expected, where nothing crashes, and where memory after the first {WARM_SHARE:.0%} of the time stays within
+{GROWTH:.0%} of what it was there."""
 
 _COLUMNS = """## How to read the log
 
 - **s**: since the beginning. **sent**, **answered**, **dropped**, **refused**: until then, over all restarts.
-- **dropped** sweeps were replaced by newer ones of the same sensor before their turn (bursts), or were on their way when
-  everything was ended. Through ROS the messages that the best-effort profile lost before the node received them count as
-  dropped as well.
+- **dropped** sweeps were replaced by newer ones of the same sensor before their turn (bursts), or were on their way
+  when everything was ended. Through ROS the messages that the best-effort profile lost before the node received
+  them count as dropped as well.
 - **refused** sweeps are the malformed ones and those whose time repeats: nothing else may be.
-- **median** and **99 %**: latency since the line before, in milliseconds, from putting a sweep in to its answer, its
-  time in the inbox included.
-- **MB**: resident memory of the process. The first lines after a restart of the node are lower: it is a new process; of
-  the node the memories at the end of each process are compared."""
+- **median** and **99 %**: latency since the line before, in milliseconds, from putting a sweep in to its answer,
+  its time in the inbox included.
+- **MB**: resident memory of the process. The first lines after a restart of the node are lower: it is a new
+  process; of the node the memories at the end of each process are compared."""
 
 
 @dataclass(slots=True)
@@ -356,10 +356,7 @@ def _columns(sweep: Sweep) -> dict[str, Any]:
 def _told(soaked: Soaked) -> list[str]:
     """Return the parts of the page about one soak."""
     verdict = "**Passed.**" if not soaked.faults else "**Failed:** " + "; ".join(soaked.faults) + "."
-    log = [
-        [f"{line[0]:.0f}", *(f"{count:.0f}" for count in line[1:5]), *("–" if math.isnan(value) else f"{value:.1f}" for value in line[5:])]
-        for line in soaked.log
-    ]  # fmt: skip
+    log = [[*(f"{count:.0f}" for count in line[:5]), *map(_tenths, line[5:])] for line in soaked.log]
     kinds = [
         [name, str(kind.sent), str(kind.answered), str(kind.refused), str(kind.dropped), _reasons(kind), _why(name)]
         for name, kind in soaked.kinds.items()
@@ -370,6 +367,10 @@ def _told(soaked: Soaked) -> list[str]:
         "What became of each kind, and what was said:",
         table(["kind", "sent", "answered", "refused", "dropped", "said, and how often", "why"], kinds),
     ]  # fmt: skip
+
+
+def _tenths(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.1f}"
 
 
 def _reasons(kind: Kind) -> str:

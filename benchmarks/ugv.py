@@ -1,8 +1,8 @@
 """The case of a small ground robot indoors: ``python -m benchmarks.ugv [--seconds 600] [--work FOLDER]``.
 
 A robot with a VLP-16 and a 2-D laser drives through simulated rooms; both are recorded to bags, which are replayed
-through ``viewshed.pipeline`` with its profile ``robot`` and its monitor, and held against the exact truth; then parts of
-the drive once more under attack, and real bags beside it (VIEWSHED_REAL_RECORDINGS and VIEWSHED_REAL_DATA name their
+through ``viewshed.pipeline`` with its profile ``robot`` and its monitor, and held against the exact truth; then parts
+of the drive once more under attack, and real bags beside it (VIEWSHED_REAL_RECORDINGS and VIEWSHED_REAL_DATA name their
 folders). Writes docs/ugv.md and its picture. Minutes that are done are kept in the work folder: a run that was stopped
 goes on where it was.
 """
@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import InitVar, dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity import StreamMonitor
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
-from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Caution, Pipeline
+from viewshed.pipeline import Answer, Caution, Pipeline, prepare_process
 from viewshed.pipeline.profiles import profile_named
 from viewshed.sensors import LidarModel
 from viewshed.sim.lidar.weather import CONDITIONS
@@ -88,12 +89,13 @@ def main() -> None:
     )
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     work = chosen.work or Path(tempfile.mkdtemp())
     work.mkdir(parents=True, exist_ok=True)
     plan = drive_plan(preset_named("ugv"), seconds=chosen.seconds, hz=HZ, agents=1, world=WORLD, seed=SEED)
     bags = _recorded(plan, chosen.seconds, work)
-    done = [_minute(plan, begin, bags, work) for begin in range(0, plan.frames, MINUTE)]
+    streams = [Stream(open_recording(bag)) for bag in bags]
+    done = [_minute(plan, begin, streams, work) for begin in range(0, plan.frames, MINUTE)]
     real = list(_real())
     content = _page(chosen.seconds, done, real)
     chosen.page.write_text(content, encoding="utf-8")
@@ -177,13 +179,36 @@ def _laser_truth(plan: ScenePlan, frame: int) -> tuple[NDArray[np.bool_], NDArra
 # A minute of it
 
 
-def _minute(plan: ScenePlan, begin: int, bags: tuple[Path, Path], work: Path) -> Found:
+@dataclass(slots=True)
+class Stream:
+    """The sweeps of a bag, read once.
+
+    Attributes:
+        sweeps: all of them.
+        position: number of the next one.
+    """
+
+    sweeps: InitVar[Iterable[Sweep]]
+    position: int = 0
+    _rest: Iterator[Sweep] = field(init=False)
+
+    def __post_init__(self, sweeps: Iterable[Sweep]) -> None:
+        self._rest = iter(sweeps)
+
+    def take(self, begin: int, end: int) -> list[Sweep]:
+        """Return the sweeps from ``begin`` to before ``end``; those before them are skipped."""
+        taken = list(islice(self._rest, begin - self.position, end - self.position))
+        self.position = end
+        return taken
+
+
+def _minute(plan: ScenePlan, begin: int, streams: Sequence[Stream], work: Path) -> Found:
     """Return what came of the sweeps from ``begin`` on, kept from an earlier run where there was one."""
     place = work / f"minute-{plan.frames}-{begin:06d}.json"
     if place.exists():
         return dict(json.loads(place.read_text(encoding="utf-8")))
     end = min(begin + MINUTE, plan.frames)
-    sweeps = [list(islice(open_recording(bag), begin, end)) for bag in bags]
+    sweeps = [stream.take(begin, end) for stream in streams]
     found = {
         "lidar": _clean(plan, begin, sweeps[0], is_planar=False),
         "laser": _clean(plan, begin, sweeps[1], is_planar=True),
@@ -261,7 +286,7 @@ def _counts(claimed: NDArray[np.bool_], visible: NDArray[np.bool_], known: NDArr
 
 
 def _alarms(answers: Sequence[Answer]) -> Found:
-    """Return how many sweeps were found inconsistent or degraded, how many stream alarms there were, how much caution."""
+    """Return how many sweeps were inconsistent or degraded, how many alarms of the stream there were, and caution."""
     reports = [answer.report for answer in answers if answer.report is not None]
     return {
         "inconsistent": sum(report.now.inconsistent for report in reports),
@@ -363,41 +388,53 @@ def _page(seconds: int, done: Sequence[Found], real: Sequence[Sequence[str]]) ->
         "## Against the exact truth", _TRUTH_TEXT,
         table(["sensor", "method", "precision", "recall", "sweeps with truth"], _score_rows(done)),
         _lost_line(done), "## Rates", _RATES_TEXT,
-        table(["sensor", "sweeps", "refused", "Hz, as fast as it goes", "processor, ms a sweep", "share of one core at 10 Hz"],
-              _rate_rows(done)),
+        table(_RATES_HEADER, _rate_rows(done)),
         "## False alarms", _FALSE_TEXT,
-        table(["sensor", "sweeps", "inconsistent", "degraded", "stream alarms", "sweeps with claims withdrawn"], _false_rows(done)),
+        table(_FALSE_HEADER, _false_rows(done)),
         "## Attacks", _ATTACK_TEXT,
-        table(["attack", "returns touched", "attacked sweeps found", "first found after",
-               "precision without", "precision with reactions", "recall without", "recall with reactions"], _attack_rows(done)),
+        table(_ATTACK_HEADER, _attack_rows(done)),
         "## Real bags", _REAL_TEXT,
-        table(["recording", "answered", "returns", "visible, m²", "processor, ms", "inconsistent", "stream alarms", "degraded"],
-              real),
+        table(_REAL_HEADER, real),
     )  # fmt: skip
 
 
-_INTRO = """The published study shows a robot with a VLP-16 in rooms, as a case without a truth. Here a simulated one
-drives {minutes:.1f} minutes through rooms with a VLP-16 and, at the same place, a 2-D laser of 1,440 beams. Both are
-recorded to bags (`viewshed record sim`) and replayed through `viewshed.pipeline` with the profile `robot`: shadow map on
-cells of 0.125 m, the monitor in the box, reactions. Of every {every}th sweep the exact truth is computed."""
+_INTRO = """The published study shows a robot with a VLP-16 in rooms, as a case without a truth. Here a simulated
+one drives {minutes:.1f} minutes through rooms with a VLP-16 and, at the same place, a 2-D laser of 1,440 beams.
+Both are recorded to bags (`viewshed record sim`) and replayed through `viewshed.pipeline` with the profile `robot`:
+shadow map on cells of 0.125 m, the monitor in the box, reactions. Of every {every}th sweep the exact truth is
+computed."""
 
-_TRUTH_TEXT = """Precision: of the cells claimed visible those that are; recall: of the visible ones those claimed. The
-target is a pedestrian: a cell is visible where enough beams would have met one who stood there, of the VLP-16 or of the
-laser's one plane. *With reactions* is what the pipeline hands out: what an alarm withdraws is missing there.
-`concave_hull` is what the study's code publishes on its robot."""
+_TRUTH_TEXT = """Precision: of the cells claimed visible those that are; recall: of the visible ones those claimed.
+The target is a pedestrian: a cell is visible where enough beams would have met one who stood there, of the VLP-16
+or of the laser's one plane. *With reactions* is what the pipeline hands out: what an alarm withdraws is missing
+there. `concave_hull` is what the study's code publishes on its robot."""
 
-_RATES_TEXT = """As fast as the machine goes, all threads of one process, decoding of the bag not counted; the target is
-15 % of a core for a VLP-16 at 10 Hz (the node's own figures are in [robot](results/robot.md))."""
+_RATES_TEXT = """As fast as the machine goes, all threads of one process, decoding of the bag not counted; the
+target is 15 % of a core for a VLP-16 at 10 Hz (the node's own figures are in [robot](results/robot.md))."""
 
-_FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The monitor in the box was calibrated on simulated drives
-with the sensors of its table; the laser is none of them, so that no rate is promised for it."""
+_FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The monitor in the box was calibrated on simulated
+drives with the sensors of its table; the laser is none of them, so that no rate is promised for it."""
 
-_ATTACK_TEXT = f"""{CALM_SWEEPS} sweeps as they are, then {ATTACKED_SWEEPS} attacked, each attack at another place of each minute, with its usual
-budget. *Found* are sweeps that are inconsistent by themselves or at which the stream alarms."""
+_ATTACK_TEXT = f"""{CALM_SWEEPS} sweeps as they are, then {ATTACKED_SWEEPS} attacked, each attack at another place
+of each minute, with its usual budget. *Found* are sweeps that are inconsistent by themselves or at which the stream
+alarms."""
 
-_REAL_TEXT = f"""The first {REAL_SWEEPS} sweeps at most of each real recording, through the same pipeline, as its own format has
-them. There is no truth for them; what is inconsistent here is a false alarm or a fault of the recording. None of them is
-of the robot's own kind of place, and those of a few sweeps say little."""
+_REAL_TEXT = f"""The first {REAL_SWEEPS} sweeps at most of each real recording, through the same pipeline, as its
+own format has them. There is no truth for them; what is inconsistent here is a false alarm or a fault of the
+recording. None of them is of the robot's own kind of place, and those of a few sweeps say little."""
+
+
+_RATES_HEADER = [
+    "sensor", "sweeps", "refused", "Hz, as fast as it goes", "processor, ms a sweep", "share of one core at 10 Hz",
+]  # fmt: skip
+_FALSE_HEADER = ["sensor", "sweeps", "inconsistent", "degraded", "stream alarms", "sweeps with claims withdrawn"]
+_ATTACK_HEADER = [
+    "attack", "returns touched", "attacked sweeps found", "first found after", "precision without",
+    "precision with reactions", "recall without", "recall with reactions",
+]  # fmt: skip
+_REAL_HEADER = [
+    "recording", "answered", "returns", "visible, m²", "processor, ms", "inconsistent", "stream alarms", "degraded",
+]  # fmt: skip
 
 
 def _sum(counts: Iterable[dict[str, int]]) -> tuple[float, float]:
@@ -423,10 +460,10 @@ def _lost_line(done: Sequence[Found]) -> str:
     counts = [each["laser"]["counts"]["shadow_map"] for each in done]
     lost, false = (sum(count.get(key, 0) for count in counts) for key in ("no echo", "false"))
     return (
-        f"Of the laser's false cells {lost / max(false, 1):.0%} lie in the directions of beams without an echo. A driver"
-        " reports these as +inf, whether the beam met nothing or a surface that swallowed it (dark or shiny things do,"
-        " in the simulator as in rooms), and the estimator takes the view to be open. Where that matters, let the driver"
-        " report NaN instead."
+        f"Of the laser's false cells {lost / max(false, 1):.0%} lie in the directions of beams without an echo. A"
+        " driver reports these as +inf, whether the beam met nothing or a surface swallowed it (dark or shiny things"
+        " do, in the simulator as in rooms), and the estimator takes the view to be open. Where that matters, let the"
+        " driver report NaN instead."
     )
 
 

@@ -54,7 +54,7 @@ def _measured(folder: Path, seconds: float) -> Iterator[dict[str, Any]]:
 
 def _sweep(path: Path) -> Sweep:
     with np.load(path) as file:
-        return Sweep(file["points"], file["intensity"], file["ring"] if "ring" in file else None)
+        return Sweep(file["points"], file["intensity"], file.get("ring"))
 
 
 def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:

@@ -415,8 +415,8 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
         xy += (x[n] - x1) * (y[n] - y1);
         yy += (y[n] - y1) * (y[n] - y1);
         const float own_m = std::max(std::sqrt(x[n] * x[n] + y[n] * y[n]), 0.1f);
-        const int layer = int((z[n] - sweep.sensor_height_m) / own_m / LAYER_SLOPE) + LAYERS / 2;
-        layers[std::size_t(std::clamp(layer, 0, LAYERS - 1))] = true;
+        const float layer = std::trunc((z[n] - sweep.sensor_height_m) / own_m / LAYER_SLOPE) + LAYERS / 2;
+        layers[std::size_t(std::clamp(layer, 0.0f, float(LAYERS - 1)))] = true;
         // Azimuth from that of the middle: a candidate is no longer than LONGEST_M, and may be around the sensor.
         const float away = azimuth_of(y[n] * x1 - x[n] * y1, x[n] * x1 + y[n] * y1);
         left_m = away >= turn.high ? own_m : left_m;

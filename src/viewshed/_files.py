@@ -66,6 +66,9 @@ def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
     target = Path(path)
     if target.is_dir():
         raise IsADirectoryError(f"path must name a file, got the folder {target}")
+    if not target.parent.is_dir():
+        kind = NotADirectoryError if target.parent.exists() else FileNotFoundError
+        raise kind(f"{target} must lie in a folder that exists, got {target.parent}; make it first")
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
     try:
         with draft.open("xb") as file:

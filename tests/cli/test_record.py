@@ -11,7 +11,8 @@ from tests.cli.test_networks import run
 
 import viewshed.plot
 from viewshed import read_sweep, write_sweep
-from viewshed.cli._outputs import Failures
+from viewshed.cli._outputs import Failures, Named
+from viewshed.cli._profile import Settings
 from viewshed.cli._record import Awaited, Listener
 from viewshed.cli.monitor import _benign, _Source
 from viewshed.grid import GRIDS
@@ -19,6 +20,7 @@ from viewshed.integrity import IntegrityReport
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, ReactionState
+from viewshed.pipeline.reactions import RULES
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
 pytest.importorskip("mcap", reason="mcap is not installed: bags are not written")
@@ -50,6 +52,31 @@ def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> No
     assert run("replay", *files, "--as-fast", "--to", tmp_path / "a.bag")[0] == 0
     assert run("record", *files, "--to", tmp_path / "b.bag")[0] == 0
     assert (tmp_path / "a.bag").read_bytes() == (tmp_path / "b.bag").read_bytes()
+
+
+def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_path: Path) -> None:
+    same = {
+        "a.mcap": ["--profile", "robot"],
+        "b.mcap": ["--grid", "indoor", "--monitor"],
+        "c.mcap": ["--profile", "robot", "--grid", "road"],
+        "d.mcap": ["--monitor"],
+    }
+    for name, options in same.items():
+        code, _, err = run("replay", *files, "--as-fast", *options, "--to", tmp_path / name)
+        assert (code, err) == (0, "")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert (tmp_path / "c.mcap").read_bytes() == (tmp_path / "d.mcap").read_bytes()
+    code, _, err = run("record", *files, "--profile", "car", "--to", tmp_path / "e.mcap")
+    assert code == 2
+    assert "profile must be one of robot, infrastructure, mapping, contested, got 'car'" in err
+
+
+def test_a_profile_leaves_out_sweeps_beyond_its_rate() -> None:
+    sweep = read_sweep(junction_path())
+    times_ms = [0, 50, 95, 190, 200, 5]  # the last one is of a recording that begins again
+    named = [Named(sweep.replace(t_ns=t * 1_000_000), f"{t}", Path(f"{t}")) for t in times_ms]
+    kept = Settings(None, "road", 0, False, RULES, rate_hz=10.0).at_rate(named)
+    assert [each.name for each in kept] == ["0", "95", "190", "5"]
 
 
 def test_a_recording_becomes_a_bag_that_is_read_again(tmp_path: Path) -> None:

@@ -13,7 +13,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from viewshed.grid import BevGrid
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, MonitoredSweep
-from viewshed.integrity.score import EvidenceScore, SurpriseScale, features, features_of, measure_all, pooled
+from viewshed.integrity.score import (
+    STATISTICS,
+    EvidenceScore,
+    StatisticsNetwork,
+    SurpriseScale,
+    WholeSweep,
+    features,
+    features_of,
+    measure_all,
+    pooled,
+    statistics,
+    sum_of_odds,
+    surprises_of_statistics,
+)
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
@@ -37,6 +50,82 @@ def score_of(evidence: int = 2, hidden: int = 2) -> EvidenceScore:
         tuple("abcdef"[:evidence]), scale, np.zeros(count, np.float32), np.ones(count, np.float32), weights,
         np.zeros(hidden, np.float32), np.eye(hidden, 2, dtype=np.float32), np.zeros(2, np.float32),
     )  # fmt: skip
+
+
+def network(seed: int, inputs: int = 2 * STATISTICS, kinds: int = 2) -> StatisticsNetwork:
+    """Return a network that falls with medians, the last of its inputs, alone."""
+    rng = np.random.Generator(np.random.PCG64(seed))
+    first, second, outputs = rng.random((inputs, 6)), rng.random((6 + inputs, 3)), rng.random(3 + inputs)
+    for weights in (first, second, outputs):
+        weights[-kinds:] *= -1.0
+    return StatisticsNetwork(*(part.astype(np.float32) for part in (first, second, outputs, rng.normal(size=10))))
+
+
+def whole_sweep() -> WholeSweep:
+    """Return what judges whole sweeps of two kinds of evidence."""
+    scale = SurpriseScale.fit(statistics(BENIGN)[..., None])
+    parts = SurpriseScale.fit(RNG.normal(size=(200, 3, 1)) * 3.0)
+    return WholeSweep(scale, network(1), network(2), network(3), parts)
+
+
+WHOLE = replace(score_of(), whole=whole_sweep())
+
+
+def test_statistics_by_hand() -> None:
+    evidence = np.zeros((2, 2, SECTORS), np.float32)
+    evidence[0, 0, [5, 40, 41]] = 6.0, 3.0, 9.0
+    evidence[1, 0] = np.nan
+    evidence[1, 0, :4] = 4.0, 1.0, 2.0, 5.0
+    evidence[1, 1] = np.nan
+    found = statistics(evidence).reshape(2, STATISTICS, 2)
+    assert_allclose(found[0, :, 0], [9.0, 6.0, 2.0, 0.25, 0.0])
+    # Where most sectors abstain the means are of those that do not; of four, the lower middle one is the median.
+    assert_allclose(found[1, :, 0], [5.0, 11 / 3, 3.0, 3.0, 2.0])
+    assert np.isnan(found[1, :, 1]).all()
+
+
+@given(arrays(np.float32, (3, 7), elements=st.floats(0.0, 9.0, width=32)))
+def test_a_sum_of_odds_is_the_largest_and_a_little_more(surprises: np.ndarray) -> None:
+    found = sum_of_odds(surprises)
+    assert (found >= surprises.max(axis=1) - 1e-5).all()
+    assert (found <= surprises.max(axis=1) + 2.0 * np.log10(7) + 1e-5).all()
+
+
+@given(st.integers(0, 1), st.integers(0, SECTORS - 1), st.floats(0.0, 50.0), st.integers(0, 199))
+def test_more_of_a_raised_sector_is_never_less_doubt(kind: int, sector: int, more: float, sweep: int) -> None:
+    before = BENIGN[sweep].copy()
+    # A sector above the median stays above it, so that the context is the same.
+    before[kind, sector] = max(before[kind, sector], np.median(before[kind]) + 0.1)
+    after = before.copy()
+    after[kind, sector] += more
+    assert WHOLE(after).inconsistent >= WHOLE(before).inconsistent - 1e-4
+
+
+def test_evidence_that_abstains_counts_as_common() -> None:
+    silent, common = BENIGN[:1].copy(), BENIGN[:1].copy()
+    silent[:, 1], common[:, 1] = np.nan, 0.0
+    surprises = [surprises_of_statistics(whole_sweep().scale, statistics(each)) for each in (silent, common)]
+    assert_array_equal(surprises[0], surprises[1])
+    assert np.isfinite(WHOLE(np.full((2, SECTORS), np.nan, np.float32)).inconsistent)
+
+
+def test_what_is_rare_counts_without_any_network() -> None:
+    still = StatisticsNetwork(*(np.zeros_like(getattr(network(1), name)) for name in network(1).__slots__))
+    silent = replace(whole_sweep(), in_context=still, by_itself=still, degraded=still)
+    evidence = BENIGN[:20].copy()
+    evidence[:, 1, 30:33] += 20.0
+    assert (silent(evidence)[:, 0] > silent(BENIGN[:20])[:, 0] + 0.5).all()
+
+
+def test_a_whole_sweep_by_hand() -> None:
+    surprises = np.zeros((1, 2 * STATISTICS), np.float32)
+    surprises[0, 0] = 2.0
+    first, second = np.zeros((10, 3), np.float32), np.zeros((13, 3), np.float32)
+    first[0], second[1] = 1.0, 0.5
+    outputs = np.concatenate([np.ones(3), [0.25], np.zeros(9)]).astype(np.float32)
+    one = StatisticsNetwork(first, second, outputs, np.array([0, 0, -4, 0, 0, 0, 1], np.float32))
+    # The first layer is 2, min(2, 1) and -1; the second sees the middle one: .5 in all three units.
+    assert_allclose(one(surprises), 3 * 0.5 + 0.25 * 2.0 + 1.0)
 
 
 def test_the_surprise_of_a_number_is_how_rare_it_is() -> None:
@@ -129,6 +218,9 @@ def test_arrays_hold_all_of_a_score() -> None:
     assert again.names == score.names
     evidence = BENIGN[:1, [0, 1, 0]]
     assert_array_equal(again.logits(evidence), score.logits(evidence))
+    assert again.whole is None
+    whole = EvidenceScore.from_arrays(WHOLE.arrays())
+    assert_array_equal(whole.of_sweeps(BENIGN[:9]), WHOLE.of_sweeps(BENIGN[:9]))
 
 
 def test_refuses_what_does_not_fit() -> None:
@@ -139,6 +231,10 @@ def test_refuses_what_does_not_fit() -> None:
         replace(score, names=("a", "b", "c"))
     with pytest.raises(ValueError, match="scale must be of 2 kinds of evidence, got 3"):
         replace(score, scale=score_of(3).scale)
+    with pytest.raises(ValueError, match="whole must be of 15 statistics, got 10; train the score again"):
+        replace(score_of(3), whole=whole_sweep())
+    with pytest.raises(ValueError, match=r"layers must have shapes .* in thirds, got"):
+        replace(network(1), outputs=np.zeros(4, np.float32))
     with pytest.raises(ValueError, match="values must ascend"):
         SurpriseScale(score.scale.values[:, ::-1], score.scale.surprises)
 

@@ -119,7 +119,7 @@ def test_a_million_points_take_bounded_work(kind: str) -> None:
     range_m = np.hypot(*points[:, :2].T)
     began = time.thread_time()
     rows, first, last, _, sides, shapes = _core.object_candidates(points, points[:, 2].copy(), range_m, HEIGHT_M)
-    assert time.thread_time() - began < 3.0
+    assert time.thread_time() - began < 1.0
     assert len(first) <= 2000
     assert np.isfinite(shapes).all()
     assert np.isfinite(sides).all()

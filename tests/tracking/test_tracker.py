@@ -178,7 +178,7 @@ def test_beyond_the_gate_a_detection_is_of_another_object() -> None:
     for off, ids in ((3.4, [0]), (4.0, [0, 1])):
         tracker = Tracker(ExistenceRules(clutter_per_m2=1e-9))  # all in the gate is rather the track's than false
         before = _drive(tracker, 20, speed=0.0)
-        std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.3**2))
+        std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.6**2))
         tracks = tracker.step(2.0, cars((0.0, off * std_m)), SeesAll(2.0))
         assert tracks.ids.tolist() == ids
 
@@ -308,3 +308,36 @@ def test_rules_out_of_range_are_refused() -> None:
         ExistenceRules(gate=0.0)
     with pytest.raises(ValueError, match=r"coast_s must be positive, got 0.0"):
         PublishedRules(coast_s=0.0)
+
+
+def test_a_flood_of_boxes_in_one_place_asks_the_view_of_few() -> None:
+    """A thousand large boxes about one point: parts of each other are left out before the view is asked."""
+    asked = []
+
+    def seen(xy: Floats) -> Floats:
+        asked.append(len(xy))
+        return np.ones(len(xy))
+
+    rng = np.random.default_rng(0)
+    tracker = Tracker()
+    for k in range(3):
+        flood = cars(*rng.uniform(-3.0, 3.0, (1000, 2)))
+        tracks = tracker.step(
+            0.1 * k, replace(flood, boxes=flood.boxes * [1, 1, 1, 2, 4, 1, 1]), ScriptedView(0.1 * k, seen)
+        )
+        assert len(tracks) < 10
+    assert max(asked) < 2000
+
+
+def test_a_flood_of_boxes_everywhere_asks_the_view_a_bounded_number_of_questions() -> None:
+    asked = []
+
+    def seen(xy: Floats) -> Floats:
+        asked.append(len(xy))
+        return np.ones(len(xy))
+
+    tracker = Tracker()
+    for k in range(3):
+        grid = np.stack(np.meshgrid(np.arange(40) * 5.0, np.arange(25) * 5.0 + 2.5 * k), axis=-1).reshape(-1, 2)
+        tracker.step(k, cars(*grid), ScriptedView(k, seen))
+    assert max(asked) <= 10_000

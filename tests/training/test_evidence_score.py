@@ -1,4 +1,4 @@
-"""Training of the score: it finds what it was shown, tells one sector from all, and ignores what never spoke."""
+"""Training of the score: it finds what it was shown and what is rare, tells one sector from all, ignores silence."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _examples(seed: int) -> ScoreExamples:
     evidence[:, 2] = np.nan
     return ScoreExamples(
         ("a", "b", "c"), evidence, (kind == 1).astype(np.float32), (kind == 2).astype(np.float32), sectors,
-        np.ones(COUNT, np.float32), kind == 0, np.zeros(3, np.bool_),
+        np.ones(COUNT, np.float32), (kind == 0) | ((kind == 2) & (np.arange(COUNT) % 2 == 0)), np.zeros(3, np.bool_),
     )  # fmt: skip
 
 
@@ -44,6 +44,16 @@ def test_a_sector_is_an_attack_and_all_of_them_are_rain() -> None:
     assert np.mean(unseen.sectors[:90][attacked][np.arange(len(where)), where]) > 0.7
 
 
+def test_rare_evidence_that_no_attack_had_counts() -> None:
+    trainer = ScoreTrainer.of(_examples(0))
+    score = trainer.train(np.ones(COUNT, np.bool_), epochs=5, seed=3)
+    benign = _examples(1).evidence[::3][:90].astype(np.float32)
+    unseen = benign.copy()
+    unseen[:, 1, 7:9] += 12.0
+    inconsistent = [score.of_sweeps(evidence)[:, 0] for evidence in (benign, unseen)]
+    assert auroc(*inconsistent) > 0.9
+
+
 def test_the_same_seed_gives_the_same_score_and_silence_stays_silent() -> None:
     trainer = ScoreTrainer.of(_examples(0))
     one, other = (trainer.train(np.arange(COUNT) % 2 == 0, epochs=2, seed=3) for _ in range(2))
@@ -53,6 +63,7 @@ def test_the_same_seed_gives_the_same_score_and_silence_stays_silent() -> None:
     spoken = evidence.copy()
     spoken[:, 2] = 5.0
     assert_array_equal(one.logits(evidence), one.logits(spoken))
+    assert_array_equal(one.of_sweeps(evidence), one.of_sweeps(spoken))
 
 
 def test_only_attacked_sweeps_are_refused() -> None:

@@ -136,7 +136,8 @@ def test_what_the_body_hides_is_said_as_stvl_takes_it() -> None:
     polygons = json.loads(LAYERS["obstruction"].make(shown).data)
     spans = [(np.degrees(min(polygon[::2])), np.degrees(max(polygon[::2]))) for polygon in polygons]
     covered = sum(last - first for first, last in spans)
-    assert covered == pytest.approx(120.0, abs=10.0)
+    # An edge is uncertain by a cell at 1 m.
+    assert covered == pytest.approx(120.0, abs=15.0)
     for polygon in polygons:
         assert len(polygon) == 8
         assert 0.0 <= min(polygon[::2]) < max(polygon[::2]) <= min(polygon[::2]) + np.pi / 2 + 1e-3

@@ -92,9 +92,9 @@ def obstruction_polygons(estimate: FovEstimate) -> str:
     """Return the directions in which the sensor sees nothing from the beginning, as STVL's parameter takes them.
 
     ``[[azimuth, elevation, …], …]`` in radians: convex polygons, azimuths in [0, 2π], none across 0. A direction is
-    obstructed where no cell from 1 m to 5 m is FREE: by the robot itself, or by what stands right before it. Walls farther
-    off cannot be said so: the polygons know no range. Empty where nothing is obstructed, or everything: a sensor that
-    looks over these cells knows nothing of its robot.
+    obstructed where no cell from 1 m to 5 m is FREE: by the robot itself, or by what stands right before it. Walls
+    farther off cannot be said so: the polygons know no range. Empty where nothing is obstructed, or everything: a
+    sensor that looks over these cells knows nothing of its robot.
     """
     angle, range_m, number = _rays(estimate.grid)
     near = (range_m >= _BODY_M) & (range_m <= BLIND_MOST_M)
@@ -105,7 +105,7 @@ def obstruction_polygons(estimate: FovEstimate) -> str:
     if is_hidden.all():
         return ""
     half = math.pi / len(azimuth)
-    # 2. Where rows of hidden rays begin and end, each cut into parts of a quarter turn at most: wider ones are not convex.
+    # 2. Where rows of hidden rays begin and end, each cut into quarter turns at most: wider ones are not convex.
     edge = np.flatnonzero(np.diff(np.concatenate([[False], is_hidden, [False]]).astype(np.int8)))
     quads = []
     for begin, end in zip(edge[::2], edge[1::2], strict=True):
@@ -121,7 +121,8 @@ def obstruction_polygons(estimate: FovEstimate) -> str:
 
 
 _BODY_M, _LEAST_OBSTRUCTION, _TALL = 1.0, math.radians(2.0), 1.4
-"""From here on a view is no obstructed one; narrower obstructions are left out; the elevation up to and down to which a polygon reaches, in radians."""
+"""From here on a view is no obstructed one; narrower obstructions are left out; elevations in radians up to and down to
+which a polygon reaches."""
 
 BLIND_MOST_M = 5.0
 """A ray that meets no FREE cell up to here gives no beam: what hides its beginning may hide more."""

@@ -11,6 +11,7 @@ import typer
 from viewshed import __version__
 from viewshed._extras import needed_for
 from viewshed.cli._options import BAD_INPUTS, complain, one_line, with_reading
+from viewshed.cli._status import status_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
@@ -78,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
-            with needed_for(" ".join(["viewshed", *words[:1]])):
+            with status_line(" ".join(words[:1])), needed_for(" ".join(["viewshed", *words[:1]])):
                 sys.exit(app([_current_option(word) for word in words], standalone_mode=False))
     except _Refused as error:
         _refuse(cast(typer.BadParameter, error).format_message())

@@ -292,6 +292,8 @@ def one_line(error: BaseException) -> str:
     >>> one_line(ValueError("a\nb"))
     'a b'
     """
+    if isinstance(error, OSError) and error.strerror is not None and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -308,7 +310,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
 
     entries = {entry.file: entry for entry in read_index(index)}
     if not files:
-        yield from ((file, entry) for file, entry in entries.items() if entry.points)
+        named = [(file, entry) for file, entry in entries.items() if entry.points]
+        if not named:
+            raise ValueError(f"{index} must name a sweep, got none")
+        yield from named
     for file in files:
         entry = entries.get(Path(os.path.realpath(file)))
         if entry is None:

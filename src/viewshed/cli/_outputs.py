@@ -245,8 +245,11 @@ class Run:
 
     def one(self, sweep: Sweep, name: str) -> tuple[FovEstimate, str]:
         """Level one sweep, estimate, write the results, and return the estimate and its summary line."""
+        from viewshed.io.export.crs import crs_named
         from viewshed.preprocess.leveling import level
 
+        if self.crs is not None:
+            crs_named(self.crs, sweep.world_from_sensor)
         if not self._is_warm:
             warm_up(self.estimator, sweep)
             self._is_warm = True

@@ -28,7 +28,7 @@ def named_sweeps(
     Where earlier sweeps are wanted as a ``history``, one without a pose or a time is reported as well.
     """
     taken = {name.casefold() for name in names}
-    poses = poses_of(reading)
+    poses = poses_of(reading, jobs)
     count = 0
     for job, name in zip(with_bar(jobs, len(jobs)), names, strict=True):
         file = job[0]
@@ -49,13 +49,18 @@ _NO_HISTORY = (
 )
 
 
-def poses_of(reading: Reading) -> PoseFile | None:
-    """Return the poses that an option names, and say what was assumed of them."""
+def poses_of(reading: Reading, jobs: list[Job]) -> PoseFile | None:
+    """Return the poses that an option names, and say what was assumed of them.
+
+    Raises:
+        ValueError: the file is wrong, or has not one pose for each file that is read.
+    """
     if reading.poses is None:
         return None
     from viewshed.datasets.recordings.pose_files import PoseFile
 
     poses = PoseFile.read(reading.poses)
+    poses.check([file for file, _ in jobs])
     for line in poses.notes:
         note(f"{reading.poses}: {line}")
     return poses
@@ -80,7 +85,7 @@ def placed_sweeps(
 
 def all_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[Sweep]:
     """Yield every sweep with its pose; the first one that cannot be read is an error."""
-    poses, count = poses_of(reading), 0
+    poses, count = poses_of(reading, jobs), 0
     for job in jobs:
         for sweep in placed_sweeps(reading, jobs, job, poses, count):
             count += 1

@@ -84,6 +84,7 @@ def estimate(
     Example: viewshed estimate sweep.pcd.bin --out out
     """
     from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+    from viewshed.io.export.crs import crs_of
 
     if history and batch > 1:
         raise ValueError("--history goes with --batch 1: a sweep is remembered before the next one is estimated")
@@ -99,6 +100,8 @@ def estimate(
     watch = watching(monitor, monitor_file)
     run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs)
     reading = replace(reading, crs=crs)
+    if crs is not None:
+        crs_of(crs)
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))

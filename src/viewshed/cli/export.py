@@ -44,25 +44,30 @@ def export(
     """
     from viewshed._files import write_atomic
     from viewshed.io.export import EXPORTERS, read_npz, to_cpm
+    from viewshed.io.export.crs import crs_named
     from viewshed.preprocess.leveling import level
 
     if to not in EXPORTERS:
         raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
     exporter = EXPORTERS[to]
+    exporter.check_crs(crs)
     stem = stem_of(file.name) or "viewshed"
-    if _is_estimate(file):
-        estimate = read_npz(file)
-    else:
-        estimator = NetworkOptions(weights, passes, seed, device=device).estimator(
-            method, options.parse_grid(grid), target
-        )
-        reading = replace(reading, crs=crs)
-        leveled = level(reading.sweep(file, index, number), estimator.grid)
-        report_doubts(leveled, file.name)
-        estimate = estimator.estimate(leveled)
-        stem = stem_of_result(stem, estimate.method)
+    estimator = None
+    if not _is_estimate(file):
+        network = NetworkOptions(weights, passes, seed, device=device)
+        estimator = network.estimator(method, options.parse_grid(grid), target)
+        stem = stem_of_result(stem, estimator.name)
     place = place_of_result(out, stem + exporter.suffix)
     refuse_inputs([place], [file])
+    if estimator is None:
+        estimate = read_npz(file)
+    else:
+        sweep = replace(reading, crs=crs).sweep(file, index, number)
+        if crs is not None:
+            crs_named(crs, sweep.world_from_sensor)
+        leveled = level(sweep, estimator.grid)
+        report_doubts(leveled, file.name)
+        estimate = estimator.estimate(leveled)
     if to == "cpm":
         exporter = replace(exporter, function=partial(to_cpm, sectors=sectors))
     files = exporter.files(estimate, place.name, crs)

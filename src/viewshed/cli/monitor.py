@@ -93,6 +93,10 @@ def calibrate(
         bool,
         typer.Option("--correct", help="Correct the simulated calibration by these few scenes; do not replace it."),
     ] = False,
+    worse: Annotated[
+        list[str] | None,
+        typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
+    ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
@@ -102,7 +106,8 @@ def calibrate(
     """Calibrate the monitor on sweeps that nobody attacked: a rate of false alarms that holds on more like these.
 
     What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
-    of one recording are alike; the rate then holds for that place and time.
+    of one recording are alike; the rate then holds for that place and time. Inconsistent is calibrated on all of them,
+    degraded on those that are not given by --worse.
 
     Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
     """
@@ -112,12 +117,16 @@ def calibrate(
 
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
-    refuse_inputs((out,), map(Path, sources))
+    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
     base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
-    benign = list(
-        _benign(_Source(tuple(sources), split, sensor, failures=failures), options.parse_grid(grid), base, failures)
-    )
+    benign = [
+        replace(sweep, clear=clear)
+        for places, clear in ((sources, True), (worse or (), False))
+        for sweep in _benign(
+            _Source(tuple(places), split, sensor, failures=failures), options.parse_grid(grid), base, failures
+        )
+    ]
     if correct:
         made = base.corrected(benign, rng)
     else:
@@ -244,7 +253,7 @@ class _Source:
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
         jobs = list(options.chosen([Path(place)], None))
-        poses, count = poses_of(reading), 0
+        poses, count = poses_of(reading, jobs), 0
         for job in jobs:
             path = job[0]
             several = path.is_dir()

@@ -228,6 +228,35 @@ def agents(
 
 
 @study_app.command()
+def tracks(
+    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: count, limit, test, page.")] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """Tracks and fusion with each field of view, on simulated drives whose detections are forged.
+
+    Example: viewshed study tracks --preset tiny --out study
+    """
+    from viewshed._jobs import engine_named
+    from viewshed.studies.store import ResultStore
+    from viewshed.studies.tracks.jobs import run_study, save_models
+    from viewshed.studies.tracks.page import page_of
+    from viewshed.studies.tracks.plan import STEPS, TracksPlan
+
+    steps, folder = _steps(only, STEPS), _folder(out, "tracks")
+    store, runner = ResultStore.open(folder, TracksPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        save_models(store)
+        _write(page or folder, {"tracks.md": page_of(store).encode()})
+        typer.echo(f"Look at {(page or folder) / 'tracks.md'}")
+    _require_all_done(failed)
+
+
+@study_app.command()
 def wild(
     preset: Annotated[str, typer.Option(help="What is run: tiny, small (the development set), sealed.")] = "small",
     out: Out = None,

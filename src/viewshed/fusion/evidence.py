@@ -1,14 +1,14 @@
-"""Evidence about tracks: likelihood ratios from counts on benign drives, and the wealth that they make over time.
+"""Evidence about tracks: likelihood ratios from counts on benign drives, and the e-values that they make over time.
 
 Each sweep gives three likelihood ratios of a track, each against *this track is honest*: that it is fabricated, that
-its detections are removed, that it is moved. They are counted: how often a value is seen on benign drives, and how often on
-the same drives with the track put elsewhere; of what a box holds, weights of evidence (Good, 1985) by logistic regression. A ratio has mean 1 on honest tracks, so it is an e-value (Vovk and Wang, 2021, arXiv
-1912.06116).
+its detections are removed, that it is moved. They are counted: how often a value is seen on benign drives, and how
+often on the same drives with the track put elsewhere; of what a box holds, weights of evidence (Good, 1985) by logistic
+regression. A ratio has mean 1 on honest tracks, so it is an e-value (Vovk and Wang, 2021, arXiv 1912.06116).
 
 Over time there are two rules, for evidence about one track comes in two kinds.
 
-*What its box holds* is the same fact again and again: a parked car behind a hedge looks odd for as long as it stands there.
-Its e-value is the geometric mean of the ratios, weighted by exp(-age/τ):
+*What its box holds* is the same fact again and again: a parked car behind a hedge looks odd for as long as it stands
+there. Its e-value is the geometric mean of the ratios R, weighted by exp(-age/τ):
 
     log E ← (1 - a) log E + a log R,  a = (1 - exp(-dt/τ)) / (1 - exp(-t/τ)) after t seconds.
 
@@ -18,15 +18,16 @@ That is at most the arithmetic mean of the ratios, and so has mean 1 at most how
 
     W ← (W + dt/τ) · R^(dt/τ),
 
-the e-detector of Shiryaev and Roberts (Shin, Ramdas and Rinaldo, 2022, arXiv 2203.03532): each moment is a possible beginning,
-ratios below 1 make it forget. Within τ seconds ratios count as one (again a geometric mean); beyond, W is an e-value if what comes
-later is independent of what came before. That is more than drives give, so limits are taken from whole benign drives.
+the e-detector of Shiryaev and Roberts (Shin, Ramdas and Rinaldo, 2022, arXiv 2203.03532): each moment is a possible
+beginning, ratios below 1 make it forget. Within τ seconds ratios count as one (again a geometric mean); beyond, W is an
+e-value if what comes later is independent of what came before. That is more than drives give, so limits are taken from
+whole benign drives.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -51,10 +52,11 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
     "range_m": (8.0, 15.0, 25.0, 35.0),
     "found": (0.05, 0.5, 0.85, 0.95),
 }
-"""Bounds of the bins of what is measured about a box: of ``BoxCells``, and ``found``, how likely a detector finds it."""
+"""Bounds of the bins of what is measured about a box: of ``BoxCells``, and ``found``, P_D of an object there."""
 
-FEATURES: tuple[tuple[str, ...], ...] = (
-    ("surface", "found"), ("surface", "range_m"), ("free", "range_m"), ("ring",), ("ring_free",), ("near_free",), ("first_m",),
+BOX_FEATURES: tuple[tuple[str, ...], ...] = (
+    ("surface", "found"), ("surface", "range_m"), ("free", "range_m"), ("ring",), ("ring_free",), ("near_free",),
+    ("first_m",),
 )  # fmt: skip
 """Measures whose bins have weights, alone or two together."""
 
@@ -97,15 +99,15 @@ JUMP_BINS = len(_JUMP) + 1
 
 
 def _sizes() -> list[int]:
-    """Return the number of bins of each of ``FEATURES``."""
-    return [int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in FEATURES]
+    """Return the number of bins of each of ``BOX_FEATURES``."""
+    return [int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in BOX_FEATURES]
 
 
 def cell_bins(cells: BoxCells, found: Floats) -> NDArray[np.int64]:
-    """Return the bins (K, F) of K boxes in the weights of a model, a row of ``BLIND`` where most of a box is unknown."""
+    """Return the bins (K, F) of K boxes in a model's weights, a row of ``BLIND`` where most of a box is unknown."""
     values = cells._asdict() | {"found": found}
     columns, first = [], 0
-    for names, size in zip(FEATURES, _sizes(), strict=True):
+    for names, size in zip(BOX_FEATURES, _sizes(), strict=True):
         code = np.zeros(len(found), np.int64)
         for name in names:
             code = code * (len(_BOUNDS[name]) + 1) + np.digitize(values[name], _BOUNDS[name])
@@ -116,7 +118,7 @@ def cell_bins(cells: BoxCells, found: Floats) -> NDArray[np.int64]:
 
 
 def cell_ratios(weights: Floats, bins: NDArray[np.int64]) -> Floats:
-    """Return the ratio (K,) of forged : honest of boxes with bins (K, F): weights of evidence add up; 1 for ``BLIND``."""
+    """Return the ratio (K,) of forged : honest of boxes with bins (K, F): their weights add up; 1 for ``BLIND``."""
     total = weights[-1] + weights[bins].sum(axis=1)
     return np.where(bins[:, 0] == BLIND, 1.0, np.exp(np.clip(total, -np.log(CAP), np.log(CAP))))
 
@@ -126,9 +128,9 @@ _RIDGE = 3.0
 
 
 def fit_weights(honest: NDArray[np.int64], forged: NDArray[np.int64]) -> Floats:
-    """Return the weights (W + 1,) of logistic regression on bins (N, F) of honest and (M, F) of forged boxes; last the bias.
+    """Return the weights (W + 1,) of logistic regression on bins (N, F) of honest and (M, F) of forged boxes.
 
-    Both classes weigh the same, so that a sum of weights is a log-likelihood ratio. Newton's method.
+    The last one is the bias. Both classes weigh the same, so that a sum is a log-likelihood ratio. Newton's method.
     """
     honest, forged = honest[honest[:, 0] != BLIND], forged[forged[:, 0] != BLIND]
     count = sum(_sizes()) + 1
@@ -201,7 +203,7 @@ class EvidenceModel:
     """What evidence is worth, and from which e-value on a track is accused.
 
     Attributes:
-        weights: log ratios of what the cells of a box are, by the bins of ``FEATURES``, last the bias; for fields of view with states.
+        weights: log ratios of what the cells of a box are, by the bins of ``BOX_FEATURES``, last the bias.
         view: of how well it could be seen.
         birth: of where it came from.
         jump: of how suddenly it moved.
@@ -248,9 +250,10 @@ class EvidenceModel:
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Self:
         """Return the model in plain values."""
-        tables = {name: EvidenceTable(**{k: tuple(v) for k, v in values[name].items()}) for name in TABLES}
-        others = {each.name: values[each.name] for each in fields(cls) if each.name not in TABLES}
-        return cls(**tables, **others | {name: tuple(others[name]) for name in ("weights", "limits", "block_s")})
+        tables = {name: EvidenceTable(tuple(values[name]["honest"]), tuple(values[name]["forged"])) for name in TABLES}
+        rows = {name: tuple(values[name]) for name in ("weights", "limits", "block_s")}
+        others: dict[str, Any] = values | tables | rows
+        return cls(**others)
 
 
 TABLES = {"view": VIEW_BINS, "birth": BIRTH_BINS, "jump": JUMP_BINS}
@@ -280,3 +283,22 @@ class EvidenceCounts:
         if not self.honest_cells:
             return (0.0,) * (sum(_sizes()) + 1)
         return tuple(fit_weights(np.concatenate(self.honest_cells), np.concatenate(self.forged_cells)).tolist())
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all counts as arrays by name, to be kept."""
+        empty = np.zeros((0, len(BOX_FEATURES)), np.int64)
+        cells = {
+            "honest_cells": np.concatenate([empty, *self.honest_cells]).astype(np.int16),
+            "forged_cells": np.concatenate([empty, *self.forged_cells]).astype(np.int16),
+        }
+        tables = {f"{kind}_{name}": getattr(self, kind)[name] for kind in ("honest", "forged") for name in TABLES}
+        return tables | cells
+
+    def add_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Add counts that were kept by :meth:`arrays`."""
+        for kind in ("honest", "forged"):
+            for name in TABLES:
+                getattr(self, kind)[name] += arrays[f"{kind}_{name}"]
+            rows = arrays[f"{kind}_cells"].astype(np.int64)
+            if len(rows):
+                getattr(self, f"{kind}_cells").append(rows)

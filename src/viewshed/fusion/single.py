@@ -1,28 +1,27 @@
 """Single-agent, security-aware fusion: each track explained by what its own sensors could have seen, or suspected.
 
-A track that is not detected may be hidden, out of view, or too far for enough returns; or it is *missing though visible*. One that is detected
-may be where the field of view says that beams pass (*seen through*), where nothing could be seen at all, may have begun in the
-middle of cells that were seen free, or may have moved as nothing moves. None of this detects again in the points: it asks the field of view and the past.
+A track that is not detected may be hidden, out of view, or too far for enough returns; or it is *missing though
+visible*. One that is detected may be where beams pass (*seen through*) or where nothing can be seen, may have begun in
+the middle of cells that were seen free, or may have jumped as nothing moves. Nothing is detected again in the points:
+fusion asks the field of view and the past.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
+from functools import lru_cache
 from importlib import resources
-from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.cells import BoxCells, SeenCells
+from viewshed.fusion.cells import BoxCells
 from viewshed.fusion.evidence import (
     BLIND,
     CAP,
-    EvidenceCounts,
     EvidenceModel,
     birth_bins,
     cell_bins,
@@ -33,162 +32,27 @@ from viewshed.fusion.evidence import (
     view_bins,
     wealth_after,
 )
-from viewshed.integrity.calibration import alarms_allowed
-from viewshed.integrity.evidence.base import sector_of
-from viewshed.integrity.report import IntegrityReport
+from viewshed.fusion.explained import (
+    FABRICATED,
+    MOVED,
+    REMOVED,
+    TRACK_ROWS,
+    ExplainedTracks,
+    Explanation,
+    join_tracks,
+    take_tracks,
+)
+from viewshed.fusion.jumps import EARLIER, LATEST, jump_of
+from viewshed.fusion.sensor_view import SensorView, check_views
 from viewshed.objects import Detections
 from viewshed.tracking.tracks import Tracks
-from viewshed.tracking.views import View
 
 Floats = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
 
-SAME_TIME_S = 0.15
-"""A view of another time than the tracks by more than this says nothing of them."""
-
-MOST_TRACKS = 2000
-"""More tracks in one message are refused: the work is bounded."""
-
 MEMORY_S = 10.0
 """How long a track is remembered that the tracker has given up."""
-
-
-class Explanation(IntEnum):
-    """Why a track is detected or not; from ``MISSING`` on it is suspicious."""
-
-    SEEN = 0
-    """Detected, as it should be."""
-    MISSED = 1
-    """Not detected though it could be; so far as rarely as detectors miss."""
-    HIDDEN = 2
-    """Not detected: something nearer blocks the view of it."""
-    OUT_OF_VIEW = 3
-    """Not detected: no beams go there."""
-    TOO_FEW_RETURNS = 4
-    """Not detected: in view, but the detector rarely finds so few returns."""
-    ABSTAINED = 5
-    """The field of view itself is under alarm there: nothing is said."""
-    MISSING = 6
-    """Not detected though it is visible, again and again: its detections are removed."""
-    NEW_IN_FREE = 7
-    """It began in cells that were seen free a moment before: fabricated."""
-    SEEN_THROUGH = 8
-    """Beams pass through its box: fabricated."""
-    NOT_VISIBLE = 9
-    """Detected where nothing can be seen: fabricated."""
-    TOO_FAST = 10
-    """It jumped faster than physics: moved."""
-
-
-FABRICATED, REMOVED, MOVED = range(3)
-"""What a track may be suspected of: columns of wealth."""
-
-_OF_FABRICATED = (Explanation.NEW_IN_FREE, Explanation.SEEN_THROUGH, Explanation.NOT_VISIBLE)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorView:
-    """What one sensor's field of view says at the time of one sweep.
-
-    Attributes:
-        sensor: its name.
-        view: what could be seen.
-        place: (2,) x and y of the sensor in the tracks' frame.
-        cells: states of the cells, or None where the field of view has none (a polygon, or no field of view).
-        report: of the monitor of this sweep, or None.
-        yaw: heading of the sensor's ``level`` frame in the tracks' frame, radians.
-    """
-
-    sensor: str
-    view: View
-    place: Floats
-    cells: SeenCells | None = None
-    report: IntegrityReport | None = None
-    yaw: float = 0.0
-
-    def alarmed(self, boxes: Floats) -> Mask:
-        """Return which boxes (K,) lie in sectors under alarm; all of them where an alarm names no sector."""
-        report = self.report
-        if report is None or not report.inconsistent:
-            return np.zeros(len(boxes), np.bool_)
-        if not report.suspect.any():
-            return np.ones(len(boxes), np.bool_)
-        away = boxes[:, :2] - self.place
-        azimuth = np.arctan2(away[:, 1], away[:, 0]) - self.yaw
-        return np.asarray(report.suspect[sector_of((azimuth + np.pi) % (2 * np.pi) - np.pi)])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ExplainedTracks:
-    """Tracks with what speaks for and against each.
-
-    Attributes:
-        tracks: those of the tracker, then those that it gave up and that are still remembered.
-        explanations: (N,) uint8 of :class:`Explanation`.
-        e_values: (N,) how much speaks against *honest*, the mean of the three suspicions.
-        wealth: (N, 3) the e-value of each suspicion: ``FABRICATED``, ``REMOVED``, ``MOVED``.
-        suspicions: (N,) uint8, the one that is nearest to its limit or farthest above.
-        accused: (N,) bool, one of them has reached its limit.
-        moved_m: (N, 2) by which a moved track jumped; 0 for all others.
-        held: (N,) bool, the tracker has given it up.
-        reasons: (N,) a sentence each.
-    """
-
-    tracks: Tracks
-    explanations: NDArray[np.uint8]
-    e_values: Floats
-    wealth: Floats
-    suspicions: NDArray[np.uint8]
-    accused: Mask
-    moved_m: Floats
-    held: Mask
-    reasons: tuple[str, ...]
-
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self.tracks)
-
-    def trusted(self) -> Tracks:
-        """Return the confirmed tracks after fusion.
-
-        Fabricated ones are dropped. Removed ones stay, also where the tracker has given them up, with a covariance
-        that has grown since they were last detected. Moved ones are put back where they came from.
-        """
-        tracks, kind = self.tracks, self.suspicions
-        removed = self.accused & (kind == REMOVED)
-        kept = tracks.confirmed & ~(self.accused & (kind == FABRICATED)) & (~self.held | removed)
-        states, boxes, covariances = tracks.states.copy(), tracks.boxes.copy(), tracks.covariances.copy()
-        states[:, :2] -= self.moved_m
-        boxes[:, :2] -= self.moved_m
-        unseen_s = np.where(removed, tracks.t_s - tracks.seen_s, 0.0)
-        covariances[:, [0, 1], [0, 1]] += (_GROWTH_MPS * unseen_s[:, None]) ** 2
-        odds = self.wealth[:, REMOVED]
-        existence = np.where(removed, np.maximum(tracks.existence, odds / (1.0 + odds)), tracks.existence)
-        whole = replace(tracks, states=states, boxes=boxes, covariances=covariances, existence=existence)
-        return take_tracks(whole, kept)
-
-
-_GROWTH_MPS = 0.3
-"""How fast the place of a removed object becomes unsure."""
-
-_ROWS = (
-    "ids", "states", "covariances", "boxes", "box_variances", "kinds", "existence", "confirmed", "detection", "visible",
-    "detectable", "born_s", "seen_s", "born_hidden",
-)  # fmt: skip
-
-
-def take_tracks(tracks: Tracks, chosen: Mask | NDArray[np.intp]) -> Tracks:
-    """Return some tracks, by a mask (N,) or by their numbers."""
-    return replace(tracks, **{name: getattr(tracks, name)[chosen] for name in _ROWS})
-
-
-def join_tracks(tracks: Tracks, others: Tracks) -> Tracks:
-    """Return tracks and others of the same time after them."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(tracks, name), getattr(others, name)]) for name in _ROWS
-    }
-    return replace(tracks, **arrays)
 
 
 @dataclass(slots=True, eq=False)
@@ -213,8 +77,8 @@ class _Remembered:
     number: int = 0
     log_mean: float = 0.0
     looked_s: float = 0.0
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST + _EARLIER))
-    places: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_LATEST + _EARLIER))
+    times: deque[float] = field(default_factory=lambda: deque(maxlen=LATEST + EARLIER))
+    places: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LATEST + EARLIER))
     offset: Floats = field(default_factory=lambda: np.zeros(2))
     bare_s: float = 0.0
     hits: int = 0
@@ -225,44 +89,6 @@ class _Remembered:
     def usually_found(self) -> float:
         """How often it was detected while it was: short tracks are often false detections that go again."""
         return (self.hits + 1.0) / (self.looks_at_hit + 3.0)
-
-
-_LATEST, _EARLIER, _LEAST_EARLIER = 3, 12, 5
-"""Detections whose mean is compared with where the earlier ones lead."""
-
-_LEAST_STD_M = 0.08
-"""No detector places boxes better."""
-
-_TURN_MPS2 = 2.0
-"""Acceleration that moving objects have without being suspicious."""
-
-_PARKED_MPS = 0.5
-"""Objects slower than this are taken for standing."""
-
-
-def jump_of(times: Sequence[float], places: Sequence[tuple[float, float]]) -> tuple[float, Floats]:
-    """Return by how many standard deviations the latest places leave what the earlier ones lead to, and the vector (2,) in m.
-
-    The earlier places give a straight line in time, or one place if the object stands. NaN where they are too few.
-    """
-    if len(times) < _LATEST + _LEAST_EARLIER or times[-1] - times[-_LATEST] > 1.0:
-        return float("nan"), np.zeros(2)
-    t_s, xy = np.array(times), np.array(places)
-    now_s, before_s, before = t_s[-_LATEST:].mean(), t_s[:-_LATEST], xy[:-_LATEST]
-    count, mean_s, mean = len(before), before_s.mean(), before.mean(axis=0)
-    spread = ((before_s - mean_s) ** 2).sum()
-    velocity = ((before_s - mean_s)[:, None] * (before - mean)).sum(axis=0) / max(spread, 1e-9)
-    ahead_s = now_s - mean_s
-    if np.hypot(*velocity) < _PARKED_MPS:
-        rest, expected, lever, turned = before - mean, mean, 0.0, 0.0
-    else:
-        rest = before - mean - velocity * (before_s - mean_s)[:, None]
-        expected, lever = mean + velocity * ahead_s, ahead_s**2 / max(spread, 1e-9)
-        turned = 0.5 * _TURN_MPS2 * (now_s - before_s[-1]) * ahead_s
-    variance = max(float((rest**2).sum() / max(2 * count - 4, 1)), _LEAST_STD_M**2)
-    std = np.sqrt(variance * (1 / _LATEST + 1 / count + lever) + turned**2)
-    vector = xy[-_LATEST:].mean(axis=0) - expected
-    return float(np.hypot(*vector) / std), vector
 
 
 class SingleFusion:
@@ -282,25 +108,6 @@ class SingleFusion:
         """Forget all tracks."""
         self._remembered.clear()
         self._last_s = None
-
-    @classmethod
-    def calibrated(
-        cls, drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03
-    ) -> Self:
-        """Return the fusion whose tables and limit are from benign drives.
-
-        Tables are counted on every other drive, and the limit is taken from the others: of their confirmed tracks at most
-        the share ``accused`` reaches it at any time.
-
-        Args:
-            drives: of each what was observed, in the order of time.
-            rng: places tracks elsewhere, to count what fabricated ones are like.
-            accused: share of honest tracks.
-
-        Raises:
-            ValueError: there are fewer than two drives, or too few tracks for the share.
-        """
-        return cls(calibrate(drives, rng, accused))
 
     def explain(self, tracks: Tracks, detections: Detections, views: Sequence[SensorView]) -> ExplainedTracks:
         """Return the tracks of a sweep explained.
@@ -356,12 +163,15 @@ class SingleFusion:
             if is_matched[k]:
                 memory.looked_s += dt_s
                 age_s = np.array(memory.looked_s)
-                memory.log_mean = float(mean_after(memory.log_mean, ratios[k, FABRICATED], dt_s, age_s, model.window_s))
+                memory.log_mean = float(
+                    mean_after(np.array(memory.log_mean), ratios[k, FABRICATED], dt_s, age_s, model.window_s)
+                )
                 memory.wealth[FABRICATED] = memory.birth * np.exp(memory.log_mean)
             for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
                 after = wealth_after(memory.wealth[suspicion], ratios[k, suspicion], dt_s, block_s)
                 memory.wealth[suspicion] = min(float(after), _MOST_WEALTH)
-            memory.bare_s = memory.bare_s + dt_s if look.surface[k] == 0 else 0.0
+            is_bare = look.surface[k] == 0 and not is_matched[k]
+            memory.bare_s = memory.bare_s + dt_s if is_bare else 0.0
         wealth = np.array([self._remembered[int(i)].wealth for i in both.ids]).reshape(-1, 3)
         e_values = wealth.mean(axis=1)
         over = wealth / np.array(model.limits)
@@ -375,13 +185,12 @@ class SingleFusion:
         )
         is_held = np.arange(count) >= len(tracks)
         return ExplainedTracks(
-            both, explanations, e_values, wealth, suspicions, accused, np.where(moved[:, None], offsets, 0.0), is_held, reasons,
+            both, explanations, e_values, wealth, suspicions, accused, np.where(moved[:, None], offsets, 0.0), is_held,
+            reasons,
         )  # fmt: skip
 
-    def _still_there(
-        self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]
-    ) -> Floats:
-        """Return gone : still there (N,) by the cells: those at the track, or at the nearest surface if these fit better."""
+    def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> Floats:
+        """Return gone : still there (N,) by the cells at the track, or at the nearest surface if these fit better."""
         ratio = look.ratio.copy()
         lost, cells = np.flatnonzero(~is_matched), views[0].cells
         if cells is not None and len(lost):
@@ -426,7 +235,7 @@ class SingleFusion:
             rows.append(memory.last)
         if not rows:
             return take_tracks(tracks, np.zeros(len(tracks), np.bool_))
-        arrays: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in rows]) for name in _ROWS}
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in rows]) for name in TRACK_ROWS}
         return replace(tracks, **arrays)
 
     def _explanations(
@@ -457,9 +266,6 @@ class SingleFusion:
                 found[k] = Explanation.TOO_FEW_RETURNS if few else Explanation.MISSED
         return found
 
-
-Observed = tuple[Tracks, Detections, Sequence[SensorView]]
-"""What fusion is given of one sweep."""
 
 _MOST_WEALTH = 1e6
 """Wealth is held below this, so that a track can be acquitted again."""
@@ -507,7 +313,8 @@ def _look(boxes: Floats, kinds: NDArray[np.uint8], views: Sequence[SensorView], 
         total += np.where(speaks, ratio, 0.0)
         speaking += speaks
     ratio = np.where(speaking > 0, total / np.maximum(speaking, 1), 1.0)
-    return _Look(ratio, *shares, unknown)
+    surface, free, hidden = shares
+    return _Look(ratio, surface, free, hidden, unknown)
 
 
 def cell_evidence(boxes: Floats, kinds: NDArray[np.uint8], view: SensorView) -> tuple[BoxCells, NDArray[np.int64]]:
@@ -549,20 +356,6 @@ _PULL = 0.3
 """Part of the way to the nearest surface that a given-up track goes each sweep."""
 
 
-def check_views(tracks: Tracks, views: Sequence[SensorView]) -> None:
-    """Raise a ValueError unless there are views of the tracks' time, each sensor once, and not too many tracks."""
-    if len(tracks) > MOST_TRACKS:
-        raise ValueError(f"tracks must be at most {MOST_TRACKS} in one message, got {len(tracks)}")
-    names = [view.sensor for view in views]
-    if not names or len(set(names)) != len(names):
-        raise ValueError(f"views must be of one sensor at least, each once, got {names}; name each sensor differently")
-    for view in views:
-        if not abs(view.view.t_s - tracks.t_s) <= SAME_TIME_S:
-            raise ValueError(
-                f"views must be of the tracks' time {tracks.t_s:.3f} s, got {view.view.t_s:.3f} s of {view.sensor}"
-            )
-
-
 def _sentence(tracks: Tracks, k: int, why: Explanation, look: _Look, e_value: float, offset: Floats) -> str:
     """Return in a sentence why a track is detected or not."""
     unseen_s = tracks.t_s - tracks.seen_s[k]
@@ -583,111 +376,7 @@ def _sentence(tracks: Tracks, k: int, why: Explanation, look: _Look, e_value: fl
     }[why]
 
 
-def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03) -> EvidenceModel:
-    """Return the model whose tables and limit are from benign drives, see :meth:`SingleFusion.calibrated`."""
-    if len(drives) < 2:
-        raise ValueError(f"drives must be two at least, some for the tables and some for the limit, got {len(drives)}")
-    counts = EvidenceCounts()
-    for drive in drives[::2]:
-        count_drive(drive, counts, rng)
-    tables = {name: counts.table(name) for name in ("view", "birth", "jump")}
-    model = EvidenceModel(counts.weights(), **tables, limits=_NO_LIMITS, accused=accused)
-    highest: list[Floats] = []
-    for drive in drives[1::2]:
-        highest += highest_e_values(drive, model).values()
-    return replace(model, limits=limits_of(np.array(highest).reshape(-1, 3), accused), tracks=len(highest))
-
-
-_NO_LIMITS = (np.inf, np.inf, np.inf)
-
-
-def limits_of(highest: Floats, accused: float) -> tuple[float, float, float]:
-    """Return limits that the honest tracks reach with probability ``accused`` at most, equally rare for each suspicion.
-
-    Args:
-        highest: (T, 3) the largest e-values of each honest track.
-        accused: share of a further honest track to reach one of the three limits.
-
-    Raises:
-        ValueError: there are too few tracks for the share.
-    """
-    allowed = alarms_allowed(len(highest), accused, unit="tracks")
-    ranked = np.sort(highest, axis=0)[::-1]
-    for rank in range(allowed, -1, -1):
-        limits = np.maximum(np.nextafter(ranked[rank], np.inf), 1.0)
-        if (highest >= limits).any(axis=1).sum() <= allowed:
-            break
-    first, second, third = limits.tolist()
-    return first, second, third
-
-
-def highest_e_values(drive: Iterable[Observed], model: EvidenceModel) -> dict[int, Floats]:
-    """Return the largest e-values (3,) that each confirmed track of a drive reaches, by its id."""
-    fusion, highest = SingleFusion(replace(model, limits=_NO_LIMITS)), dict[int, Floats]()
-    for tracks, detections, views in drive:
-        explained = fusion.explain(tracks, detections, views)
-        shown = explained.tracks
-        for k in np.flatnonzero(shown.confirmed):
-            number = int(shown.ids[k])
-            highest[number] = np.maximum(highest.get(number, np.zeros(3)), explained.wealth[k])
-    return highest
-
-
-_FALSE_JUMPS_M = (0.3, 3.0)
-"""Jumps of moved tracks that tables are counted with."""
-
-
-def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.random.Generator) -> None:
-    """Count the evidence of the tracks of a benign drive, and of the same tracks put elsewhere.
-
-    Elsewhere is at the same distance from the sensor in a random direction; a moved track jumps by up to 3 m.
-    """
-    times: dict[int, deque[float]] = {}
-    places: dict[int, deque[tuple[float, float]]] = {}
-    before: SensorView | None = None
-    for tracks, detections, views in drive:
-        is_matched = tracks.detection >= 0
-        boxes = detections.boxes[tracks.detection[is_matched]]
-        view = views[0]
-        elsewhere = _turned(boxes, view.place, rng)
-        counts.add("view", view_bins(view.view.visible(boxes)), view_bins(view.view.visible(elsewhere)))
-        if view.cells is not None:
-            kinds = tracks.kinds[is_matched]
-            counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
-            counts.forged_cells.append(cell_evidence(elsewhere, kinds, view)[1])
-        born = is_matched & (tracks.born_s == tracks.t_s)
-        if before is not None and born.any():
-            new = _turned(tracks.boxes[born], view.place, rng)
-            within_m = np.full(len(new), _NEAR_BIRTH_M)
-            counts.add("birth", birth_bins(tracks.born_hidden[born]), birth_bins(before.view.hides_near(new, within_m)))
-        for number, box in zip(tracks.ids[is_matched].tolist(), boxes, strict=True):
-            when = times.setdefault(number, deque(maxlen=_LATEST + _EARLIER))
-            where = places.setdefault(number, deque(maxlen=_LATEST + _EARLIER))
-            when.append(tracks.t_s)
-            where.append((float(box[0]), float(box[1])))
-            honest = jump_of(when, where)[0]
-            length, way = rng.uniform(*_FALSE_JUMPS_M), rng.uniform(-np.pi, np.pi)
-            false = np.array(where)
-            false[-_LATEST:] += length * np.array([np.cos(way), np.sin(way)])
-            moved = jump_of(when, cast(Any, false))[0]
-            counts.add("jump", jump_bins(np.array([honest])), jump_bins(np.array([moved])))
-        before = view
-
-
-_NEAR_BIRTH_M = 4.0
-"""How far an object may come unseen in a sweep: 40 m/s."""
-
-
-def _turned(boxes: Floats, place: Floats, rng: np.random.Generator) -> Floats:
-    """Return boxes (K, 7) at the same distance from a place in random directions, with random headings."""
-    away = np.hypot(*(boxes[:, :2] - place).T)
-    way = rng.uniform(-np.pi, np.pi, len(boxes))
-    turned = boxes.copy()
-    turned[:, :2] = place + np.column_stack([away * np.cos(way), away * np.sin(way)])
-    turned[:, 6] = rng.uniform(-np.pi, np.pi, len(boxes))
-    return turned
-
-
+@lru_cache(maxsize=1)
 def shipped_model() -> EvidenceModel:
     """Return the model in the box, calibrated on simulated drives (docs/fusion.md)."""
     with resources.as_file(resources.files("viewshed.fusion").joinpath("single.json")) as path:

@@ -1,12 +1,19 @@
-"""One score from all evidence: what was measured, on a common scale, through a small network trained on attacks.
+"""One score from all evidence: on a common scale, by networks that were trained on attacks and by what is rare.
 
-A sweep is measured as a matrix (E, SECTORS), one line for each kind of evidence. Three steps make a score of it:
+A sweep is measured as a matrix (E, SECTORS), one line for each kind of evidence. Three steps say where doubt lies:
 
 1. Each number becomes its surprise, -log10 of the share of benign sectors that are as suspicious: 2 means one in a
    hundred. So meters, shares and counts compare, and evidence that abstained says nothing.
 2. A sector is described by its own surprises, those of its two neighbors, and the median, the maximum and the share of
    raised sectors of the whole sweep: rain raises all sectors, a spoofer some.
-3. A network of one hidden layer gives each sector two numbers; each is pooled over the sectors to the sweep's score.
+3. A network of one hidden layer gives each sector a number: where doubt comes from.
+
+How much doubt there is, is said by statistics of the whole sweep (:class:`WholeSweep`), on a scale of benign *sweeps*:
+of each evidence its largest sector, the means of the 3 and of the 9 largest and of all, and the median. Two networks
+learn from attacks what matters in them, one of them in the context of the medians, which say what honest causes raise.
+And the rarest of them count by themselves, so that evidence which no attack in training needed finds one that was never
+seen. Each of the three becomes its surprise on benign sweeps, and these are summed. A third network says what is
+degraded.
 
 Scores are larger where there is more doubt. They have no unit: what is rare is for a calibration to say.
 """
@@ -36,6 +43,14 @@ SECTOR_FEATURES = 2
 
 SWEEP_FEATURES = 3
 """Numbers of each evidence that are the same for all sectors: median, maximum, share of raised sectors."""
+
+STATISTICS = 5
+"""Numbers of each evidence for a whole sweep: largest sector, mean of the 3 and of the 9 largest and of all, median."""
+
+RAREST_SHARE = 0.5
+"""Exponent of the tail odds in sums of surprises: 1 is their log-sum, 0 all alike; chosen within training drives."""
+
+_LARGEST_SURPRISE = 6.0
 
 _SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 5.0, 12)])
 
@@ -88,7 +103,7 @@ class Scores:
     Attributes:
         inconsistent: that the sweep is impossible, or contradicted by time.
         degraded: that it shows less or worse than usual, whatever the cause.
-        sectors: (SECTORS,) the part of each sector in ``inconsistent``.
+        sectors: (SECTORS,) what each sector says for ``inconsistent``.
     """
 
     inconsistent: float
@@ -125,7 +140,8 @@ class SurpriseScale:
     @classmethod
     def fit(cls, benign: NDArray[np.floating[Any]]) -> Self:
         """Return the scale of benign evidence (N, E, SECTORS); one that always abstained stays at a surprise of 0."""
-        values = np.zeros((benign.shape[1], len(_SURPRISES)), np.float32)
+        # Of evidence that never spoke no number is known to be rare: all lie below the first knot.
+        values = np.full((benign.shape[1], len(_SURPRISES)), np.finfo(np.float32).max, np.float32)
         surprises = np.zeros_like(values)
         for number, of_one in enumerate(np.moveaxis(benign, 1, 0)):
             known = np.sort(of_one[np.isfinite(of_one)].astype(np.float32))
@@ -159,6 +175,160 @@ class SurpriseScale:
 _ONE_IN_A_HUNDRED = int(np.searchsorted(_SURPRISES, RAISED - 1e-9))
 
 
+def statistics(evidence: NDArray[np.floating[Any]]) -> Floats:
+    """Return the statistics (N, STATISTICS E) of sweeps' evidence (N, E, SECTORS); NaN where it abstains."""
+    numbers = np.asarray(evidence, np.float32)
+    count = np.isfinite(numbers).sum(axis=2)
+    # NaN sorts last: descending, the sectors that are known come first.
+    descending = -np.sort(-numbers, axis=2)
+    known = np.where(np.isfinite(descending), descending, 0.0)
+    means = [known[..., :most].sum(axis=2) / np.maximum(np.minimum(count, most), 1) for most in (1, 3, 9, SECTORS)]
+    middle = np.take_along_axis(known, (np.maximum(count - 1, 0) - np.maximum(count - 1, 0) // 2)[..., None], axis=2)
+    found = np.stack([*means, middle[..., 0]], axis=1)
+    return np.where(count[:, None] > 0, found, np.nan).reshape(len(numbers), -1).astype(np.float32)
+
+
+def sum_of_odds(surprises: NDArray[np.floating[Any]]) -> Floats:
+    """Return the sum (N,) of surprises (N, K) by their tail odds, so that the rarest count most.
+
+    The log of the sum of 10^(s RAREST_SHARE), over RAREST_SHARE.
+    """
+    odds = 10.0 ** (RAREST_SHARE * np.minimum(surprises, 16.0).astype(np.float64))
+    return np.asarray(np.log10(odds.sum(axis=1)) / RAREST_SHARE, np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StatisticsNetwork:
+    """Two hidden layers over a sweep's statistics, in surprises; the second and the output see these as well.
+
+    A third of the units of each layer is rectified below 0, a third above 1, a third at -1 and 1: with weights of at
+    least 0 they make any function that does not fall (Runje and Shankaranarayana, 2023).
+
+    Attributes:
+        first: (F, H) weights from statistics to the first layer.
+        second: (H + F, G) from the first layer and statistics to the second.
+        outputs: (G + F,) from the second layer and statistics to the output.
+        offsets: (H + G + 1,) of both layers and the output.
+
+    Raises:
+        ValueError: the shapes do not fit.
+    """
+
+    first: Floats
+    second: Floats
+    outputs: Floats
+    offsets: Floats
+
+    def __post_init__(self) -> None:
+        (inputs, units), seconds = self.first.shape, self.second.shape[1]
+        found = (self.second.shape, self.outputs.shape, self.offsets.shape)
+        shapes = ((units + inputs, seconds), (seconds + inputs,), (units + seconds + 1,))
+        if found != shapes or units % 3 or seconds % 3:
+            raise ValueError(f"layers must have shapes {shapes} in thirds, got {found}; train the score again")
+
+    def __call__(self, surprises: Floats) -> Floats:
+        """Return the output (N,) for surprises (N, F) without NaN."""
+        units, seconds = self.first.shape[1], self.second.shape[1]
+        hidden = rectified(surprises @ self.first + self.offsets[:units])
+        deeper = rectified(
+            hidden @ self.second[:units] + surprises @ self.second[units:] + self.offsets[units : units + seconds]
+        )
+        result: Floats = deeper @ self.outputs[:seconds] + surprises @ self.outputs[seconds:] + self.offsets[-1]
+        return result
+
+    def arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return its arrays by name."""
+        return {f"{prefix}.{name}": getattr(self, name) for name in _LAYERS}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
+        """Return the network in arrays of :meth:`arrays`."""
+        return cls(**{name: np.asarray(arrays[f"{prefix}.{name}"], np.float32) for name in _LAYERS})
+
+
+_LAYERS = ("first", "second", "outputs", "offsets")
+
+
+def rectified(values: Floats) -> Floats:
+    """Return units (N, H) of a layer: max(x, 0), min(x, 1) and x clipped to [-1, 1], a third each."""
+    third = values.shape[1] // 3
+    return np.concatenate(
+        [
+            np.maximum(values[:, :third], 0.0),
+            np.minimum(values[:, third : 2 * third], 1.0),
+            np.clip(values[:, 2 * third :], -1.0, 1.0),
+        ],
+        axis=1,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeSweep:
+    """Judges the statistics of a whole sweep.
+
+    Attributes:
+        scale: of the statistics (STATISTICS E, K) on benign sweeps.
+        in_context: network of all statistics; may fall where medians rise.
+        by_itself: network of all but the medians.
+        degraded: network of all statistics, free to rise and fall.
+        parts: scale (3, K) of both networks and the rarest statistics on benign sweeps.
+    """
+
+    scale: SurpriseScale
+    in_context: StatisticsNetwork
+    by_itself: StatisticsNetwork
+    degraded: StatisticsNetwork
+    parts: SurpriseScale
+
+    def __call__(self, evidence: NDArray[np.floating[Any]]) -> Floats:
+        """Return the scores (N, 2) of evidence (N, E, SECTORS)."""
+        surprises = surprises_of_statistics(self.scale, statistics(evidence))
+        parts = parts_of(surprises, self.in_context, self.by_itself)
+        inconsistent = sum_of_odds(self.parts(parts[..., None])[..., 0])
+        return np.stack([inconsistent, self.degraded(surprises)], axis=1)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all of it as arrays by name."""
+        scales = {
+            f"whole.{name}.{part}": getattr(getattr(self, name), part)
+            for name in ("scale", "parts")
+            for part in ("values", "surprises")
+        }
+        networks = (getattr(self, name).arrays(f"whole.{name}") for name in _NETWORKS)
+        return scales | {name: array for network in networks for name, array in network.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Return what is in arrays of :meth:`arrays`."""
+        scale, parts = (
+            SurpriseScale(*(np.asarray(arrays[f"whole.{name}.{part}"], np.float32) for part in ("values", "surprises")))
+            for name in ("scale", "parts")
+        )
+        networks = {name: StatisticsNetwork.from_arrays(arrays, f"whole.{name}") for name in _NETWORKS}
+        return cls(scale, parts=parts, **networks)
+
+
+_NETWORKS = ("in_context", "by_itself", "degraded")
+
+
+def surprises_of_statistics(scale: SurpriseScale, numbers: Floats) -> Floats:
+    """Return the surprises (N, F) of statistics (N, F): 0 where evidence abstains, never beyond 6."""
+    found = np.nan_to_num(scale(numbers[..., None])[..., 0])
+    return np.clip(found, 0.0, _LARGEST_SURPRISE).astype(np.float32)
+
+
+def parts_of(surprises: Floats, in_context: StatisticsNetwork, by_itself: StatisticsNetwork) -> Floats:
+    """Return the parts (N, 3) of what is inconsistent: both networks, the rarest statistics.
+
+    Args:
+        surprises: (N, F) of statistics, the medians last.
+        in_context: network of all of them.
+        by_itself: network of all but the medians.
+    """
+    rarest = sum_of_odds(surprises[:, : -surprises.shape[1] // STATISTICS])
+    return np.stack([in_context(surprises), by_itself(surprises), rarest], axis=1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EvidenceScore:
     """Scores a sweep by its evidence; plain arrays, which a monitor's file holds.
@@ -172,6 +342,7 @@ class EvidenceScore:
         offsets: (H,) of the hidden units.
         outputs: (H, 2) from hidden units to what is inconsistent and what is degraded.
         output_offsets: (2,) of both.
+        whole: judges the statistics of the sweep; None for what the sectors say together.
 
     Raises:
         ValueError: the shapes do not fit.
@@ -185,6 +356,7 @@ class EvidenceScore:
     offsets: Floats
     outputs: Floats
     output_offsets: Floats
+    whole: WholeSweep | None = None
 
     def __post_init__(self) -> None:
         count, hidden = features_of(len(self.names)), len(self.offsets)
@@ -203,6 +375,11 @@ class EvidenceScore:
                 f"scale must be of {len(self.names)} kinds of evidence, got {len(self.scale.values)}; train the score"
                 " again"
             )
+        if self.whole is not None and len(self.whole.scale.values) != STATISTICS * len(self.names):
+            raise ValueError(
+                f"whole must be of {STATISTICS * len(self.names)} statistics, got {len(self.whole.scale.values)}; train"
+                " the score again"
+            )
 
     def __call__(self, evidence: NDArray[np.floating[Any]]) -> Scores:
         """Return the scores of one sweep's evidence (E, SECTORS).
@@ -210,9 +387,19 @@ class EvidenceScore:
         Raises:
             ValueError: there is other evidence than the score was trained on.
         """
-        logits = self.logits(np.asarray(evidence)[None])
-        inconsistent, degraded = pooled(logits)[0]
-        return Scores(float(inconsistent), float(degraded), logits[0, :, 0])
+        several = np.asarray(evidence)[None]
+        sectors = self.logits(several)[0, :, 0]
+        inconsistent, degraded = self.of_sweeps(several)[0]
+        return Scores(float(inconsistent), float(degraded), sectors)
+
+    def of_sweeps(self, evidence: NDArray[np.floating[Any]]) -> Floats:
+        """Return the scores (N, 2) of evidence (N, E, SECTORS), without those of sectors.
+
+        Raises:
+            ValueError: there is other evidence than the score was trained on.
+        """
+        self._require(evidence)
+        return pooled(self.logits(evidence)) if self.whole is None else self.whole(evidence)
 
     def logits(self, evidence: NDArray[np.floating[Any]]) -> Floats:
         """Return what the network says of each sector (N, SECTORS, 2) of evidence (N, E, SECTORS).
@@ -220,11 +407,7 @@ class EvidenceScore:
         Raises:
             ValueError: there is other evidence than the score was trained on.
         """
-        if evidence.ndim != 3 or evidence.shape[1:] != (len(self.names), SECTORS):
-            raise ValueError(
-                f"evidence must be {len(self.names)} lines of {SECTORS} sectors ({', '.join(self.names)}), got shape"
-                f" {evidence.shape}; use the monitor of this version"
-            )
+        self._require(evidence)
         of_sectors, of_sweep = features(self.scale(evidence))
         split = of_sectors.shape[-1]
         of_sectors = _standardized(of_sectors, self.mean[:split], self.spread[:split])
@@ -234,10 +417,18 @@ class EvidenceScore:
         result: Floats = np.maximum(hidden, 0.0) @ self.outputs + self.output_offsets
         return result
 
+    def _require(self, evidence: NDArray[np.floating[Any]]) -> None:
+        if evidence.ndim != 3 or evidence.shape[1:] != (len(self.names), SECTORS):
+            raise ValueError(
+                f"evidence must be {len(self.names)} lines of {SECTORS} sectors ({', '.join(self.names)}), got shape"
+                f" {evidence.shape}; use the monitor of this version"
+            )
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all of it as arrays by name, as :meth:`from_arrays` takes them."""
         scale = {"values": self.scale.values, "surprises": self.scale.surprises}
-        return scale | {name: np.asarray(getattr(self, name)) for name in ("names", *_ARRAYS)}
+        whole = {} if self.whole is None else self.whole.arrays()
+        return scale | {name: np.asarray(getattr(self, name)) for name in ("names", *_ARRAYS)} | whole
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
@@ -249,7 +440,8 @@ class EvidenceScore:
         """
         names = tuple(str(name) for name in arrays["names"])
         scale = SurpriseScale(np.asarray(arrays["values"], np.float32), np.asarray(arrays["surprises"], np.float32))
-        return cls(names, scale, **{name: np.asarray(arrays[name], np.float32) for name in _ARRAYS})
+        whole = WholeSweep.from_arrays(arrays) if any(name.startswith("whole.") for name in arrays) else None
+        return cls(names, scale, **{name: np.asarray(arrays[name], np.float32) for name in _ARRAYS}, whole=whole)
 
 
 _ARRAYS = ("mean", "spread", "weights", "offsets", "outputs", "output_offsets")
@@ -277,7 +469,7 @@ def features(surprises: Floats) -> tuple[Floats, Floats]:
 
 
 def pooled(logits: Floats) -> Floats:
-    """Return the scores of sweeps (N, 2): log of the mean over sectors of exp of what each says (N, SECTORS, 2)."""
+    """Return what sectors (N, SECTORS, 2) say together (N, 2): log of the mean of exp of what each says."""
     highest = logits.max(axis=1, keepdims=True)
     mean = np.exp(logits - highest).mean(axis=1)
     result: Floats = np.log(mean) + highest[:, 0]

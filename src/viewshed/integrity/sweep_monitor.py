@@ -67,11 +67,13 @@ class BenignSweep:
         scene: that it is of; sweeps of one drive share it.
         group: with which it is calibrated, see :func:`group_of`.
         evidence: (E, SECTORS) of :func:`viewshed.integrity.score.measure_all`.
+        clear: whether the scene is as it should be; one in bad weather is no false alarm of *degraded*.
     """
 
     scene: str
     group: Group
     evidence: NDArray[np.floating[Any]]
+    clear: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +146,8 @@ class SweepMonitor:
     ) -> Self:
         """Return the monitor that keeps its rates on further scenes like these.
 
+        What is inconsistent is calibrated on all scenes; what is degraded on those that are clear.
+
         Args:
             score: of all evidence; it may have been trained on anything but these scenes.
             benign: sweeps of scenes that nobody attacked, several of each if there are, in the order of recording.
@@ -158,14 +162,18 @@ class SweepMonitor:
             ValueError: a group has too few scenes for a rate; evidence is not that of the score, or gives no score.
         """
         rows: dict[Group, list[tuple[str, Floats]]] = {}
+        unclear: set[tuple[Group, str]] = set()
         for sweep in benign:
             rows.setdefault(sweep.group, []).append((sweep.scene, _row(score, sweep.evidence)))
+            if not sweep.clear:
+                unclear.add((sweep.group, sweep.scene))
         inconsistent, degraded, tables = {}, {}, {}
         for group, of_group in rows.items():
-            _, chosen = one_per_scene(
+            scenes, chosen = one_per_scene(
                 [scene for scene, _ in of_group], np.array([row for _, row in of_group]), per, rng
             )
-            inconsistent[group], degraded[group] = chosen[:, 0], chosen[:, 1]
+            clear = np.array([(group, scene) not in unclear for scene in scenes])
+            inconsistent[group], degraded[group] = chosen[:, 0], chosen[clear, 1]
             sectors, strongest = chosen[:, 2 : 2 + SECTORS], chosen[:, 2 + SECTORS :]
             share = max(rates.discoveries, 0.1)
             every = sectors.reshape(-1, 1)

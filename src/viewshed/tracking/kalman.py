@@ -35,7 +35,7 @@ class Motion:
     state_drift: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     velocity_std_mps: float = 8.0
     position_std_m: float | None = None
-    center_std_m: float = 0.3
+    center_std_m: float = 0.6
     box_drift: tuple[float, float, float, float, float] = (0.2, 0.1, 0.1, 0.05, 0.3)
     box_std: tuple[float, float, float, float, float] = (0.2, 0.5, 0.3, 0.2, 0.2)
     new_box_std: tuple[float, float, float, float, float] | None = None

@@ -97,9 +97,9 @@ class PublishedRules:
         """Count the misses of tracks that the view covers."""
         tracks.misses = tracks.misses + ((matched < 0) & (tracks.visible > 0.5)).astype(np.int32)
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
         """Return all: each detection that is left begins a track."""
-        return np.ones(len(born), np.bool_)
+        return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
         """Keep what was matched lately and not missed too often, and of close tracks the one with most detections."""

@@ -127,11 +127,11 @@ class TrackTable:
 
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
         """Return some of the tracks, as a copy."""
-        return type(self)(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        return type(self)(*(getattr(self, name)[chosen] for name in self.__slots__))
 
     def joined(self, others: Self) -> Self:
         """Return these tracks and others after them."""
-        arrays = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
+        arrays = ((getattr(self, name), getattr(others, name)) for name in self.__slots__)
         return type(self)(*(np.concatenate(pair) for pair in arrays))
 
 
@@ -175,8 +175,8 @@ class Rules(Protocol):
         """Write what hits and misses say of each track; states are those before the detections."""
         ...
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
-        """Write what is known of new tracks, and return those (K,) that begin."""
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+        """Return those new tracks that begin, with what is known of them."""
         ...
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
@@ -214,14 +214,14 @@ class ExistenceRules:
     clutter_per_m2: float = 1e-4
     unseen_per_m2: float = 2e-4
     seen_share: float = 0.05
-    recurrence: float = 0.5
+    recurrence: float = 0.6
     most_found: float = 0.98
-    doubt_s: float = 0.2
+    doubt_s: float = 0.1
     lifetime_s: float = 60.0
     surest: float = 0.99
     confirm_from: float = 0.8
     drop_below: float = 0.05
-    lost_m: float = 8.0
+    lost_m: float = 6.0
     spreads: bool = True
     most_tracks: int = 500
     most_detections: int = 1000
@@ -268,11 +268,13 @@ class ExistenceRules:
         hit_levels = (1.0 - shares) * self.clutter_per_m2 + shares * density[:, None]
         tracks.levels = levels_after(tracks.levels, np.where(is_hit[:, None], hit_levels, 1.0 - shares))
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> NDArray[np.bool_]:
-        """Write how plausible it is that new tracks are objects: could they have come unseen?
+    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+        """Return new tracks with how plausible it is that they are objects: could they have come unseen?
 
         What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
         """
+        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
+        born = born.take(~is_part & _first_of_doubles(born.boxes))
         born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
         unseen = np.ones(len(born))
         if before is not None:
@@ -285,8 +287,7 @@ class ExistenceRules:
         born.existence = np.minimum(expected / (expected + self.clutter_per_m2), self.surest)
         shares = shares_found(born.visible * born.detectable, self.most_found)
         born.levels = levels_after(born.levels, shares)
-        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
-        return np.asarray(~is_part & _first_of_doubles(born.boxes))
+        return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
         """Keep what is likely enough and whose place is known."""
@@ -304,11 +305,11 @@ class Tracker:
     >>> from viewshed.tracking.views import SeesAll
     >>> car = np.array([[10.0, 0.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
     >>> tracker = Tracker()
-    >>> for k in range(5):
+    >>> for k in range(20):
     ...     found = Detections(car + [k, 0, 0, 0, 0, 0, 0], np.array([ObjectKind.CAR]), np.array([50]))
     ...     tracks = tracker.step(0.1 * k, found, SeesAll(0.1 * k))
-    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round(1).tolist()
-    ([0], [True], [14.0, 0.0, 9.9, 0.0])
+    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round().tolist()
+    ([0], [True], [29.0, 0.0, 10.0, 0.0])
     """
 
     def __init__(self, rules: Rules | None = None) -> None:
@@ -372,7 +373,7 @@ class Tracker:
         born = TrackTable.begun(t_s, boxes[left], kinds[left], noise[left], motion)
         born.detection = left.astype(np.int32)
         if len(born):
-            born = born.take(rules.begin(born, tracks, view, self._view))
+            born = rules.begin(born, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
         room = max(rules.most_tracks - len(tracks), 0)
         if len(born) > room:
@@ -513,7 +514,7 @@ def _first_of_doubles(boxes: Floats) -> NDArray[np.bool_]:
     """Return the boxes (K,) whose center lies in none of those that are returned before them."""
     is_double = np.triu(inside(boxes, boxes), k=1)
     first = np.ones(len(boxes), np.bool_)
-    for k in range(len(boxes)):
+    for k in np.flatnonzero(is_double.any(axis=0)):
         first[k] = not (is_double[:k, k] & first[:k]).any()
     return first
 

@@ -17,7 +17,6 @@ from viewshed.geometry import Rigid
 from viewshed.objects import moved_boxes
 from viewshed.perception.matching import corners_of
 from viewshed.preprocess.evidence import expected_returns
-from viewshed.preprocess.held_ground import pose_of
 from viewshed.preprocess.leveling import LeveledSweep
 
 Floats = NDArray[np.float64]
@@ -35,6 +34,9 @@ _STEP_M = 1.5
 
 _MOST_RINGS = 8
 """... and the most rings of them, whatever the radius."""
+
+_MOST_PLACES = 10_000
+"""The most places in one question, whoever sends how many boxes; then rings are fewer, at least one."""
 
 _SIGHTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 """Lines of sight to a box that are looked at: parts of its width as the sensor sees it."""
@@ -147,15 +149,16 @@ class GridView:
         """
         self.t_s, self.in_world = t_s, estimate.world_from_level is not None
         self._level_from_tracks = _level_from_tracks(estimate.world_from_level)
-        self._estimate, self._hard, self._detectable = estimate, hard, detectable
+        self._estimate, self._detectable = estimate, detectable
+        self._prob = estimate.visible() if hard else estimate.visible_prob
 
     def visible(self, boxes: Floats) -> Floats:
         """Return the probability (K,) of the cells before each box; 0 outside the grid."""
         level = moved_boxes(boxes, self._level_from_tracks)
-        prob = self._estimate.at(points_before(level, self._estimate.grid.cell_m)).astype(np.float64)
-        if self._hard:
-            prob = np.where(np.isnan(prob), 0.0, prob >= np.float32(self._estimate.threshold))
-        return np.asarray(np.nan_to_num(prob, nan=0.0).mean(axis=1))
+        grid = self._estimate.grid
+        cells, is_inside = grid.index(points_before(level, grid.cell_m))
+        prob = np.where(is_inside, self._prob[cells[..., 0], cells[..., 1]], 0.0)
+        return np.asarray(prob.mean(axis=1))
 
     def detectable(self, boxes: Floats, kinds: Kinds) -> Floats:
         """Return the same probability (K,) for each box."""
@@ -186,9 +189,11 @@ class BeamView:
                 :data:`ALWAYS_FOUND` of what is visible.
             min_returns: returns from which on an object counts as seen.
         """
-        self.t_s, self.in_world = t_s, leveled.world_from_level is not None
+        world_from_level = leveled.world_from_level
+        self.t_s, self.in_world = t_s, world_from_level is not None
         self._leveled, self._found, self._min_returns = leveled, found, min_returns
-        self._level_from_tracks = _level_from_tracks(pose_of(leveled) if self.in_world else None)
+        self._level_from_tracks = _level_from_tracks(world_from_level)
+        self._asked = np.zeros((0, 7)), np.zeros(0)
 
     def visible(self, boxes: Floats) -> Floats:
         """Return the probability (K,) that at least so many beams meet each box."""
@@ -211,7 +216,12 @@ class BeamView:
         return hidden_within(self, boxes, within_m)
 
     def _counts(self, level: Floats) -> Floats:
-        return expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
+        """Return the expected returns (K,); a tracker asks of the same boxes twice, whether seen and whether found."""
+        boxes, counts = self._asked
+        if not np.array_equal(boxes[: len(level)], level):
+            counts = expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
+            self._asked = level, counts
+        return counts[: len(level)]
 
     def _visible(self, counts: Floats) -> Floats:
         return probability_of_visible(counts.astype(np.float32), self._min_returns).astype(np.float64)
@@ -224,7 +234,10 @@ def hidden_within(view: View, boxes: Floats, within_m: Floats) -> Floats:
     """
     if not len(boxes):
         return np.zeros(0)
-    unit = _places(int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS)))
+    rings = int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS))
+    while rings > 1 and len(boxes) * len(_places(rings)) > _MOST_PLACES:
+        rings -= 1
+    unit = _places(rings)
     places = np.repeat(boxes[:, None], len(unit), axis=1)
     places[..., :2] += within_m[:, None, None] * unit
     visible = view.visible(places.reshape(-1, 7)).reshape(len(boxes), len(unit))
@@ -242,16 +255,22 @@ def points_before(boxes: Floats, step_m: float) -> Floats:
     off = (off + np.pi) % (2 * np.pi) - np.pi
     low, high = off.min(axis=1, keepdims=True), off.max(axis=1, keepdims=True)
     azimuth = middle[:, None] + low + (high - low) * _SIGHTS
-    sights = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)  # (K, 5, 2)
 
-    # The range at which each line enters the box: the later of its entries into the two slabs between its sides.
+    # The range at which each line enters the box: the later of its entries between front and back, and between sides.
     cos, sin = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
-    axes = np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=1)  # (K, axis, 2)
-    center = (axes @ boxes[:, :2, None])[:, None, :, 0]  # (K, 1, axis)
-    slope = sights @ axes.transpose(0, 2, 1)  # (K, 5, axis)
+    ahead, left = cos * boxes[:, 0] + sin * boxes[:, 1], cos * boxes[:, 1] - sin * boxes[:, 0]  # of its center
+    turned = azimuth - boxes[:, 6, None]
+    entry_m = np.maximum(
+        _entry_m(np.cos(turned), ahead, boxes[:, 3] / 2), _entry_m(np.sin(turned), left, boxes[:, 4] / 2)
+    )
+    range_m = np.maximum(entry_m - step_m, 0.0)
+    return np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth)], axis=-1)
+
+
+def _entry_m(slope: Floats, middle_m: Floats, half_m: Floats) -> Floats:
+    """Return where lines (K, 5) that gain ``slope`` a meter come within ``half_m`` (K,) of ``middle_m`` (K,)."""
     slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
-    entry_m = ((center - np.sign(slope) * boxes[:, None, 3:5] / 2) / slope).max(axis=-1)
-    return np.asarray(sights * np.maximum(entry_m - step_m, 0.0)[..., None])
+    return np.asarray(middle_m[:, None] / slope - half_m[:, None] / np.abs(slope))
 
 
 @lru_cache(maxsize=_MOST_RINGS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from viewshed.integrity.evidence import SECTORS
 from viewshed.integrity.score import SECTOR_FEATURES, SWEEP_FEATURES, EvidenceScore, SurpriseScale, features
-
-BATCH = 256
-
-EPOCH = 16384
-"""Sweeps of an epoch at most; others are drawn in the next."""
+from viewshed.training.whole_sweep import BATCH, EPOCH, WholeSweepTrainer
 
 LEARNING_RATE = 2e-2
 
@@ -101,6 +97,7 @@ class ScoreTrainer:
     _of_sectors: torch.Tensor
     _of_sweep: torch.Tensor
     _tails: Floats
+    _whole: WholeSweepTrainer
 
     @classmethod
     def of(cls, examples: ScoreExamples) -> ScoreTrainer:
@@ -123,7 +120,11 @@ class ScoreTrainer:
             for output, prior in zip(_OUTPUT, _PRIOR, strict=True)
             for rows in [clear if output and clear.any() else examples.usual]
         ]
-        return cls(examples, scale, torch.from_numpy(of_sectors), torch.from_numpy(of_sweep), np.stack(tails))
+        whole = WholeSweepTrainer.of(
+            examples.evidence, (examples.inconsistent, examples.degraded), examples.weight, examples.usual,
+            examples.earlier,
+        )  # fmt: skip
+        return cls(examples, scale, torch.from_numpy(of_sectors), torch.from_numpy(of_sweep), np.stack(tails), whole)
 
     def train(self, chosen: NDArray[np.bool_], epochs: int, seed: int) -> EvidenceScore:
         """Return the score trained on the chosen (N,) sweeps; the same seed, the same score on the same machine."""
@@ -142,7 +143,8 @@ class ScoreTrainer:
             schedule.step()
         # What evidence says that never spoke in training must not count.
         spoke = np.isfinite(self.examples.evidence).any(axis=(0, 2))
-        return units.score(self.examples.names, self.scale, spoke)
+        score = units.score(self.examples.names, self.scale, spoke)
+        return replace(score, whole=self._whole.train(chosen, epochs, seed))
 
     def _loss(self, rows: NDArray[np.intp], units: _Units, rng: np.random.Generator) -> torch.Tensor:
         kept = torch.from_numpy(self._kept(len(rows), rng))

@@ -122,5 +122,11 @@ def test_a_sweep_without_a_pose_is_named(
     text: str, count: int, name: str, t_ns: int | None, message: str, tmp_path: Path
 ) -> None:
     poses = PoseFile.read(written(tmp_path, text))
+    files = [Path(f"{name}{k}") for k in range(count)]
+
+    def place() -> Sweep:
+        poses.check(files)
+        return poses.place_sweep(SWEEP.replace(t_ns=t_ns), Path(name), 2, files)
+
     with pytest.raises(ValueError, match=message):
-        poses.place_sweep(SWEEP.replace(t_ns=t_ns), Path(name), 2, [Path(f"{name}{k}") for k in range(count)])
+        place()

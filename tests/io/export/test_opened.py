@@ -175,7 +175,7 @@ def test_a_reference_system_that_cannot_be_used_is_named(
 
 
 def test_a_format_without_reference_systems_refuses_one(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"crs goes with geojson and geotiff, got 'EPSG:25832' for x\.npz"):
+    with pytest.raises(ValueError, match=r"crs goes with geojson and geotiff, got 'EPSG:25832' for \.npz"):
         write_export(random_estimate(0, pose=HAMBURG), "npz", tmp_path / "x.npz", crs="EPSG:25832")
 
 

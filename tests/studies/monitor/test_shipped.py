@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,18 @@ def test_groups_and_drives_of_each_verdict(tmp_path: Path) -> None:
     save_sweep_monitor(monitor, tmp_path / "monitor.npz")
     again = load_sweep_monitor(tmp_path / "monitor.npz")
     assert again.promises() == monitor.promises()
+
+
+def test_worse_drives_do_not_count_for_degraded(tmp_path: Path) -> None:
+    snow = Case("corruption", "snow", "5")
+    drives = [_drive(n, "many", BENIGN) for n in range(110)]
+    worse = [replace(_drive(110 + n, "many", snow), benign=np.full((FRAMES, 1, SECTORS), 1e3)) for n in range(40)]
+    limits = []
+    for several in (drives, drives + worse):
+        monitor = monitor_of(_score(), SweepTable.of(several), seed=1)
+        limits.append(monitor.degraded.limit(Group("many", "none")))
+    highest = max(float(_score()(drive.benign[frame]).degraded) for drive in drives for frame in range(FRAMES))
+    assert max(limits) <= highest
 
 
 def test_too_few_drives_are_refused() -> None:

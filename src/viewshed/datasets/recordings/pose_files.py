@@ -128,16 +128,28 @@ class PoseFile:
             t_ns = sweep.t_ns if sweep.t_ns is not None else period_ns
         return sweep.replace(world_from_sensor=pose, t_ns=t_ns)
 
-    def _row(self, file: Path, number: int, files: Sequence[Path]) -> int:
-        names = [re.match(r"\d+(?=\.)", each.name) for each in files]
-        numbers = [int(name[0]) for name in names if name is not None]
-        if len(numbers) == len(files) and len(files) > 1 and max(numbers) < len(self.poses):
-            number = numbers[list(files).index(file)]
-        elif len(files) > 1 and len(files) != len(self.poses):
+    def check(self, files: Sequence[Path]) -> None:
+        """Check that files have a pose each, as far as that is known before they are read.
+
+        Raises:
+            ValueError: there are several, and they are neither as many as the poses nor named by their numbers.
+        """
+        if not self.by_time and len(files) > 1 and len(files) != len(self.poses) and not self._numbers_of(files):
             raise ValueError(
                 f"{self.place}: must have one pose for each of {len(files)} files, got {len(self.poses)} lines; or name"
                 " the files by the numbers of their lines, from 0"
             )
+
+    def _numbers_of(self, files: Sequence[Path]) -> list[int]:
+        """Return the numbers by which all of several files are named; none where not all lie within the poses."""
+        names = [re.match(r"\d+(?=\.)", each.name) for each in files]
+        numbers = [int(name[0]) for name in names if name is not None]
+        return numbers if len(numbers) == len(files) > 1 and max(numbers) < len(self.poses) else []
+
+    def _row(self, file: Path, number: int, files: Sequence[Path]) -> int:
+        numbers = self._numbers_of(files)
+        if numbers:
+            number = numbers[list(files).index(file)]
         if number >= len(self.poses):
             raise ValueError(f"{self.place}: has {len(self.poses)} lines, none for sweep {number}")
         return number

@@ -16,6 +16,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.io.export import cpm, geojson, geotiff, nav2, osi, ros
 from viewshed.io.export import npz as archive
 from viewshed.io.export.cpm import claimed_by_cpm, to_cpm
+from viewshed.io.export.crs import crs_of
 from viewshed.io.export.geojson import fov_from_geojson, to_geojson
 from viewshed.io.export.geotiff import to_geotiff
 from viewshed.io.export.npz import read_npz, to_npz, write_npz
@@ -53,19 +54,27 @@ class Exporter:
     in_crs: Callable[[FovEstimate, str], dict[str, Any] | bytes] | None = None
     image: Callable[[FovEstimate], bytes] | None = None
 
+    def check_crs(self, crs: str | None) -> None:
+        """Check that the format can lie in a reference system.
+
+        Raises:
+            ValueError: it has none, or the system is not known.
+        """
+        if crs is None:
+            return
+        if self.in_crs is None:
+            placed = [known for known, exporter in EXPORTERS.items() if exporter.in_crs is not None]
+            raise ValueError(f"crs goes with {' and '.join(placed)}, got {crs!r} for {self.suffix}; leave it out")
+        crs_of(crs)
+
     def files(self, estimate: FovEstimate, name: str, crs: str | None = None) -> dict[str, bytes]:
         """Return file name → content: what belongs beside the file ``name``, and last this file itself.
 
         Raises:
             ValueError: a reference system is named for a format without one, or the estimate has no pose in it.
         """
-        if crs is None:
-            made = self.function(estimate)
-        elif self.in_crs is None:
-            placed = [known for known, exporter in EXPORTERS.items() if exporter.in_crs is not None]
-            raise ValueError(f"crs goes with {' and '.join(placed)}, got {crs!r} for {name}; leave it out")
-        else:
-            made = self.in_crs(estimate, crs)
+        self.check_crs(crs)
+        made = self.function(estimate) if crs is None or self.in_crs is None else self.in_crs(estimate, crs)
         content = made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()
         if self.image is None:
             return {name: content}

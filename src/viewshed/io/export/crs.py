@@ -19,22 +19,17 @@ _WGS84 = "OGC:CRS84"
 """Longitude and latitude in degrees, in this order: what RFC 7946 asks for."""
 
 
-def crs_named(name: str, pose: Rigid | None) -> CRS:
-    """Return the reference system of a name such as ``EPSG:25832``, in which ``pose`` lies.
+def crs_of(name: str) -> CRS:
+    """Return the reference system of a name such as ``EPSG:25832``.
 
     Raises:
-        ValueError: there is no pose, or the system is not known or not projected in meters.
+        ValueError: the system is not known or not projected in meters.
         ImportError: rasterio is not installed.
     """
     with needed_for("a coordinate reference system"):
         from rasterio import Env
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
-    if pose is None:
-        raise ValueError(
-            f"an estimate in {name} must have a pose in it, got none; give --poses or an --index with"
-            " world_from_sensor, or for points in map coordinates --origin"
-        )
     try:
         with Env():  # else GDAL prints its own error
             system = CRS.from_user_input(name)
@@ -45,31 +40,43 @@ def crs_named(name: str, pose: Rigid | None) -> CRS:
     return system
 
 
+def crs_named(name: str, pose: Rigid | None) -> CRS:
+    """Return the reference system of a name, in which ``pose`` lies; other errors as :func:`crs_of`.
+
+    Raises:
+        ValueError: there is no pose, or it lies outside of the system.
+    """
+    system = crs_of(name)
+    if pose is None:
+        raise ValueError(
+            f"an estimate in {name} must have a pose in it, got none; give --poses or an --index with"
+            " world_from_sensor, or for points in map coordinates --origin"
+        )
+    _moved(pose.translation[None, :2], system, _WGS84)
+    return system
+
+
 def to_wgs84(polygon: BaseGeometry, system: CRS) -> BaseGeometry:
     """Return a polygon in meters of a reference system with its vertices as longitude and latitude in degrees."""
-    return _transformed(polygon, system, _WGS84)
+    return shapely.transform(polygon, lambda xy: _moved(xy, system, _WGS84))
 
 
 def from_wgs84(polygon: BaseGeometry, system: CRS) -> BaseGeometry:
     """Return a polygon of longitudes and latitudes in meters of a reference system."""
-    return _transformed(polygon, _WGS84, system)
+    return shapely.transform(polygon, lambda xy: _moved(xy, _WGS84, system))
 
 
-def _transformed(polygon: BaseGeometry, source: CRS | str, target: CRS | str) -> BaseGeometry:
+def _moved(xy: NDArray[np.float64], source: CRS | str, target: CRS | str) -> NDArray[np.float64]:
+    """Return points (N, 2) of one reference system in another one."""
     from rasterio import Env
     from rasterio._err import CPLE_BaseError
     from rasterio.warp import transform
 
-    def vertices(xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        try:
-            with Env():
-                moved = np.column_stack(transform(source, target, xy[:, 0], xy[:, 1])) if len(xy) else xy
-        except CPLE_BaseError:
-            moved = np.full(1, np.nan)
-        if not np.isfinite(moved).all():
-            raise ValueError(
-                f"x {xy[0, 0]:g} m, y {xy[0, 1]:g} m lies outside of {source}; name another crs, or mend poses"
-            )
-        return moved
-
-    return shapely.transform(polygon, vertices)
+    try:
+        with Env():
+            moved = np.column_stack(transform(source, target, xy[:, 0], xy[:, 1])) if len(xy) else xy
+    except CPLE_BaseError:
+        moved = np.full((1, 2), np.nan)
+    if not np.isfinite(moved).all():
+        raise ValueError(f"x {xy[0, 0]:g} m, y {xy[0, 1]:g} m lies outside of {source}; name another crs")
+    return moved

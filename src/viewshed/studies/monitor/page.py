@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,7 @@ class MonitorResults:
     @cached_property
     def whole(self) -> Evaluation:
         """The score that was trained on all families."""
-        return self._evaluation(ALL_FAMILIES, self.test)
+        return replace(self._evaluation(ALL_FAMILIES, self.test), with_sectors=True)
 
     def _evaluation(self, left_out: str, test: SweepTable, silent: Mask | None = None) -> Evaluation:
         score = load_score(score_path(self.folder, left_out))

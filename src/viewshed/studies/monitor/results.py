@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.integrity.calibration import Calibration, Group, alarm_limit
-from viewshed.integrity.score import EvidenceScore, pooled
+from viewshed.integrity.score import EvidenceScore
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
 from viewshed.studies.monitor.plan import FRAMES, ONSET
@@ -41,7 +41,7 @@ class Scored:
     Attributes:
         table: of the sweeps.
         scores: (N, 2) what is inconsistent and what is degraded.
-        sectors: (N, SECTORS) the part of each sector in what is inconsistent.
+        sectors: (N, SECTORS) what each sector says for what is inconsistent; (N, 0) where that was left out.
     """
 
     table: SweepTable
@@ -49,22 +49,25 @@ class Scored:
     sectors: NDArray[np.float32]
 
     @classmethod
-    def of(cls, score: EvidenceScore, table: SweepTable, silent: Mask | None = None) -> Scored:
+    def of(
+        cls, score: EvidenceScore, table: SweepTable, silent: Mask | None = None, *, with_sectors: bool = False
+    ) -> Scored:
         """Return the sweeps of a table scored.
 
         Args:
             score: the model.
             table: of the sweeps.
             silent: (E,) evidence that is made to abstain; none if not given.
+            with_sectors: score sectors as well, which takes most of the time.
         """
-        parts = []
+        scores, sectors = [], []
         for start in range(0, len(table.evidence), _CHUNK):
             evidence = table.evidence[start : start + _CHUNK].astype(np.float32)
             if silent is not None:
                 evidence[:, silent] = np.nan
-            parts.append(score.logits(evidence))
-        logits = np.concatenate(parts)
-        return cls(table, pooled(logits), logits[..., INCONSISTENT])
+            scores.append(score.of_sweeps(evidence))
+            sectors.append(score.logits(evidence)[..., INCONSISTENT] if with_sectors else scores[-1][:, :0])
+        return cls(table, np.concatenate(scores), np.concatenate(sectors))
 
     def rows(self, mask: Mask) -> Scored:
         """Return those of a mask (N,)."""
@@ -185,6 +188,7 @@ class Evaluation:
         test: sweeps that it is reported on.
         silent: (E,) evidence that is made to abstain, or None.
         seed: draws one sweep of each calibration scene.
+        with_sectors: whether sectors are scored as well.
     """
 
     model: EvidenceScore
@@ -192,12 +196,14 @@ class Evaluation:
     test: SweepTable
     silent: Mask | None = None
     seed: int = 0
+    with_sectors: bool = False
 
     @cached_property
     def benign_calibration(self) -> Scored:
         """All benign sweeps of the calibration drives before which enough was measured."""
         table = self.calibration
-        return Scored.of(self.model, table.rows((table.case == 0) & (table.frame >= ONSET)), self.silent)
+        benign = table.rows((table.case == 0) & (table.frame >= ONSET))
+        return Scored.of(self.model, benign, self.silent, with_sectors=self.with_sectors)
 
     @cached_property
     def one_of_each_scene(self) -> Scored:
@@ -213,7 +219,7 @@ class Evaluation:
     @cached_property
     def tested(self) -> Scored:
         """All sweeps of the test drives."""
-        return Scored.of(self.model, self.test, self.silent)
+        return Scored.of(self.model, self.test, self.silent, with_sectors=self.with_sectors)
 
     @cached_property
     def benign(self) -> Scored:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.integrity.calibration import Group
 from viewshed.integrity.score import EvidenceScore
@@ -38,15 +38,11 @@ def monitor_of(score: EvidenceScore, calibration: SweepTable, seed: int, rates: 
     kept = np.array([scenes[drive.sensor] >= needed for drive in calibration.drives])
     if not kept.any():
         raise ValueError(f"a sensor must have {needed:.0f} clear drives to calibrate on, got {max(scenes.values())}")
-    monitor = SweepMonitor.calibrate(score, _sweeps(calibration, kept), generator(seed, "monitor"), rates=rates)
-    of_clear = SweepMonitor.calibrate(
-        score, _sweeps(calibration, kept & clear), generator(seed, "degraded"), rates=rates
-    )
-    return replace(monitor, degraded=of_clear.degraded)
+    return SweepMonitor.calibrate(score, _sweeps(calibration, kept, clear), generator(seed, "monitor"), rates=rates)
 
 
-def _sweeps(table: SweepTable, kept: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Iterator[BenignSweep]:
-    """Yield the benign sweeps of the kept drives (D,), each in its group."""
+def _sweeps(table: SweepTable, kept: NDArray[np.bool_], clear: NDArray[np.bool_]) -> Iterator[BenignSweep]:
+    """Yield the benign sweeps of the kept drives (D,), each in its group; some drives (D,) are clear."""
     # With earlier sweeps only the last, behind which as many lie as are held in a stream. The order of the drives means
     # nothing, and those of one domain lie side by side: they are mixed, or they would look like a drift.
     is_used = (table.frame < ONSET) | (table.frame == FRAMES - 1)
@@ -55,8 +51,10 @@ def _sweeps(table: SweepTable, kept: np.ndarray[tuple[int, ...], np.dtype[np.boo
     for row in rows[np.argsort(places[table.drive[rows]], kind="stable")]:
         drive = table.drives[table.drive[row]]
         group = Group(drive.sensor, "posed" if table.frame[row] >= ONSET else "none")
-        yield BenignSweep(drive.scene, group, table.evidence[row].astype(np.float32))
+        evidence = table.evidence[row].astype(np.float32)
+        yield BenignSweep(drive.scene, group, evidence, bool(clear[table.drive[row]]))
     for number in np.argsort(places):
         drive = table.drives[number]
         if kept[number]:
-            yield BenignSweep(drive.scene, Group(drive.sensor, "unposed"), table.unposed[number].astype(np.float32))
+            evidence = table.unposed[number].astype(np.float32)
+            yield BenignSweep(drive.scene, Group(drive.sensor, "unposed"), evidence, bool(clear[number]))

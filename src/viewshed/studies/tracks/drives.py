@@ -17,7 +17,7 @@ from viewshed.estimators import DEFAULT_ESTIMATOR, load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, Beams, probability_of_visible
 from viewshed.fusion.cells import SeenCells
-from viewshed.fusion.single import SensorView
+from viewshed.fusion.sensor_view import SensorView
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections, ObjectKind, moved_boxes
@@ -109,11 +109,11 @@ _FALSE_PER_SWEEP, _FALSE_S = 0.3, 0.5
 def found_probability(returns: NDArray[Any]) -> Floats:
     """Return the probability (N,) that the simulated detector finds objects with so many returns (N,)."""
     counts, shares = np.array(_FOUND).T
-    return np.interp(np.asarray(returns, np.float64), counts, shares)
+    return np.asarray(np.interp(np.asarray(returns, np.float64), counts, shares))
 
 
 class ExactView:
-    """A view that knows what each beam met: the exact beams, asked how many would meet a box without its own returns."""
+    """A view by exact beams: how many would meet a box without its own returns."""
 
     def __init__(self, t_s: float, scan: ExactScan, world_from_level: Rigid) -> None:
         """Make the view of a scan without noise."""
@@ -123,7 +123,8 @@ class ExactView:
         direction = scan.direction.reshape(-1, 3) @ world_from_level.rotation
         flat = np.hypot(direction[:, 0], direction[:, 1])
         azimuth = np.arctan2(direction[:, 1], direction[:, 0])
-        beams = Beams(azimuth, direction[:, 2] / flat, scan.depth_m.reshape(-1) * flat)
+        depth_m = (scan.depth_m.reshape(-1) * flat).astype(np.float32)
+        beams = Beams(azimuth.astype(np.float32), (direction[:, 2] / flat).astype(np.float32), depth_m)
         self._beams = _core.BeamsByAzimuth(*beams.arrays)
 
     def visible(self, boxes: Floats) -> Floats:
@@ -222,18 +223,17 @@ def simulate_drive(
         world_from_level = leveled.world_from_level
         if world_from_level is None:
             raise ValueError("a drive must have poses, got a sweep without one")
-        level_from_world = world_from_level.inverse()
         place, yaw = world_from_level.translation[:2], world_from_level.yaw
         views: dict[str, SensorView] = {}
         for fov in fovs:
             if fov == "exact":
-                cells, view = _exact_cells(scan, sweep, world, agent, grid)
+                cells, view = _exact_view(scan, sweep, world, agent, grid)
             else:
                 cells = None if fov in ("none", "polygon") else SeenCells.of(estimate)
                 view = _view_of(fov, t_s, leveled, estimate, hull)
             views[fov] = SensorView(sensor, view, place, cells, yaw=yaw)
-        counts = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
-        visible = probability_of_visible(counts.astype(np.float32), SEEN_FROM).astype(np.float64)
+        aimed = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
+        visible = probability_of_visible(aimed.astype(np.float32), SEEN_FROM).astype(np.float64)
         surface = grid.centers[estimate.state == CellState.SURFACE]
         surface_xyz = world_from_level @ np.column_stack([surface, np.full(len(surface), 0.75)])
         detections, of_object = detector.detect(truth, surface_xyz, t_s)
@@ -255,9 +255,9 @@ def _found(counts: Floats, _range_m: Floats, _kinds: NDArray[np.uint8]) -> Float
     return found_probability(counts)
 
 
-def _exact_cells(
+def _exact_view(
     scan: ExactScan, sweep: Sweep, world: World, agent: Agent, grid: BevGrid
-) -> tuple[SeenCells, ExactView]:
+) -> tuple[SeenCells | None, View]:
     """Return what a scan without noise lets be seen: the exact states of the cells, and the view by its beams."""
     pose = scan.world_from_sensor
     below = np.array([0.0, 0.0, sweep.sensor_height_m or 0.0])

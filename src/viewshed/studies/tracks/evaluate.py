@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fusion.evidence import EvidenceModel
-from viewshed.fusion.single import FABRICATED, REMOVED, ExplainedTracks, Observed, SingleFusion
+from viewshed.fusion.explained import REMOVED, ExplainedTracks
+from viewshed.fusion.sensor_view import Observed
+from viewshed.fusion.single import SingleFusion
 from viewshed.object_metrics import gospa
 from viewshed.studies.tracks.drives import HZ, Moment
 from viewshed.threats.object_attacks import ForgedDetections, RunningAttack
 from viewshed.tracking.tracker import Rules, Tracker
+
+ATTACKED_FROM = round(2.0 * HZ)
+"""Sweep in which attacks begin; tracks are compared from then on."""
 
 FORGED_S = 1.0
 """Objects that are forged for less than this are not counted."""
@@ -67,7 +73,7 @@ class Outcome:
         ghosts, removed, moved: forged objects by number.
         honest: for each confirmed track of an honest object whether it was ever accused.
         gospa_m: of each sweep without fusion and after it.
-        reasons: explanations of confirmed tracks, counted by name.
+        calibration: of each confirmed track and sweep, its existence after fusion and whether an object is there.
     """
 
     ghosts: dict[int, Forgery] = field(default_factory=dict)
@@ -75,6 +81,25 @@ class Outcome:
     moved: dict[int, Forgery] = field(default_factory=dict)
     honest: dict[int, bool] = field(default_factory=dict)
     gospa_m: list[tuple[float, float]] = field(default_factory=list)
+    calibration: list[tuple[float, bool]] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what tables need as plain values: of each forged object seconds until accused, and what it was."""
+        forgeries = {
+            kind: [
+                [one.found_s - one.first_s if one.found_s < np.inf else -1.0, one.tracked_s < np.inf,
+                 float(np.mean(one.visible or [1.0])), float(np.mean(one.shifts_m or [0.0]))]
+                for one in getattr(self, kind).values() if one.sweeps >= FORGED_S * HZ
+            ]
+            for kind in ("ghosts", "removed", "moved")
+        }  # fmt: skip
+        existence, is_object = np.array(self.calibration, np.float64).reshape(-1, 2).T
+        bins = np.minimum((10 * existence).astype(np.intp), 9)
+        return forgeries | {
+            "honest": [sum(self.honest.values()), len(self.honest)],
+            "gospa_m": np.array(self.gospa_m[ATTACKED_FROM:]).reshape(-1, 2).mean(axis=0).tolist(),
+            "existence": [np.bincount(bins, weights, 10).tolist() for weights in (None, existence, is_object)],
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,9 +135,15 @@ def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
         for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
             returned[number] = moment.t_s
         _note_accusations(outcome, one, explained, last)
-        recent = np.array([moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool)
+        recent = np.array(
+            [moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool
+        )
         tracks = one.observed[0]
-        both = (tracks.boxes[tracks.confirmed], explained.trusted().boxes)
+        trusted = explained.trusted()
+        both = (tracks.boxes[tracks.confirmed], trusted.boxes)
+        apart = np.hypot(*(trusted.boxes[:, None, :2] - moment.truth.boxes[None, :, :2]).transpose(2, 0, 1))
+        is_object = (apart <= NEAR_M).any(axis=1)
+        outcome.calibration += zip(trusted.existence.tolist(), is_object.tolist(), strict=True)
         before, after = (compare(boxes, moment, recent) for boxes in both)
         outcome.gospa_m.append((before, after))
     return outcome
@@ -184,10 +215,3 @@ def _note_accusations(
                 target.found_s = min(target.found_s, moment.t_s)
         elif kind == "honest" and is_shown and of not in outcome.removed and of not in outcome.moved:
             outcome.honest[number] = outcome.honest.get(number, False) or is_accused
-
-
-def share_found(forgeries: Sequence[Forgery], within_s: float = np.inf) -> tuple[int, int]:
-    """Return how many forged objects were accused in time, and how many there were that were forged long enough."""
-    long = [one for one in forgeries if one.sweeps >= FORGED_S * HZ]
-    found = sum(one.found_s < np.inf and one.found_s - one.first_s <= within_s + 1e-6 for one in long)
-    return found, len(long)

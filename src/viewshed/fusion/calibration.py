@@ -1,0 +1,143 @@
+"""What evidence is worth, from benign drives: tables counted on some of them, limits taken from the others."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fusion.evidence import (
+    EvidenceCounts,
+    EvidenceModel,
+    birth_bins,
+    jump_bins,
+    view_bins,
+)
+from viewshed.fusion.jumps import EARLIER, LATEST, jump_of
+from viewshed.fusion.sensor_view import Observed, SensorView
+from viewshed.fusion.single import SingleFusion, cell_evidence
+from viewshed.integrity.calibration import alarms_allowed
+
+Floats = NDArray[np.float64]
+
+_NO_LIMITS = (np.inf, np.inf, np.inf)
+
+_FALSE_JUMPS_M = (0.3, 3.0)
+"""Jumps of moved tracks that tables are counted with."""
+
+_NEAR_BIRTH_M = 4.0
+"""How far an object may come unseen in a sweep: 40 m/s."""
+
+
+def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03) -> EvidenceModel:
+    """Return the model whose tables and limit are from benign drives.
+
+    Tables are counted on every other drive, and the limits are taken from the others: of their confirmed tracks at most
+    the share ``accused`` reaches one of them at any time.
+
+    Args:
+        drives: of each what was observed, in the order of time.
+        rng: places tracks elsewhere, to count what forged ones are like.
+        accused: share of honest tracks.
+
+    Raises:
+        ValueError: there are fewer than two drives, or too few tracks for the share.
+    """
+    if len(drives) < 2:
+        raise ValueError(f"drives must be two at least, some for the tables and some for the limit, got {len(drives)}")
+    counts = EvidenceCounts()
+    for drive in drives[::2]:
+        count_drive(drive, counts, rng)
+    model = model_of_counts(counts, accused)
+    highest: list[Floats] = []
+    for drive in drives[1::2]:
+        highest += highest_e_values(drive, model).values()
+    return replace(model, limits=limits_of(np.array(highest).reshape(-1, 3), accused), tracks=len(highest))
+
+
+def model_of_counts(counts: EvidenceCounts, accused: float) -> EvidenceModel:
+    """Return a model whose tables are counted and which accuses nobody yet."""
+    view, birth, jump = (counts.table(name) for name in ("view", "birth", "jump"))
+    return EvidenceModel(counts.weights(), view, birth, jump, _NO_LIMITS, accused)
+
+
+def limits_of(highest: Floats, accused: float) -> tuple[float, float, float]:
+    """Return limits that the honest tracks reach with probability ``accused`` at most, equally rare for each suspicion.
+
+    Args:
+        highest: (T, 3) the largest e-values of each honest track.
+        accused: share of a further honest track to reach one of the three limits.
+
+    Raises:
+        ValueError: there are too few tracks for the share.
+    """
+    allowed = alarms_allowed(len(highest), accused, unit="tracks")
+    ranked = np.sort(highest, axis=0)[::-1]
+    for rank in range(allowed, -1, -1):
+        limits = np.maximum(np.nextafter(ranked[rank], np.inf), 1.0)
+        if (highest >= limits).any(axis=1).sum() <= allowed:
+            break
+    first, second, third = limits.tolist()
+    return first, second, third
+
+
+def highest_e_values(drive: Iterable[Observed], model: EvidenceModel) -> dict[int, Floats]:
+    """Return the largest e-values (3,) that each confirmed track of a drive reaches, by its id."""
+    fusion, highest = SingleFusion(replace(model, limits=_NO_LIMITS)), dict[int, Floats]()
+    for tracks, detections, views in drive:
+        explained = fusion.explain(tracks, detections, views)
+        shown = explained.tracks
+        for k in np.flatnonzero(shown.confirmed):
+            number = int(shown.ids[k])
+            highest[number] = np.maximum(highest.get(number, np.zeros(3)), explained.wealth[k])
+    return highest
+
+
+def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.random.Generator) -> None:
+    """Count the evidence of the tracks of a benign drive, and of the same tracks put elsewhere.
+
+    Elsewhere is at the same distance from the sensor in a random direction; a moved track jumps by up to 3 m.
+    """
+    times: dict[int, deque[float]] = {}
+    places: dict[int, deque[tuple[float, float]]] = {}
+    before: SensorView | None = None
+    for tracks, detections, views in drive:
+        is_matched = tracks.detection >= 0
+        boxes = detections.boxes[tracks.detection[is_matched]]
+        view = views[0]
+        elsewhere = _turned(boxes, view.place, rng)
+        counts.add("view", view_bins(view.view.visible(boxes)), view_bins(view.view.visible(elsewhere)))
+        if view.cells is not None:
+            kinds = tracks.kinds[is_matched]
+            counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
+            counts.forged_cells.append(cell_evidence(elsewhere, kinds, view)[1])
+        born = is_matched & (tracks.born_s == tracks.t_s)
+        if before is not None and born.any():
+            new = _turned(tracks.boxes[born], view.place, rng)
+            within_m = np.full(len(new), _NEAR_BIRTH_M)
+            counts.add("birth", birth_bins(tracks.born_hidden[born]), birth_bins(before.view.hides_near(new, within_m)))
+        for number, box in zip(tracks.ids[is_matched].tolist(), boxes, strict=True):
+            when = times.setdefault(number, deque(maxlen=LATEST + EARLIER))
+            where = places.setdefault(number, deque(maxlen=LATEST + EARLIER))
+            when.append(tracks.t_s)
+            where.append((float(box[0]), float(box[1])))
+            honest = jump_of(when, where)[0]
+            length, way = rng.uniform(*_FALSE_JUMPS_M), rng.uniform(-np.pi, np.pi)
+            false = np.array(where)
+            false[-LATEST:] += length * np.array([np.cos(way), np.sin(way)])
+            moved = jump_of(when, false)[0]
+            counts.add("jump", jump_bins(np.array([honest])), jump_bins(np.array([moved])))
+        before = view
+
+
+def _turned(boxes: Floats, place: Floats, rng: np.random.Generator) -> Floats:
+    """Return boxes (K, 7) at the same distance from a place in random directions, with random headings."""
+    away = np.hypot(*(boxes[:, :2] - place).T)
+    way = rng.uniform(-np.pi, np.pi, len(boxes))
+    turned = boxes.copy()
+    turned[:, :2] = place + np.column_stack([away * np.cos(way), away * np.sin(way)])
+    turned[:, 6] = rng.uniform(-np.pi, np.pi, len(boxes))
+    return turned

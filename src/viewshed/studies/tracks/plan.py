@@ -1,0 +1,107 @@
+"""What the study of tracks runs: drives that evidence is counted on, that limits are from, and that are attacked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from viewshed.datasets.presets import preset_named, preset_names
+from viewshed.datasets.recorder.drive import drive_plan
+from viewshed.datasets.simulated import ScenePlan
+from viewshed.sensors import lidar_model
+from viewshed.sim.lidar.weather import CONDITIONS
+from viewshed.sim.worlds import WORLDS
+from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
+from viewshed.studies.tracks.drives import FOVS, HZ
+from viewshed.threats.object_attacks import OBJECT_ATTACKS
+
+STEPS = ("count", "limit", "test", "page")
+"""Count evidence, take limits, attack, write the page: no drive is in two of the first three."""
+
+BENIGN_CASE = "benign"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TracksPlan(Plan):
+    """The study of tracks and of trust in them.
+
+    Attributes:
+        preset: of simulated data whose mounting the sensors have.
+        worlds: kinds of world, in turn.
+        sensors: beam tables.
+        conditions: weather.
+        fovs: fields of view, of ``FOVS``.
+        attacks: names of ``OBJECT_ATTACKS``.
+        objects: that are forged at a time.
+        seconds: of a drive; attacks begin after two.
+        count: drives that evidence is counted on.
+        limit: drives that limits are from.
+        test: drives that are attacked, of each sensor and weather.
+        accused: share of honest tracks that are accused.
+        seed: of all that is random.
+
+    Raises:
+        ValueError: a name is not known or a number is out of range.
+    """
+
+    FOLDER: ClassVar[str] = "studies/tracks/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"fovs": FOVS, "attacks": OBJECT_ATTACKS}
+
+    name: str
+    about: str
+    preset: str
+    worlds: tuple[str, ...]
+    sensors: tuple[str, ...]
+    conditions: tuple[str, ...]
+    fovs: tuple[str, ...]
+    attacks: tuple[str, ...]
+    objects: int
+    seconds: float
+    count: int
+    limit: int
+    test: int
+    accused: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        check_names("preset", (self.preset,), preset_names())
+        check_names("worlds", self.worlds, WORLDS, once=True)
+        check_names("conditions", self.conditions, CONDITIONS, once=True)
+        check_names("fovs", self.fovs, FOVS, once=True)
+        check_names("attacks", self.attacks, OBJECT_ATTACKS)
+        for sensor in self.sensors:
+            lidar_model(sensor)
+        check_seed("seed", self.seed)
+        self.check_at_least(1, "objects", "count", "limit", "test")
+        if not 0.0 < self.accused < 1.0:
+            raise ValueError(f"accused must lie in (0, 1), got {self.accused}")
+        if not 1.0 <= self.seconds <= 600.0:
+            raise ValueError(f"seconds must lie in [1, 600], got {self.seconds}")
+
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs: one a drive."""
+        return [*self.drive_keys("count"), *self.drive_keys("limit"), *self.drive_keys("test")]
+
+    def drive_keys(self, step: str) -> list[JobKey]:
+        """Return the names of the drives of a step: step, sensor, weather, number."""
+        places = [(sensor, weather) for sensor in self.sensors for weather in self.conditions]
+        if step == "test":
+            return [(step, *place, str(number)) for number in range(self.test) for place in places]
+        drives = getattr(self, step)
+        return [(step, *places[number % len(places)], str(number)) for number in range(drives)]
+
+    def scene(self, key: JobKey) -> ScenePlan:
+        """Return the scene of a drive: a world of its own."""
+        step, sensor, weather, number = key
+        first = {"count": 0, "limit": self.count, "test": self.count + self.limit}[step]
+        place = first + int(number)
+        world = self.worlds[place % len(self.worlds)]
+        scene = drive_plan(
+            preset_named(self.preset), seconds=self.seconds, hz=HZ, agents=1, world=world, seed=self.seed + place
+        )
+        return replace(scene, preset=replace(scene.preset, sensors=(sensor,), conditions=(weather,)))
+
+    def cases(self) -> tuple[str, ...]:
+        """Return what is done to each test drive: nothing, then each attack."""
+        return (BENIGN_CASE, *self.attacks)
