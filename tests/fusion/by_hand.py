@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState
 from viewshed.fusion.cells import SeenCells
-from viewshed.fusion.evidence import FEATURES, EvidenceModel, EvidenceTable, fit_weights
+from viewshed.fusion.evidence import BOX_FEATURES, EvidenceModel, EvidenceTable, fit_weights
 from viewshed.fusion.sensor_view import SensorView
 from viewshed.fusion.single import cell_evidence
 from viewshed.geometry import Rigid
@@ -77,7 +77,7 @@ def model() -> EvidenceModel:
         return cell_evidence(boxes, kinds, view(0.0))[1]
 
     weights = fit_weights(bins(CAR), bins(GHOST))
-    assert bins(CAR).shape[1] == len(FEATURES)
+    assert bins(CAR).shape[1] == len(BOX_FEATURES)
     seen = EvidenceTable((1.0, 5.0, 20.0, 100.0), (100.0, 5.0, 20.0, 50.0))
     birth = EvidenceTable((1.0, 10.0, 100.0), (60.0, 10.0, 40.0))
     jump = EvidenceTable((100.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0, 0, 0, 0), (1.0,) * 8 + (20.0,) * 4)

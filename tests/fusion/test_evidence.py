@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from viewshed.fusion.cells import BoxCells
 from viewshed.fusion.evidence import (
     BLIND,
+    BOX_FEATURES,
     CAP,
-    FEATURES,
     EvidenceTable,
     cell_bins,
     cell_ratios,
@@ -87,7 +87,7 @@ def test_weights_find_what_tells_forged_boxes() -> None:
         return cell_bins(BoxCells(*shares, *rest), np.full(count, 0.9))
 
     honest, forged = boxes(0.2, 0.1), boxes(0.0, 0.5)
-    assert honest.shape == (count, len(FEATURES))
+    assert honest.shape == (count, len(BOX_FEATURES))
     weights = fit_weights(honest, forged)
     assert np.median(cell_ratios(weights, forged)) > 10.0
     assert np.median(cell_ratios(weights, honest)) < 0.1

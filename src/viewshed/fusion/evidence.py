@@ -54,7 +54,7 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
 }
 """Bounds of the bins of what is measured about a box: of ``BoxCells``, and ``found``, P_D of an object there."""
 
-FEATURES: tuple[tuple[str, ...], ...] = (
+BOX_FEATURES: tuple[tuple[str, ...], ...] = (
     ("surface", "found"), ("surface", "range_m"), ("free", "range_m"), ("ring",), ("ring_free",), ("near_free",),
     ("first_m",),
 )  # fmt: skip
@@ -99,15 +99,15 @@ JUMP_BINS = len(_JUMP) + 1
 
 
 def _sizes() -> list[int]:
-    """Return the number of bins of each of ``FEATURES``."""
-    return [int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in FEATURES]
+    """Return the number of bins of each of ``BOX_FEATURES``."""
+    return [int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in BOX_FEATURES]
 
 
 def cell_bins(cells: BoxCells, found: Floats) -> NDArray[np.int64]:
     """Return the bins (K, F) of K boxes in a model's weights, a row of ``BLIND`` where most of a box is unknown."""
     values = cells._asdict() | {"found": found}
     columns, first = [], 0
-    for names, size in zip(FEATURES, _sizes(), strict=True):
+    for names, size in zip(BOX_FEATURES, _sizes(), strict=True):
         code = np.zeros(len(found), np.int64)
         for name in names:
             code = code * (len(_BOUNDS[name]) + 1) + np.digitize(values[name], _BOUNDS[name])
@@ -203,7 +203,7 @@ class EvidenceModel:
     """What evidence is worth, and from which e-value on a track is accused.
 
     Attributes:
-        weights: log ratios of what the cells of a box are, by the bins of ``FEATURES``, last the bias.
+        weights: log ratios of what the cells of a box are, by the bins of ``BOX_FEATURES``, last the bias.
         view: of how well it could be seen.
         birth: of where it came from.
         jump: of how suddenly it moved.
@@ -286,7 +286,7 @@ class EvidenceCounts:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all counts as arrays by name, to be kept."""
-        empty = np.zeros((0, len(FEATURES)), np.int64)
+        empty = np.zeros((0, len(BOX_FEATURES)), np.int64)
         cells = {
             "honest_cells": np.concatenate([empty, *self.honest_cells]).astype(np.int16),
             "forged_cells": np.concatenate([empty, *self.forged_cells]).astype(np.int16),
