@@ -20,6 +20,7 @@ from viewshed import FovEstimate, Rigid, Sweep
 from viewshed._page import facts, page, table
 from viewshed.estimators import load_estimator
 from viewshed.fov.polygons import claims_only
+from viewshed.integrity.report import IntegrityReport
 from viewshed.io import read_index, read_indexed
 from viewshed.messages.fov_code import decode_fov, encode_fov, has_std
 from viewshed.messages.polygon_code import decode_polygon, encode_inner_polygon
@@ -57,7 +58,7 @@ quantized alike, deflated one by one by zlib at its highest level. Each sweep co
 WHOLE = f"""## Bytes of a message
 
 The view of `viewnet`, {TRACKS} tracks with covariances, {TRACKS} detections, pose with covariance, report and
-signature. Median bytes of each field, and of the whole message."""
+signature. Bytes of each field, and of the whole message."""
 POLYGON = f"""## Bytes of an inner polygon
 
 Of the visible cells of `viewnet`, each {POLYGON_EACH}th sweep; what the decoded polygon covers of them, and whether it
@@ -164,6 +165,7 @@ def message_of(view: FovEstimate, number: int, rng: np.random.Generator) -> View
             rng.integers(0, 2**40, TRACKS), states, half @ half.swapaxes(1, 2), boxes, rng.random((TRACKS, 5)), kinds,
             existence, visible, detectable, born_hidden, rng.uniform(0, 60, TRACKS), rng.random(TRACKS),
         ),
+        report=IntegrityReport("benchmark", 1.0, 2.0, 0.3),
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ from viewshed.estimators.temporal import SweepBuffer
 from viewshed.integrity import StreamMonitor
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
-from viewshed.pipeline import SWITCH_INTERVAL_S, Pipeline
+from viewshed.pipeline import Pipeline, prepare_process
 from viewshed.pipeline.profiles import PROFILES, Profile
 from viewshed.sensors import lidar_model
 from viewshed.sim import cast, junction
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement of the node")
     parser.add_argument("--sweeps", type=int, default=200, help="of each profile")
     chosen = parser.parse_args()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

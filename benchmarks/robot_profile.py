@@ -6,13 +6,13 @@ import sys
 import numpy as np
 
 from benchmarks.robot import profile_cost
-from viewshed.pipeline import SWITCH_INTERVAL_S
+from viewshed.pipeline import prepare_process
 from viewshed.pipeline.profiles import profile_named
 from viewshed.sweep import Sweep
 
 if __name__ == "__main__":
     name, path, count = sys.argv[1:]
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     with np.load(path) as file:
         sweep = Sweep(file["points"], file["intensity"], file.get("ring"))
     print(json.dumps(profile_cost(profile_named(name), sweep, int(count))))

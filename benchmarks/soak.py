@@ -37,7 +37,7 @@ from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io import read_sweep
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.samples import junction_path
-from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Pipeline
+from viewshed.pipeline import Answer, Pipeline, prepare_process
 from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
 
@@ -114,7 +114,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30.0, help="of each of the two soaks")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     pipeline = soak_pipeline(60.0 * chosen.minutes, np.random.default_rng(SEED))
     node = _soak_node(60.0 * chosen.minutes)
     parts = ["## Through `viewshed.pipeline`", *_told(pipeline)]

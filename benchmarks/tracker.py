@@ -22,6 +22,7 @@ from viewshed import ESTIMATORS, BevGrid
 from viewshed._page import facts, page, table
 from viewshed.geometry import Rigid
 from viewshed.objects import Detections, ObjectKind
+from viewshed.perception.detection_table import detection_table
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import lidar_model
 from viewshed.sim import cast, junction
@@ -83,7 +84,7 @@ def _trackers() -> dict[str, tuple[Rules | None, Callable[[float], View]]]:
     polygon = ESTIMATORS["concave_hull"](grid).estimate(leveled.sweep).polygon()
     return {
         "existence, no field of view": (None, SeesAll),
-        "existence, beams": (None, partial(BeamView, leveled)),
+        "existence, beams and the detector's table": (None, partial(BeamView, leveled, found=detection_table().prob)),
         "existence, shadow map": (None, partial(GridView, estimate)),
         "published, overlap of boxes, polygon": (PublishedRules(), partial(PolygonView, polygon, Rigid.identity())),
         "published, distance of centers, polygon": (

@@ -42,7 +42,7 @@ from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity import StreamMonitor
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
-from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Caution, Pipeline
+from viewshed.pipeline import Answer, Caution, Pipeline, prepare_process
 from viewshed.pipeline.profiles import profile_named
 from viewshed.sensors import LidarModel
 from viewshed.sim.lidar.weather import CONDITIONS
@@ -89,7 +89,7 @@ def main() -> None:
     )
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     work = chosen.work or Path(tempfile.mkdtemp())
     work.mkdir(parents=True, exist_ok=True)
     plan = drive_plan(preset_named("ugv"), seconds=chosen.seconds, hz=HZ, agents=1, world=WORLD, seed=SEED)

@@ -21,7 +21,7 @@ struct BitModel {
 namespace coder {
 
 // After so many decisions a model forgets the oldest at a constant rate.
-constexpr std::uint16_t MOST_SEEN = 48;
+constexpr std::uint16_t MOST_SEEN = 24;
 
 // By how much of the way, in 2^-16, the next decision moves a model that has seen so many.
 constexpr auto RATE = [] {

@@ -11,7 +11,7 @@ from tests.networks.made import card, nearby
 
 from viewshed import Sweep, write_sweep
 from viewshed.cli import main
-from viewshed.integrity import load_monitor
+from viewshed.integrity import load_monitor, load_sweep_monitor
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import Stage, UNet
 
@@ -82,6 +82,21 @@ def test_fit_says_what_it_did(place: Path, tmp_path: Path, capsys: pytest.Captur
     assert (tmp_path / "again.npz").read_bytes() == (place / "monitor.npz").read_bytes()
     monitor = load_monitor(place / "monitor.npz")
     assert (monitor.facts["passes"], monitor.facts["target"], monitor.grid.cells) == ("5", "car", 32)
+
+
+def test_worse_drives_calibrate_only_what_is_inconsistent(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(place / f"benign{number:02}.npz") for number in range(12)]
+    worse = [word for file in files[8:] for word in ("--worse", file)]
+    out = tmp_path / "made.npz"
+    words = ["monitor", "calibrate", *files[:8], *worse, "--rate", "0.2", "--grid", "32x16", "--out", str(out)]
+    code, said, err = _run(capsys, *words)
+    assert (code, err) == (0, "")
+    assert f"{out}: calibrated on 12 sweeps of 12 scenes" in said
+    made = load_sweep_monitor(out)
+    (group,) = made.benign
+    assert (len(made.inconsistent.scores[group]), len(made.degraded.scores[group])) == (12, 8)
 
 
 def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

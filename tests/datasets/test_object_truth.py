@@ -1,11 +1,15 @@
 """True objects of simulated sweeps: their returns lie in their boxes, and counts of a detector are those by hand."""
 
+from pathlib import Path
+
+import fit_detector
 import numpy as np
 import pytest
 
 from viewshed.datasets.detector_counts import Score, match_any, measure_table, score
 from viewshed.datasets.object_truth import ObjectSweep, SweepObjects, road_sweeps
 from viewshed.objects import Detections, ObjectKind
+from viewshed.perception.detection_table import DetectionTable
 from viewshed.perception.detector import Detector
 
 
@@ -77,3 +81,11 @@ def test_a_table_counts_every_object_once(sweeps: list[ObjectSweep]) -> None:
     assert table.total.sum() == sum((each.objects.range_m < 80).sum() for each in sweeps)
     assert table.found.sum() == table.matched.sum()
     assert 0 < table.found.sum() < table.total.sum()
+
+
+@pytest.mark.slow
+def test_the_tool_measures_a_table_again(tmp_path: Path) -> None:
+    fit_detector.main(["--keep", "--drives", "1", "--table", str(tmp_path / "table.json")])
+    table = DetectionTable.load(tmp_path / "table.json")
+    assert table.sweeps == 4
+    assert "60000" in table.about["worlds"]

@@ -25,7 +25,7 @@ from viewshed.geometry import Rigid
 from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
-from viewshed.pipeline import SWITCH_INTERVAL_S, Answer, Pipeline
+from viewshed.pipeline import Answer, Pipeline, prepare_process
 from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
@@ -388,7 +388,7 @@ class FieldOfView(LifecycleNode):
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until a signal ends it; one that comes while it starts ends it as well."""
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     rclpy.init(args=arguments or sys.argv)
     node = None
     try:

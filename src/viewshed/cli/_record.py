@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -115,9 +114,9 @@ def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Nam
 
 def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited]) -> int:
     """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were."""
-    from viewshed.pipeline import SWITCH_INTERVAL_S
+    from viewshed.pipeline import prepare_process
 
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    prepare_process()
     count = 0
     try:
         with pipeline:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from viewshed.pipeline.process import prepare_process
 from viewshed.pipeline.reactions import (
     Caution,
     Finding,
@@ -12,9 +13,9 @@ from viewshed.pipeline.reactions import (
     speed_for_view,
     withdraw,
 )
-from viewshed.pipeline.stream import SWITCH_INTERVAL_S, Answer, Pipeline, Statistics
+from viewshed.pipeline.stream import Answer, Pipeline, Statistics
 
 __all__ = [
-    "SWITCH_INTERVAL_S", "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics",
-    "Vehicle", "react", "speed_for_view", "withdraw",
+    "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "Vehicle",
+    "prepare_process", "react", "speed_for_view", "withdraw",
 ]  # fmt: skip

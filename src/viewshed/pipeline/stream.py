@@ -41,10 +41,6 @@ Value = TypeVar("Value")
 AGENTS = 64
 """Agents whose state is remembered; of more the one that was heard longest ago is forgotten."""
 
-SWITCH_INTERVAL_S = 0.0005
-"""For ``sys.setswitchinterval`` of a process that runs a pipeline: at Python's usual 5 ms its threads wait longer for
-each other than they work. It holds for the whole process, so the pipeline does not set it by itself."""
-
 REASONS = 50
 """Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
 

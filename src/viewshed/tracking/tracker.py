@@ -127,11 +127,11 @@ class TrackTable:
 
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
         """Return some of the tracks, as a copy."""
-        return type(self)(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        return type(self)(*(getattr(self, name)[chosen] for name in self.__slots__))
 
     def joined(self, others: Self) -> Self:
         """Return these tracks and others after them."""
-        arrays = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
+        arrays = ((getattr(self, name), getattr(others, name)) for name in self.__slots__)
         return type(self)(*(np.concatenate(pair) for pair in arrays))
 
 
@@ -514,7 +514,7 @@ def _first_of_doubles(boxes: Floats) -> NDArray[np.bool_]:
     """Return the boxes (K,) whose center lies in none of those that are returned before them."""
     is_double = np.triu(inside(boxes, boxes), k=1)
     first = np.ones(len(boxes), np.bool_)
-    for k in range(len(boxes)):
+    for k in np.flatnonzero(is_double.any(axis=0)):
         first[k] = not (is_double[:k, k] & first[:k]).any()
     return first
 

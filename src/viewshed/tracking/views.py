@@ -17,7 +17,6 @@ from viewshed.geometry import Rigid
 from viewshed.objects import moved_boxes
 from viewshed.perception.matching import corners_of
 from viewshed.preprocess.evidence import expected_returns
-from viewshed.preprocess.held_ground import pose_of
 from viewshed.preprocess.leveling import LeveledSweep
 
 Floats = NDArray[np.float64]
@@ -190,9 +189,11 @@ class BeamView:
                 :data:`ALWAYS_FOUND` of what is visible.
             min_returns: returns from which on an object counts as seen.
         """
-        self.t_s, self.in_world = t_s, leveled.world_from_level is not None
+        world_from_level = leveled.world_from_level
+        self.t_s, self.in_world = t_s, world_from_level is not None
         self._leveled, self._found, self._min_returns = leveled, found, min_returns
-        self._level_from_tracks = _level_from_tracks(pose_of(leveled) if self.in_world else None)
+        self._level_from_tracks = _level_from_tracks(world_from_level)
+        self._asked = np.zeros((0, 7)), np.zeros(0)
 
     def visible(self, boxes: Floats) -> Floats:
         """Return the probability (K,) that at least so many beams meet each box."""
@@ -215,7 +216,12 @@ class BeamView:
         return hidden_within(self, boxes, within_m)
 
     def _counts(self, level: Floats) -> Floats:
-        return expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
+        """Return the expected returns (K,); a tracker asks of the same boxes twice, whether seen and whether found."""
+        boxes, counts = self._asked
+        if not np.array_equal(boxes[: len(level)], level):
+            counts = expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
+            self._asked = level, counts
+        return counts[: len(level)]
 
     def _visible(self, counts: Floats) -> Floats:
         return probability_of_visible(counts.astype(np.float32), self._min_returns).astype(np.float64)

@@ -18,7 +18,7 @@ from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
 from viewshed.studies.cases import generator
-from viewshed.studies.formatting import commits, format_interval, format_rate
+from viewshed.studies.formatting import commits, format_interval, format_rate, mean
 from viewshed.studies.records import Results
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
@@ -261,49 +261,45 @@ class AgentsResults:
         return np.asarray(surprises)
 
     def target_table(self) -> Table:
-        """Return what was aimed at beside what was reached."""
+        """Return what was aimed at beside what was reached; what was not run is left out."""
 
-        def areas(*names: str) -> float:
-            return float(np.mean([self._area(self.of(name), "score") for name in names if self.of(name)]))
+        def named(about: str) -> list[str]:
+            return [name for name in self.plan.lies if LIES[name].about == about and "stealthy" not in name]
 
-        def rate(*names: str) -> float:
-            masks = [self.accused(one)[one.run.liars].mean() for name in names for one in self.of(name)]
-            return float(np.mean(masks))
+        def area(*names: str) -> float:
+            return mean(self._area(self.of(name), "score") for name in names if self.of(name))
 
-        alone, together = (
-            [name for name in self.plan.lies if LIES[name].about == about and "stealthy" not in name and self.of(name)]
-            for about in ("objects", "objects together")
-        )
-        flips = [name for name in self.plan.lies if LIES[name].flips]
-        benign = float(np.mean([self.accused(one).any() for one in self.benign]))
-        others = [np.delete(self.accused(one), one.run.liars).any() for name in self.plan.lies for one in self.of(name)]
-        ours = np.mean([_gospa(one, "ours") for name in alone for one in self.of(name)])
-        other = np.mean([_gospa(one, "no trust") for name in alone for one in self.of(name)])
-        quiet = np.mean([_gospa(one, "ours") for one in self.benign]) / np.mean(
-            [_gospa(one, "no trust") for one in self.benign]
-        )
-        rows = [
-            ("scenes with an honest agent accused, nobody lies", "≤ .01", benign, benign <= 0.01),
-            ("the same, others lie", "≤ .01", float(np.mean(others)), np.mean(others) <= 0.01),
-            ("one of five lies about objects, AUROC", "≥ .97", areas(*alone), areas(*alone) >= 0.97),
-            ("accused at 1 %", "≥ .85", rate(*alone), rate(*alone) >= 0.85),
-            ("two lie together, AUROC", "≥ .88", areas(*together), areas(*together) >= 0.88),
-            ("over-claim of 20 % of the area, AUROC", "≥ .92", areas("over_claim"), areas("over_claim") >= 0.92),
-            ("under-claim of 30 %, AUROC", "≥ .80", areas("under_claim"), areas("under_claim") >= 0.80),
-            (
-                "pose shifted by 1 m or turned by 2°, AUROC", "≥ .95", areas("shifted_pose", "turned_pose"),
-                areas("shifted_pose", "turned_pose") >= 0.95,
-            ),
-            ("GOSPA under lies about objects, of no trust", "≤ .7", float(ours / other), ours / other <= 0.7),
-            ("GOSPA where nobody lies, of no trust", "≤ 1.02", float(quiet), quiet <= 1.02),
+        def ratio(runs: Sequence[ScoredRun]) -> float:
+            return mean(_gospa(one, "ours") for one in runs) / mean(_gospa(one, "no trust") for one in runs)
+
+        alone, together, lied = named("objects"), named("objects together"), [
+            one for name in self.plan.lies for one in self.of(name)
         ]  # fmt: skip
-        if flips:
-            victims = [self.accused(one)[one.run.victim] for name in flips for one in self.of(name)]
-            rows.append(("victims of others accused", "≤ .05", float(np.mean(victims)), np.mean(victims) <= 0.05))
-        return Table(
-            ("what", "target", "reached", ""),
-            [[what, target, format_rate(value), "met" if met else "missed"] for what, target, value, met in rows],
-        )
+        of_alone = [one for name in alone for one in self.of(name)]
+        victims = [float(self.accused(one)[one.run.victim]) for one in lied if one.run.victim >= 0]
+        others = [float(np.delete(self.accused(one), one.run.liars).any()) for one in lied]
+        quiet = [float(self.accused(one).any()) for one in self.benign]
+        # What, the bound, whether the figure must lie below it, and the figure.
+        rows = (
+            ("scenes with an honest agent accused, nobody lies", 0.01, True, mean(quiet)),
+            ("the same, others lie", 0.01, True, mean(others)),
+            ("one of five lies about objects, AUROC", 0.97, False, area(*alone)),
+            ("accused at 1 %", 0.85, False, mean(float(self.accused(one)[one.run.liars].mean()) for one in of_alone)),
+            ("two lie together, AUROC", 0.88, False, area(*together)),
+            ("over-claim of 20 % of the area, AUROC", 0.92, False, area("over_claim")),
+            ("under-claim of 30 %, AUROC", 0.80, False, area("under_claim")),
+            ("pose shifted by 1 m or turned by 2°, AUROC", 0.95, False, area("shifted_pose", "turned_pose")),
+            ("victims of others accused", 0.05, True, mean(victims)),
+            ("GOSPA under lies about objects, of no trust", 0.70, True, ratio(of_alone)),
+            ("GOSPA where nobody lies, of no trust", 1.02, True, ratio(self.benign)),
+        )  # fmt: skip
+        lines = []
+        for what, bound, below, figure in rows:
+            if np.isfinite(figure):
+                met = figure <= bound if below else figure >= bound
+                sign = "≤" if below else "≥"
+                lines.append([what, f"{sign} {bound:g}", format_rate(figure), "met" if met else "missed"])
+        return Table(("what", "target", "reached", ""), lines)
 
 
 def _verdicts(score: Floats, doubt: float, one: ScoredRun) -> Verdicts:
@@ -341,7 +337,8 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
     found = AgentsResults(plan, results)
     values: dict[str, Any] = {
         "agents": plan.moving + plan.roadside, "moving": plan.moving, "roadside": plan.roadside,
-        "rate": f"{100 * found.rate:.3g}", "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}", "onset": f"{ONSET_S:g}",
+        "rate": f"{100 * found.rate:.3g}", "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}",
+        "onset": f"{ONSET_S:g}",
     }  # fmt: skip
     title, blocks = fill_template("agents/page.md", values, {
         "targets": found.target_table,

@@ -1,0 +1,92 @@
+"""The study of many agents: its machinery, from scenes to a page, and what its lies do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed._jobs import LocalEngine
+from viewshed.perception.detector import Detector
+from viewshed.studies.agents.jobs import run_study
+from viewshed.studies.agents.lies import APART_M, FORGED, LIES, Liars
+from viewshed.studies.agents.page import page_of
+from viewshed.studies.agents.plan import HONEST, AgentsPlan
+from viewshed.studies.agents.runs import seen_objects
+from viewshed.studies.agents.scenes import Scene
+from viewshed.studies.store import ResultStore
+
+PLAN = replace(AgentsPlan.load("tiny"), seconds=3.0, claims=1, calibration=4, test=1, each=2)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.simulate(PLAN.scene("test", 0), Detector())
+
+
+def test_presets_can_be_loaded_and_scenes_differ_between_splits() -> None:
+    for name in ("tiny", "small", "full"):
+        plan = AgentsPlan.load(name)
+        assert set(plan.lies) == set(LIES)
+        assert plan.cases_of("calibration", 3) == [HONEST]
+        tried = {case for number in range(plan.test) for case in plan.cases_of("test", number)}
+        assert tried == {HONEST, *LIES} or name == "tiny"
+    seeds = {str(PLAN.scene(split, 0).seed(0).entropy) for split in ("claims", "calibration", "test")}
+    assert len(seeds) == 3
+    with pytest.raises(ValueError, match="lies must be"):
+        replace(PLAN, lies=("flattery",))
+
+
+def test_a_scene_is_kept_in_a_file_as_it_was(scene: Scene, tmp_path: Path) -> None:
+    scene.save(tmp_path / "scene.npz")
+    again = Scene.load(tmp_path / "scene.npz")
+    for name in Scene.__slots__:
+        assert np.array_equal(getattr(scene, name), getattr(again, name)), name
+    for one, other in zip(scene.reports(2), again.reports(2), strict=True):
+        assert np.array_equal(one.estimate.state, other.estimate.state)
+        assert np.array_equal(one.detections.boxes, other.detections.boxes)
+        assert one.estimate.basis == other.estimate.basis
+
+
+def test_a_vehicle_stands_below_its_own_sensor_and_is_seen_by_others_alone(scene: Scene) -> None:
+    for report in scene.reports(1):
+        if report.own_box is not None:
+            assert np.hypot(*report.own_box[:2]) < 2.5
+    assert len(seen_objects(scene, 1)) > 3
+
+
+@pytest.mark.parametrize("name", [name for name, lie in LIES.items() if lie.about.startswith("objects")])
+def test_liars_change_their_own_reports_and_no_others(scene: Scene, name: str) -> None:
+    lie = LIES[name]
+    numbers = (0, 1)[: lie.liars]
+    liars = Liars(lie, numbers, -1, np.random.default_rng(4))
+    for time in range(3):
+        honest = scene.reports(time)
+        said = liars.forge(list(honest))
+        for number, (before, after) in enumerate(zip(honest, said, strict=True)):
+            if number not in numbers:
+                assert after is before
+            assert after.estimate is before.estimate
+        first, now = honest[0].in_world, said[0].in_world
+        if name.startswith("fabricate"):
+            away = np.linalg.norm(now.boxes[:, None, :2] - first.boxes[None, :, :2], axis=2).min(axis=1)
+            assert (away > APART_M / 2).sum() == FORGED
+        elif name.startswith("remove"):
+            assert len(now) < len(first) or liars.touched[-1] == 0
+        else:
+            assert len(now) == len(first)
+    assert len(liars.touched) == 3
+
+
+def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, PLAN)
+    assert not list(run_study(store, LocalEngine(1), ("scenes",)))
+    assert not list(run_study(store, LocalEngine(1), ("runs",)))
+    before = store.path.read_bytes()
+    assert not list(run_study(store, LocalEngine(1)))
+    assert store.path.read_bytes() == before
+    page = page_of(store)
+    for heading in ("Against the targets", "Where nobody lies", "Found", "What claims are worth"):
+        assert f"## {heading}" in page
