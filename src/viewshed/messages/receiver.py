@@ -12,7 +12,7 @@ from enum import Enum
 
 from viewshed.fov.estimate import CellState
 from viewshed.grid import BevGrid
-from viewshed.messages.signing import MessageHeading, KeyRing, VerifyingKey, is_signed_by, open_envelope, read_heading
+from viewshed.messages.signing import KeyRing, MessageHeading, VerifyingKey, is_signed_by, open_envelope, read_heading
 from viewshed.messages.view_message import MAX_BYTES, ViewMessage, decode_message
 
 SEQUENCES_KEPT = 64
