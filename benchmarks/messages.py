@@ -7,6 +7,7 @@ messages among honest ones. Writes docs/results/messages.md.
 from __future__ import annotations
 
 import argparse
+import os
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -66,7 +67,8 @@ covers anything else."""
 TIMES = """## Times
 
 Of each sweep the least of several runs, in milliseconds; then median and 95th percentile over the sweeps. Decoding a
-message includes that of its view, and all checks."""
+message includes that of its view, and all checks. More processes than cores cost times, those of whole messages most:
+between two of them others use the caches."""
 REFUSALS = """## Refusing
 
 Microseconds from the bytes to the counted reason."""
@@ -114,7 +116,11 @@ def main() -> None:
     signed = [sign_message(message_of(view, k, rng), key) for k, view in enumerate(views["viewnet"])]
     content = page(
         "Messages between agents: bytes and times",
-        facts(seed=str(SEED), sweeps=f"{len(sweeps)} real ones of {len({s.model for s in sweeps})} kinds of sensor"),
+        facts(
+            load=f"{os.getloadavg()[0]:.0f} processes that wanted to run",
+            seed=str(SEED),
+            sweeps=f"{len(sweeps)} real ones",
+        ),
         SIZES, table(HEADER, [row.cells() for method, found in views.items() for row in view_rows(method, found)]),
         WHOLE, table(HEADER, [row.cells() for row in message_rows(signed)]),
         POLYGON, polygons(views["viewnet"][::POLYGON_EACH]),
