@@ -23,6 +23,8 @@ _SWITCHES = (
     "--no-first-run", "--disable-extensions", "--disable-background-networking", "--hide-scrollbars",
 )  # fmt: skip
 
+_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+
 _LAUNCH = """
 import os, sys
 os.dup2(int(sys.argv[1]), 3)
@@ -40,8 +42,11 @@ def chromium() -> str | None:
 
 
 @contextmanager
-def open_browser() -> Iterator[Browser]:
+def open_browser(*, webgl: bool = False) -> Iterator[Browser]:
     """Start Chromium with an empty profile; yield it with one empty tab.
+
+    Args:
+        webgl: whether pages may draw with WebGL, by software.
 
     Raises:
         FileNotFoundError: there is none.
@@ -52,7 +57,8 @@ def open_browser() -> Iterator[Browser]:
     to_browser, write = os.pipe()
     read, from_browser = os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [program, *_SWITCHES, f"--user-data-dir={profile}", "about:blank"]
+        switches = [switch for switch in _SWITCHES if not (webgl and switch == "--disable-gpu")]
+        command = [program, *switches, *(_WEBGL if webgl else ()), f"--user-data-dir={profile}", "about:blank"]
         process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, str(to_browser), str(from_browser), *command],
             pass_fds=(to_browser, from_browser), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

@@ -79,9 +79,14 @@ SURENESS = 1 - 2 * np.sqrt(19 / 8400)
 
 
 def test_each_case_of_the_table() -> None:
-    """Five tracks: matched, the agent itself, missed in view, out of view, and in view beyond 70 m."""
+    """Five tracks: matched, the agent itself, missed in view, out of view, and in view beyond 70 m.
+
+    The agent has a track of itself as well: that confirms nothing.
+    """
     xy_m = np.array([[20.0, 0.0], [0.3, 0.4], [0.0, 50.0], [-20.0, 0.0], [71.0, 0.0]])
-    report = AgentReport("car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0]]), np.array([1, 1, 1, 0, 1], np.bool_))
+    report = AgentReport(
+        "car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0], [0.3, 0.4]]), np.array([1, 1, 1, 0, 1], np.bool_)
+    )
     frames = np.array([9, 9, 4, 0, 9], np.int32)
     said = pseudo_measurements(
         report, np.array([3.0, 1.0]), xy_m, np.full(5, 9, np.int32), np.tile(TRUSTED, (5, 1)), frames, RULES

@@ -43,6 +43,7 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
         draft.touch(exist_ok=False)  # says in Python's words what stands in the way
         stream.save(draft)
         stream.send_recording_name(title)
+        stream.send_blueprint(_views())
         stream.log("sweep/states", _state_colors(rerun), static=True)
         for frame in frames:
             stream.set_time("sweep", sequence=count)
@@ -65,6 +66,17 @@ def _state_colors(rerun: Any) -> Any:
     return rerun.AnnotationContext(
         [(int(state), WORDS[state], tuple(round(255 * part) for part in COLORS[state])) for state in CellState]
     )
+
+
+def _views() -> Any:
+    """Return which views are open: states and probability each by itself, as one would cover the other."""
+    from rerun import blueprint
+
+    images = [blueprint.Spatial2DView(origin=f"sweep/{name}", name=name) for name in ("states", "probability")]
+    numbers = [blueprint.TimeSeriesView(origin="numbers"), blueprint.TextLogView(origin="alarms")]
+    level = blueprint.Spatial3DView(origin="level")
+    columns = blueprint.Horizontal(level, blueprint.Vertical(*images), blueprint.Vertical(*numbers))
+    return blueprint.Blueprint(columns, collapse_panels=True)
 
 
 def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
