@@ -1,4 +1,4 @@
-"""A picture of a file in Rerun's viewer: ``python -m tools.rerun_picture run.rrd OUT.png [--seconds 20]``.
+"""A picture of a file in Rerun's viewer: ``python tools/rerun_picture.py run.rrd OUT.png [--seconds 20]``.
 
 Rerun's own window needs a screen and a graphics card. Its viewer for browsers is the same program, and a headless
 Chromium draws it by software; nothing is asked from outside this machine.
@@ -13,12 +13,12 @@ import sys
 import time
 from pathlib import Path
 
-from tools.browser import open_browser
+from browser import open_browser
 
 
 def main() -> None:
     """Serve the file, open it, wait and take the picture."""
-    parser = argparse.ArgumentParser(prog="python -m tools.rerun_picture", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tools/rerun_picture.py", description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("picture", type=Path)
     parser.add_argument("--seconds", type=float, default=20.0, help="until all of it is drawn")
