@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.processes import VIEWSHED
+from benchmarks.soak import memory_mb
 from viewshed._page import facts, page, table
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
@@ -64,6 +65,7 @@ def main() -> None:
     content = page(
         "On the robot",
         facts(
+            command="`python -m benchmarks.robot`",
             sweeps=f"{source}; VLP-16 and laser simulated", seed=str(SEED),
             load=f"{load_before:.1f} in the minute before, {os.getloadavg()[0]:.1f} at the end, on all cores",
             threads=f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}",
@@ -147,7 +149,9 @@ def _replay(folder: Path) -> Found:
     taken_s, used_s = [], []
     for place in to:
         begin_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([*command, str(place)], check=True, capture_output=True)
+        done = subprocess.run([*command, str(place)], check=False, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"the replay failed: {done.stderr.strip()[-500:]}")
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         taken_s.append(time.perf_counter() - begin_s)
         used_s.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
@@ -197,7 +201,7 @@ def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
     pipeline.close()
     return {
         "median_ms": 1e3 * float(np.median(latencies)), "processor_ms": 1e3 * used_s / count,
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        "memory_mb": memory_mb(os.getpid()),
     }  # fmt: skip
 
 

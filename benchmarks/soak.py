@@ -125,6 +125,7 @@ def main() -> None:
     content = page(
         "Soak",
         facts(
+            command=f"`python -m benchmarks.soak --minutes {chosen.minutes:g}`",
             sweeps="the junction in the box: HDL-32E, 32,731 returns",
             seed=str(SEED), load=f"{os.getloadavg()[0]:.1f} in the minute before the end, on all cores",
         ),
