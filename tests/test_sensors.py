@@ -22,7 +22,7 @@ RINGS = {
     "roadside": 128, "vlp16": 16, "vlp32c": 32, "xt32": 32,
     # named only, never inferred
     "at128": 128, "bpearl": 32, "helios32": 32, "os2_128": 128, "os2_32": 32, "os2_64": 64, "pandar128": 128,
-    "qt64": 64, "rs16": 16, "rs32": 32, "ruby_plus": 128, "vls128": 128, "xt16": 16,
+    "qt128": 128, "qt64": 64, "rs16": 16, "rs32": 32, "ruby_plus": 128, "vls128": 128, "xt16": 16,
     # without rings
     "livox_avia": 32, "livox_hap": 32, "livox_horizon": 32, "livox_mid360": 32, "livox_mid40": 32, "livox_mid70": 32,
 }  # fmt: skip
@@ -49,7 +49,8 @@ def test_a_shipped_table_ascends_and_cites_its_source(name: str) -> None:
     [
         ("vlp16", -15, 15), ("hdl32e", -30.67, 10.67), ("vlp32c", -25, 15), ("xt32", -16, 15), ("carla", -30, 10),
         ("carla256", -30, 60), ("pandar64", -24.9, 14.9), ("pandar40p", -25, 14.8), ("ot128", -24.7, 15.1),
-        ("vls128", -25, 15), ("qt64", -52.1, 52.1), ("pandar128", -24.7, 15.1), ("at128", -12.47, 12.93),
+        ("vls128", -25, 15), ("qt64", -52.1, 52.1), ("qt128", -52.63, 52.63),
+        ("pandar128", -24.7, 15.1), ("at128", -12.47, 12.93),
         ("os2_128", -11.25, 11.25), ("rs32", -25.03, 14.98), ("helios32", -55, 15), ("bpearl", 2.3, 89.5),
         ("ruby_plus", -25.05, 15.03), ("xt16", -15, 15), ("livox_mid360", -7, 52), ("livox_hap", -12.5, 12.5),
         ("os0_128", -46.3, 45.8), ("os1_128", -21.8, 21.0), ("hdl64e", -25, 1.9), ("roadside", -55, 0),
@@ -162,7 +163,8 @@ def test_what_is_written_is_read(
 def test_only_sensors_that_were_held_against_sweeps_or_stand_alone_are_inferred() -> None:
     names = set(inferable_sensors())
     assert names == set(RINGS) - {
-        "at128", "bpearl", "helios32", "os2_128", "os2_32", "os2_64", "pandar128", "qt64", "rs16", "rs32", "ruby_plus",
+        "at128", "bpearl", "helios32", "os2_128", "os2_32", "os2_64", "pandar128", "qt128", "qt64", "rs16", "rs32",
+        "ruby_plus",
         "vls128", "xt16", *(name for name in RINGS if name.startswith("livox")),
     }  # fmt: skip
 

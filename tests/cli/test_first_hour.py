@@ -101,6 +101,17 @@ def test_an_origin_in_a_reference_system_places_points_of_a_map(tmp_path: Path) 
     assert center == pytest.approx((66_000.0, 30_000.0))
 
 
+def test_points_of_a_map_keep_their_centimeters(tmp_path: Path) -> None:
+    origin = np.array([566_000.0, 5_930_000.0, 12.0])
+    np.save(tmp_path / "map.npy", STREET.points.astype(np.float64) + origin)
+    np.save(tmp_path / "own.npy", STREET.points)
+    words = ("--to", "npz", "--grid", "indoor", "--out")
+    moved = run("export", tmp_path / "map.npy", "--origin", "566000,5930000,12", *words, tmp_path / "map.npz")
+    assert (moved.returncode, moved.stderr) == (0, "")
+    assert run("export", tmp_path / "own.npy", *words, tmp_path / "own.npz").returncode == 0
+    assert (read_npz(tmp_path / "map.npz").state == read_npz(tmp_path / "own.npz").state).mean() > 0.999
+
+
 def test_each_method_has_a_file_name_of_its_own(drive: Path, tmp_path: Path) -> None:
     for method in ("shadow_map", "first_blocker"):
         words = ("--method", method, *FAST, "--out", tmp_path)

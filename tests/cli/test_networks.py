@@ -42,15 +42,15 @@ def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: s
     words = ("estimate", sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
     code, out, err = run(*words, "--out", tmp_path / "out")
     assert (code, err) == (0, "")
-    found = read_npz(tmp_path / "out" / "sweep.npz")
+    found = read_npz(tmp_path / "out" / f"sweep_{method}.npz")
     assert found.method == method
     assert f"visible {found.area_m2(0.7):.0f} m²" in out
     assert found.at(np.array([[8.0, 5.0]]))[0] > 0.9
     assert found.at(np.array([[8.0, -5.0]]))[0] < 0.1
     assert found.std is not None
     assert np.isnan(found.std).all() == (method == "unet")
-    assert (tmp_path / "out" / "sweep.geojson").stat().st_size > 100
-    image = imread(tmp_path / "out" / "sweep.png")
+    assert (tmp_path / "out" / f"sweep_{method}.geojson").stat().st_size > 100
+    image = imread(tmp_path / "out" / f"sweep_{method}.png")
     dark = (image[52 : 52 + 520, :, :3].max(axis=2) < 0.1).mean(axis=0)
     assert image.shape[1] == 20 + panels * 540 + 70 * (panels - 1)
     assert dark.max() > 0.9
@@ -62,7 +62,7 @@ def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> Non
     for number, more in enumerate([(), ("--seed", 0), ("--seed", 1), ("--passes", 5)]):
         words = ("estimate", sweep, "--method", "mc_dropout", "--weights", net, "--grid", "64x16", *more)
         assert run(*words, "--out", tmp_path / str(number))[0] == 0
-        std = read_npz(tmp_path / str(number) / "sweep.npz").std
+        std = read_npz(tmp_path / str(number) / "sweep_mc_dropout.npz").std
         assert std is not None
         found.append(std)
     assert np.array_equal(found[0], found[1])
@@ -77,7 +77,7 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
     found = []
     for below, threshold in ((0.5, 0.45), (0.55, 0.55)):
         code, out, _ = run(*words, "--abstain-below", below, "--out", tmp_path / str(below))
-        found.append(read_npz(tmp_path / str(below) / "sweep.npz"))
+        found.append(read_npz(tmp_path / str(below) / "sweep_unet.npz"))
         assert (code, f"visible {found[-1].area_m2(threshold):.0f} m²" in out) == (0, True)
     every, sure_ones = found
     # Just below its threshold a claim of the network that no beam supports is cut: there each leaves UNKNOWN or HIDDEN.
@@ -200,4 +200,4 @@ def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(t
         out = tmp_path / str(number)
         code, said, err = run("estimate", tmp_path / "sweep.ply", "--height", 1.8, "--out", out, *words)
         assert (code, err) == (0, "")
-        assert read_npz(out / "sweep.npz").method == method, said
+        assert read_npz(out / ("sweep.npz" if method == "shadow_map" else f"sweep_{method}.npz")).method == method, said

@@ -9,7 +9,7 @@ import pytest
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fusion.claims import EDGES, RANGES_M, ClaimTable, claim_table
-from viewshed.fusion.many import AgentReport, CommandCenter, confirmed, joint_fov, match_agents
+from viewshed.fusion.many import AgentReport, CommandCenter, CommonPicture, confirmed, joint_fov, match_agents
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections
@@ -42,9 +42,9 @@ def report(estimate: FovEstimate, boxes: np.ndarray) -> AgentReport:
 AGENTS = [view("a"), view("b", 4.0, -9.0, 0.5), view("c", -5.0, -4.0, 2.0)]
 
 
-def run(said: list[list[np.ndarray]], **settings: bool) -> list:
+def run(said: list[list[np.ndarray]], *, trusting: bool = False) -> list[CommonPicture]:
     """Return the pictures of what three agents report, time after time."""
-    center = CommandCenter(("a", "b", "c"), **settings)
+    center = CommandCenter(("a", "b", "c"), trusting=trusting)
     return [
         center.add(0.5 * time, [report(agent, boxes) for agent, boxes in zip(AGENTS, reports, strict=True)])
         for time, reports in enumerate(said)

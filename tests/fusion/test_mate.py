@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from viewshed.fusion.mate import (
-    AgentReport,
+    MateReport,
     MateRules,
     MateTrust,
     clusters_of,
@@ -79,9 +79,14 @@ SURENESS = 1 - 2 * np.sqrt(19 / 8400)
 
 
 def test_each_case_of_the_table() -> None:
-    """Five tracks: matched, the agent itself, missed in view, out of view, and in view beyond 70 m."""
+    """Five tracks: matched, the agent itself, missed in view, out of view, and in view beyond 70 m.
+
+    The agent has a track of itself as well: that confirms nothing.
+    """
     xy_m = np.array([[20.0, 0.0], [0.3, 0.4], [0.0, 50.0], [-20.0, 0.0], [71.0, 0.0]])
-    report = AgentReport("car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0]]), np.array([1, 1, 1, 0, 1], np.bool_))
+    report = MateReport(
+        "car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0], [0.3, 0.4]]), np.array([1, 1, 1, 0, 1], np.bool_)
+    )
     frames = np.array([9, 9, 4, 0, 9], np.int32)
     said = pseudo_measurements(
         report, np.array([3.0, 1.0]), xy_m, np.full(5, 9, np.int32), np.tile(TRUSTED, (5, 1)), frames, RULES
@@ -97,7 +102,7 @@ def test_each_case_of_the_table() -> None:
 def test_confidences_of_agents_are_clipped() -> None:
     """A track of which nothing is known has σ = .354, and one with α = β = .1 has 1 - 2σ < 0."""
     xy_m, one = np.array([[20.0, 0.0]]), np.ones(1, np.int32)
-    report = AgentReport("car", np.zeros(2), xy_m, np.array([True]))
+    report = MateReport("car", np.zeros(2), xy_m, np.array([True]))
     for beta, expected in (([0.5, 0.5], 1 - 2 * np.sqrt(0.125)), ([1e-6, 1e-6], 1e-4), ([1e12, 1.0], 0.9999)):
         said = pseudo_measurements(report, np.ones(2), xy_m, 9 * one, np.array([beta]), one, RULES)
         assert said.agent_confidence.tolist() == pytest.approx([expected])
@@ -111,7 +116,7 @@ def test_assignment_is_global_and_gated() -> None:
         (np.array([[20.0, 3.0]]), [np.nan, 0.5]),  # 3 m is no longer within the gate
         (nobody, [np.nan, np.nan]),
     ):
-        report = AgentReport("car", np.zeros(2), own, np.zeros(2, np.bool_))
+        report = MateReport("car", np.zeros(2), own, np.zeros(2, np.bool_))
         said = pseudo_measurements(
             report, np.ones(2), xy_m, np.full(2, 9, np.int32), np.full((2, 2), 0.5), np.zeros(2, np.int32), RULES
         )
@@ -136,7 +141,7 @@ def test_the_bias_convicts_the_innocent(agreed: int, denied: int, expected: floa
     """
     xy_m, seen, betas = scene(agreed, denied)
     trust = np.array([0.5, 0.5])
-    report = AgentReport("car", np.zeros(2), seen, np.ones(agreed + denied, np.bool_))
+    report = MateReport("car", np.zeros(2), seen, np.ones(agreed + denied, np.bool_))
     frames = updates = np.full(agreed + denied, 99, np.int32)
     for _ in range(300):
         said = pseudo_measurements(report, trust, xy_m, updates, betas, frames, RULES)
@@ -149,10 +154,10 @@ def test_the_bias_convicts_the_innocent(agreed: int, denied: int, expected: floa
 IDS, AT, NINE = np.array([3, 8]), np.array([[20.0, 0.0], [0.0, 20.0]]), np.full(2, 9, np.int32)
 
 
-def reports(*, denies: bool = False, agents: int = 2) -> list[AgentReport]:
+def reports(*, denies: bool = False, agents: int = 2) -> list[MateReport]:
     """Agents that see both tracks; the last may deny the second one though its view covers it."""
     seen = [AT] * (agents - 1) + [AT[:1] if denies else AT]
-    return [AgentReport(f"car{k}", np.array([3.0 * k, -4.0]), seen[k], np.ones(2, np.bool_)) for k in range(agents)]
+    return [MateReport(f"car{k}", np.array([3.0 * k, -4.0]), seen[k], np.ones(2, np.bool_)) for k in range(agents)]
 
 
 def test_a_round_by_hand() -> None:
@@ -185,8 +190,8 @@ def test_a_track_needs_two_measurements_in_a_round() -> None:
 
 def test_frames_in_view_are_counted_in_a_row() -> None:
     trust = MateTrust()
-    blind = [AgentReport("car0", np.zeros(2), np.zeros((0, 2)), np.array([True, False]))]
-    seen = [AgentReport("car0", np.zeros(2), np.zeros((0, 2)), np.array([True, True]))]
+    blind = [MateReport("car0", np.zeros(2), np.zeros((0, 2)), np.array([True, False]))]
+    seen = [MateReport("car0", np.zeros(2), np.zeros((0, 2)), np.array([True, True]))]
     found = [trust._count_frames(each[0], IDS).tolist() for each in (seen, seen, blind, seen)]
     assert found == [[1, 1], [2, 2], [3, 0], [4, 1]]
 
@@ -212,8 +217,8 @@ def test_an_agent_that_denies_what_is_there_is_convicted_in_seconds() -> None:
 def test_a_track_that_one_agent_invents_is_left_out_of_the_picture() -> None:
     """Two honest agents look at the place and see nothing there."""
     trust = MateTrust()
-    honest = [AgentReport(f"car{k}", np.array([3.0 * k, -4.0]), AT[:1], np.ones(2, np.bool_)) for k in range(2)]
-    liar = AgentReport("liar", np.array([9.0, 9.0]), AT, np.ones(2, np.bool_))
+    honest = [MateReport(f"car{k}", np.array([3.0 * k, -4.0]), AT[:1], np.ones(2, np.bool_)) for k in range(2)]
+    liar = MateReport("liar", np.array([9.0, 9.0]), AT, np.ones(2, np.bool_))
     for k in range(60):
         trust.update(0.1 * k, [*honest, liar], IDS, AT, NINE)
     assert trust.is_trusted(IDS).tolist() == [True, False]
@@ -282,7 +287,7 @@ def test_wrong_rules_and_rounds_are_refused() -> None:
 def test_no_tracks_and_no_agents_change_nothing() -> None:
     trust = MateTrust()
     trust.update(0.0, [], np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int32))
-    empty = AgentReport("car", np.zeros(2), np.zeros((0, 2)), np.zeros(0, np.bool_))
+    empty = MateReport("car", np.zeros(2), np.zeros((0, 2)), np.zeros(0, np.bool_))
     trust.update(0.1, [empty], np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int32))
     assert trust.of_agent("car") == 0.5
     assert trust.tracks == {}

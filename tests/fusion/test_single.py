@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from tests.fusion.by_hand import CAR, GHOST, model, tracks, view
+from tests.fusion.by_hand import CAR, GHOST, cells, model, tracks, view
 
 from viewshed.fusion.calibration import limits_of
+from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.evidence import EvidenceModel
 from viewshed.fusion.explained import FABRICATED, MOVED, REMOVED, Explanation
 from viewshed.fusion.jumps import jump_of
@@ -125,6 +128,19 @@ def test_two_sensors_that_say_the_same_count_as_one() -> None:
         one = alone.explain(*shown, [view(t_s)])
         two = both.explain(*shown, [view(t_s), view(t_s, sensor="left")])
     assert two.e_values == pytest.approx(one.e_values)
+
+
+def test_a_second_sensor_helps_where_the_first_says_nothing() -> None:
+    """A first sensor that knows no cell accuses nobody; with the second one the ghost is seen through."""
+    unknown = cells()
+    unknown = SeenCells(unknown.grid, np.zeros_like(unknown.state), unknown.frame_from_level)
+    alone, both = SingleFusion(model()), SingleFusion(model())
+    for t_s in TIMES[:8]:
+        shown, first = tracks(t_s, [GHOST], [True]), replace(view(t_s), cells=unknown)
+        one = alone.explain(*shown, [first])
+        two = both.explain(*shown, [first, view(t_s, sensor="left")])
+    assert one.accused.tolist() == [False]
+    assert two.accused.tolist() == [True]
 
 
 def test_bad_input_is_refused_in_one_line() -> None:

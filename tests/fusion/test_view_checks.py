@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -94,7 +95,7 @@ def test_an_honest_view_is_hardly_suspicious() -> None:
         ("inflated_certainty", certainty),
     ],
 )
-def test_each_lie_raises_a_check_that_looks_for_it(lie: str, check) -> None:
+def test_each_lie_raises_a_check_that_looks_for_it(lie: str, check: Callable[[ClaimedView], float]) -> None:
     assert check(lied(lie)) > check(claimed(OWN)) + 0.02
 
 
@@ -156,6 +157,8 @@ def test_lies_are_valid_views_and_change_what_they_say(name: str) -> None:
         assert false.visible().sum() / OWN.visible().sum() == pytest.approx(1.2, abs=0.03)
     if name == "under_claim":
         assert false.visible().sum() / OWN.visible().sum() == pytest.approx(0.7, abs=0.03)
+    assert false.world_from_level is not None
+    assert OWN.world_from_level is not None
     moved = np.linalg.norm(false.world_from_level.translation - OWN.world_from_level.translation)
     assert moved == pytest.approx(1.0 if name == "shifted_pose" else 0.0, abs=1e-9)
     visible = (false.state == CellState.FREE) | (false.state == CellState.SURFACE)

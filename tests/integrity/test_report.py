@@ -54,7 +54,9 @@ def test_geojson_of_a_report_has_verdicts_and_reasons() -> None:
     cells = np.zeros(GRID.shape, np.bool_)
     cells[2, 3] = True
     report = IntegrityReport("by hand", 2.0, 1.0, 0.01, True, grid=GRID, suspect_cells=cells, reasons=("for a reason",))
-    found = json.loads(suspects_geojson(report))["properties"]
+    made = json.loads(suspects_geojson(report))
+    assert made["crs"]["properties"]["name"].startswith('LOCAL_CS["level frame')
+    found = made["properties"]
     assert found["alarm"]
     assert found["degraded"]
     assert found["p_value"] == 0.01

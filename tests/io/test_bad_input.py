@@ -180,7 +180,7 @@ def test_whatever_a_reader_raises_names_the_file_and_the_next_file_is_read(
     first, second = capsys.readouterr().err.splitlines()
     assert first == f"viewshed: {names[0]}: is damaged or of a kind that is not read: ZeroDivisionError: two lines"
     assert second.startswith(f"viewshed: {names[1]}: ring must be real numbers")
-    assert (tmp_path / "out" / "good.npz").is_file()
+    assert (tmp_path / "out" / "good_first_blocker.npz").is_file()
 
 
 def test_missing_file_folder_and_pipe_are_os_errors(tmp_path: Path) -> None:

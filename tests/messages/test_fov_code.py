@@ -137,6 +137,16 @@ def test_noise_falls_back_to_fewer_levels_and_then_is_refused() -> None:
         encode_fov(view_of(grid, rng.random(grid.shape), rng.integers(0, 4, grid.shape)))
 
 
+def test_a_view_that_takes_too_many_decisions_has_no_code() -> None:
+    """Decoding is bounded: noise in all that is coded would take five decisions a cell and more."""
+    rng, cells = np.random.default_rng(0), 128
+    state, level = (
+        rng.integers(0, 4, (cells, cells), dtype=np.uint8),
+        rng.integers(0, 16, (cells, cells), dtype=np.uint8),
+    )
+    assert _core.encode_view(state, level, state[:0, :0].copy(), 64, 64) == b""
+
+
 @given(st.binary(max_size=200), st.booleans())
 def test_rubbish_is_refused(code: bytes, with_std: bool) -> None:
     with pytest.raises(ValueError, match="code of a view"):

@@ -71,6 +71,12 @@ PROFILES = ("sound", "paper")
 
 _NO_OPTION = "no option"
 
+_FAR_M = 10_000.0
+"""An origin beyond this is in a map."""
+
+_IN_FLOAT64 = (".pcd", ".ply", ".npy")
+"""Files whose coordinates may be float64."""
+
 _COARSE_M = 0.02
 """Points that float32 stores in coarser steps than this are noted."""
 
@@ -117,7 +123,7 @@ class Reading:
         origin_m = parse_numbers("origin", self.origin, 3)
         for sweep in self._read(path) if entry is None else self._indexed(entry):
             if origin_m is not None:
-                sweep = self._seen_from(origin_m, sweep)  # noqa: PLW2901
+                sweep = self._seen_from(origin_m, sweep, self._is_moved(path, entry))  # noqa: PLW2901
             changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}
             if self.sensor != AUTO:
                 changes |= {"model": model, "infer_sensor": False}
@@ -125,14 +131,24 @@ class Reading:
                 changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
             yield sweep.replace(**changes) if changes else sweep
 
-    def _seen_from(self, origin_m: list[float], sweep: Sweep) -> Sweep:
+    def _is_moved(self, path: Path, entry: IndexEntry | None = None) -> bool:
+        """Return whether the reader itself moves points to a far origin: in float64, before they are rounded."""
+        origin_m = parse_numbers("origin", self.origin, 3)
+        if origin_m is None or entry is not None or self.file_frame is not None:
+            return False
+        return max(map(abs, origin_m)) > _FAR_M and path.name.lower().removesuffix(".gz").endswith(_IN_FLOAT64)
+
+    def _seen_from(self, origin_m: list[float], sweep: Sweep, is_moved: bool) -> Sweep:
         """Return a sweep seen from the sensor; its place is its pose where the points lie in a reference system."""
         import numpy as np
 
         from viewshed.geometry import Rigid
 
         if self.crs is not None and sweep.world_from_sensor is None and self.poses is None:
-            sweep = sweep.replace(world_from_sensor=Rigid.identity())
+            place = np.array(origin_m) if is_moved else np.zeros(3)
+            sweep = sweep.replace(world_from_sensor=Rigid(np.eye(3), place))
+        if is_moved:
+            return sweep
         step_m = float(np.spacing(np.float32(max(map(abs, origin_m)))))
         if step_m > _COARSE_M:
             note(
@@ -142,6 +158,9 @@ class Reading:
         return sweep.seen_from(origin_m)
 
     def _read(self, path: Path) -> Iterator[Sweep]:
+        import numpy as np
+
+        from viewshed.geometry import Rigid
         from viewshed.io import read_sweeps
         from viewshed.io.formats import is_recording
 
@@ -149,8 +168,11 @@ class Reading:
             return self._recorded(path)
         if self.topic is not None:
             raise ValueError(f"--topic goes with a bag, got {path}; leave it out")
+        file_frame: str | Rigid | None = self.file_frame
+        if self._is_moved(path):
+            file_frame = Rigid(np.eye(3), -np.array(parse_numbers("origin", self.origin, 3)))
         return read_sweeps(
-            path, format=self.format, file_frame=self.file_frame,
+            path, format=self.format, file_frame=file_frame,
             sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
         )  # fmt: skip
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from glob import glob
+from itertools import islice
 from pathlib import Path
 
 from viewshed.cli._options import note
+
+_FOLDERS_SEARCHED = 200
+"""So many folders below one without sweeps are looked into for a hint."""
 
 _PATTERN = re.compile(r"[*?\[]")
 
@@ -48,10 +53,19 @@ def _files_of_folder(folder: Path) -> list[Path]:
         if left:
             note(f"{folder}: {len(files)} files are read, {left} folders in it are not")
         return files
-    inner = next((each for each in held if each.is_dir() and _holds_sweeps(each, endings)), None)
+    inner = next(
+        (each for each in islice(_folders_in(folder), _FOLDERS_SEARCHED) if _holds_sweeps(each, endings)), None
+    )
     hint = f"; {inner} has some" if inner is not None else f"; sweeps end in {', '.join(_plain_endings())}"
     layouts = ", ".join(SOURCES)
     raise ValueError(f"{folder} is a folder without sweeps and no recording ({layouts}){hint}")
+
+
+def _folders_in(folder: Path) -> Iterator[Path]:
+    """Yield the folders below a folder, in the order of their names; links are not followed."""
+    for here, inner, _ in os.walk(folder):
+        inner.sort()
+        yield Path(here)
 
 
 def _holds_sweeps(folder: Path, endings: tuple[str, ...]) -> bool:

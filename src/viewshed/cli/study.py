@@ -229,7 +229,7 @@ def agents(
 
 @study_app.command()
 def tracks(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="What is run: tiny, quick, small, full.")] = "small",
     out: Out = None,
     only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: count, limit, test, page.")] = None,
     workers: Workers = None,

@@ -6,6 +6,7 @@ Polygons are in meters of the ``level`` frame; cell (i, j) spans x (forward) by 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -43,6 +44,16 @@ def checked_mask(mask: BoolMask, grid: BevGrid) -> BoolMask:
     if array.shape != grid.shape or array.dtype != np.bool_:
         raise ValueError(f"mask must be bool of the grid's shape {grid.shape}, got {array.dtype} {array.shape}")
     return np.ascontiguousarray(array)
+
+
+def local_crs(frame: str) -> dict[str, Any]:
+    """Return the member ``crs`` of a GeoJSON in meters of a frame: else programs take them for longitude and latitude.
+
+    >>> local_crs("level")["properties"]["name"].partition("[")[0]
+    'LOCAL_CS'
+    """
+    name = f'LOCAL_CS["{frame} frame of viewshed",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+    return {"type": "name", "properties": {"name": name}}
 
 
 def polygon_of_mask(mask: BoolMask, grid: BevGrid) -> MultiPolygon:

@@ -164,7 +164,7 @@ def miss_weight(distance_m: Floats, frames: Floats, updates: Floats, rules: Mate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AgentReport:
+class MateReport:
     """What one agent brings to a round.
 
     Attributes:
@@ -196,7 +196,7 @@ class PseudoMeasurements:
 
 
 def pseudo_measurements(
-    report: AgentReport,
+    report: MateReport,
     agent_trust: Floats,
     xy_m: Floats,
     updates: NDArray[np.int32],
@@ -239,7 +239,7 @@ class MateTrust:
 
     >>> trust = MateTrust()
     >>> here, there = np.array([[10.0, 0.0]]), np.array([0.0, 0.0])
-    >>> report = AgentReport("car", there, here, np.array([True]))
+    >>> report = MateReport("car", there, here, np.array([True]))
     >>> trust.update(0.0, [report], np.array([7]), here, np.array([5], np.int32))
     >>> round(trust.of_agent("car"), 3)
     0.5
@@ -267,7 +267,7 @@ class MateTrust:
     def update(
         self,
         t_s: float,
-        reports: Sequence[AgentReport],
+        reports: Sequence[MateReport],
         ids: NDArray[np.int64],
         xy_m: Floats,
         updates: NDArray[np.int32],
@@ -317,7 +317,7 @@ class MateTrust:
             betas = betas + gain * is_enough[:, None]
         self.tracks = {int(track): beta for track, beta in zip(ids, betas, strict=True)}
 
-    def _count_frames(self, report: AgentReport, ids: NDArray[np.int64]) -> NDArray[np.int32]:
+    def _count_frames(self, report: MateReport, ids: NDArray[np.int64]) -> NDArray[np.int32]:
         """Count the frames in a row (J,) in which a view covered each track, this one too."""
         frames = np.zeros(len(ids), np.int32)
         counted = {}

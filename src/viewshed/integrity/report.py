@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fov.polygons import polygon_of_mask
+from viewshed.fov.polygons import local_crs, polygon_of_mask
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity.evidence.base import SECTORS, sector_of
 
@@ -140,5 +140,11 @@ def suspects_geojson(report: IntegrityReport) -> bytes:
         "axes": "x forward, y left of the sensor",
     }
     shape = mapping(polygon_of_mask(report.suspect_cells, report.grid))
-    feature = {"type": "Feature", "viewshed:frame": frame, "properties": properties, "geometry": shape}
+    feature = {
+        "type": "Feature",
+        "crs": local_crs("level"),
+        "viewshed:frame": frame,
+        "properties": properties,
+        "geometry": shape,
+    }
     return json.dumps(feature, allow_nan=False).encode()

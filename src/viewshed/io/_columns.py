@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -177,6 +177,27 @@ WANTED = frozenset(("x", "y", "z", *_INTENSITY, *_RING, *_AZIMUTH, *_TIME))
 """Lower-case names of columns that are read; the others are skipped."""
 
 
+_FAR_M = 10_000.0
+"""Float32 stores coordinates beyond this in steps of a millimeter and more."""
+
+
+def near_points(axes: Sequence[NDArray[Any]], frame: Rigid) -> tuple[NDArray[np.float32], Rigid]:
+    """Return points (N, 3) of their x, y and z (N,), and the ``sensor_from_file`` that is left to apply.
+
+    Coordinates of a map, whose frame only moves them by far, are moved before float32 could round them.
+
+    >>> place = Rigid(np.eye(3), np.array([0.0, -5_930_000.0, 0.0]))
+    >>> near_points([np.array([1.0]), np.array([5_930_000.125]), np.array([0.0])], place)[0].tolist()
+    [[1.0, 0.125, 0.0]]
+    """
+    points = np.empty((len(axes[0]), 3), np.float32)
+    is_far = bool(np.abs(frame.translation).max() > _FAR_M and (frame.rotation == np.eye(3)).all())
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis, values in enumerate(axes):
+            points[:, axis] = values + frame.translation[axis] if is_far else values
+    return points, IDENTITY if is_far else frame
+
+
 def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, ours: bool) -> Columns:
     """Return Columns from lower-case names → (N,) numbers; ``ours`` says that this package wrote the file.
 
@@ -188,14 +209,11 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     missing = [name for name in "xyz" if name not in table]
     if missing:
         raise ValueError(f"must have columns x, y and z, {', '.join(missing)} not found among {', '.join(table)}")
-    points = np.empty((len(table["x"]), 3), np.float32)
+    points, place = near_points([table[name] for name in "xyz"], IDENTITY if frame is None else frame)
     with np.errstate(over="ignore", invalid="ignore"):
-        for axis, name in enumerate("xyz"):
-            points[:, axis] = table[name]
         intensity = _first(table, _INTENSITY)
         intensity = None if intensity is None else intensity.astype(np.float32)
     ring, azimuth, time = (_first(table, names) for names in (_RING, _AZIMUTH, _TIME))
-    place = IDENTITY if frame is None else frame
     if ours:
         return Columns(points, intensity, ring, azimuth=azimuth, time_s=time, frame=place)
     laser = None if ring is None else whole_rings(ring)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import IDENTITY, Columns, Saved
+from viewshed.io._columns import IDENTITY, Columns, Saved, near_points
 from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
 from viewshed.sweep import MAX_POINTS, PlanarScan, Sweep, shape_remedy
@@ -80,9 +80,10 @@ def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
         raise ValueError(f"points must be floats (meters) or int32 (millimeters), got {array.dtype}")
     millimeters = array.dtype.kind == "i"
     with np.errstate(over="ignore"):
-        points = (array[:, :3] * 1e-3 if millimeters else array[:, :3]).astype(np.float32, order="C")
+        meters = array[:, :3] * 1e-3 if millimeters else array[:, :3]
+        points, place = near_points(list(meters.T), IDENTITY if frame is None else frame)
         intensity = array[:, 3].astype(np.float32) if array.shape[1] > 3 and not millimeters else None
-    return Columns(points, intensity, frame=IDENTITY if frame is None else frame)
+    return Columns(points, intensity, frame=place)
 
 
 def read_npz(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:

@@ -12,7 +12,7 @@ from enum import Enum
 
 from viewshed.fov.estimate import CellState
 from viewshed.grid import BevGrid
-from viewshed.messages.signing import Heading, KeyRing, VerifyingKey, is_signed_by, open_envelope, read_heading
+from viewshed.messages.signing import KeyRing, MessageHeading, VerifyingKey, is_signed_by, open_envelope, read_heading
 from viewshed.messages.view_message import MAX_BYTES, ViewMessage, decode_message
 
 SEQUENCES_KEPT = 64
@@ -219,7 +219,7 @@ class Receiver:
             self._links.move_to_end(link)
         return bucket
 
-    def _key_of(self, key_id: bytes, heading: Heading) -> VerifyingKey:
+    def _key_of(self, key_id: bytes, heading: MessageHeading) -> VerifyingKey:
         key = self.keys.find(key_id)
         if key is None:
             raise _RefusedError(Reason.UNKNOWN_KEY, key_id.hex())
@@ -231,7 +231,7 @@ class Receiver:
             raise _RefusedError(Reason.KEY_NOT_VALID, key_id.hex())
         return key
 
-    def _check_heading(self, heading: Heading, signature: bytes, now_ns: int) -> AgentRecord:
+    def _check_heading(self, heading: MessageHeading, signature: bytes, now_ns: int) -> AgentRecord:
         """Look at age, sequence and rate. Nothing is remembered yet, for anybody can write a heading."""
         age_s = (now_ns - heading.t_ns) / _NS
         if age_s > self.limits.max_age_s:
@@ -255,7 +255,9 @@ class Receiver:
             raise _RefusedError(Reason.TOO_OFTEN, f"more than {self.limits.max_hz:g} a second")
         return record
 
-    def _check_content(self, payload: bytes, signature: bytes, heading: Heading, record: AgentRecord) -> ViewMessage:
+    def _check_content(
+        self, payload: bytes, signature: bytes, heading: MessageHeading, record: AgentRecord
+    ) -> ViewMessage:
         """Remember the signed message, and decode and check what it says."""
         record.bucket.tokens -= 1.0
         try:
@@ -273,7 +275,7 @@ class Receiver:
         record.taken += 1
         return message
 
-    def _remember(self, heading: Heading, signature: bytes, record: AgentRecord) -> None:
+    def _remember(self, heading: MessageHeading, signature: bytes, record: AgentRecord) -> None:
         if heading.sequence > record.newest:
             record.lost += heading.sequence - record.newest - 1 if record.newest >= 0 else 0
             record.newest, record.newest_ns = heading.sequence, heading.t_ns

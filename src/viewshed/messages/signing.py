@@ -135,7 +135,7 @@ class Envelope:
 
 
 @dataclass(frozen=True, slots=True)
-class Heading:
+class MessageHeading:
     """What is read of a payload before its signature is verified."""
 
     agent: str
@@ -185,7 +185,7 @@ def open_envelope(data: bytes) -> Envelope:
     return Envelope(data[begin - KEY_ID_BYTES : begin], data[reader.at : end], data[end + 2 :])
 
 
-def read_heading(payload: bytes) -> Heading:
+def read_heading(payload: bytes) -> MessageHeading:
     """Return sender, sequence number and time of a payload; they come first.
 
     Raises:
@@ -205,7 +205,7 @@ def read_heading(payload: bytes) -> Heading:
     if [type(each) for each in (agent, sequence, t_ns)] != [str, int, int]:
         raise ValueError("a payload must begin with a name and two whole numbers")
     require_name("agent", agent)
-    return Heading(agent, sequence, t_ns)
+    return MessageHeading(agent, sequence, t_ns)
 
 
 def is_signed_by(data: bytes, key: VerifyingKey) -> bool:

@@ -69,6 +69,18 @@ def test_moments_hold_what_their_world_tells(moments: list[Moment]) -> None:
     assert last.views["none"].view.visible(last.truth.boxes).min() == 1.0
 
 
+def test_the_detector_of_the_package_can_be_asked() -> None:
+    """On returns of one sweep it finds objects with many of them, and each detection lies at its object."""
+    scene = replace(TINY, seconds=1.0).scene(("count", "hdl32e", "clear", "0"))
+    moment = next(simulate_drive(scene, ("default",), "perception"))
+    numbers = moment.truth.numbers.tolist()
+    is_object = moment.of_object >= 0
+    rows = [numbers.index(number) for number in moment.of_object[is_object]]
+    away = moment.detections.boxes[is_object, :2] - moment.truth.boxes[rows, :2]
+    assert len(rows) >= 3
+    assert (np.hypot(*away.T) <= 2.0).all()
+
+
 def test_the_simulated_detector_finds_by_returns() -> None:
     """Many returns are found nearly always, few rarely, none never."""
     counts = np.repeat([0, 3, 100], 200)

@@ -11,7 +11,7 @@ from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
-from viewshed.fov.polygons import mask_of_polygon, polygon_of_mask
+from viewshed.fov.polygons import local_crs, mask_of_polygon, polygon_of_mask
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.io.export.crs import crs_named, from_wgs84, to_wgs84
@@ -25,10 +25,6 @@ STATES = (
 
 _BASIS = tuple(field.name for field in fields(Basis))
 """Properties of each feature that say what the estimate rests on; absent where that is not known."""
-
-
-LOCAL_CRS = 'LOCAL_CS["{frame} frame of viewshed",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
-"""Of coordinates that lie in no map: without it, GIS programs take meters for longitude and latitude."""
 
 
 def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: str | None = None) -> dict[str, Any]:
@@ -56,10 +52,9 @@ def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: st
     masks |= {state.name.lower(): estimate.state == state for state in CellState}
     frame = "level" if pose is None else "world"
     unit = f"meters in {frame} frame, not WGS84" if crs is None else "degrees, WGS84"
-    local = {"crs": {"type": "name", "properties": {"name": LOCAL_CRS.format(frame=frame)}}}
     return {
         "type": "FeatureCollection",
-        **(local if crs is None else {}),
+        **({"crs": local_crs(frame)} if crs is None else {}),
         "viewshed:frame": {
             "name": frame,
             "coordinates": unit,

@@ -135,9 +135,8 @@ def checked(scene: Scene, said: Sequence[Sequence[AgentReport]]) -> list[list[fl
             rows.append(check_view(ClaimedView(now[number].estimate, now[number].detections, others, before)))
         known: NDArray[np.bool_] = np.isfinite(np.array(rows))
         mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        out.append(
-            [float(f"{value:.5g}") if some else None for value, some in zip(mean, known.any(axis=0), strict=True)]
-        )
+        some = known.any(axis=0).tolist()
+        out.append([float(f"{value:.5g}") if is_known else None for value, is_known in zip(mean, some, strict=True)])
     return out
 
 

@@ -20,20 +20,26 @@ from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.sensor_view import SensorView
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.object_metrics import match_objects
 from viewshed.objects import Detections, ObjectKind, moved_boxes
+from viewshed.perception.detection_table import detection_table
+from viewshed.perception.detector import Detector
 from viewshed.preprocess.evidence import expected_returns
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, World
 from viewshed.sweep import Sweep
-from viewshed.tracking.views import BeamView, GridView, PolygonView, SeesAll, View, hidden_within
+from viewshed.tracking.views import BeamView, DetectionProb, GridView, PolygonView, SeesAll, View, hidden_within
 
 FOVS = ("none", "polygon", "default_hard", "default", "exact")
 """No field of view; the published polygon; the default method's as a mask; its probability; the exact one."""
 
 POLYGON = "paper_concave_hull"
 """The estimator that is the published polygon."""
+
+DETECTORS = ("simulated", "perception")
+"""A detector by tables, at the object level; or that of ``viewshed.perception``, on the returns of each sweep."""
 
 HZ = 10.0
 
@@ -196,12 +202,21 @@ class SimulatedDetector:
 
 
 def simulate_drive(
-    plan: ScenePlan, fovs: tuple[str, ...] = FOVS, sensor: str = "top", grid: BevGrid = GRID
+    plan: ScenePlan, fovs: tuple[str, ...] = FOVS, detector: str = "simulated", sensor: str = "top"
 ) -> Iterator[Moment]:
-    """Yield the sweeps of a drive of one vehicle with truth, honest detections and fields of view."""
+    """Yield the sweeps of a drive of one vehicle with truth, honest detections and fields of view.
+
+    Args:
+        plan: of its scene.
+        fovs: of ``FOVS``.
+        detector: one of ``DETECTORS``.
+        sensor: name of the sensor in its views.
+    """
+    grid, by_tables = GRID, detector == "simulated"
+    found = _found if by_tables else detection_table().prob
     world, agent = world_of(plan), world_of(plan).agents[0]
     estimator, polygon = load_estimator(DEFAULT_ESTIMATOR, grid=grid), load_estimator(POLYGON, grid=grid)
-    detector = SimulatedDetector(np.random.Generator(np.random.PCG64(plan.seed(99))))
+    simulated, perception = SimulatedDetector(np.random.Generator(np.random.PCG64(plan.seed(99)))), Detector()
     movable = [
         k for k, thing in enumerate(world.things)
         if k != agent.carrier and (thing.kind in OBJECT_KINDS or thing.track is not None)
@@ -230,23 +245,36 @@ def simulate_drive(
                 cells, view = _exact_view(scan, sweep, world, agent, grid)
             else:
                 cells = None if fov in ("none", "polygon") else SeenCells.of(estimate)
-                view = _view_of(fov, t_s, leveled, estimate, hull)
+                view = _view_of(fov, t_s, leveled, estimate, hull, found)
             views[fov] = SensorView(sensor, view, place, cells, yaw=yaw)
         aimed = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
         visible = probability_of_visible(aimed.astype(np.float32), SEEN_FROM).astype(np.float64)
         surface = grid.centers[estimate.state == CellState.SURFACE]
         surface_xyz = world_from_level @ np.column_stack([surface, np.full(len(surface), 0.75)])
-        detections, of_object = detector.detect(truth, surface_xyz, t_s)
+        if by_tables:
+            detections, of_object = simulated.detect(truth, surface_xyz, t_s)
+        else:
+            detections = perception.detect(leveled).moved(world_from_level)
+            of_object = _objects_of(detections, truth)
         yield Moment(t_s, world_from_level.translation, truth, detections, of_object, visible, views)
 
 
-def _view_of(fov: str, t_s: float, leveled: LeveledSweep, estimate: FovEstimate, hull: FovEstimate) -> View:
+def _objects_of(detections: Detections, truth: ObjectsTruth) -> NDArray[np.int32]:
+    """Return the number (K,) of the object of each detection, by centers at most 2 m apart; -1 for none."""
+    count = np.arange(len(detections))
+    matched = match_objects(detections.boxes, count, truth.boxes, truth.numbers.astype(np.int64)).truth_of_track
+    return np.append(truth.numbers, np.int32(-1))[matched]
+
+
+def _view_of(
+    fov: str, t_s: float, leveled: LeveledSweep, estimate: FovEstimate, hull: FovEstimate, found: DetectionProb
+) -> View:
     """Return the view of a field of view by its name."""
     views: dict[str, Callable[[], View]] = {
         "none": lambda: SeesAll(t_s),
         "polygon": lambda: PolygonView.of(hull, t_s),
         "default_hard": lambda: GridView(estimate, t_s, hard=True),
-        "default": lambda: BeamView(leveled, t_s, found=_found),
+        "default": lambda: BeamView(leveled, t_s, found=found),
     }
     return views[fov]()
 

@@ -70,7 +70,7 @@ def do_job(job: Job[TracksPlan]) -> JobResult:
     """Simulate a drive, and count, take the highest e-values, or attack it."""
     step, _, _, number = job.key
     plan, facts = job.plan, dict[str, Any]()
-    moments = list(simulate_drive(plan.scene(job.key), plan.fovs))
+    moments = list(simulate_drive(plan.scene(job.key), plan.fovs, plan.detector))
     for fov in plan.fovs:
         if step == "count":
             counts = EvidenceCounts()

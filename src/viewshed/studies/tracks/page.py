@@ -179,6 +179,7 @@ def page_of(store: ResultStore[TracksPlan]) -> str:
     values = {
         "seconds": f"{plan.seconds:g}", "objects": plan.objects, "accused": f"{plan.accused:.0%}",
         "range_m": f"{RANGE_M:g}",
+        "detector": plan.detector,
     }  # fmt: skip
     title, blocks = fill_template("tracks/page.md", values, {
         "targets": results.target_table,

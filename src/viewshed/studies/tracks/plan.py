@@ -13,7 +13,7 @@ from viewshed.sensors import lidar_model
 from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.worlds import WORLDS
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
-from viewshed.studies.tracks.drives import FOVS, HZ
+from viewshed.studies.tracks.drives import DETECTORS, FOVS, HZ
 from viewshed.threats.object_attacks import OBJECT_ATTACKS
 
 STEPS = ("count", "limit", "test", "page")
@@ -31,6 +31,7 @@ class TracksPlan(Plan):
         worlds: kinds of world, in turn.
         sensors: beam tables.
         conditions: weather.
+        detector: one of ``DETECTORS``.
         fovs: fields of view, of ``FOVS``.
         attacks: names of ``OBJECT_ATTACKS``.
         objects: that are forged at a time.
@@ -54,6 +55,7 @@ class TracksPlan(Plan):
     worlds: tuple[str, ...]
     sensors: tuple[str, ...]
     conditions: tuple[str, ...]
+    detector: str
     fovs: tuple[str, ...]
     attacks: tuple[str, ...]
     objects: int
@@ -68,6 +70,7 @@ class TracksPlan(Plan):
         check_names("preset", (self.preset,), preset_names())
         check_names("worlds", self.worlds, WORLDS, once=True)
         check_names("conditions", self.conditions, CONDITIONS, once=True)
+        check_names("detector", (self.detector,), DETECTORS)
         check_names("fovs", self.fovs, FOVS, once=True)
         check_names("attacks", self.attacks, OBJECT_ATTACKS)
         for sensor in self.sensors:
