@@ -226,6 +226,35 @@ class AgentsResults:
                 ])  # fmt: skip
         return Table(("other agents that see it", "AUROC", "accused", "disputed", "honest ones accused", "runs"), rows)
 
+    def published_table(self) -> Table:
+        """Return what the published trust makes of the same reports, beside ours."""
+        benign = np.concatenate([_lowest_trust(one) for one in self.benign])
+        quiet = [_gospa(one, "published") / _gospa(one, "no trust") for one in self.benign]
+        rows = [[
+            "nobody lies", "–", "–", "–", format_rate(float(np.median(benign))),
+            format_rate(float(np.quantile(benign, 0.05))), f"{np.mean(quiet):.2f}",
+        ]]  # fmt: skip
+        for name in self.plan.lies:
+            runs = self.of(name)
+            if runs:
+                lied = np.concatenate([_lowest_trust(one)[one.run.liars] for one in runs])
+                honest = np.concatenate([np.delete(_lowest_trust(one), one.run.liars) for one in runs])
+                area = (benign[None] > lied[:, None]).mean() + 0.5 * (benign[None] == lied[:, None]).mean()
+                ratios = [
+                    np.mean([_gospa(one, center) for one in runs]) / np.mean([_gospa(one, "no trust") for one in runs])
+                    for center in ("published", "ours")
+                ]
+                rows.append([
+                    name, format_rate(float(area)), format_rate(self._area(runs, "evidence")),
+                    format_rate(float(np.median(lied))), format_rate(float(np.median(honest))),
+                    format_rate(float(np.quantile(honest, 0.05))), f"{ratios[0]:.2f} / {ratios[1]:.2f}",
+                ])  # fmt: skip
+        header = (
+            "lie", "AUROC, published", "ours, by reports", "liar's lowest trust", "an honest one's", "its 5 % quantile",
+            "GOSPA of no trust, published / ours",
+        )  # fmt: skip
+        return Table(header, rows)
+
     def claims_table(self) -> Table:
         """Return how often agents claim to see a car or a larger object that gave fewer than five returns."""
         totals: dict[str, NDArray[np.int64]] = {}
@@ -269,8 +298,8 @@ class AgentsResults:
         def area(*names: str) -> float:
             return mean(self._area(self.of(name), "score") for name in names if self.of(name))
 
-        def ratio(runs: Sequence[ScoredRun]) -> float:
-            return mean(_gospa(one, "ours") for one in runs) / mean(_gospa(one, "no trust") for one in runs)
+        def ratio(runs: Sequence[ScoredRun], center: str = "no trust") -> float:
+            return mean(_gospa(one, "ours") for one in runs) / mean(_gospa(one, center) for one in runs)
 
         alone, together, lied = named("objects"), named("objects together"), [
             one for name in self.plan.lies for one in self.of(name)
@@ -291,6 +320,7 @@ class AgentsResults:
             ("pose shifted by 1 m or turned by 2°, AUROC", 0.95, False, area("shifted_pose", "turned_pose")),
             ("victims of others accused", 0.05, True, mean(victims)),
             ("GOSPA under lies about objects, of no trust", 0.70, True, ratio(of_alone)),
+            ("the same, of the published trust", 0.70, True, ratio(of_alone, "published")),
             ("GOSPA where nobody lies, of no trust", 1.02, True, ratio(self.benign)),
         )  # fmt: skip
         lines = []
@@ -312,6 +342,12 @@ def _counts(run: Run, plan: AgentsPlan) -> bool:
     """Return whether the liars changed an object or 5 % of the area for a second at least."""
     least = 0.05 if LIES[run.case].about == "view" else 1.0
     return sum(value >= least for value in run.touched) / plan.hz >= 1.0
+
+
+def _lowest_trust(one: ScoredRun) -> Floats:
+    """Return the lowest published trust (A,) in each agent from the onset on."""
+    trust = np.array(one.run.published_trust)
+    return np.asarray(trust[len(trust) // 4 :].min(axis=0))
 
 
 def _gospa(one: ScoredRun, center: str) -> float:
@@ -345,6 +381,7 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
         "benign": found.benign_table,
         "found": found.found_table,
         "flips": found.flip_table,
+        "published": found.published_table,
         "overlap": found.overlap_table,
         "checks": found.checks_table,
         "claims": found.claims_table,

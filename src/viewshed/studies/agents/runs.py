@@ -15,6 +15,7 @@ from viewshed.fusion.view_checks import ClaimedView, check_view
 from viewshed.object_metrics import gospa
 from viewshed.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
 from viewshed.studies.agents.plan import ONSET_S
+from viewshed.studies.agents.published import PublishedTrust
 from viewshed.studies.agents.scenes import Scene
 from viewshed.studies.cases import generator
 from viewshed.tracking.views import GridView
@@ -42,6 +43,7 @@ class Run:
         evidence: [T][A] natural logarithm of the e-value against each agent.
         doubt: [T] of all.
         trust: [T][A].
+        published_trust: [T][A], of the published formulas.
         suspects: [T][A] 0 or 1.
         checks: [A][C] of the claimed views, the mean over some times; None where a check abstained.
         gospa: by center, [T] meters.
@@ -55,6 +57,7 @@ class Run:
     evidence: list[list[float]]
     doubt: list[float]
     trust: list[list[float]]
+    published_trust: list[list[float]]
     suspects: list[list[int]]
     checks: list[list[float | None]]
     gospa: dict[str, list[float]]
@@ -76,22 +79,27 @@ def run_case(scene: Scene, case: str, seed: tuple[int, str, int], claims: ClaimT
         "ours": CommandCenter(agents, claims=claims),
         "no trust": CommandCenter(agents, claims=claims, trusting=True),
     }
-    distances: dict[str, list[float]] = {name: [] for name in centers}
-    evidence, doubt, trust, suspects = [], [], [], []
+    distances: dict[str, list[float]] = {name: [] for name in (*centers, "published")}
+    evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
+    published = PublishedTrust()
     for time, reports in enumerate(said):
         truth = seen_objects(scene, time)
         for name, center in centers.items():
             picture = center.add(float(scene.times_s[time]), reports)
             shown = picture.tracks.confirmed if center.trusting else picture.believed
             distances[name].append(gospa(picture.tracks.boxes[shown, :2], truth[:, :2]).distance_m)
-            if name == "ours":
+            if center.trusting:
+                agents_trust, believed = published.add(picture, reports)
+                published_trust.append(agents_trust)
+                distances["published"].append(gospa(picture.tracks.boxes[believed, :2], truth[:, :2]).distance_m)
+            else:
                 evidence.append(picture.verdicts.evidence)
                 doubt.append(picture.verdicts.doubt)
                 trust.append(picture.verdicts.trust)
                 suspects.append(picture.verdicts.suspects)
     return Run(
         case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence), _rounded(doubt),
-        _rounded(trust), np.array(suspects, int).tolist(), checked(scene, said),
+        _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(), checked(scene, said),
         {name: _rounded(values) for name, values in distances.items()}, liars.touched if liars else [],
         overlap_of(scene, liars) if liars else float("nan"),
     )  # fmt: skip
@@ -135,7 +143,7 @@ def checked(scene: Scene, said: Sequence[Sequence[AgentReport]]) -> list[list[fl
             rows.append(check_view(ClaimedView(now[number].estimate, now[number].detections, others, before)))
         known: NDArray[np.bool_] = np.isfinite(np.array(rows))
         mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        some = known.any(axis=0).tolist()
+        some: list[bool] = np.asarray(known.any(axis=0)).tolist()
         out.append([float(f"{value:.5g}") if is_known else None for value, is_known in zip(mean, some, strict=True)])
     return out
 
