@@ -17,6 +17,9 @@ from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from viewshed.estimators import Estimator
     from viewshed.fusion.many import AgentReport, CommonPicture
     from viewshed.perception.detector import Detector
@@ -119,25 +122,36 @@ def report_of(sweep: Sweep, estimator: Estimator, detector: Detector) -> AgentRe
 
 
 def line_of(picture: CommonPicture) -> str:
-    """Return a picture in a line: objects, who reports, and who is suspected."""
-    verdicts = picture.verdicts
-    doubted = [
-        f"{agent} (trust {trust:.2f})"
-        for agent, trust, suspect in zip(picture.agents, verdicts.trust, verdicts.suspects, strict=True) if suspect
-    ]  # fmt: skip
-    doubts = f"; contradicted: {', '.join(doubted)}" if doubted else ""
-    return f"{picture.t_s:.2f} s: {picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed{doubts}"
+    """Return a picture in a line: objects, who is accused of lies, and who is disputed."""
+    accused, disputed = judged(picture)
+    verdicts = "".join(
+        f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
+        for word, flags in (("ACCUSED", accused), ("disputed", disputed)) if flags.any()
+    )  # fmt: skip
+    objects = f"{picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed"
+    return f"{picture.t_s:.2f} s: {objects}{verdicts}"
+
+
+def judged(picture: CommonPicture) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return who is accused and who is disputed (A,), at the smallest rate of the limits in the box, 1 % at least."""
+    from viewshed.fusion.trust import trust_limits
+
+    limits = trust_limits()
+    rate = max(0.01, limits.least_rate(len(picture.agents)))
+    return limits.accused(picture.verdicts, rate), limits.disputed(picture.verdicts, rate)
 
 
 def numbers_of(picture: CommonPicture) -> dict[str, Any]:
     """Return the numbers of a picture as plain values."""
     tracks, verdicts = picture.tracks, picture.verdicts
+    accused, disputed = judged(picture)
     agents = {
-        agent: {"trust": round(float(trust), 4), "evidence": round(float(evidence), 3), "suspect": bool(suspect)}
-        for agent, trust, evidence, suspect in zip(
-            picture.agents, verdicts.trust, verdicts.evidence, verdicts.suspects, strict=True
-        )
-    }
+        agent: {
+            "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
+            "accused": bool(accused[n]), "disputed": bool(disputed[n]),
+        }
+        for n, agent in enumerate(picture.agents)
+    }  # fmt: skip
     objects = [
         {
             "id": int(tracks.ids[k]), "box": tracks.boxes[k].round(3).tolist(),

@@ -45,7 +45,7 @@ FAR_M = 50.0
 OWN_SIZE_M = (4.8, 2.0, 1.6)
 """Size of the vehicle below a low sensor, where it is not known."""
 
-STD_M, STD_PER_M = 0.25, 0.006
+STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
 
 LEAST_TRUST = 0.05

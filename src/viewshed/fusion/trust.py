@@ -22,7 +22,10 @@ agent if the model were exact. It is not exact, so accusations are calibrated on
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
 from itertools import combinations
 from typing import Any
 
@@ -56,10 +59,10 @@ class TrustRules:
         ValueError: a number is out of range.
     """
 
-    false_report: float = 0.02
+    false_report: float = 0.1
     lie: float = 0.05
     prior: float = 0.1
-    least_miss: float = 0.03
+    least_miss: float = 0.1
     disc_m: float = 4.0
     most_of_object: float = 4.0
     half_life_s: float = 10.0
@@ -280,6 +283,20 @@ class TrustLimits:
             raise ValueError("evidence and doubt must be finite; leave out scenes without reports")
         return cls(np.sort(evidence.astype(np.float64)), np.sort(doubt.astype(np.float64)))
 
+    def to_json(self) -> str:
+        """Return the limits as text."""
+        return json.dumps({name: getattr(self, name).round(4).tolist() for name in ("evidence", "doubt")}) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> TrustLimits:
+        """Return the limits in a text of :meth:`to_json`."""
+        table = json.loads(text)
+        return cls.of(np.array(table["evidence"]), np.array(table["doubt"]))
+
+    def least_rate(self, agents: int) -> float:
+        """Return the smallest rate that so many scenes support for so many agents."""
+        return agents / (len(self.evidence) + 1.0)
+
     def accused(self, verdicts: Verdicts, rate: float) -> Mask:
         """Return who is accused (A,): of the accused at most this share is honest, expected over scenes.
 
@@ -307,6 +324,12 @@ class TrustLimits:
             raise ValueError(
                 f"rate must be in (0, 1), and {rate:g} needs {need} benign scenes, got {len(self.evidence)}"
             )
+
+
+@lru_cache(maxsize=1)
+def trust_limits() -> TrustLimits:
+    """Return the limits in the box: of what agents report, in the calibration scenes of docs/results/agents.md."""
+    return TrustLimits.from_json(resources.files("viewshed.fusion").joinpath("limits.json").read_text("utf-8"))
 
 
 def hypotheses(agents: int) -> Mask:

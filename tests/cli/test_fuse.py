@@ -1,0 +1,58 @@
+"""``viewshed fuse``: what several agents see together, as a stranger types it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests.cli.test_networks import run
+
+from viewshed import read_sweep, write_sweep
+from viewshed.io.samples import junction_path
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
+pytest.importorskip("mcap", reason="mcap is not installed: bags are not written")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated drive of two vehicles."""
+    place = tmp_path_factory.mktemp("drive") / "junction.mcap"
+    words = ("--world", "junction", "--agents", 2, "--seconds", 2, "--hz", 2, "--to", place)
+    code, _, err = run("record", "sim", *words)
+    assert (code, err) == (0, "")
+    return place
+
+
+def test_agents_of_a_recording_are_put_together(drive: Path, tmp_path: Path) -> None:
+    code, out, err = run("fuse", drive, "--out", tmp_path / "fused")
+    assert (code, err) == (0, "")
+    *lines, last = out.splitlines()
+    assert len(lines) == 4
+    assert last == f"4 times → {tmp_path / 'fused'}"
+    assert "ACCUSED" not in out
+    rows = [json.loads(line) for line in (tmp_path / "fused" / "fused.jsonl").read_text().splitlines()]
+    assert [len(row["agents"]) for row in rows] == [2] * 4
+    assert len(rows[-1]["objects"]) > 3
+    assert any(len(one["reported_by"]) == 2 for one in rows[-1]["objects"])
+    with Image.open(tmp_path / "fused" / "fused_0003.png") as picture:
+        assert len(np.unique(np.asarray(picture.convert("L")))) > 10
+
+
+def test_numbers_alone_and_wrong_words(drive: Path, tmp_path: Path) -> None:
+    code, _, err = run("fuse", drive, "--results", "jsonl", "--out", tmp_path / "numbers")
+    assert (code, err) == (0, "")
+    assert [path.name for path in (tmp_path / "numbers").iterdir()] == ["fused.jsonl"]
+    code, _, err = run("fuse", drive, "--results", "gif", "--out", tmp_path / "none")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "results must be some of jsonl,png" in err
+
+
+def test_sweeps_without_times_and_poses_cannot_be_put_together(tmp_path: Path) -> None:
+    write_sweep(read_sweep(junction_path()).select(np.arange(0, 30000, 10)), tmp_path / "alone.ply")
+    code, _, err = run("fuse", tmp_path / "alone.ply", "--out", tmp_path / "none")
+    assert code == 2
+    assert "must have a time and a pose to be put together with others" in err
