@@ -14,6 +14,7 @@ from scipy.stats import binomtest
 from viewshed._page import Table, facts, to_markdown
 from viewshed.fusion.trust import TrustLimits, Verdicts
 from viewshed.fusion.view_checks import VIEW_CHECKS, ViewScale, view_doubt
+from viewshed.integrity.score import SurpriseScale
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
@@ -39,8 +40,8 @@ class ScoredRun:
     Attributes:
         scene: number of the scene.
         run: what it came to.
-        score: (A,) evidence of the reports and doubt of the view, the largest over time, in powers of ten.
-        by_time: (T, A) the same at each time; the doubt of the view is that of the whole scene.
+        score: (A,) surprise of the evidence of the reports and of the doubt of the view, their odds added.
+        by_time: (T, A) the same up to each time; the doubt of the view is that of the whole scene.
         views: (A,) doubt of the view alone.
         evidence: (A,) evidence of the reports alone, the largest over time.
     """
@@ -84,19 +85,31 @@ class AgentsResults:
         low = checks[:, ~self.elevated].reshape(-1, checks.shape[-1])
         return ViewScale.fit(low, checks[:, self.elevated].reshape(-1, checks.shape[-1]))
 
+    def _numbers(self, run: Run) -> tuple[Floats, Floats]:
+        """Return evidence (T, A), the largest so far, and the doubt of the views (A,) of a run."""
+        checks = np.array(run.checks, np.float64)
+        low, elevated = (view_doubt(self.scale(checks, elevated=flag)) for flag in (False, True))
+        return np.maximum.accumulate(np.array(run.evidence), axis=0), np.where(self.elevated, elevated, low)
+
+    @cached_property
+    def surprises(self) -> tuple[SurpriseScale, SurpriseScale]:
+        """How rare evidence of reports and doubt of views are where nobody lies."""
+        found = [self._numbers(run) for _, run in self.runs("claims")]
+        evidence, views = np.concatenate([one[-1] for one, _ in found]), np.concatenate([two for _, two in found])
+        return SurpriseScale.fit(evidence[:, None, None]), SurpriseScale.fit(views[:, None, None])
+
     def scored(self, split: str) -> list[ScoredRun]:
         """Return the runs of a split with their scores."""
+        of_reports, of_views = self.surprises
         out = []
         for scene, run in self.runs(split):
-            checks = np.array(run.checks, np.float64)
-            views = np.where(
-                self.elevated,
-                view_doubt(self.scale(checks, elevated=True)),
-                view_doubt(self.scale(checks, elevated=False)),
-            )
-            evidence = np.array(run.evidence) / np.log(10.0)
-            by_time = evidence + views
-            out.append(ScoredRun(scene, run, by_time.max(axis=0), by_time, views, evidence.max(axis=0)))
+            evidence, views = self._numbers(run)
+            # What is rarer counts: odds are added.
+            by_time = np.logaddexp(
+                np.log(10.0) * of_reports(evidence.reshape(-1, 1, 1)).reshape(evidence.shape),
+                np.log(10.0) * of_views(views[:, None, None])[:, 0, 0],
+            ) / np.log(10.0)  # fmt: skip
+            out.append(ScoredRun(scene, run, by_time[-1], by_time, views, evidence[-1]))
         return out
 
     @cached_property
