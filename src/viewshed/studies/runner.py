@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,20 @@ class Job(Generic[P]):
     folder: Path
     key: JobKey
     device: str = "cpu"
+
+
+def lacking(needed: Set[JobKey], what: str) -> Callable[[JobKey, set[JobKey]], str]:
+    """Return what ``missing`` of :func:`run_jobs` is where every job needs the same ones: how many are not done.
+
+    >>> lacking({("drive", "1"), ("drive", "2")}, "drives are not measured")(("score",), {("drive", "1")})
+    '1 drives are not measured'
+    """
+
+    def missing(_key: JobKey, done: set[JobKey]) -> str:
+        count = len(needed - done)
+        return f"{count} {what}" if count else ""
+
+    return missing
 
 
 def run_jobs(

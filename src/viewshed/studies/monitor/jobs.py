@@ -16,8 +16,8 @@ from viewshed.integrity.score import EvidenceScore
 from viewshed.studies.monitor.archive import FOLDER, SweepTable
 from viewshed.studies.monitor.drives import Drive, measure_drive
 from viewshed.studies.monitor.plan import STEPS, MonitorPlan
-from viewshed.studies.plan import JobKey, check_names
-from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed.studies.plan import check_names
+from viewshed.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
 
 if TYPE_CHECKING:
@@ -53,11 +53,7 @@ def run_study(
         yield from run_jobs(store, do_job, store.plan.drive_keys(), engine, on_progress, step="drives")
     if "score" in steps:
         needed = {key for key in store.plan.drive_keys() if key[2] == "train"}
-
-        def missing(_key: JobKey, done: set[JobKey]) -> str:
-            lacking = len(needed - done)
-            return f"{lacking} drives to train on are not measured" if lacking else ""
-
+        missing = lacking(needed, "drives to train on are not measured")
         keys = store.plan.score_keys()
         yield from run_jobs(store, do_job, keys, engine, on_progress, step="scores", missing=missing)
 

@@ -17,8 +17,8 @@ from viewshed._jobs import Engine
 from viewshed.fusion.calibration import count_drive, highest_e_values, limits_of, model_of_counts
 from viewshed.fusion.evidence import EvidenceCounts, EvidenceModel
 from viewshed.studies.cases import generator
-from viewshed.studies.plan import JobKey, check_names
-from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed.studies.plan import check_names
+from viewshed.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
 from viewshed.studies.tracks.drives import simulate_drive
 from viewshed.studies.tracks.evaluate import evaluate, track_drive
@@ -58,11 +58,7 @@ def run_study(
         if step not in steps:
             continue
         needed = {key for earlier in before for key in plan.drive_keys(earlier)}
-
-        def missing(_key: JobKey, done: set[JobKey], needed: set[JobKey] = needed) -> str:
-            lacking = len(needed - done)
-            return f"{lacking} drives that it rests on are not done" if lacking else ""
-
+        missing = lacking(needed, "drives that it rests on are not done")
         yield from run_jobs(store, do_job, plan.drive_keys(step), engine, on_progress, step=step, missing=missing)
 
 
