@@ -141,7 +141,7 @@ class JointView:
     in_world: bool = True
 
     def visible(self, boxes: Floats) -> Floats:
-        """Return the chance (K,) that any trusted agent reports each box, 0.9 of which :meth:`detectable` explains."""
+        """Return the chance (K,) that any trusted agent reports each box."""
         missed = np.ones(len(boxes))
         for report, trust in zip(self.reports, self.trust, strict=True):
             missed *= 1.0 - trust * report.chance(boxes, self.claims)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
 from viewshed._files import write_atomic
 from viewshed._jobs import Engine
-from viewshed.fusion.claims import ClaimTable
+from viewshed.datasets.recorder.drive import SEEN_RETURNS
+from viewshed.fusion.claims import SMALL_M, ClaimTable
 from viewshed.perception.detector import Detector
 from viewshed.studies.agents.plan import STEPS, AgentsPlan
 from viewshed.studies.agents.runs import claims_of, run_case
 from viewshed.studies.agents.scenes import FOLDER, Scene, scene_path
-from viewshed.studies.plan import JobKey, check_names
-from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed.studies.plan import check_names
+from viewshed.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
 
 CLAIMS = "claims.json"
@@ -47,11 +47,7 @@ def run_study(
         yield from run_jobs(store, do_job, store.plan.scene_keys(), engine, on_progress, step="scenes")
     if "runs" in steps:
         scenes = set(store.plan.scene_keys())
-
-        def missing(_key: JobKey, done: set[JobKey]) -> str:
-            lacking = len(scenes - done)
-            return f"{lacking} scenes are not made" if lacking else ""
-
+        missing = lacking(scenes, "scenes are not made")
         if scenes <= store.keys() and not (store.folder / CLAIMS).exists():
             write_atomic(store.folder / CLAIMS, fitted_claims(store).to_json().encode())
         keys = store.plan.run_keys()
@@ -82,19 +78,14 @@ def do_job(job: Job[AgentsPlan]) -> JobResult:
 def coverage_of(scene: Scene) -> dict[str, list[int]]:
     """Return of how many objects agents claim so much: by probability [claimed, of these without five returns]."""
     columns = claims_of(scene)
-    large = columns["boxes"][:, 3:5].max(axis=1, initial=0.0) > 2.4
+    large = columns["boxes"][:, 3:5].max(axis=1, initial=0.0) > SMALL_M
     out = {}
     for least in (0.5, 0.9, 0.95, 0.98, 0.995):
         claimed = large & (columns["prob"] >= least)
-        out[f"{least:g}"] = [int(claimed.sum()), int((claimed & (columns["returns"] < 5)).sum())]
+        out[f"{least:g}"] = [int(claimed.sum()), int((claimed & (columns["returns"] < SEEN_RETURNS)).sum())]
     return out
 
 
 @lru_cache(maxsize=1)
 def _detector() -> Detector:
     return Detector()
-
-
-def claims_path(folder: Path) -> Path:
-    """Return the file of what claims are worth."""
-    return folder / CLAIMS

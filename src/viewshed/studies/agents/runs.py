@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.datasets.recorder.drive import SEEN_RETURNS
 from viewshed.fusion.claims import ClaimTable
 from viewshed.fusion.many import FAR_M, AgentReport, CommandCenter
 from viewshed.fusion.view_checks import ClaimedView, check_view
@@ -19,9 +20,6 @@ from viewshed.studies.agents.published import PublishedTrust
 from viewshed.studies.agents.scenes import Scene
 from viewshed.studies.cases import generator
 from viewshed.tracking.views import GridView
-
-SEEN_RETURNS = 5
-"""An object counts as seen by an agent from so many returns on."""
 
 CHECKED_TIMES = 3
 """Times of a scene, evenly after the onset, at which views are checked."""

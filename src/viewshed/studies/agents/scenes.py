@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
-from viewshed.datasets.recorder.drive import OBJECT_KINDS
-from viewshed.datasets.simulated import ScenePlan, scan_frame, world_of
+from viewshed.datasets.recorder.drive import drive_sweeps
+from viewshed.datasets.recorder.moment import ObjectTruth
+from viewshed.datasets.simulated import ScenePlan
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import Basis, FovEstimate
 from viewshed.fusion.many import AgentReport
@@ -22,7 +23,6 @@ from viewshed.grid import GRIDS
 from viewshed.objects import Detections, moved_boxes
 from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
-from viewshed.sim.world import World
 
 FOLDER = "scenes"
 
@@ -70,34 +70,34 @@ class Scene:
     @classmethod
     def simulate(cls, plan: ScenePlan, detector: Detector) -> Self:
         """Return a scene: every sweep simulated, leveled, estimated by the default method, and searched for objects."""
-        world, agents, estimator = world_of(plan), plan.preset.agents, load_estimator("shadow_map", grid=GRID)
-        numbers = objects_of(world)
+        agents, estimator = plan.preset.agents, load_estimator("shadow_map", grid=GRID)
         times = plan.frames // agents
         times_s = np.asarray((np.arange(times) + 0.5) * plan.preset.interval_s, np.float64)
         shape = (times, agents)
         prob, state = (np.zeros((*shape, *GRID.shape), np.uint8) for _ in range(2))
-        poses, returns = np.zeros((*shape, 4, 4)), np.zeros((*shape, len(numbers)), np.int32)
+        poses, carriers = np.zeros((*shape, 4, 4)), np.full(agents, -1, np.int64)
+        objects, returns = list[Floats](), list[NDArray[np.int32]]()
         bases: list[list[dict[str, Any]]] = [[] for _ in range(times)]
         found, found_at = [np.zeros((0, 9))], [np.zeros((0, 2), np.int16)]
-        for frame in range(times * agents):
+        for frame, (sweep, truth) in enumerate(drive_sweeps(plan)):
             time, agent = divmod(frame, agents)
-            scan, stored = scan_frame(plan, frame)
-            leveled = level(stored.sweep(), GRID)
+            leveled = level(sweep, GRID)
             estimate, seen = estimator.estimate(leveled), detector.detect(leveled)
             if estimate.world_from_level is None or estimate.basis is None:
                 raise ValueError(f"the sweeps of {plan.name} must have poses and points, got frame {frame} without")
             prob[time, agent], state[time, agent] = np.rint(LEVELS * estimate.visible_prob), estimate.state
             poses[time, agent] = estimate.world_from_level.as_matrix()
             bases[time].append({name: getattr(estimate.basis, name) for name in Basis.__slots__})
-            met = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
-            returns[time, agent] = met[numbers]
+            if agent == 0:
+                objects.append(np.array([_box_of(each) for each in truth.objects]).reshape(-1, 7))
+            if truth.carrier is not None:
+                carriers[agent] = [each.number for each in truth.objects].index(truth.carrier)
+            returns.append(truth.returns)
             found.append(np.column_stack([seen.boxes, seen.kinds, seen.returns]))
             found_at.append(np.tile(np.array([time, agent], np.int16), (len(seen), 1)))
-        objects = np.stack([boxes_of(world, numbers, float(t_s)) for t_s in times_s])
-        carriers = [-1 if agent.carrier is None else numbers.index(agent.carrier) for agent in world.agents]
         return cls(
-            times_s, prob, state, poses, bases, np.concatenate(found), np.concatenate(found_at), objects, returns,
-            np.array(carriers, np.int64),
+            times_s, prob, state, poses, bases, np.concatenate(found), np.concatenate(found_at), np.stack(objects),
+            np.stack(returns).reshape(*shape, -1), carriers,
         )  # fmt: skip
 
     def reports(self, time: int) -> list[AgentReport]:
@@ -139,30 +139,9 @@ class Scene:
         return replace(cls(**arrays), bases=json.loads(arrays["bases"].tobytes()))
 
 
-def objects_of(world: World) -> list[int]:
-    """Return the numbers of the things of a world that are objects: of such a kind, moving, or carrying a sensor."""
-    carriers = {agent.carrier for agent in world.agents}
-    return [
-        number for number, thing in enumerate(world.things)
-        if number in carriers or thing.kind in OBJECT_KINDS or thing.track is not None
-    ]  # fmt: skip
-
-
-def boxes_of(world: World, numbers: list[int], t_s: float) -> Floats:
-    """Return the boxes (K, 7) of things of a world at a time."""
-    boxes = np.zeros((len(numbers), 7))
-    for box, number in zip(boxes, numbers, strict=True):
-        corners = []
-        for part in world.things[number].parts:
-            x_m, y_m, _ = part.half_sizes_m
-            across = np.abs(Rigid.from_yaw(part.yaw).rotation[:2, :2]) @ (x_m, y_m)
-            at = np.array([part.x_m, part.y_m])
-            corners += [[*(at - across), part.bottom_m], [*(at + across), part.top_m]]
-        low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-        pose = world.pose_of(number, t_s)
-        box[:3], box[3:6] = pose @ ((low + high) / 2), high - low
-        box[6] = np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])
-    return boxes
+def _box_of(one: ObjectTruth) -> list[float]:
+    """Return the box (7,) of an object in the world."""
+    return [*one.world_from_box.translation.tolist(), *one.size_m, one.world_from_box.yaw]
 
 
 def scene_path(folder: Path, split: str, number: int) -> Path:
