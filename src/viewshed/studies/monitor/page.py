@@ -182,6 +182,7 @@ class MonitorResults:
             ("the most at a single sensor", "≤ .02", self._most_at_a_sensor(inconsistent, benign)),
             ("sweeps corrupted at severity 5 called degraded", "≥ .90", _mean(degraded[worst])),
             ("false alarms an hour, over time", "≤ 1", self.false_alarms[0][1]),
+            ("median delay over time, in sweeps (6: more than five)", "≤ 3", self._median_delay()),
             ("suspect sectors: overlap, mean of the attacks", "≥ .60", self._located_means()[0][0]),
             ("false discoveries, mean of their sweeps", "≤ .10", self._located_means()[1][1]),
             *self._recorded_targets(),
@@ -199,6 +200,13 @@ class MonitorResults:
         """Return the largest share of the benign sweeps of one sensor that alarm."""
         sensors = self.whole.tested.sensors
         return max(_mean(alarms[benign & (sensors == sensor)]) for sensor in np.unique(sensors))
+
+    def _median_delay(self) -> float:
+        """Return the median number of sweeps until a detector over time finds a measured spoofer's attacks."""
+        attacked = self.attacked
+        counted = np.array([name not in APART and _kind_of(name) == MEASURED for name in attacked.attack], np.bool_)
+        delays = delays_of(EDetector.for_rate(PER_HOUR, round(1.0 / INTERVAL_S)), attacked.streams(counted))
+        return float(np.median(np.where(delays > 0, delays, FRAMES - ONSET + 1))) if len(delays) else float("nan")
 
     def _recorded_targets(self) -> list[tuple[str, str, float]]:
         found = self.recorded
