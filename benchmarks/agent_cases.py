@@ -338,8 +338,8 @@ def monte_carlo_page(outcomes: list[Outcome]) -> str:
     return headed_page(
         "The published cases: Monte Carlo",
         headline(rows),
-        f"""In each run one of the cars is drawn, with 0 to 4 false objects and 0 to 4 missing ones, and with probability
-{ON:g} that it is attacked at all: {len(some)} of {len(outcomes)} runs.""",
+        f"""In each run one of the cars is drawn, with 0 to 4 false objects and 0 to 4 missing ones, and with
+probability {ON:g} that it is attacked at all: {len(some)} of {len(outcomes)} runs.""",
         table(HEADER, rows),
         ABOUT,
         LIMITS,
