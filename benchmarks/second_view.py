@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.agent_cases import MAST, ONSET_S, PLAN, SEED, scene_of
-from benchmarks.agent_scenes import Mask, as_view, headed_page, share, with_tall_masts
-from viewshed._page import table
+from benchmarks.agent_scenes import Mask, as_view, share, with_tall_masts
+from viewshed._page import facts, page, table
 from viewshed.datasets.simulated import ScenePlan, scan_frame, world_of
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
@@ -193,30 +193,27 @@ def page_of(scenes: Sequence[Counts]) -> str:
         return [scene[row][place] for scene in scenes]
 
     true = column("true", 0)
-    rows, precise = [], {}
+    rows = []
     for row, target in ROWS.items():
         times = 4.0 if row.endswith("each of four") else 1.0
-        precise[row] = share(column(row, 1), column(row, 0))
         reached = sum(column(row, 1)) / max(sum(column(row, 0)), 1.0)
         recall = share(column(row, 2), [times * one for one in true])
         met = ""
         if target:
             enough = sum(column(row, 2)) >= 0.5 * times * sum(true)
             met = "met" if enough and reached >= float(target[2:]) else "**missed**"
-        rows.append([row, precise[row], share(column(row, 2), column(row, 0)), recall, target, met])
+        rows.append(
+            [row, share(column(row, 1), column(row, 0)), share(column(row, 2), column(row, 0)), recall, target, met]
+        )
     found = sum(column("trust", 1))
-    return headed_page(
+    return page(
         "A second view against over-claim",
-        (
-            f"Alone, of what is claimed in an opened wedge **{precise[ALONE]}** can be seen.",
-            f"Confirmed by one of four honest views: **{precise['four honest views, one agrees']}**.",
-            f"With a liar of five, by its trust: **{precise['a liar of five, by its trust, one agrees']}**;"
-            f" where two must agree: **{precise['a liar of five, believed, two agree']}**.",
-        ),
+        facts(seed=str(SEED), scenes=str(len(scenes))),
         f"""The LiDAR of one of four cars is spoofed from {ONSET_S:g} s on, in every sweep, so that obstacles vanish in
 a wedge of 30° and a wall stands behind them (`{ATTACK_NAMES[0]}` and `{ATTACK_NAMES[1]}` in turn, all beams of the
 wedge). Its claims there are kept where other agents claim the same cells. The liar claims the whole wedge, and reports
 objects as they are. {len(scenes)} scenes with {len(LOOKED_AT_S)} times each, exact truth, default estimate.""",
+        "## What confirms the claims",
         table(["confirmed by", "precision", "precision, own", "recall", "target at recall ≥ .5", ""], rows),
         f"""*Precision*: of the cells claimed in the wedge within {WITHIN_M:g} m, those that some agent's sensor could
 see; *own*: that the victim's could. *Recall*: of what the victim could see there, what is still claimed.
@@ -225,8 +222,6 @@ see; *own*: that the victim's could. *Recall*: of what the victim could see ther
 apart from it. In brackets 95 % intervals over scenes.""",
         """What several see is lost where only one looks: recall falls with the number that must agree. Two that lie
 together confirm each other wherever two suffice.""",
-        seed=str(SEED),
-        scenes=str(len(scenes)),
     )
 
 
