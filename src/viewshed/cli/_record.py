@@ -215,4 +215,11 @@ def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adver
                 count += 1
     finally:
         typer.echo(pipeline.statistics().line())
+    note_unmet(adversary)
     return count
+
+
+def note_unmet(adversary: Adversary | None) -> None:
+    """Say which agents were to be attacked and never came."""
+    if adversary is not None and adversary.unmet():
+        note(f"--attacked {', '.join(sorted(adversary.unmet()))}: no agent has this name, nothing of it was forged")

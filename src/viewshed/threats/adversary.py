@@ -44,7 +44,7 @@ class Adversary:
 
     Args:
         attack: name in ``ATTACKS``, ``OBJECT_ATTACKS`` or ``VIEW_LIES``.
-        agents: whose; all where none is named.
+        agents: whose, ``car_0`` also for ``car_0/lidar``; all where none is named.
         start_s: seconds after the first that an agent sent.
         reset_s: seconds until other objects, or another place of the sweep, are attacked.
         end_s: seconds after the first at which it ends.
@@ -63,6 +63,7 @@ class Adversary:
     count: int = 2
     seed: int = 0
     _victims: dict[str, _Victim] = field(default_factory=dict, repr=False)
+    _met: set[str] = field(default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
         known = (*ATTACKS, *OBJECT_ATTACKS, *VIEW_LIES)
@@ -75,8 +76,14 @@ class Adversary:
             )
 
     def attacks(self, agent: str) -> bool:
-        """Return whether an agent is one of those that are attacked."""
-        return not self.agents or agent in self.agents
+        """Return whether an agent is one of those that are attacked, by its name or by what its name begins with."""
+        found = {name for name in self.agents if agent == name or agent.startswith(f"{name}/")}
+        self._met |= found
+        return not self.agents or bool(found)
+
+    def unmet(self) -> frozenset[str]:
+        """Return the names of those agents that nobody has."""
+        return self.agents - self._met
 
     def sweep(self, sweep: Sweep) -> Sweep:
         """Return a sweep as the adversary lets others see it.
