@@ -140,7 +140,7 @@ def test_a_parked_car_that_is_hidden_stays_and_one_that_drives_goes_on() -> None
     """Centers err by a third of a meter; behind a truck for 3 s the parked one stands, the other is 30 m on."""
     rng, tracker = np.random.default_rng(1), Tracker()
     for k in range(50):
-        xy = rng.normal(0.0, 0.3, (2, 2)) + [[0.0, 0.0], [k, 20.0]]
+        xy = np.array([[0.0, 0.0], [k, 20.0]]) + rng.normal(0.0, 0.3, (2, 2))
         found = cars(*map(tuple, xy)) if k < 20 else Detections.none()
         tracks = tracker.step(0.1 * k, found, ScriptedView(0.1 * k, everywhere(1.0 if k < 20 else 0.0)))
     parked, driving = np.argsort(tracks.states[:, 1])
