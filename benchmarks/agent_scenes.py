@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._page import facts
+from viewshed._page import facts, page
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
@@ -50,7 +50,5 @@ def share(part: Sequence[float], whole: Sequence[float], digits: int = 3) -> str
 
 
 def headed_page(title: str, headline: Sequence[str], *parts: str, **more: str) -> str:
-    """Return a Markdown page: title, the figures that matter as a list, the parts, and what they were measured on."""
-    top = "\n".join(f"- {line}" for line in headline)
-    listed = "\n".join(f"- {name}: {value}" for name, value in facts(**more).items())
-    return "\n\n".join([f"# {title}", top, *parts, "## Measured on", listed]) + "\n"
+    """Return a Markdown page: title, the figures that matter as a list, the parts, and how it was made."""
+    return page(title, facts(**more), "\n".join(f"- {line}" for line in headline), *parts)
