@@ -23,13 +23,13 @@ from viewshed.io import read_index, read_indexed
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
-_ABOUT = """Ten real sweeps, each as `viewshed estimate FILE` draws it. Sweeps of nuScenes, KITTI and Argoverse 2 are left
-out, because their licenses forbid commercial use; no point cloud is published here.
+_ABOUT = """Ten real sweeps, each as `viewshed estimate FILE` draws it. Sweeps of nuScenes, KITTI and Argoverse 2 are
+left out, because their licenses forbid commercial use; no point cloud is published here.
 
-Left is the map, from above, forward up: what is free, what stands there, what is hidden, and what nothing is known of. Right are
-the probability that a car there would be seen (in rooms a person), and the chance that this answer is wrong. The lines above say
-how high the sensor stands, how that is known, and how much of the view lies over ground that was not seen. Scales are the same in
-all pictures."""
+Left is the map, from above, forward up: what is free, what stands there, what is hidden, and what nothing is known of.
+Right are the probability that a car there would be seen (in rooms a person), and the chance that this answer is wrong.
+The lines above say how high the sensor stands, how that is known, and how much of the view lies over ground that was
+not seen. Scales are the same in all pictures."""
 
 
 @dataclass(frozen=True, slots=True)
