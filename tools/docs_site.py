@@ -49,6 +49,8 @@ def on_files(files: Any, config: Any) -> Any:
             files.append(File.generated(config, f"{Path(file.src_uri).parent}/{name}", content=content))
     for name, path in ELSEWHERE.items():
         text = re.sub(r"\]\((\.\./)*docs/", "](../", (ROOT / path).read_text(encoding="utf-8"))
+        for other, place in ELSEWHERE.items():
+            text = text.replace(f"]({place})", f"]({other}.md)")
         files.append(File.generated(config, f"contribute/{name}.md", content=text))
     return files
 
