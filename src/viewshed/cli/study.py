@@ -350,10 +350,14 @@ def _require_all_done(failed: list[str]) -> None:
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     from viewshed._files import write_atomic
+    from viewshed._results import write_page
 
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
-        write_atomic(folder / name, content)
+        if name.endswith(".md"):
+            write_page(folder / name, content.decode())
+        else:
+            write_atomic(folder / name, content)
 
 
 def _show(folder: Path, files: dict[str, bytes]) -> None:
