@@ -93,3 +93,10 @@ def test_sweeps_without_times_and_poses_cannot_be_put_together(tmp_path: Path) -
     code, _, err = run("fuse", tmp_path / "alone.ply", "--out", tmp_path / "none")
     assert code == 2
     assert "must have a time and a pose to be put together with others" in err
+
+
+def test_agents_of_one_name_in_two_files_are_two_agents(drive: Path, tmp_path: Path) -> None:
+    code, _, err = run("fuse", drive, drive, "--results", "jsonl", "--out", tmp_path / "twice")
+    assert (code, err) == (0, "")
+    rows = [json.loads(line) for line in (tmp_path / "twice" / "fused.jsonl").read_text().splitlines()]
+    assert [len(row["agents"]) for row in rows] == [4] * 4

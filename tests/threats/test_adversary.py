@@ -56,7 +56,7 @@ def test_a_claimed_view_grows_and_the_objects_stay_honest() -> None:
 
 
 def test_what_cannot_be() -> None:
-    with pytest.raises(ValueError, match="attack must be one of .*far_wall.*got 'melt'"):
+    with pytest.raises(ValueError, match=r"attack must be one of .*far_wall.*got 'melt'"):
         Adversary("melt")
     with pytest.raises(ValueError, match="must start at 0 s or later, before it ends"):
         Adversary("far_wall", start_s=3.0, end_s=2.0)
