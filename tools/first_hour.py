@@ -4,8 +4,8 @@
 
 Each time begins with an empty home and nothing of the caller's environment. Without ``--wheel`` a fresh copy of the
 checkout is taken and ``make demo`` is run in it, as the README says; with it, the wheel is installed into an empty
-environment. Then come the README's other commands as they stand there. The transcript of the last time is the page. Exit
-code 1 where a command failed, printed a traceback or left out a file that it named.
+environment. Then come the README's other commands as they stand there. The transcript of the last time is the page.
+Exit code 1 where a command failed, printed a traceback or left out a file that it named.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from viewshed._page import facts, page
 ROOT = Path(__file__).resolve().parents[1]
 SILENT_S = 3.0
 
-_ABOUT = """A transcript: what a newcomer types, and all that is printed, in a home that was empty before. Seconds are those of this
-machine, whatever else it did; *silent* is the longest wait without a line."""
+_ABOUT = """A transcript: what a newcomer types, and all that is printed, in a home that was empty before. Seconds are
+those of this machine, whatever else it did; *silent* is the longest wait without a line."""
 
 
 @dataclass(slots=True)
@@ -75,7 +75,7 @@ def readme_commands() -> list[str]:
 
 
 def faults(typed: Typed, cwd: Path) -> list[str]:
-    """Return what is wrong with a command: its exit code, a traceback, or a file that it names and that is not there."""
+    """Return what is wrong with a command: its exit code, a traceback, or a file that it names and did not write."""
     found = [f"exit code {typed.code}"] if typed.code else []
     found += ["a traceback"] if "Traceback (most recent call last)" in typed.output else []
     named = re.findall(r"→ (\S+)$", typed.output, re.MULTILINE)
