@@ -2,7 +2,8 @@
 
 - ``recording.json`` (optional): ``axes`` are ``carla`` (the default), ``carla_0.9.9`` (0.9.9 and older: x right,
   y backward, z down) or ``sensor`` (x forward, y left, z up); ``agents`` has for each folder ``sensor_height_m`` and
-  ``lidar`` with ``channels``, ``upper_fov_deg``, ``lower_fov_deg``, ``range_m``, ``points_per_second``, ``rotation_hz``.
+  ``lidar`` with ``channels``, ``upper_fov_deg``, ``lower_fov_deg``, ``range_m``, ``points_per_second`` and
+  ``rotation_hz``.
 - ``actors.jsonl`` (optional), a line a tick: ``frame``, ``t_ns`` and ``actors``, each with ``id``, ``type``, the center
   ``x``, ``y``, ``z`` of its box, ``roll``, ``pitch``, ``yaw``, ``extent`` (half sizes) and, where it carries a sensor,
   ``agent``. An agent's own vehicle is not among its boxes.
