@@ -19,8 +19,8 @@ import numpy as np
 from matplotlib import pyplot
 from numpy.typing import NDArray
 
-from benchmarks.agent_scenes import MAST_M, PITCH_DEG, headed_page, share, with_tall_masts
-from viewshed._page import table
+from benchmarks.agent_scenes import MAST_M, PITCH_DEG, share, with_tall_masts
+from viewshed._page import facts, page, table
 from viewshed.datasets.recorder.drive import drive_sweeps
 from viewshed.datasets.simulated import world_of
 from viewshed.fusion.many import AgentReport, CommandCenter
@@ -299,31 +299,20 @@ and the mask of the same estimate as its polygon; it begins at .5, and drops tra
 over scenes."""
 
 
-def headline(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the three figures that matter."""
-    area, _, honest, _, _, apart, _ = rows
-    return (
-        f"Attacked from honest agents by the lowest trust: AUROC **{area[1]}** ours, {area[2]} published.",
-        f"Honest agents distrusted: **{honest[1]}** ours, {honest[2]} published.",
-        f"GOSPA of the common picture: **{apart[1]} m** ours, {apart[2]} m published, {apart[3]} m without trust.",
-    )
-
-
 def page_of(name: str, case: Case, outcomes: list[Outcome]) -> str:
     """Return the page of a case."""
     rows = rows_of(outcomes)
-    return headed_page(
+    return page(
         case.title,
-        headline(rows),
+        facts(seed=str(SEED), scenes=str(len(outcomes)), runs="one a scene"),
         case.text,
         f"![Trust in attacked and honest agents over time]({name}.png)",
         "Median and middle 90 % over scenes; what is forged begins at the dashed line.",
+        "## Trust and picture",
         table(HEADER, rows),
+        "## What was run",
         ABOUT,
         LIMITS,
-        seed=str(SEED),
-        scenes=str(len(outcomes)),
-        runs="one a scene",
     )
 
 
@@ -335,17 +324,16 @@ nobody, and cannot be found. Our detector errs as well, and its errors look like
 def monte_carlo_page(outcomes: list[Outcome]) -> str:
     """Return the page of the Monte Carlo."""
     rows, some = rows_of(outcomes), [one for one in outcomes if one.attacked]
-    return headed_page(
+    return page(
         "The published cases: Monte Carlo",
-        headline(rows),
-        f"""In each run one of the cars is drawn, with 0 to 4 false objects and 0 to 4 missing ones, and with probability
-{ON:g} that it is attacked at all: {len(some)} of {len(outcomes)} runs.""",
+        facts(seed=str(SEED), scenes=str(len({one.scene for one in outcomes})), runs=f"{DRAWS} a scene"),
+        f"""In each run one of the cars is drawn, with 0 to 4 false objects and 0 to 4 missing ones, and with
+probability {ON:g} that it is attacked at all: {len(some)} of {len(outcomes)} runs.""",
+        "## Trust and picture",
         table(HEADER, rows),
+        "## What was run",
         ABOUT,
         LIMITS,
-        seed=str(SEED),
-        scenes=str(len({one.scene for one in outcomes})),
-        runs=f"{DRAWS} a scene",
     )
 
 

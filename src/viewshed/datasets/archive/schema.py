@@ -18,9 +18,9 @@ holds frames of one scene, one row group a frame, zstd level 1, page checksums o
   is known.
 
 What all its frames share is in its footer, :class:`Footer`, as JSON under ``viewshed``. The manifest lists the shards,
-:class:`Manifest`; while shards are written it says ``"complete": false``, and what had to be left out of a finished data
-set is in ``problems.json``. A damaged shard raises one line that names it; a manifest that does not fit its shards is
-refused. A checksum finds damage, not forgery: who can write the shards can write the manifest.
+:class:`Manifest`; while shards are written it says ``"complete": false``, and what had to be left out of a finished
+data set is in ``problems.json``. A damaged shard raises one line that names it; a manifest that does not fit its
+shards is refused. A checksum finds damage, not forgery: who can write the shards can write the manifest.
 """
 
 from __future__ import annotations
