@@ -255,9 +255,12 @@ def checked(scene: Scene, said: Sequence[dict[int, AgentReport]]) -> list[list[f
     out: list[list[float | None]] = []
     for number, _ in enumerate(scene.agents):
         heard = [time for time in range(first, len(said)) if number in said[time]]
-        times = np.unique(np.linspace(0, len(heard) - 1, CHECKED_TIMES).round().astype(int)) if heard else []
-        rows = np.full((max(len(times), 1), len(VIEW_CHECKS)), np.nan)
-        for row, place in enumerate(times):
+        # As the study does, at some times evenly spread.
+        places = (
+            sorted(set(np.linspace(0, len(heard) - 1, CHECKED_TIMES).round().astype(int).tolist())) if heard else []
+        )
+        rows = np.full((max(len(places), 1), len(VIEW_CHECKS)), np.nan)
+        for row, place in enumerate(places):
             now = said[heard[place]]
             others = tuple(report.estimate for other, report in now.items() if other != number)
             earlier = [said[time][number].estimate for time in range(heard[place]) if number in said[time]]
