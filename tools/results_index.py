@@ -16,6 +16,8 @@ from viewshed._results import result_pages
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 MARK = "<!-- pages -->"
+LOG = "wild_openings"
+"""A log, without numbers on its top."""
 
 
 def overview(folder: Path) -> str:
@@ -25,8 +27,9 @@ def overview(folder: Path) -> str:
         for name in page.files:
             text = (folder / f"{name}.md").read_text(encoding="utf-8")
             title = page.title if len(page.files) == 1 else f"{page.title}: {name.replace('_', ' ')}"
-            first = re.search(r"^- (\*\*.*)$", text, re.MULTILINE)
-            groups.setdefault(page.group, []).append([f"[{title}]({name}.md)", first[1] if first else ""])
+            first = re.search(r"^- (.*)$", text, re.MULTILINE)
+            number = first[1] if first and name != LOG else ""
+            groups.setdefault(page.group, []).append([f"[{title}]({name}.md)", number])
     parts = [f"## {group}\n\n{table(['page', 'its first number'], rows)}" for group, rows in groups.items()]
     return "\n\n".join(parts) + "\n"
 

@@ -21,6 +21,7 @@ from load import Load, Stream, cloud_bytes, memory_mb, processor_s, running_node
 from viewshed.sweep import Sweep
 
 AGENTS = 10
+UNDER_WAY = 3
 SENSOR_HZ = 10.0
 
 
@@ -58,7 +59,7 @@ def _sweep(path: Path) -> Sweep:
 
 
 def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:
-    """Yield latency with one message under way, and the rate with two of a cloud, three of a scan."""
+    """Yield latency with one message under way, and the rate with three: one for each thread and one that waits."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
     if is_scan:
         parameters |= {"lidar.type": "scan", "grid": "indoor"}
@@ -68,7 +69,7 @@ def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan:
         load.wait_for_node()
         load.first_answer()
         load.run_closed(1.0, 2)
-        for under_way in (1, 3 if is_scan else 2):
+        for under_way in (1, UNDER_WAY):
             load.forget()
             before_s = processor_s(node.pid)
             passed_s = load.run_closed(seconds, under_way)
@@ -77,6 +78,7 @@ def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan:
                 "case": name, "monitor": monitor, "under_way": under_way, **_latencies(stream),
                 "hz": len(stream.latency_s) / passed_s, "processor_ms": 1e3 * used_s / max(len(stream.latency_s), 1),
                 "cores": used_s / passed_s, "memory_mb": memory_mb(node.pid),
+                "dropped": stream.dropped, "sweeps": len(stream.latency_s),
             }  # fmt: skip
     load.close()
 

@@ -65,7 +65,7 @@ class ResultPage:
         title: of the page, or of several that one command writes.
         group: of the overview, under which it stands.
         files: names of the published pages without suffix.
-        numbers: for its top; of more than three the first three that are found.
+        numbers: for its top; of more than three the first three that are found. None where the writer heads it itself.
         left_out: of the published page, as regular expressions: sections by their heading, tables as ``Heading #2``,
             rows as ``Heading #2 | how the row reads``.
     """

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
+from viewshed.cli._options import (
+    AUTO,
+    NOT_FOLLOWED,
+    Following,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Reading,
+    WithMonitor,
+)
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._profile import ProfileName, Settings, settings
 from viewshed.cli._record import (
@@ -47,6 +56,7 @@ def record(
     history: HistorySweeps = 0,
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
+    following: Following = NOT_FOLLOWED,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
     preset: Annotated[
         str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
@@ -77,9 +87,13 @@ def record(
     else:
         stream = _read(Reading(sensor), files, chosen, failures)
     with recorders(to, schemas, [] if is_simulated else files) as records:
-        listener = Listener(records, failures, is_live=False)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=chosen.rules, lossless=True)
-        count = run(pipeline, listener, _timed(islice(stream, sweeps)))
+        adversary = following.adversary()
+        listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
+            rules=chosen.rules, lossless=True,
+        )  # fmt: skip
+        count = run(pipeline, listener, _timed(islice(stream, sweeps)), adversary)
         if not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     typer.echo(written_line(to))

@@ -80,7 +80,7 @@ class Round:
         """Return who is accused, and who is disputed, a sentence each; none where nobody is."""
         names = np.array(self.picture.agents)
         accused, disputed = ", ".join(names[self.accused]), ", ".join(names[self.disputed])
-        lies = [f"{accused}: contradicts the others, its reports count little"] if accused else []
+        lies = [f"{accused} contradicts the others: its reports count little"] if accused else []
         return lies + ([f"{disputed}: one of them lies, and no third view says which"] if disputed else [])
 
     def numbers(self) -> dict[str, Any]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fusion.legend import LEGEND, ShownTracks, tracks_of_agent
+from viewshed.fusion.rounds import Round
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.integrity.evidence.base import SECTORS
+from viewshed.objects import ObjectKind
 from viewshed.pipeline import Answer
 from viewshed.sweep import Sweep
 
@@ -89,6 +92,10 @@ class Moment:
         answer: what the pipeline made of it.
         truth: of a simulated drive.
         is_live: whether the latency is written; a recording made as fast as possible has no clock in it.
+        metrics: of its tracks against the truth, by name; empty where there are none.
+        attacked: agents that somebody forges.
+        round: what a center made of all agents, where this sweep ended a round.
+        trust: of the center in this agent after the last round; None without one.
     """
 
     agent: str
@@ -97,6 +104,10 @@ class Moment:
     answer: Answer
     truth: DriveTruth | None = None
     is_live: bool = False
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    attacked: tuple[str, ...] = ()
+    round: Round | None = None
+    trust: float | None = None
 
     @property
     def sensor_frame(self) -> str:
@@ -140,6 +151,34 @@ class Moment:
         return [
             Transform(f"{agent}/base_link", f"{agent}/lidar", mount)
             for agent, mount in mounts.items() if mount is not None
+        ]  # fmt: skip
+
+    @property
+    def tracks_frame(self) -> str:
+        """Frame of the tracks: the map, or the level frame where the sweep has no pose."""
+        objects = self.answer.objects
+        return MAP if objects is not None and objects.explained.tracks.in_world else self.level_frame
+
+    def tracks(self) -> ShownTracks | None:
+        """Return the agent's tracks as they are shown, in ``tracks_frame``; None where objects are not followed."""
+        return None if self.answer.objects is None else tracks_of_agent(self.answer.objects)
+
+    def explained(self) -> list[dict[str, object]] | None:
+        """Return what is said of each track as plain values; None where objects are not followed."""
+        objects, tracks = self.answer.objects, self.tracks()
+        if objects is None or tracks is None:
+            return None
+        shown = np.flatnonzero(objects.shown)
+        return [
+            {
+                "id": int(tracks.ids[k]), "kind": ObjectKind(objects.explained.tracks.kinds[n]).name,
+                "explanation": LEGEND[tracks.legend[k]].word, "reason": tracks.reasons[k],
+                "accused": bool(objects.explained.accused[n]),
+                "e_value": float(f"{objects.explained.e_values[n]:.4g}"),
+                "existence": round(float(tracks.existence[k]), 4), "box": tracks.boxes[k].round(3).tolist(),
+                "velocity_mps": tracks.velocities[k].round(3).tolist(),
+            }
+            for k, n in enumerate(shown)
         ]  # fmt: skip
 
     def verdict(self) -> Verdict:

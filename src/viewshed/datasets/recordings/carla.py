@@ -1,4 +1,4 @@
-"""Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses, see docs/recording.md.
+"""Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses, see docs/data.md.
 
 Poses and actors stand in the tables as CARLA says them, in left-handed frames (x forward, y right, z up; degrees).
 Mirroring y, S = diag(1, -1, 1), turns these into our right-handed ones: a pose (R, t) becomes (S R S, S t).
