@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("numba", reason="numba is not installed: worlds are not cast")
 
-from benchmarks.agent_cases import Outcome, auroc, forged
+from benchmarks.agent_cases import Outcome, auroc, forged, only
 from benchmarks.agent_links import Link, changed, with_car
 from benchmarks.agent_scenes import as_view, share
 from benchmarks.agents_real import contradictions, objects_of
@@ -89,7 +89,7 @@ def test_forged_reports_change_in_the_world_and_come_back_to_level() -> None:
 
 def test_who_is_trusted_less_is_ranked_first() -> None:
     trust = np.tile([0.9, 0.2, 0.8], (8, 1))
-    outcome = Outcome(0, (1,), {"ours": trust}, np.zeros(3, bool), {}, {})
+    outcome = Outcome(0, (1,), {"ours": trust}, np.zeros(3, bool), np.zeros(3, bool), {}, {})
     assert auroc([outcome], "ours") == 1.0
     assert auroc([replace(outcome, attacked=(0,))], "ours") == 0.0
 
@@ -152,3 +152,23 @@ def test_objects_are_counted_where_both_claim_to_see() -> None:
     assert objects_of(*both) == (1.0, 2.0)
     blind = report(view("b", visible=0.0), CARS[:1])
     assert objects_of(both[0], blind) == (1.0, 1.0)
+
+
+def test_some_agents_of_a_scene_keep_what_is_theirs() -> None:
+    cells = np.arange(6, dtype=np.uint8).reshape(2, 3, 1, 1)
+    found = np.arange(36.0).reshape(4, 9)
+    poses = np.tile(np.eye(4), (2, 3, 1, 1))
+    poses[:, :, 0, 3] = [[0.0, 1.0, 2.0]] * 2
+    scene = RecordedScene(
+        np.array([0.25, 0.75]), cells, cells, poses, [[{"number": k} for k in range(3)]] * 2, found,
+        np.array([[0, 0], [0, 1], [0, 2], [1, 2]], np.int16), np.zeros((2, 5, 7)),
+        np.arange(30, dtype=np.int32).reshape(2, 3, 5), np.array([4, 2, -1]),
+    )  # fmt: skip
+    some = only(scene, [2, 0])
+    assert some.agents == ("agent0", "agent1")
+    assert some.poses[1, :, 0, 3].tolist() == [2.0, 0.0]
+    assert some.found_at.tolist() == [[0, 1], [0, 0], [1, 0]]
+    assert some.found[:, 0].tolist() == [0.0, 18.0, 27.0]
+    assert some.bases[0] == [{"number": 2}, {"number": 0}]
+    assert some.carriers.tolist() == [-1, 4]
+    assert some.returns[0, 1].tolist() == [0, 1, 2, 3, 4]
