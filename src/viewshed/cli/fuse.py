@@ -137,7 +137,7 @@ def judged(picture: CommonPicture) -> tuple[NDArray[np.bool_], NDArray[np.bool_]
     from viewshed.fusion.trust import trust_limits
 
     limits = trust_limits()
-    rate = max(0.01, limits.least_rate(len(picture.agents)))
+    rate = max(0.01, limits.least_rate)
     return limits.accused(picture.verdicts, rate), limits.disputed(picture.verdicts, rate)
 
 
