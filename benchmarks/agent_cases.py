@@ -233,7 +233,7 @@ def run(number: int, scene: Scene, attacked: Attacked) -> Outcome:
     """Return what becomes of a scene whose agents are attacked."""
     centers = {OURS: CommandCenter(scene.agents), NOBODY: CommandCenter(scene.agents, trusting=True)}
     published, limits = PublishedTrust(), trust_limits()
-    rate = max(0.01, limits.least_rate(len(scene.agents)))
+    rate = max(0.01, limits.least_rate)
     trust: dict[str, list[Floats]] = {OURS: [], MATE: []}
     distance, false = ({name: list[float]() for name in (OURS, MATE, NOBODY)} for _ in range(2))
     accused, disputed = (np.zeros(len(scene.agents), np.bool_) for _ in range(2))

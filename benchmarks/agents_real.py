@@ -122,7 +122,7 @@ def report_of(sweep: Sweep, agent: str, pose: Rigid | None = None) -> AgentRepor
 def found_in(rounds: Sequence[Round]) -> Found:
     """Return what a center and the pairs of agents make of some rounds."""
     names, limits = tuple(report.agent for report in rounds[0]), trust_limits()
-    rate = max(0.01, limits.least_rate(len(names)))
+    rate = max(0.01, limits.least_rate)
     found, center = Found(), CommandCenter(names)
     for number, reports in enumerate(rounds):
         picture = center.add(0.5 * number, reports)
