@@ -49,7 +49,7 @@ def accused_share(drives: range, seconds: float, models: dict[str, EvidenceModel
     out = {}
     for name, model in models.items():
         highest = [row for k in drives for row in highest_e_values(observed(k, seconds), model).values()]
-        over = (np.array(highest) >= np.array(model.limits)).any(axis=1)
+        over = np.asarray((np.array(highest) >= np.array(model.limits)).any(axis=1))
         out[name] = int(over.sum()), len(over)
     return out
 
