@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.explained import ExplainedTracks
-from viewshed.fusion.sensor_view import SensorView
+from viewshed.fusion.sensor_view import Observed, SensorView
 from viewshed.fusion.single import SingleFusion
 from viewshed.geometry import Rigid
 from viewshed.integrity.report import IntegrityReport
@@ -114,6 +114,20 @@ class ObjectStream:
             ValueError: a number of the sweep or of the estimate is out of range.
         """
         begun_s = self._clock()
+        detections, (tracks, found, views) = self.observe(leveled, estimate, report)
+        # 4. Why each is detected or not.
+        explained = self._agent(leveled.sweep.agent).fusion.explain(tracks, found, views)
+        pose = leveled.world_from_level or Rigid.identity()
+        return SeenObjects(detections, explained, pose, self._clock() - begun_s)
+
+    def observe(
+        self, leveled: LeveledSweep, estimate: FovEstimate, report: IntegrityReport | None = None
+    ) -> tuple[Detections, Observed]:
+        """Return the detections of an agent's next sweep in ``level``, and what fusion is given of it.
+
+        Raises:
+            ValueError: a number of the sweep or of the estimate is out of range.
+        """
         sweep, pose = leveled.sweep, leveled.world_from_level
         agent = self._agent(sweep.agent)
         t_s = agent.last_s + PERIOD_S if sweep.t_ns is None else sweep.t_ns / 1e9
@@ -128,12 +142,11 @@ class ObjectStream:
         # 2. Tracks, by what the beams of this sweep could have seen.
         view = BeamView(leveled, t_s, found=self._found)
         tracks = agent.tracker.step(t_s, found, view)
-        # 3. Why each is detected or not.
+        # 3. What the field of view says of them.
         seen = SensorView(
             sweep.agent, view, tracks_from_level.translation[:2], SeenCells.of(estimate), report, tracks_from_level.yaw
         )
-        explained = agent.fusion.explain(tracks, found, [seen])
-        return SeenObjects(detections, explained, tracks_from_level, self._clock() - begun_s)
+        return detections, (tracks, found, (seen,))
 
     def _agent(self, name: str) -> _Agent:
         agent = self._agents.pop(name, None) or _Agent()
