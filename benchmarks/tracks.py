@@ -149,8 +149,8 @@ _RIG = (
     "A Pandar64 on the roof and two LiDARs at the sides, rolled by about 45°, one sweep of each at three places. Their"
     f" rough extrinsics (yaw alone) were aligned by the surfaces that both see, within 4° and 1.5 m. Each sweep is"
     f" given {REPEATS} times at 10 Hz, as if the car stood. {GHOSTS} boxes of cars are fabricated at random places"
-    f" within {GHOST_WITHIN_M:g} m. *Honest accused*: of the confirmed tracks of the detector. *Blind*: cells within 5 m"
-    " that no sensor calls free or obstacle."
+    f" within {GHOST_WITHIN_M:g} m. *Honest accused*: of the confirmed tracks of the detector. *Blind*: cells within 5"
+    " m that no sensor calls free or obstacle."
 )
 
 
