@@ -192,3 +192,39 @@ def test_reasons_are_counted_apart_up_to_a_bound() -> None:
     refused = pipeline.close().refused
     assert len(refused) == 51
     assert refused["for other reasons"] == 10
+
+
+def test_objects_are_followed_for_each_agent_and_an_error_costs_only_them() -> None:
+    pytest.importorskip("scipy", reason="scipy is not installed: nothing is tracked")
+    from viewshed.fusion.object_stream import ObjectStream
+    from viewshed.objects import Detections
+
+    calls = 0
+
+    def fails_once(leveled: LeveledSweep, detections: Detections) -> Detections:
+        nonlocal calls
+        calls += 1
+        if calls == 4:  # the first is the warm-up
+            raise RuntimeError("detector broke\nin two lines")
+        return detections
+
+    answers: list[Answer] = []
+    objects = ObjectStream(tamper=fails_once)
+    with Pipeline(shadow_map(), answers.append, objects=objects, lossless=True) as pipeline:
+        for n in range(4):
+            pipeline.put(at(0.1 * n, SWEEP), "car")
+        pipeline.put(at(0.4, SWEEP), "truck")
+        pipeline.close()
+    assert [answer.objects is None for answer in answers] == [False, False, True, False, False]
+    assert answers[2].notes == ("no objects: detector broke in two lines",)
+    assert answers[2].estimate is not None
+    line = pipeline.statistics().line()
+    assert "objects p50" in line
+    assert line.endswith("1 failed")
+    # The sweeps are of one instant: what is detected first is there in all of them, under its own number.
+    ids = [set(a.objects.explained.tracks.ids[a.objects.shown].tolist()) for a in answers if a.objects is not None]
+    assert ids[0] < ids[2]
+    car, truck = answers[3].objects, answers[4].objects
+    assert car is not None
+    assert truck is not None
+    assert car.shown.sum() > truck.shown.sum()

@@ -135,5 +135,7 @@ def _tell(text: str, out: Path | None) -> None:
     if out is None:
         typer.echo(text)
     else:
-        out.write_text(text, encoding="utf-8")
+        from viewshed._results import write_page
+
+        write_page(out, text)
         typer.echo(f"wrote {out}")

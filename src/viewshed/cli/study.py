@@ -169,7 +169,9 @@ def deviation(
 def monitor(
     preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
     out: Out = None,
-    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: drives, score, page.")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="STEPS", help="With commas: drives, published, score, page.")
+    ] = None,
     workers: Workers = None,
     engine: EngineName = "local",
     page: Pages = None,
@@ -350,10 +352,14 @@ def _require_all_done(failed: list[str]) -> None:
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     from viewshed._files import write_atomic
+    from viewshed._results import write_page
 
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
-        write_atomic(folder / name, content)
+        if name.endswith(".md"):
+            write_page(folder / name, content.decode())
+        else:
+            write_atomic(folder / name, content)
 
 
 def _show(folder: Path, files: dict[str, bytes]) -> None:
