@@ -128,7 +128,7 @@ def line_of(picture: CommonPicture) -> str:
         f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
         for word, flags in (("ACCUSED", accused), ("disputed", disputed)) if flags.any()
     )  # fmt: skip
-    objects = f"{picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed"
+    objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"
 
 
@@ -159,7 +159,7 @@ def numbers_of(picture: CommonPicture) -> dict[str, Any]:
             "believed": bool(picture.believed[k]),
             "reported_by": [picture.agents[n] for n in picture.reporters[k].nonzero()[0]],
         }
-        for k in tracks.confirmed.nonzero()[0]
+        for k in (tracks.confirmed | picture.believed).nonzero()[0]
     ]  # fmt: skip
     return {"t_s": round(picture.t_s, 6), "agents": agents, "doubt": round(verdicts.doubt, 3), "objects": objects}
 
