@@ -127,7 +127,7 @@ def line_of(done: Round) -> str:
         f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
         for word, flags in (("ACCUSED", done.accused), ("disputed", done.disputed)) if flags.any()
     )  # fmt: skip
-    objects = f"{picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed"
+    objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"
 
 
