@@ -1,4 +1,4 @@
-"""What the benchmarks of many agents share: a tall mast, truth as a view with a pose, shares with intervals, a page."""
+"""What the benchmarks of many agents share: a tall mast, truth as a view with a pose, shares with intervals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._page import facts, page
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
@@ -47,8 +46,3 @@ def share(part: Sequence[float], whole: Sequence[float], digits: int = 3) -> str
     drawn = (weights @ parts) / np.maximum(weights @ wholes, 1e-9)
     low, high = np.quantile(drawn, (0.025, 0.975))
     return f"{parts.sum() / wholes.sum():.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
-
-
-def headed_page(title: str, headline: Sequence[str], *parts: str, **more: str) -> str:
-    """Return a Markdown page: title, the figures that matter as a list, the parts, and how it was made."""
-    return page(title, facts(**more), "\n".join(f"- {line}" for line in headline), *parts)

@@ -11,6 +11,7 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
+import docs_site
 import pytest
 import yaml
 
@@ -19,6 +20,8 @@ import viewshed
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src" / "viewshed").rglob("*.py"))
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
+RUN = ("index", "tutorial", "conventions", "simulate", "attacks")
+"""Pages whose Python blocks are run."""
 HEAVY = ("numpy", "numba", "matplotlib", "PIL", "shapely", "onnxruntime", "pyarrow", "scipy", "typer")
 
 
@@ -72,21 +75,11 @@ def test_version_is_in_changelog_and_citation() -> None:
 
 
 def test_every_command_and_estimator_is_documented() -> None:
-    from typer.main import get_command
-
-    from viewshed.cli import app
-
-    words = _words_for_users()
-    assert [name for name in _commands(get_command(app)) if f"viewshed {name}" not in words] == []
+    words, rows = _words_for_users(), re.findall(r"^\| .*", _text("docs/cli.md"), re.MULTILINE)
+    listed = {name for row in rows for name in re.findall(r"`([a-z ]+)`", row)}
+    listed |= {f"study {name}" for row in rows if row.startswith("| study") for name in re.findall(r"`([a-z]+)`", row)}
+    assert set(docs_site.command_names()) <= listed
     assert [name for name in viewshed.ESTIMATORS if f"`{name}`" not in words] == []
-
-
-def _commands(group: object, prefix: str = "") -> Iterator[str]:
-    for name, command in getattr(group, "commands").items():  # noqa: B009 - click's type is not exported by typer
-        if getattr(command, "commands", None):
-            yield from _commands(command, f"{prefix}{name} ")
-        elif not command.hidden:
-            yield f"{prefix}{name}"
 
 
 def test_no_grab_bags_and_no_open_ends() -> None:
@@ -122,10 +115,11 @@ def test_license_is_apache() -> None:
 
 def test_every_page_is_in_the_navigation_and_every_link_leads_somewhere() -> None:
     site = yaml.safe_load(_text("mkdocs.yml"))
-    pages = sorted(str(path.relative_to(ROOT / "docs")) for path in PAGES)
-    excluded = site["exclude_docs"].split()
-    assert sorted(_leaves(site["nav"])) == [page for page in pages if not any(map(partial(fnmatch, page), excluded))]
-    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]:
+    notebooks = [path.with_suffix(".md") for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")]
+    pages = [str(path.relative_to(ROOT / "docs")) for path in [*PAGES, *notebooks]]
+    kept = [page for page in pages if not any(map(partial(fnmatch, page), site["exclude_docs"].split()))]
+    assert sorted(_leaves(site["nav"])) == sorted([*kept, *(f"contribute/{name}.md" for name in docs_site.ELSEWHERE)])
+    for page in [*(ROOT / name for name in ("README.md", *docs_site.ELSEWHERE.values())), *PAGES]:
         prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
         for target in re.findall(r"\]\((?!https?://|#|mailto:)([^)#\s]+)", prose):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
@@ -150,7 +144,7 @@ def test_make_commands_in_the_pages_are_targets() -> None:
     assert shown <= set(re.findall(r"^([a-z]+):", _text("Makefile"), re.MULTILINE))
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/conventions.md", "docs/simulator.md"])
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{name}.md" for name in RUN)])
 def test_python_in_the_pages_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs every python block of a page, in order, and compares what the comments after # → say."""
     blocks = re.findall(r"^```python\n(.*?)^```", _text(page), re.MULTILINE | re.DOTALL)

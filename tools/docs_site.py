@@ -1,7 +1,7 @@
 """Hooks of mkdocs: what the site takes from the code, so that no page repeats it.
 
-A line ``<!-- generated: NAME -->`` of a page becomes the table of that name in ``GENERATED``, and each notebook a page with
-its stored outputs. The site's name shows the version, and its header the repository, where the checkout has one.
+A line ``<!-- generated: NAME -->`` of a page becomes the table of that name in ``GENERATED``, and each notebook a page
+with its stored outputs. The site's name shows the version, and its header the repository, where the checkout has one.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from viewshed._page import table
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+ELSEWHERE = {"contributing": "CONTRIBUTING.md", "core": "src/core/README.md", "changes": "CHANGELOG.md"}
+"""Pages below ``contribute/`` that stand elsewhere in the repository."""
 
 
 # What mkdocs calls.
@@ -29,9 +31,10 @@ MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 def on_config(config: Any) -> Any:
     """Name the version, and link the repository that the checkout comes from."""
     config.site_name = f"viewshed {viewshed.__version__}"
-    origin = subprocess.run(["git", "remote", "get-url", "origin"], cwd=ROOT, check=False, capture_output=True, text=True)
-    if origin.stdout.startswith("https://"):
-        config.repo_url = origin.stdout.strip().removesuffix(".git")
+    command = ["git", "-C", str(ROOT), "remote", "get-url", "origin"]
+    origin = subprocess.run(command, check=False, capture_output=True, text=True).stdout.strip()
+    if origin.startswith("https://"):
+        config.repo_url = origin.removesuffix(".git")
     return config
 
 
@@ -44,12 +47,19 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, file.src_uri.replace(".ipynb", ".md"), content=text))
         for name, content in pictures.items():
             files.append(File.generated(config, f"{Path(file.src_uri).parent}/{name}", content=content))
+    for name, path in ELSEWHERE.items():
+        text = re.sub(r"\]\((\.\./)*docs/", "](../", (ROOT / path).read_text(encoding="utf-8"))
+        for other, place in ELSEWHERE.items():
+            text = text.replace(f"]({place})", f"]({other}.md)")
+        files.append(File.generated(config, f"contribute/{name}.md", content=text))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Write generated tables into a page."""
-    return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown)
+    """Write generated tables into a page, and turn its links to files elsewhere into those to their pages."""
+    for name, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{path})", f"](contribute/{name}.md)")
+    return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
 
 
 # Notebooks.
@@ -63,14 +73,19 @@ def page_of_notebook(path: Path) -> tuple[str, dict[str, bytes]]:
         source = "".join(cell["source"])
         blocks.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
         for output in cell.get("outputs", []):
-            data = output.get("data", {})
-            if "image/png" in data:
+            if "image/png" in output.get("data", {}):
                 name = f"{path.stem}_{len(pictures)}.png"
-                pictures[name] = base64.b64decode(data["image/png"])
+                pictures[name] = base64.b64decode(output["data"]["image/png"])
                 blocks.append(f"![Output of the cell above]({name})")
-            else:
-                blocks.append(f"```text\n{''.join(output.get('text') or data.get('text/plain', '')).rstrip()}\n```")
+        if printed := printed_by(cell):
+            blocks.append(f"```text\n{printed.rstrip()}\n```")
     return "\n\n".join(blocks) + "\n", pictures
+
+
+def printed_by(cell: Any) -> str:
+    """Return what a cell of a notebook prints or returns as text; nothing for a picture."""
+    outputs = [output for output in cell.get("outputs", []) if "image/png" not in output.get("data", {})]
+    return "".join("".join(o.get("text") or o.get("data", {}).get("text/plain", "")) for o in outputs)
 
 
 # Tables.
@@ -100,7 +115,9 @@ def commands() -> str:
     from viewshed.cli import app
 
     runner = CliRunner()
-    shown = {name: runner.invoke(app, [*name.split(), "--help"], prog_name="viewshed").stdout for name in command_names()}
+    shown = {
+        name: runner.invoke(app, [*name.split(), "--help"], prog_name="viewshed").stdout for name in command_names()
+    }
     return "\n\n".join(f"## viewshed {name}\n\n```text\n{text.strip()}\n```" for name, text in shown.items())
 
 
@@ -114,7 +131,9 @@ def attacks() -> str:
     rows = []
     for name, make in (ATTACKS | INFORMED).items():
         attack: Any = make(None, knowledge)
-        defaults = ", ".join(f"`{f.name}` {_text(getattr(attack, f.name))}" for f in fields(attack) if f.name not in common)
+        defaults = ", ".join(
+            f"`{f.name}` {_text(getattr(attack, f.name))}" for f in fields(attack) if f.name not in common
+        )
         what = str(type(attack).__doc__).splitlines()[0].split(": ")[0].removesuffix(".")
         mode = "free-form" if name in FREE_FORM else "–" if name == "pose_spoof" else "on beams"
         rows.append([str(FAMILY[name]), f"`{name}`", mode, what, defaults])
@@ -129,8 +148,8 @@ def corruptions() -> str:
     rows = []
     for name, steps in SEVERITIES.items():
         values: list[Any] = [step.conditions if isinstance(step, Weather) else step for step in steps]
-        for key in weather if isinstance(steps[0], Weather) else [field.name for field in fields(values[0])]:
-            rows.append([f"`{name}`", f"`{key}`", *(_text(getattr(value, key)) for value in values)])
+        keys = weather if isinstance(steps[0], Weather) else [field.name for field in fields(values[0])]
+        rows += [[f"`{name}`", f"`{key}`", *(_text(getattr(value, key)) for value in values)] for key in keys]
     return table(("name", "parameter", "1", "2", "3", "4", "5"), rows)
 
 
@@ -196,16 +215,6 @@ def sensors() -> str:
     return table(header, rows)
 
 
-def exports() -> str:
-    """Return the formats of export and how each maps the four states."""
-    from viewshed.io.export import EXPORTERS
-
-    return table(
-        ("`--to`", "file", "how the states map"),
-        [[f"`{name}`", f"`STEM{way.suffix}`", way.states] for name, way in EXPORTERS.items()],
-    )
-
-
 def _text(value: object) -> str:
     if isinstance(value, tuple):
         return "(" + ", ".join(_text(part) for part in value) + ")"
@@ -213,8 +222,7 @@ def _text(value: object) -> str:
 
 
 GENERATED: dict[str, Callable[[], str]] = {
-    make.__name__: make
-    for make in (commands, attacks, corruptions, defenses, worlds, materials, weather, sensors, exports)
+    make.__name__: make for make in (commands, attacks, corruptions, defenses, worlds, materials, weather, sensors)
 }
 
 
@@ -225,7 +233,9 @@ def methods() -> str:
     """Return precision, recall and F1 of every method on other worlds and own ones, from the page in the wild."""
     text = (ROOT / "docs" / "results" / "wild.md").read_text(encoding="utf-8")
     cars = text.split("## road, car\n")[1].split("\n## ")[0].split("**Told ring")[1]
-    rows = re.findall(r"^\| (\w+) \| (\.\d+) / (\.\d+) \| (\.\d+) .*?\| (\.\d+) / (\.\d+) \| (\.\d+) ", cars, re.MULTILINE)
+    rows = re.findall(
+        r"^\| (\w+) \| (\.\d+) / (\.\d+) \| (\.\d+) .*?\| (\.\d+) / (\.\d+) \| (\.\d+) ", cars, re.MULTILINE
+    )
     seen: dict[str, list[str]] = {}
     for name, *figures in rows:
         seen.setdefault(name, figures)

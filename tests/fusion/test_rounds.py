@@ -62,7 +62,7 @@ def test_who_contradicts_two_others_is_told() -> None:
     assert last.picture.verdicts.trust.argmin() == 2
     assert (last.accused | last.disputed).tolist() == [False, False, True]
     assert len(last.sentences()) == 1
-    assert last.sentences()[0].startswith("c: ")
+    assert last.sentences()[0].startswith("c contradicts")
     joint = last.joint
     assert joint.agents == ("a", "b", "c")
     assert joint.seen_by.max() == 2  # nobody takes the word of the third

@@ -16,9 +16,11 @@ import typer
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.fov.visibility import Target
+    from viewshed.fusion.object_stream import ObjectStream
     from viewshed.grid import BevGrid
     from viewshed.io import IndexEntry
     from viewshed.sweep import Sweep
+    from viewshed.threats.adversary import Adversary
 
 
 GridName = Annotated[
@@ -96,7 +98,7 @@ _COARSE_M = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How files are read: what the options say about them; see :func:`with_reading`."""
+    """How files are read: what the options say about them; see :func:`with_groups`."""
 
     sensor: SensorName = AUTO
     format: FormatName = AUTO
@@ -229,33 +231,97 @@ AS_THEY_ARE = Reading()
 """Files are read as they say themselves."""
 
 
-def with_reading(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameter ``reading`` is an option for each field of :class:`Reading`; others as it is.
+@dataclass(frozen=True, slots=True)
+class Following:
+    """What is made of sweeps beside their fields of view, and who forges it; see :func:`with_groups`."""
+
+    objects: Annotated[bool, typer.Option("--objects", help="Detect, track and explain objects as well.")] = False
+    fuse: Annotated[
+        bool, typer.Option("--fuse", help="Put several agents together as well: joint tracks, trust, disputes.")
+    ] = False
+    attack: Annotated[
+        str | None, typer.Option("--attack", help="Forge sweeps, objects or claimed views: name of an attack.")
+    ] = None
+    attacked: Annotated[
+        str | None, typer.Option("--attacked", help="Agents that are attacked, AGENT,AGENT; all if not given.")
+    ] = None
+    attack_from: Annotated[
+        float, typer.Option("--attack-from", min=0.0, help="Seconds after its first sweep at which it begins.")
+    ] = 2.0
+
+    def __post_init__(self) -> None:
+        if self.attacked is not None and self.attack is None:
+            raise ValueError("--attacked goes with --attack")
+
+    @property
+    def wants_objects(self) -> bool:
+        """Whether objects are followed: to be shown, or to be put together."""
+        return self.objects or self.fuse
+
+    def adversary(self) -> Adversary | None:
+        """Return who forges, or None.
+
+        Raises:
+            ValueError: there is no such attack.
+        """
+        if self.attack is None:
+            return None
+        from viewshed.threats.adversary import Adversary
+
+        agents = frozenset((self.attacked or "").split(",")) - {""}
+        return Adversary(self.attack, agents, start_s=self.attack_from)
+
+    def object_stream(self, adversary: Adversary | None) -> ObjectStream | None:
+        """Return what follows objects, or None."""
+        if not self.wants_objects:
+            return None
+        from viewshed.fusion.object_stream import ObjectStream
+
+        return ObjectStream(tamper=None if adversary is None else adversary.detections)
+
+
+NOT_FOLLOWED = Following()
+"""Fields of view alone."""
+
+GROUPS: dict[str, type[Any]] = {"reading": Reading, "following": Following}
+"""Options that several commands share, by the parameter that takes them."""
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameters of :data:`GROUPS` are an option for each of their fields; others as it is.
 
     The reference system is no such option: only commands that write maps have one.
     """
-    if "reading" not in command.__annotations__:
+    groups = {name: kind for name, kind in GROUPS.items() if name in command.__annotations__}
+    if not groups:
         return command
-    signature, hints = inspect.signature(command, eval_str=True), get_type_hints(Reading, include_extras=True)
-    kind = inspect.Parameter.KEYWORD_ONLY
-    own = [
-        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
-        for each in fields(Reading)
-        if _NO_OPTION not in each.metadata
-    ]
+    signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
+    own = {name: _parameters(group) for name, group in groups.items()}
 
     @wraps(command)
     def with_options(**given: Any) -> None:
-        reading = Reading(**{each.name: given.pop(each.name) for each in own})
-        command(**given, reading=reading)
+        made = {
+            name: group(**{each.name: given.pop(each.name) for each in own[name]}) for name, group in groups.items()
+        }
+        command(**given, **made)
 
     # Typer takes options from the signature and their types from the annotations.
     parameters: list[inspect.Parameter] = []
     for each in signature.parameters.values():
-        parameters += own if each.name == "reading" else [each.replace(kind=kind)]
+        parameters += own[each.name] if each.name in own else [each.replace(kind=kind)]
     with_options.__dict__["__signature__"] = signature.replace(parameters=parameters)
     with_options.__annotations__ = {each.name: each.annotation for each in parameters}
     return with_options
+
+
+def _parameters(group: type[Any]) -> list[inspect.Parameter]:
+    """Return a parameter for each field of a group that is an option."""
+    hints, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
+    return [
+        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
+        for each in fields(group)
+        if _NO_OPTION not in each.metadata
+    ]
 
 
 def complain(line: str) -> None:

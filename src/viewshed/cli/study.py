@@ -176,7 +176,8 @@ def monitor(
     preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
     out: Out = None,
     only: Annotated[
-        str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas: drives, score, page.")
+        str | None,
+        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: drives, published, score, page."),
     ] = None,
     workers: Workers = None,
     engine: EngineName = "local",

@@ -32,6 +32,7 @@ from viewshed.pipeline.reactions import (
     speed_for_view,
     withdraw,
 )
+from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -112,22 +113,25 @@ class Statistics:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A sweep on its way: where it is from, and what has become of it."""
+    """A sweep on its way: where it is from, and what has become of it so far."""
 
     agent: str
     number: int
     put_s: float
     source: Sweep | Callable[[], Sweep]
     leveled: LeveledSweep | None = None
+    seen: History | None = None
+    estimate: FovEstimate | None = None
     note: str = ""
     refused: str = ""
 
 
 class Pipeline:
-    """Decodes and levels in one thread, estimates, checks and reacts in a second, publishes in a third.
+    """Answers sweeps in four threads: one decodes and levels, one estimates, one checks and reacts, one publishes.
 
-    Sweeps wait in the inbox alone, where a newer one of the same agent replaces the oldest. A sweep that cannot be
-    answered costs that sweep and no other. Memory does not grow with the stream.
+    Without monitor and objects one thread estimates and reacts: handing on would take longer than reacting. Sweeps
+    wait in the inbox alone, where a newer one of the same agent replaces the oldest. A sweep that cannot be answered
+    costs that sweep and no other. Memory does not grow with the stream.
 
     >>> from viewshed import load_estimator
     >>> answers: list[Answer] = []
@@ -163,10 +167,12 @@ class Pipeline:
     ) -> None:
         self._estimator, self._publish, self._history, self._monitor = estimator, publish, history, monitor
         self._rules, self._vehicle, self._objects = rules, vehicle, objects
+        self._checks = monitor is not None or objects is not None
         # Each thread hands on to the next through a queue of one: who is faster waits, and what comes in meanwhile
         # waits, or is dropped, in the inbox.
         self._inbox: Inbox[_Step] = Inbox(waiting, lossless=lossless)
         self._to_estimate: Queue[_Step | None] = Queue(1)
+        self._to_check: Queue[_Step | None] = Queue(1)
         self._to_publish: Queue[Answer | None] = Queue(1)
         self._reactions: OrderedDict[str, ReactionState] = OrderedDict()
         self._lock, self._put, self._answered = Lock(), 0, 0
@@ -180,7 +186,8 @@ class Pipeline:
         if objects is not None:
             objects.follow(sample, first)
             objects.reset()
-        works = (self._level_all, self._estimate_all, self._publish_all)
+        works = [self._level_all, self._estimate_all, self._publish_all]
+        works += [self._check_all] if self._checks else []
         self._threads = [Thread(target=work, daemon=True) for work in works]
         for thread in self._threads:
             thread.start()
@@ -245,55 +252,73 @@ class Pipeline:
         self._to_estimate.put(None)
 
     def _estimate_all(self) -> None:
-        """Estimate, check and react."""
+        """Estimate; where nothing is checked or followed react as well."""
         while (step := self._to_estimate.get()) is not None:
-            answer = self._answer(step)
-            with self._lock:
-                if answer.estimate is None:
-                    known = answer.refused in self._refused or len(self._refused) < REASONS
-                    self._refused[answer.refused if known else OTHER_REASONS] += 1
-                else:
-                    self._answered += 1
-                    self._latencies.add(answer.latency_s)
-            self._to_publish.put(answer)
+            step = self._estimated(step)
+            if self._checks:
+                self._to_check.put(step)
+            else:
+                self._answer(step)
+        (self._to_check if self._checks else self._to_publish).put(None)
+
+    def _check_all(self) -> None:
+        """Check, follow objects and react."""
+        while (step := self._to_check.get()) is not None:
+            self._answer(step)
         self._to_publish.put(None)
 
-    def _answer(self, step: _Step) -> Answer:
-        """Return what becomes of a leveled sweep."""
-        leveled, refused = step.leveled, step.refused
-        estimate, report, seen, objects, notes = None, None, None, None, list[str]()
-        if leveled is not None:
+    def _estimated(self, step: _Step) -> _Step:
+        """Return a leveled sweep with its estimate, made with the agent's earlier sweeps where there are any."""
+        if step.leveled is None:
+            return step
+        try:
+            seen = None if self._history is None else self._history.history(step.leveled)
+            leveled = step.leveled if seen is None else seen.now
+            estimate = self._estimator.estimate(leveled, seen)
+            if self._history is not None:
+                self._history.add(leveled)
+        except Exception as error:
+            return replace(step, refused=_in_one_line(error))
+        return replace(step, leveled=leveled, seen=seen, estimate=estimate)
+
+    def _answer(self, step: _Step) -> None:
+        """Check an estimated sweep, follow its objects and react, count what became of it and hand it on."""
+        leveled, estimate, report, refused = step.leveled, step.estimate, None, step.refused
+        # 1. Look for what contradicts the estimate.
+        if self._monitor is not None and leveled is not None and estimate is not None:
             try:
-                # 1. Estimate, with the agent's earlier sweeps where there are any.
-                seen = None if self._history is None else self._history.history(leveled)
-                leveled = leveled if seen is None else seen.now
-                estimate = self._estimator.estimate(leveled, seen)
-                if self._history is not None:
-                    self._history.add(leveled)
-                # 2. Look for what contradicts it.
-                if self._monitor is not None:
-                    report = self._monitor.check(leveled, {estimate.method: estimate})
+                report = self._monitor.check(leveled, {estimate.method: estimate})
             except Exception as error:
-                estimate, report, refused = None, None, _in_one_line(error)
-        # 3. Follow objects; what goes wrong there costs only them.
+                estimate, refused = None, _in_one_line(error)
+        # 2. Follow objects; what goes wrong there costs only them.
+        objects, notes = None, list((step.note,) if step.note else () if report is None else report.notes)
         if leveled is not None and estimate is not None and self._objects is not None:
             objects = self._follow(leveled, estimate, report, notes)
-        # 4. React: caution follows from the report, and what does not hold any more is withdrawn.
+        # 3. React: caution follows from the report, and what does not hold any more is withdrawn.
         before = self._reactions.get(step.agent, ReactionState())
         found = _finding(estimate, report)
         reaction = react(found, before, self._rules)
         _remember(self._reactions, step.agent, reaction)
         if estimate is not None and reaction.caution >= Caution.WIDEN:
             confirmed = None
-            if reaction.caution == Caution.CONFIRMED and seen is not None:
-                confirmed = seen.confirmations(estimate.grid, estimate.target) > 0
+            if reaction.caution == Caution.CONFIRMED and step.seen is not None:
+                confirmed = step.seen.confirmations(estimate.grid, estimate.target) > 0
             estimate = withdraw(estimate, reaction, confirmed, self._rules)
         speed_mps = 0.0 if estimate is None else speed_for_view(estimate, self._vehicle)
+        # 4. Count and hand on.
         latency_s = time.perf_counter() - step.put_s
-        own = (step.note,) if step.note else () if report is None else report.notes
-        return Answer(
-            step.agent, step.number, leveled, estimate, report, reaction, speed_mps, (*own, *notes), refused, latency_s,
-            objects,
+        with self._lock:
+            if estimate is None:
+                known = refused in self._refused or len(self._refused) < REASONS
+                self._refused[refused if known else OTHER_REASONS] += 1
+            else:
+                self._answered += 1
+                self._latencies.add(latency_s)
+        self._to_publish.put(
+            Answer(
+                step.agent, step.number, leveled, estimate, report, reaction, speed_mps, tuple(notes), refused,
+                latency_s, objects,
+            )
         )  # fmt: skip
 
     def _follow(
