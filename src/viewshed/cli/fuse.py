@@ -33,7 +33,7 @@ def fuse(
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     slop: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Seconds by which sweeps of one time may lie apart.")
+        float, typer.Option(min=0.0, max=1.0, help="Sweeps at most so many seconds apart count as of the same time.")
     ] = 0.1,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
