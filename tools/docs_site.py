@@ -9,8 +9,13 @@ from __future__ import annotations
 import base64
 import json
 import math
+import os
 import re
+import shlex
+import shutil
 import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -21,6 +26,8 @@ from viewshed._page import table
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
+"""The real sweep of the tutorial, in the folder of real sweeps."""
 ELSEWHERE = {"contributing": "CONTRIBUTING.md", "core": "src/core/README.md", "changes": "CHANGELOG.md"}
 """Pages below ``contribute/`` that stand elsewhere in the repository."""
 
@@ -244,7 +251,40 @@ def methods() -> str:
     return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
 
 
-if __name__ == "__main__":
+# The tutorial.
+
+
+def transcript(text: str, folder: Path) -> str:
+    """Return a page with what its commands print: lines of console blocks that begin with ``$``, run in a folder."""
+    return re.sub(
+        r"(?<=^```console\n).*?(?=^```)", lambda block: _run(block[0], folder), text, flags=re.MULTILINE | re.DOTALL
+    )
+
+
+def _run(block: str, folder: Path) -> str:
+    program = [sys.executable, "-c", "import sys; from viewshed.cli import main; sys.argv[0] = 'viewshed'; main()"]
+    printed = ""
+    for line in re.findall(r"^\$ .*", block, re.MULTILINE):
+        command = [*program, *shlex.split(line)[2:]]
+        done = subprocess.run(
+            command, cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        printed += f"{line}\n{done.stdout.replace(f'{folder}/', '')}"
+    return printed
+
+
+def main() -> None:
+    """Write anew what pages take from results and from commands; the tutorial where its real sweep is to be had."""
     page = ROOT / "docs" / "which_method.md"
     kept = re.compile(r"(<!-- methods: .*? -->\n).*?(<!-- end of methods -->)", re.DOTALL)
     page.write_text(kept.sub(rf"\g<1>{methods()}\n\g<2>", page.read_text(encoding="utf-8")), encoding="utf-8")
+    sweep = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT / ".." / "shared" / "data"), TUTORIAL_SWEEP)
+    if sweep.is_file():
+        page = ROOT / "docs" / "tutorial.md"
+        with tempfile.TemporaryDirectory() as folder:
+            shutil.copy(sweep, folder)
+            page.write_text(transcript(page.read_text(encoding="utf-8"), Path(folder)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
