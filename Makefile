@@ -57,7 +57,10 @@ bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/
 	$(BIN)/python -m benchmarks
 
 MINUTES ?= 30
-soak: $(VENV)/.bench  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less); docs/results/soak.md
+FORGED ?= 1000000
+soak: $(VENV)/.bench  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less), a million forged messages; docs/results/soak.md
+	$(PIP) --editable '.[agents]'
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.messages --flood --forged $(FORGED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers

@@ -44,7 +44,11 @@ PLAN = replace(AgentsPlan.load("small"), seconds=12.0, seed=SEED)
 MAST = PLAN.moving
 """Number of the agent on the mast."""
 
-DRAWS = 8
+TEN = replace(PLAN, moving=9, seed=SEED + 1)
+COUNTS = (2, 3, 5, 10)
+"""Agents that report, the mast among them."""
+
+DRAWS = 4
 """Monte Carlo runs of each scene."""
 
 ON = 0.7
@@ -113,7 +117,7 @@ class Outcome:
         scene: its number.
         attacked: numbers of the agents.
         trust: (T, A) by ours and as published.
-        accused: (A,) bool, by the limits in the box, at any time.
+        accused, disputed: (A,) bool, by the limits in the box, at any time.
         gospa: (T,) meters by whose trust.
         false: (T,) tracks in the picture that are of no object, by whose trust.
     """
@@ -122,6 +126,7 @@ class Outcome:
     attacked: tuple[int, ...]
     trust: dict[str, Floats]
     accused: NDArray[np.bool_]
+    disputed: NDArray[np.bool_]
     gospa: dict[str, Floats]
     false: dict[str, Floats]
 
@@ -143,6 +148,7 @@ def main() -> None:
     """Simulate what is not there, run all cases and write the pages."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.agent_cases", description=__doc__)
     parser.add_argument("--scenes", type=int, default=12, help="worlds, each from a seed of its own")
+    parser.add_argument("--ten", type=int, default=4, help="worlds with ten agents")
     parser.add_argument("--work", type=Path, help="where scenes are kept; a new folder if not given")
     parser.add_argument("--out", type=Path, default=PAGES, help="where the pages go")
     chosen = parser.parse_args()
@@ -150,6 +156,7 @@ def main() -> None:
         work: Path = chosen.work or Path(scratch)
         work.mkdir(parents=True, exist_ok=True)
         found: dict[str, list[Outcome]] = {name: [] for name in (*CASES, "case_monte_carlo")}
+        by_count: dict[int, list[Outcome]] = {count: [] for count in COUNTS}
         for number in range(chosen.scenes):
             scene = scene_of(number, work)
             for name, case in CASES.items():
@@ -162,22 +169,51 @@ def main() -> None:
                 found["case_monte_carlo"].append(
                     run(number, scene, drawn(generator(SEED, "monte carlo", number, draw)))
                 )
+            for count in COUNTS[:-1]:
+                by_count[count].append(run_some(number, scene, count))
             print(f"scene {number} of {chosen.scenes}", flush=True)
+        for number in range(chosen.ten):
+            by_count[10].append(run_some(number, scene_of(number, work, TEN), 10))
+            print(f"scene {number} of {chosen.ten} with ten agents", flush=True)
     chosen.out.mkdir(parents=True, exist_ok=True)
     for name, case in CASES.items():
         draw_trust(found[name], chosen.out / f"{name}.png")
         (chosen.out / f"{name}.md").write_text(page_of(name, case, found[name]), encoding="utf-8")
-    (chosen.out / "case_monte_carlo.md").write_text(monte_carlo_page(found["case_monte_carlo"]), encoding="utf-8")
+    (chosen.out / "case_monte_carlo.md").write_text(
+        monte_carlo_page(found["case_monte_carlo"], by_count), encoding="utf-8"
+    )
 
 
-def scene_of(number: int, work: Path) -> Scene:
+def scene_of(number: int, work: Path, study: AgentsPlan = PLAN) -> Scene:
     """Return a scene with a mast as published, simulated where it is not there."""
-    path = work / f"case-{number:03d}.npz"
+    path = work / (f"case-{number:03d}.npz" if study is PLAN else f"case-{study.moving}-{number:03d}.npz")
     if not path.exists():
-        plan = PLAN.scene("test", number)
+        plan = study.scene("test", number)
         sweeps = drive_sweeps(plan, with_tall_masts(world_of(plan)))
         Scene.simulate(plan, Detector(), sweeps).save(path)
     return Scene.load(path)
+
+
+def run_some(number: int, scene: Scene, count: int) -> Outcome:
+    """Return what becomes of the first case where so many agents report: the attacked car, others, and the mast."""
+    rng = generator(SEED, "count", number)
+    cars = [int(car) for car in rng.permutation(len(scene.agents) - 1)]
+    attack = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=2.0, start_s=ONSET_S)
+    some = only(scene, [*cars[: count - 1], len(scene.agents) - 1])
+    return run(number, some, {0: [attack.begin(rng)]})
+
+
+def only(scene: Scene, agents: Sequence[int]) -> Scene:
+    """Return a scene in which only some of the agents report, in a new order."""
+    keep, at = list(agents), scene.found_at
+    rows = np.isin(at[:, 1], keep)
+    numbers = [keep.index(number) for number in at[rows, 1].tolist()]
+    return replace(
+        scene, prob=scene.prob[:, keep], state=scene.state[:, keep], poses=scene.poses[:, keep],
+        bases=[[of_time[number] for number in keep] for of_time in scene.bases], found=scene.found[rows],
+        found_at=np.column_stack([at[rows, 0], np.array(numbers, np.int16)]), returns=scene.returns[:, keep],
+        carriers=scene.carriers[keep],
+    )  # fmt: skip
 
 
 def drawn(rng: np.random.Generator) -> dict[int, list[RunningAttack]]:
@@ -197,10 +233,10 @@ def run(number: int, scene: Scene, attacked: Attacked) -> Outcome:
     """Return what becomes of a scene whose agents are attacked."""
     centers = {OURS: CommandCenter(scene.agents), NOBODY: CommandCenter(scene.agents, trusting=True)}
     published, limits = PublishedTrust(), trust_limits()
-    rate = max(0.01, limits.least_rate(len(scene.agents)))
+    rate = max(0.01, limits.least_rate)
     trust: dict[str, list[Floats]] = {OURS: [], MATE: []}
     distance, false = ({name: list[float]() for name in (OURS, MATE, NOBODY)} for _ in range(2))
-    accused = np.zeros(len(scene.agents), np.bool_)
+    accused, disputed = (np.zeros(len(scene.agents), np.bool_) for _ in range(2))
     for time, t_s in enumerate(scene.times_s.tolist()):
         reports = [forged(report, attacked.get(agent, ()), t_s) for agent, report in enumerate(scene.reports(time))]
         pictures = {name: center.add(t_s, reports) for name, center in centers.items()}
@@ -208,6 +244,7 @@ def run(number: int, scene: Scene, attacked: Attacked) -> Outcome:
         trust[MATE].append(of_agents)
         trust[OURS].append(pictures[OURS].verdicts.trust)
         accused |= limits.accused(pictures[OURS].verdicts, rate)
+        disputed |= limits.disputed(pictures[OURS].verdicts, rate)
         shown = {
             OURS: pictures[OURS].tracks.boxes[pictures[OURS].believed],
             MATE: pictures[NOBODY].tracks.boxes[believed],
@@ -219,7 +256,7 @@ def run(number: int, scene: Scene, attacked: Attacked) -> Outcome:
             distance[name].append(apart.distance_m)
             false[name].append(apart.false / FALSE_COST)
     return Outcome(
-        number, tuple(attacked), {name: np.array(rows) for name, rows in trust.items()}, accused,
+        number, tuple(attacked), {name: np.array(rows) for name, rows in trust.items()}, accused, disputed,
         {name: np.array(row) for name, row in distance.items()}, {name: np.array(row) for name, row in false.items()},
     )  # fmt: skip
 
@@ -321,7 +358,34 @@ nobody, and cannot be found. Our detector errs as well, and its errors look like
 [many agents](agents.md)."""
 
 
-def monte_carlo_page(outcomes: list[Outcome]) -> str:
+def count_rows(by_count: Mapping[int, list[Outcome]]) -> list[list[str]]:
+    """Return a row for each number of agents."""
+
+    def shares(outcomes: list[Outcome], name: str, *, honest: bool) -> str:
+        def who(one: Outcome) -> list[int]:
+            return one.honest if honest else list(one.attacked)
+
+        return share(
+            *by_scene(outcomes, lambda one: float(getattr(one, name)[who(one)].sum()), lambda one: float(len(who(one))))
+        )
+
+    return [
+        [
+            str(count), f"{auroc(outcomes, OURS):.3f}", f"{auroc(outcomes, MATE):.3f}",
+            shares(outcomes, "accused", honest=False), shares(outcomes, "disputed", honest=False),
+            shares(outcomes, "accused", honest=True), shares(outcomes, "disputed", honest=True), str(len(outcomes)),
+        ]
+        for count, outcomes in by_count.items() if outcomes
+    ]  # fmt: skip
+
+
+COUNT_HEADER = (
+    "agents", "AUROC, ours", "AUROC, published", "attacked accused", "attacked disputed", "honest accused",
+    "honest disputed", "scenes",
+)  # fmt: skip
+
+
+def monte_carlo_page(outcomes: list[Outcome], by_count: Mapping[int, list[Outcome]]) -> str:
     """Return the page of the Monte Carlo."""
     rows, some = rows_of(outcomes), [one for one in outcomes if one.attacked]
     return page(
@@ -331,6 +395,10 @@ def monte_carlo_page(outcomes: list[Outcome]) -> str:
 probability {ON:g} that it is attacked at all: {len(some)} of {len(outcomes)} runs.""",
         "## Trust and picture",
         table(HEADER, rows),
+        "## By the number of agents",
+        """The first case, two false objects that stand on one car, where fewer or more agents report; the mast is
+always one of them. With two nobody can say who lies.""",
+        table(COUNT_HEADER, count_rows(by_count)),
         "## What was run",
         ABOUT,
         LIMITS,

@@ -3,12 +3,13 @@
 The LiDAR of one of five agents is spoofed so that a wedge of its view opens, sweep after sweep. Its claims in the wedge
 are kept only where another agent that is trusted enough claims the same (``viewshed.fusion.many.confirmed``): with
 honest agents, and with one that claims all of the wedge. Writes docs/results/second_view.md. The scenes are those of
-``benchmarks.agent_cases``; ``--work`` keeps them.
+``benchmarks.agent_cases``; ``--work`` keeps them and their counts.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ LOOKED_AT_S = (5.25, 7.25, 9.25, 11.25)
 ALONE = "alone"
 ROWS: dict[str, str] = {
     ALONE: "",
-    "one honest view, each of four": "",
+    "one honest view, each of four": "≥ .95",
     "one honest view, the nearest car": "≥ .95",
     "one honest view, the mast": "",
     "four honest views, one agrees": "≥ .95",
@@ -78,7 +79,10 @@ def main() -> None:
         work: Path = chosen.work or Path(scratch)
         work.mkdir(parents=True, exist_ok=True)
         for number in range(chosen.scenes):
-            scenes.append(run(number, scene_of(number, work)))
+            path = work / f"second-view-{number:03d}.json"
+            if not path.exists():
+                path.write_text(json.dumps(run(number, scene_of(number, work))), encoding="utf-8")
+            scenes.append(json.loads(path.read_text(encoding="utf-8")))
             print(f"scene {number}: liar trusted {scenes[-1]['trust']}", flush=True)
     text = page_of(scenes)
     chosen.page.write_text(text, encoding="utf-8")

@@ -80,10 +80,10 @@ CALM_SWEEPS, ATTACKED_SWEEPS = 50, 50
 """Of each attack: so many sweeps as they are, then so many attacked."""
 
 REAL = (
-    ("VLP-16, packets of a road vehicle", "data", "vlp16_packets/einride_recording.bin"),
-    ("VLP-32, VLS-128 and Hesai QT64, packets in ROS 2 bags", "recordings", "tier4__nebula"),
-    ("Ouster, packets in a ROS 1 bag", "recordings", "ouster-lidar__ouster-sdk/tests/bags/512x10_raw.bag"),
-    ("Hokuyo laser on a tilting unit, `/scan` in a ROS 1 bag", "recordings",
+    ("VLP-16, packets", "data", "vlp16_packets/einride_recording.bin"),
+    ("packets in a ROS 2 bag", "recordings", "tier4__nebula"),
+    ("Ouster packets in a ROS 1 bag", "recordings", "ouster-lidar__ouster-sdk/tests/bags/512x10_raw.bag"),
+    ("`/scan` of a tilting laser in a ROS 1 bag", "recordings",
      "facontidavide__PlotJuggler/datasamples/tilt_laser.bag"),
 )  # fmt: skip
 REAL_SWEEPS = 100
@@ -449,7 +449,7 @@ def _real_row(what: str, place: Path) -> list[str]:
         sweeps = list(islice(open_recording(place), REAL_SWEEPS))
         answers, took = _replayed(sweeps)
     except (ValueError, OSError, ImportError) as error:
-        return [f"{what}: {place.name}", f"refused: {_without_folders(error, place)[:110]}", *["–"] * 6]
+        return [f"{what}: {place.name}", f"refused: {_without_folders(error, place)[:90]}", *["–"] * 6]
     answered = [answer.estimate for answer in answers if answer.estimate is not None]
     alarms = _alarms(answers)
     returns = f"{np.median([len(sweep) for sweep in sweeps]):,.0f}" if sweeps else "–"
@@ -495,36 +495,34 @@ def _page(
     )  # fmt: skip
 
 
-_INTRO = """The published study shows a robot with a VLP-16 in rooms, as a case without a truth. Here a simulated one
-drives {minutes:.1f} minutes through rooms with a VLP-16 and, at the same place, a 2-D laser of 1,440 beams. Both are
-recorded to bags (the VLP-16 by `viewshed record sim`) and replayed through `viewshed.pipeline` with the profile
-`robot`: shadow map on cells of 0.125 m, the monitor in the box, reactions. Of every {every}th sweep the exact truth is
-computed."""
+_INTRO = """The published study shows a robot with a VLP-16 in rooms, without a truth. Here a simulated one drives
+{minutes:.1f} minutes with a VLP-16 and a 2-D laser of 1,440 beams. Both are recorded to bags and replayed through
+`viewshed.pipeline` with the profile `robot`: shadow map on cells of 0.125 m, the monitor in the box, reactions. Of
+every {every}th sweep the exact truth is computed."""
 
 _TRUTH_TEXT = """Precision: of the cells claimed visible those that are; recall: of the visible ones those claimed.
-The target is a pedestrian: a cell is visible where enough beams would have met one who stood there, of the VLP-16
-or of the laser's one plane. *With reactions* is what the pipeline hands out: what an alarm withdraws is missing
-there. `concave_hull` is what the study's code publishes on its robot."""
+A cell is visible where enough beams would have met a pedestrian there. *With reactions* is what the pipeline hands
+out: what an alarm withdraws is missing. `concave_hull` is what the study's code publishes on its robot."""
 
-_NODE_TEXT = """The beginning of the drive from the same bags, played message by message to `viewshed_ros` with the
-profile `robot`, in a process of its own; each message follows the grids of the one before. A grid is *equal* where
-all its cells are those that `viewshed.pipeline` answers the same message with, reactions included."""
+_NODE_TEXT = """The beginning of the drive from its bags, played message by message to the node with the profile
+`robot`; each message follows the grids of the one before. A grid is *equal* where all its cells are those that
+`viewshed.pipeline` answers the same message with, reactions included."""
 
 _NODE_HEADER = ["sensor", "messages", "answered", "equal `state`", "equal `visibility`", "times real time"]
 
-_RATES_TEXT = """As fast as the machine goes, all threads of one process, decoding of the bag not counted; the
-target is 15 % of a core for a VLP-16 at 10 Hz (the node's own figures are in [robot](results/robot.md))."""
+_RATES_TEXT = """As fast as the machine goes, all threads of one process, decoding of the bag not counted. The
+target is 15 % of a core for a VLP-16 at 10 Hz."""
 
-_FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The monitor in the box was calibrated on simulated
-drives with the sensors of its table; the laser is none of them, so that no rate is promised for it."""
+_FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The monitor in the box was not calibrated for the
+laser, so that no rate is promised for it."""
 
 _ATTACK_TEXT = f"""{CALM_SWEEPS} sweeps as they are, then {ATTACKED_SWEEPS} attacked, each attack at another place
 of each minute, with its usual budget. *Found* are sweeps that are inconsistent by themselves or at which the stream
 alarms."""
 
-_REAL_TEXT = f"""The first {REAL_SWEEPS} sweeps at most of each real recording, through the same pipeline, as its
-own format has them. There is no truth for them; what is inconsistent here is a false alarm or a fault of the
-recording. None of them is of the robot's own kind of place, and those of a few sweeps say little."""
+_REAL_TEXT = f"""The first {REAL_SWEEPS} sweeps at most of each real recording, through the same pipeline. There is no
+truth for them: what is inconsistent is a false alarm or a fault of the recording. None is of the robot's own kind of
+place."""
 
 
 _RATES_HEADER = [
@@ -577,10 +575,8 @@ def _lost_line(done: Sequence[Found]) -> str:
     counts = [each["laser"]["counts"]["shadow_map"] for each in done]
     lost, false = (sum(count.get(key, 0) for count in counts) for key in ("no echo", "false"))
     return (
-        f"Of the laser's false cells {lost / max(false, 1):.0%} lie in the directions of beams without an echo. A"
-        " driver reports these as +inf, whether the beam met nothing or a surface swallowed it (dark or shiny things"
-        " do, in the simulator as in rooms), and the estimator takes the view to be open. Where that matters, let the"
-        " driver report NaN instead."
+        f"Of the laser's false cells {lost / max(false, 1):.0%} lie in the directions of beams without an echo, which a"
+        " driver reports as +inf though a dark surface may have swallowed them. Where that matters, let it report NaN."
     )
 
 

@@ -75,7 +75,7 @@ def readme_commands() -> list[str]:
 
 
 def faults(typed: Typed, cwd: Path) -> list[str]:
-    """Return what is wrong with a command: its exit code, a traceback, or a file that it names and that is missing."""
+    """Return what is wrong with a command: its exit code, a traceback, or a file that it names and did not write."""
     found = [f"exit code {typed.code}"] if typed.code else []
     found += ["a traceback"] if "Traceback (most recent call last)" in typed.output else []
     named = re.findall(r"→ (\S+)$", typed.output, re.MULTILINE)

@@ -45,5 +45,6 @@ def needed_for(task: str, extra: str | None = None) -> Iterator[None]:
         package = str(error.name).partition(".")[0]
         if package not in EXTRAS:
             raise
+        # pip takes the viewshed that is there, of a release or a checkout, and adds what the extra names.
         install = f"pip install 'viewshed[{extra or EXTRAS[package]}]'"
         raise ImportError(f"{task} needs {_DISTRIBUTIONS.get(package, package)}: {install}", name=package) from error

@@ -63,7 +63,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _command() -> str:
     """The command as a reader would type it: no folder of this machine."""
     words = [Path(word).name if Path(word).is_absolute() or word.startswith("..") else word for word in sys.argv]
-    return shlex.join([Path(words[0]).name, *words[1:]])
+    module = sys.modules["__main__"].__spec__
+    program = [Path(words[0]).name] if module is None else ["python", "-m", module.name.removesuffix(".__main__")]
+    return shlex.join([*program, *words[1:]])
 
 
 def _processor() -> str:

@@ -73,7 +73,9 @@ class View:
 
 def own_grid(view: View, layer: str) -> OccupancyGrid:
     """Return a layer of :func:`viewshed.io.export.ros.visibility_layer`: visibility, state or doubt."""
-    return _grid(visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level)
+    return grid_message(
+        visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level
+    )
 
 
 def speed_mask(view: View) -> OccupancyGrid:
@@ -88,10 +90,10 @@ def keepout_mask(view: View) -> OccupancyGrid:
 
 def _mask(view: View, values: NDArray[np.int8]) -> OccupancyGrid:
     grid, in_map = nav2.in_the_map(values, view.estimate.grid, view.world_from_level())
-    return _grid(in_map, grid, Header(stamp=view.stamp, frame_id=view.world_frame), Rigid.identity())
+    return grid_message(in_map, grid, Header(stamp=view.stamp, frame_id=view.world_frame), Rigid.identity())
 
 
-def _grid(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_grid: Rigid) -> OccupancyGrid:
+def grid_message(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_grid: Rigid) -> OccupancyGrid:
     """Return values (cells, cells), x first, as a grid, whose data go along x first."""
     message = OccupancyGrid(header=header)
     message.info.map_load_time = header.stamp

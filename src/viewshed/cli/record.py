@@ -11,7 +11,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     NOT_FOLLOWED,
     Following,
     HistorySweeps,
@@ -51,7 +51,7 @@ def record(
     profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
+    reading: Reading = AS_THEY_ARE,
     target: options.TargetName = "car",
     history: HistorySweeps = 0,
     monitor: WithMonitor = False,
@@ -78,6 +78,8 @@ def record(
     from viewshed.pipeline import Pipeline
 
     is_simulated = [str(file) for file in files] == [SIMULATED]
+    if is_simulated and reading != AS_THEY_ARE:
+        raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
     chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
     estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
     buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, monitor_file)
@@ -85,7 +87,7 @@ def record(
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
-        stream = _read(Reading(sensor), files, chosen, failures)
+        stream = _read(reading, files, chosen, failures)
     with recorders(to, schemas, [] if is_simulated else files) as records:
         adversary = following.adversary()
         listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)

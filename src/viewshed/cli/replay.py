@@ -11,7 +11,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AUTO,
+    AS_THEY_ARE,
     NOT_FOLLOWED,
     Following,
     HistorySweeps,
@@ -86,7 +86,7 @@ def replay(
     profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     target: options.TargetName = "car",
     history: HistorySweeps = 0,
@@ -112,7 +112,7 @@ def replay(
     estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
     buffer = history_buffer(estimator, chosen.history)
     watch = watching(chosen.monitor, monitor_file)
-    reading, failures = Reading(sensor), Failures()
+    failures = Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
 

@@ -56,6 +56,23 @@ def simulate(
     store = Storage.of(out or preset)
     archive, _ = build_with_bar(chosen.name, chosen.sweeps, partial(run, chosen, store, runner))
     typer.echo(_summary(archive))
+    if chosen == preset_named("release"):
+        _publish(archive)
+
+
+def _publish(archive: Archive) -> None:
+    """Write the data card of the published data set, and compare its shards with the recorded hashes."""
+    from viewshed.datasets import release
+
+    archive.store.write(release.CARD, release.card(archive).encode())
+    other = release.other_shards(archive)
+    if other:
+        made_with = ", ".join(f"{name} {version}" for name, version in release.published().made_with.items())
+        raise ValueError(
+            f"{len(other)} shards differ from the published ones, which were made with"
+            f" {made_with}: {', '.join(other[:3])}"
+        )
+    typer.echo(f"all {len(archive.shards)} shards are byte for byte those published; data card: {release.CARD}")
 
 
 @dataset_app.callback()

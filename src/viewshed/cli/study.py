@@ -169,7 +169,9 @@ def deviation(
 def monitor(
     preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
     out: Out = None,
-    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: drives, score, page.")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="STEPS", help="With commas: drives, published, score, page.")
+    ] = None,
     workers: Workers = None,
     engine: EngineName = "local",
     page: Pages = None,

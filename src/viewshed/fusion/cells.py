@@ -100,9 +100,9 @@ class SeenCells:
         flat = np.where(inside, cells[0] * most + cells[1], 0).astype(np.int32)
         return np.where(inside, self.state.reshape(-1)[flat], np.uint8(CellState.UNKNOWN))
 
-    def look(self, boxes: Floats, place: Floats) -> BoxCells:
-        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,)."""
-        points = footprint_points(boxes)
+    def look(self, boxes: Floats, place: Floats, counts: tuple[int, int] = FINE) -> BoxCells:
+        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,), at so many points."""
+        points = footprint_points(boxes, counts)
         states = self.states_at(points)
         is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE
         # How deep each point lies in the box, along the line of sight to its center.
@@ -112,7 +112,7 @@ class SeenCells:
         depth_m -= depth_m.min(axis=1, keepdims=True)
         near = depth_m <= np.maximum(0.4 * depth_m.max(axis=1, keepdims=True), 0.8)
         # The points of a box a meter larger that do not lie in the box itself.
-        around = footprint_points(boxes, margin_m=_RING_M)
+        around = footprint_points(boxes, counts, _RING_M)
         outside = ~_inside(around, boxes)
         about = self.states_at(around)
         outer = np.maximum(outside.sum(axis=1), 1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.fusion.explained import Explanation
 from viewshed.geometry import Rigid
-from viewshed.objects import moved_boxes
+from viewshed.objects import ObjectKind, moved_boxes
 
 if TYPE_CHECKING:
     from viewshed.fusion.many import CommonPicture
@@ -83,6 +83,21 @@ def tracks_of_agent(seen: SeenObjects) -> ShownTracks:
         tracks.ids[chosen], tracks.boxes[chosen], tracks.states[chosen, 2:], tracks.existence[chosen],
         explained.explanations[chosen].astype(np.intp), tuple(explained.reasons[k] for k in chosen),
     )  # fmt: skip
+
+
+def explained_rows(seen: SeenObjects, shown: ShownTracks) -> list[dict[str, object]]:
+    """Return what is said of each track that is shown, as plain values; boxes in the frame of ``shown``."""
+    explained, chosen = seen.explained, np.flatnonzero(seen.shown)
+    return [
+        {
+            "id": int(shown.ids[k]), "kind": ObjectKind(explained.tracks.kinds[n]).name,
+            "explanation": LEGEND[shown.legend[k]].word, "reason": shown.reasons[k],
+            "accused": bool(explained.accused[n]), "e_value": float(f"{explained.e_values[n]:.4g}"),
+            "existence": round(float(shown.existence[k]), 4), "box": shown.boxes[k].round(3).tolist(),
+            "velocity_mps": shown.velocities[k].round(3).tolist(),
+        }
+        for k, n in enumerate(chosen)
+    ]  # fmt: skip
 
 
 def tracks_of_center(picture: CommonPicture) -> ShownTracks:

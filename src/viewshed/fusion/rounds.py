@@ -33,7 +33,7 @@ MOST_CELLS = 512
 """Cells along a side of a joint field of view."""
 
 FALSE_RATE = 0.01
-"""Share of honest agents among the accused, where the limits in the box support so small a one."""
+"""Share of benign scenes in which somebody is accused, where the limits in the box support so small a one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class Round:
 def judged(verdicts: Verdicts) -> tuple[Mask, Mask]:
     """Return who is accused and who is disputed (A,), at the smallest rate of the limits in the box, 1 % at least."""
     limits = trust_limits()
-    rate = max(FALSE_RATE, limits.least_rate(len(verdicts.trust)))
+    rate = max(FALSE_RATE, limits.least_rate)
     return limits.accused(verdicts, rate), limits.disputed(verdicts, rate)
 
 

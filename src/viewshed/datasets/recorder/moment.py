@@ -9,11 +9,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.legend import LEGEND, ShownTracks, tracks_of_agent
+from viewshed.fusion.legend import ShownTracks, explained_rows, tracks_of_agent
 from viewshed.fusion.rounds import Round
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.integrity.evidence.base import SECTORS
-from viewshed.objects import ObjectKind
 from viewshed.pipeline import Answer
 from viewshed.sweep import Sweep
 
@@ -166,20 +165,7 @@ class Moment:
     def explained(self) -> list[dict[str, object]] | None:
         """Return what is said of each track as plain values; None where objects are not followed."""
         objects, tracks = self.answer.objects, self.tracks()
-        if objects is None or tracks is None:
-            return None
-        shown = np.flatnonzero(objects.shown)
-        return [
-            {
-                "id": int(tracks.ids[k]), "kind": ObjectKind(objects.explained.tracks.kinds[n]).name,
-                "explanation": LEGEND[tracks.legend[k]].word, "reason": tracks.reasons[k],
-                "accused": bool(objects.explained.accused[n]),
-                "e_value": float(f"{objects.explained.e_values[n]:.4g}"),
-                "existence": round(float(tracks.existence[k]), 4), "box": tracks.boxes[k].round(3).tolist(),
-                "velocity_mps": tracks.velocities[k].round(3).tolist(),
-            }
-            for k, n in enumerate(shown)
-        ]  # fmt: skip
+        return None if objects is None or tracks is None else explained_rows(objects, tracks)
 
     def verdict(self) -> Verdict:
         """Return how bad it is: no answer or an alarm is an error, a worse view a warning."""

@@ -18,7 +18,6 @@ from viewshed.integrity.score import SurpriseScale
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
-from viewshed.studies.cases import generator
 from viewshed.studies.formatting import commits, format_interval, format_rate, mean
 from viewshed.studies.records import Results
 from viewshed.studies.store import ResultStore
@@ -124,15 +123,14 @@ class AgentsResults:
 
     @cached_property
     def limits(self) -> TrustLimits:
-        """Who is accused: limits of one random agent of each calibration scene."""
-        rng = generator(self.plan.seed, "agents")
-        evidence = np.array([one.score[rng.integers(len(one.score))] for one in self.calibration])
+        """Who is accused: limits of the most suspicious agent of each calibration scene."""
+        evidence = np.array([one.score.max() for one in self.calibration])
         return TrustLimits.of(evidence, np.array([max(one.run.doubt) for one in self.calibration]))
 
     @property
     def rate(self) -> float:
         """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
-        return max(RATE, len(self.elevated) / (len(self.limits.evidence) + 1.0))
+        return max(RATE, self.limits.least_rate)
 
     def accused(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is accused (A,) in a run at ``rate``, at any time."""
