@@ -28,8 +28,13 @@ ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
 """The real sweep of the tutorial, in the folder of real sweeps."""
-ELSEWHERE = {"contributing": "CONTRIBUTING.md", "core": "src/core/README.md", "changes": "CHANGELOG.md"}
-"""Pages below ``contribute/`` that stand elsewhere in the repository."""
+ELSEWHERE = {
+    "contribute/contributing.md": "CONTRIBUTING.md",
+    "contribute/core.md": "src/core/README.md",
+    "contribute/changes.md": "CHANGELOG.md",
+    "reference/ros_node.md": "ros/viewshed_ros/README.md",
+}
+"""Pages of the site that stand elsewhere in the repository."""
 
 
 # What mkdocs calls.
@@ -54,18 +59,18 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, file.src_uri.replace(".ipynb", ".md"), content=text))
         for name, content in pictures.items():
             files.append(File.generated(config, f"{Path(file.src_uri).parent}/{name}", content=content))
-    for name, path in ELSEWHERE.items():
+    for page, path in ELSEWHERE.items():
         text = re.sub(r"\]\((\.\./)*docs/", "](../", (ROOT / path).read_text(encoding="utf-8"))
         for other, place in ELSEWHERE.items():
-            text = text.replace(f"]({place})", f"]({other}.md)")
-        files.append(File.generated(config, f"contribute/{name}.md", content=text))
+            text = text.replace(f"]({place})", f"](../{other})")
+        files.append(File.generated(config, page, content=text))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Write generated tables into a page, and turn its links to files elsewhere into those to their pages."""
-    for name, path in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{path})", f"](contribute/{name}.md)")
+    for page, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{path})", f"]({page})")
     return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
 
 
