@@ -118,7 +118,7 @@ def test_every_page_is_in_the_navigation_and_every_link_leads_somewhere() -> Non
     notebooks = [path.with_suffix(".md") for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")]
     pages = [str(path.relative_to(ROOT / "docs")) for path in [*PAGES, *notebooks]]
     kept = [page for page in pages if not any(map(partial(fnmatch, page), site["exclude_docs"].split()))]
-    assert sorted(_leaves(site["nav"])) == sorted([*kept, *(f"contribute/{name}.md" for name in docs_site.ELSEWHERE)])
+    assert sorted(_leaves(site["nav"])) == sorted([*kept, *docs_site.ELSEWHERE])
     for page in [*(ROOT / name for name in ("README.md", *docs_site.ELSEWHERE.values())), *PAGES]:
         prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
         for target in re.findall(r"\]\((?!https?://|#|mailto:)([^)#\s]+)", prose):
