@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from viewshed._page import facts, page, table
 from viewshed.datasets.simulated import ScenePlan, measure_frame
 from viewshed.integrity.evidence import EVIDENCE, MonitoredSweep
 from viewshed.integrity.roc import auroc
-from viewshed.integrity.score import SurpriseScale, measure_all
+from viewshed.integrity.score import measure_all
+from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.preprocess.leveling import level
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.plan import BEFORE, MonitorPlan
@@ -61,10 +63,8 @@ A **null attack** redraws the noise of the returns that it touches. Evidence wit
 learned the forger."""
 
 ALARMS = """\
-The stand-in for a monitor looks at single sweeps and alarms on its largest surprise: the sector whose evidence is
-rarest on {scenes} benign scenes (-log10 of the share of benign sectors as extreme), with a limit that 5 % of them pass.
-The attacker asks it {asked} times for each budget and sees its score. {watched} sweeps that do not alarm by
-themselves."""
+The monitor in the box, at its limit for 1 %, looks at single sweeps. The attacker asks it {asked} times for each budget
+and sees its exact score. {watched} sweeps that do not alarm by themselves."""
 
 
 @dataclass(slots=True)
@@ -165,28 +165,28 @@ def nulls(found: Found) -> str:
     return table(["null attack", "farthest from .50, one sweep", "with five earlier"], rows)
 
 
-def _watched(limit: float, scale: SurpriseScale, scenes: int) -> Iterator[tuple[Sweep, MonitorScore]]:
-    def surprise(monitored: MonitoredSweep) -> float:
-        return float(np.nan_to_num(scale(measure_all(monitored)[None])).max())
+def _watched(scenes: int) -> Iterator[tuple[Sweep, MonitorScore]]:
+    monitor = shipped_monitor()
+
+    def above_limit(monitored: MonitoredSweep) -> float:
+        report = monitor.check(monitored)
+        return report.score - report.threshold
 
     for number in range(scenes, scenes + 4 * TRIPPED_SCENES):
-        sweep, score = measure_frame(_scene(number), FRAME), MonitorScore(surprise, GRID)
-        if score(sweep) <= limit:
+        sweep, score = measure_frame(_scene(number), FRAME), MonitorScore(above_limit, GRID)
+        if score(sweep) <= 0.0:
             yield sweep, score
 
 
-def alarms(found: Found, scenes: int, places: int = 2, queries: int = 14) -> str:
+def alarms(scenes: int, places: int = 2, queries: int = 14) -> str:
     """Return the paragraph and table of the returns that it takes to raise an alarm."""
-    benign = np.stack(found.alone["benign"])
-    scale = SurpriseScale.fit(benign)
-    limit = float(np.quantile(np.nan_to_num(scale(benign)).max(axis=(1, 2)), 0.95))
-    watched = [one for _, one in zip(range(TRIPPED_SCENES), _watched(limit, scale, scenes), strict=False)]
+    watched = list(islice(_watched(scenes), TRIPPED_SCENES))
     rows = []
     for mode, words in (("free_form", "free-form"), ("beam_constrained", "on beams")):
-        shares = tripped_shares(watched, limit, generator(2, words), mode=mode, places=places, queries=queries)  # type: ignore[arg-type]
+        shares = tripped_shares(watched, 0.0, generator(2, words), mode=mode, places=places, queries=queries)  # type: ignore[arg-type]
         needed = smallest_budget(shares)
         rows.append([words, *(f"{share:.0%}" for share in shares), "none" if needed is None else str(needed)])
-    said = ALARMS.format(scenes=scenes, asked=places * queries, watched=len(watched))
+    said = ALARMS.format(asked=places * queries, watched=len(watched))
     return f"## Returns that raise an alarm\n\n{said}\n\n{table(['spoofing', *map(str, BITS), 'half'], rows)}"
 
 
@@ -197,7 +197,7 @@ def main() -> None:
     started = time.perf_counter()
     found = measure(scenes)
     parts = [INTRODUCTION.format(scenes=scenes), effects(found), verdict(found), "## Null attacks", nulls(found)]
-    parts.append(alarms(found, scenes))
+    parts.append(alarms(scenes))
     took = facts(took=f"{time.perf_counter() - started:.0f} s")
     text = page("Attackers who know the monitor", took, *parts)
     if out is None:

@@ -11,6 +11,7 @@ from tests.networks.made import card, nearby
 
 from viewshed import Sweep, write_sweep
 from viewshed.cli import main
+from viewshed.cli._verdicts import stream_monitor
 from viewshed.integrity import load_monitor, load_sweep_monitor
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import Stage, UNet
@@ -97,6 +98,18 @@ def test_worse_drives_calibrate_only_what_is_inconsistent(
     made = load_sweep_monitor(out)
     (group,) = made.benign
     assert (len(made.inconsistent.scores[group]), len(made.degraded.scores[group])) == (12, 8)
+    assert np.isnan(made.drive_limit)
+
+
+def test_other_drives_limit_alarms_over_time(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(place / f"benign{number:02}.npz") for number in range(12)]
+    drives = [word for file in files[6:] for word in ("--drives", file)]
+    out = tmp_path / "made.npz"
+    words = ["monitor", "calibrate", *files[:6], *drives, "--rate", "0.2", "--grid", "32x16", "--out", str(out)]
+    code, said, err = _run(capsys, *words)
+    assert (code, err) == (0, "")
+    assert "over time: at most 20.000% of drives of 20 s alarm" in said
+    assert load_sweep_monitor(out).drive_limit == stream_monitor(out).detector.limit
 
 
 def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

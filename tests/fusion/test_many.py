@@ -152,6 +152,10 @@ def test_a_second_view_confirms_only_where_a_trusted_agent_sees() -> None:
     assert (kept.state[:, 40:] == CellState.FREE).all()  # the other grid begins at y = 8 m
     assert (kept.state[:, 32:40] == CellState.UNKNOWN).all()
     assert not kept.visible()[:, 32:40].any()
+    third = view("c", y_m=44.0)
+    both = confirmed(own, wedge, [other, third], np.array([0.9, 0.9]), 0.5, votes=2)
+    assert (both.state[:, 48:] == CellState.FREE).all()  # the third grid begins at y = 12 m
+    assert (both.state[:, 32:44] == CellState.UNKNOWN).all()
     alone = confirmed(own, wedge, [other], np.array([0.3]), 0.5)
     assert (alone.state[:, 32:] == CellState.UNKNOWN).all()
 

@@ -14,6 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from viewshed.grid import BevGrid
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, MonitoredSweep
 from viewshed.integrity.score import (
+    NEIGHBORS,
+    SECTOR_FEATURES,
     STATISTICS,
     EvidenceScore,
     StatisticsNetwork,
@@ -39,12 +41,12 @@ BENIGN = RNG.exponential(size=(200, 2, SECTORS)).astype(np.float32)
 def score_of(evidence: int = 2, hidden: int = 2) -> EvidenceScore:
     """Return a score whose first hidden unit is the sector's first surprise, and the second the sweep's last maximum.
 
-    Features come as surprises, neighbors', medians, maxima, shares.
+    Features come as surprises, neighbors' of all distances, medians, maxima, shares.
     """
     count = features_of(evidence)
     weights = np.zeros((count, hidden), np.float32)
     weights[0, 0] = 1.0
-    weights[4 * evidence - 1, 1] = 1.0
+    weights[(SECTOR_FEATURES + 2) * evidence - 1, 1] = 1.0
     scale = SurpriseScale.fit(np.resize(BENIGN, (200, evidence, SECTORS)))
     return EvidenceScore(
         tuple("abcdef"[:evidence]), scale, np.zeros(count, np.float32), np.ones(count, np.float32), weights,
@@ -168,12 +170,17 @@ def test_evidence_that_always_abstained_says_nothing() -> None:
 
 
 def test_features_by_hand() -> None:
+    assert NEIGHBORS[:3] == ((1,), (2, 3), (4, 5, 6))
     surprises = np.zeros((1, 2, SECTORS), np.float32)
     surprises[0, 0, [3, 4]] = 2.0, 4.0
     surprises[0, 1] = np.nan
     of_sectors, of_sweep = features(surprises)
-    assert_array_equal(of_sectors[0, 3], [2.0, np.nan, 2.0, np.nan])
-    assert_array_equal(of_sectors[0, 5], [0.0, np.nan, 2.0, np.nan])
+    first = of_sectors[0].reshape(SECTORS, SECTOR_FEATURES, 2)[..., 0]
+    assert_allclose(first[3], [2.0, 2.0, 0.0, 0.0, 0.0])
+    assert_allclose(first[5], [0.0, 2.0, 0.5, 0.0, 0.0])
+    assert_allclose(first[9], [0.0, 0.0, 0.0, 1.0, 0.0])
+    assert_allclose(first[69], [0.0, 0.0, 0.0, 2 / 6, 4 / 12])
+    assert not of_sectors[0].reshape(SECTORS, SECTOR_FEATURES, 2)[..., 1].any(), "evidence that abstains says nothing"
     assert_allclose(of_sweep[0], [0.0, np.nan, 4.0, np.nan, 2 / SECTORS, np.nan])
 
 

@@ -16,6 +16,7 @@ from viewshed.geometry import Rigid
 from viewshed.integrity import SweepMonitor, load_sweep_monitor, save_sweep_monitor
 from viewshed.integrity.calibration import Calibration, Group, Per
 from viewshed.integrity.evidence import SECTORS, MonitoredSweep
+from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import EARLIER_SWEEPS, BenignSweep, Rates, group_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 
@@ -196,6 +197,34 @@ def test_what_is_refused_in_one_line(call: Callable[[], object], message: str) -
     with pytest.raises(ValueError, match=message) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def test_streams_alarm_in_no_more_drives_than_asked_for_though_their_sweeps_are_alike(tmp_path: Path) -> None:
+    """Ten sweeps of each drive are nearly the same: the stated rate of independent ones fails, that of drives holds."""
+    monitor = SweepMonitor.calibrate(
+        score_by_hand(), benign_sweeps(99, 1), np.random.default_rng(0), rates=Rates(0.05, 0.05, 0.1)
+    )
+    assert monitor.detector(per_hour=1.0, hz=10.0).limit == 36_000, "none were given: as if sweeps were independent"
+    drives = benign_sweeps(59, 2, each=10)
+    limited = monitor.limited_per_drive(drives, 0.05)
+    alarmed = {"stated": 0, "of drives": 0}
+    stated = EDetector.for_rate(per_hour=360.0, hz=10.0)  # one in 100 sweeps, one drive in ten
+    further = benign_sweeps(400, 3, each=10)
+    for detector, name in ((stated, "stated"), (limited.detector(), "of drives")):
+        for first in range(0, len(further), 10):
+            one = detector.fresh()
+            p = [
+                limited.report(sweep.evidence, sweep.group, kinds=KINDS).p_value
+                for sweep in further[first : first + 10]
+            ]
+            alarmed[name] += any(one.add(each) for each in p)
+    # Standard error of a rate of .05 over 59 calibration drives and 400 others: about .03.
+    assert alarmed["of drives"] / 400 <= 0.05 + 2 * 0.03
+    assert alarmed["stated"] > alarmed["of drives"]
+    save_sweep_monitor(limited, tmp_path / "limited.npz")
+    assert load_sweep_monitor(tmp_path / "limited.npz").drive_limit == limited.drive_limit
+    with pytest.raises(ValueError, match=r"rate of 0.05 needs at least 19 benign drives, got 9"):
+        monitor.limited_per_drive(drives[:90], 0.05)
 
 
 def test_attacked_scenes_in_a_row_leave_a_warning() -> None:

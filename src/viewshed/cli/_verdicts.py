@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
 
 FALSE_ALARMS_PER_HOUR, HZ = 1.0, 10.0
-"""Stated rate of false alarms over time, for a sensor that turns so often a second."""
+"""Stated rate of false alarms over time, for a sensor that turns so often a second; of files without drives."""
 
 SCENE_NS = 20_000_000_000
 """A longer drive counts as several scenes."""
@@ -38,9 +38,9 @@ def stream_monitor(file: Path | None) -> StreamMonitor:
         OSError: it cannot be read.
     """
     from viewshed.integrity import StreamMonitor
-    from viewshed.integrity.over_time import EDetector
 
-    return StreamMonitor(monitor_of(file), EDetector.for_rate(per_hour=FALSE_ALARMS_PER_HOUR, hz=HZ))
+    monitor = monitor_of(file)
+    return StreamMonitor(monitor, monitor.detector(FALSE_ALARMS_PER_HOUR, HZ))
 
 
 @dataclass(slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from viewshed.sweep import Sweep
 
 
-monitor_app = typer.Typer(help="Is a sweep inconsistent or degraded, where and why.")
+monitor_app = typer.Typer(help="Say whether a sweep is inconsistent or degraded, where and why.")
 
 
 @monitor_app.callback()
 def monitor() -> None:
-    """Is a sweep inconsistent or degraded, where and why."""
+    """Say whether a sweep is inconsistent or degraded, where and why."""
 
 
 @monitor_app.command()
@@ -97,6 +97,12 @@ def calibrate(
         list[str] | None,
         typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
     ] = None,
+    drives: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="More sources, none of them given before: what their 20 s add up to limits alarms over time."
+        ),
+    ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
@@ -107,7 +113,8 @@ def calibrate(
 
     What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
     of one recording are alike; the rate then holds for that place and time. Inconsistent is calibrated on all of them,
-    degraded on those that are not given by --worse.
+    degraded on those that are not given by --worse. Alarms over time keep the rate per 20 s if --drives are given; else
+    their limit is that of independent sweeps, which those of a drive are not.
 
     Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
     """
@@ -117,16 +124,16 @@ def calibrate(
 
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
-    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
+    refuse_inputs((out,), map(Path, (*sources, *(worse or ()), *(drives or ()))))
     base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
-    benign = [
-        replace(sweep, clear=clear)
-        for places, clear in ((sources, True), (worse or (), False))
-        for sweep in _benign(
-            _Source(tuple(places), split, sensor, failures=failures), options.parse_grid(grid), base, failures
-        )
-    ]
+
+    def measured(places: Iterable[str]) -> Iterator[BenignSweep]:
+        several = _Source(tuple(places), split, sensor, failures=failures)
+        return _benign(several, options.parse_grid(grid), base, failures)
+
+    benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
+              for sweep in measured(places)]  # fmt: skip
     if correct:
         made = base.corrected(benign, rng)
     else:
@@ -134,6 +141,8 @@ def calibrate(
             base.score, benign, rng, rates=Rates(rate, rate), promise="confident" if confident else "expected",
             per="drive" if per == "scene" else "sweep", estimates=base.estimates, facts=base.facts,
         )  # fmt: skip
+    if drives:
+        made = made.limited_per_drive(measured(drives), rate)
     save_sweep_monitor(made, out)
     for warning in made.warnings:
         complain(f"warning: {warning}")
@@ -141,6 +150,8 @@ def calibrate(
     typer.echo(f"{out}: calibrated on {len(benign)} sweeps of {scenes} scenes")
     for line in made.promises():
         typer.echo(f"  {line}")
+    if drives:
+        typer.echo(f"  over time: at most {rate:.3%} of drives of 20 s alarm, whatever lies between their sweeps")
     if failures.count:
         raise typer.Exit(2)
 
@@ -159,7 +170,8 @@ def check(
 ) -> None:
     """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
 
-    The monitor in the box, if no file is given. Sweeps of a recording are judged with those before them. A sweep that
+    Without --monitor-file it is the monitor that comes with viewshed. Sweeps of a recording are judged with those
+    before them. A sweep that
     cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2. An alarm
     does not change the exit code.
 
@@ -191,7 +203,8 @@ def explain(
 ) -> None:
     """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
 
-    The monitor in the box, if no file is given. A sweep of a recording is judged with those before it.
+    Without --monitor-file it is the monitor that comes with viewshed. A sweep of a recording is judged with those
+    before it.
 
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """

@@ -480,9 +480,9 @@ def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> tupl
 
 
 def confirmed(
-    view: FovEstimate, cells: Mask, others: Sequence[FovEstimate], trust: Floats, least: float
+    view: FovEstimate, cells: Mask, others: Sequence[FovEstimate], trust: Floats, least: float, votes: int = 1
 ) -> FovEstimate:
-    """Return a view that claims some cells only where a trusted agent claims them as well; UNKNOWN elsewhere.
+    """Return a view that claims some cells only where trusted agents claim them as well; UNKNOWN elsewhere.
 
     Args:
         view: with a pose.
@@ -490,16 +490,17 @@ def confirmed(
         others: views of other agents, with poses.
         trust: (O,) in the others.
         least: trust from which an agent may confirm.
+        votes: so many agents must; with two, one liar alone confirms nothing.
 
     Raises:
         ValueError: a view has no pose.
     """
     if view.world_from_level is None:
         raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be confirmed")
-    agreed = np.zeros(view.grid.shape, np.bool_)
+    agreed = np.zeros(view.grid.shape, np.uint8)
     for other, one in zip(others, trust, strict=True):
         if one >= least:
-            agreed |= claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
-    doubtful = cells & view.visible() & ~agreed
+            agreed += claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
+    doubtful = cells & view.visible() & (agreed < votes)
     prob = np.where(doubtful, np.minimum(view.visible_prob, np.float32(0.5 * view.threshold)), view.visible_prob)
     return replace(view, visible_prob=prob, state=np.where(doubtful, np.uint8(CellState.UNKNOWN), view.state))

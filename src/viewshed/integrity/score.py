@@ -4,8 +4,8 @@ A sweep is measured as a matrix (E, SECTORS), one line for each kind of evidence
 
 1. Each number becomes its surprise, -log10 of the share of benign sectors that are as suspicious: 2 means one in a
    hundred. So meters, shares and counts compare, and evidence that abstained says nothing.
-2. A sector is described by its own surprises, those of its two neighbors, and the median, the maximum and the share of
-   raised sectors of the whole sweep: rain raises all sectors, a spoofer some.
+2. A sector is described by its own surprises, those of its neighbors up to 60° away, and the median, the maximum and
+   the share of raised sectors of the whole sweep: rain raises all sectors, a spoofer some.
 3. A network of one hidden layer gives each sector a number: where doubt comes from.
 
 How much doubt there is, is said by statistics of the whole sweep (:class:`WholeSweep`), on a scale of benign *sweeps*:
@@ -38,8 +38,11 @@ HELD_SWEEPS = 5
 RAISED = 2.0
 """Surprise from which a sector counts as raised: one benign sector in a hundred."""
 
-SECTOR_FEATURES = 2
-"""Numbers of each evidence that differ from sector to sector: its own surprise, the mean of its neighbors'."""
+NEIGHBORS = ((1,), (2, 3), (4, 5, 6), (7, 8, 9, 10, 11, 12))
+"""Distances, in sectors to both sides, of the neighbors whose mean surprises describe a sector: a wedge is of many."""
+
+SECTOR_FEATURES = 1 + len(NEIGHBORS)
+"""Numbers of each evidence that differ from sector to sector: its own surprise, the means of its neighbors'."""
 
 SWEEP_FEATURES = 3
 """Numbers of each evidence that are the same for all sectors: median, maximum, share of raised sectors."""
@@ -282,7 +285,11 @@ class WholeSweep:
 
     def __call__(self, evidence: NDArray[np.floating[Any]]) -> Floats:
         """Return the scores (N, 2) of evidence (N, E, SECTORS)."""
-        surprises = surprises_of_statistics(self.scale, statistics(evidence))
+        return self.of_statistics(statistics(evidence))
+
+    def of_statistics(self, numbers: Floats) -> Floats:
+        """Return the scores (N, 2) of :func:`statistics` (N, STATISTICS E)."""
+        surprises = surprises_of_statistics(self.scale, numbers)
         parts = parts_of(surprises, self.in_context, self.by_itself)
         inconsistent = sum_of_odds(self.parts(parts[..., None])[..., 0])
         return np.stack([inconsistent, self.degraded(surprises)], axis=1)
@@ -453,14 +460,21 @@ def features_of(evidence: int) -> int:
 
 
 def features(surprises: Floats) -> tuple[Floats, Floats]:
-    """Return the features of sectors (N, SECTORS, 2 E) and of sweeps (N, 3 E); NaN where evidence abstains.
+    """Return the features of sectors (N, SECTORS, SECTOR_FEATURES E) and of sweeps (N, SWEEP_FEATURES E).
+
+    Those of a sector are 0 where its evidence abstains, those of a sweep NaN where it abstains in all sectors.
 
     Args:
         surprises: (N, E, SECTORS), NaN where evidence abstains.
     """
-    neighbors = 0.5 * (np.roll(surprises, 1, axis=2) + np.roll(surprises, -1, axis=2))
-    of_sectors = np.concatenate([surprises, neighbors], axis=1).transpose(0, 2, 1)
+    known_or_none = np.nan_to_num(np.minimum(surprises, _LARGEST_SURPRISE))
+    around = [
+        sum(np.roll(known_or_none, step, axis=2) for far in distances for step in (far, -far)) / (2 * len(distances))
+        for distances in NEIGHBORS
+    ]
+    of_sectors = np.concatenate([known_or_none, *around], axis=1).transpose(0, 2, 1)
     # NaN sorts last: the sectors that are known come first, and the last of them is the maximum.
+    surprises = np.minimum(surprises, _LARGEST_SURPRISE)
     ordered, known = np.sort(surprises, axis=2), np.isfinite(surprises).sum(axis=2)
     middle = np.take_along_axis(ordered, np.maximum(known - 1, 0)[..., None] // 2, axis=2)[..., 0]
     largest = np.take_along_axis(ordered, known[..., None] - 1, axis=2)[..., 0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from viewshed.integrity.calibration import (
     one_per_scene,
 )
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
+from viewshed.integrity.over_time import EDetector, limit_per_drive
 from viewshed.integrity.report import IntegrityReport, Mask, cells_of_sectors
 from viewshed.integrity.score import EvidenceScore, HeldEvidence, measure_all
 from viewshed.integrity.sectors import discoveries
@@ -103,6 +105,8 @@ class SweepMonitor:
         estimates: methods of the estimates that the evidence was given; the same must be given to :meth:`check`.
         facts: what else must be known to make the same evidence, as fingerprints of weights; see :meth:`require`.
         warnings: what its benign scenes themselves speak against.
+        drive_limit: of what adds up over a stream, from whole benign drives, see :meth:`limited_per_drive`; NaN where
+            none were given.
         version: of viewshed, whose evidence it is calibrated on.
 
     Raises:
@@ -118,6 +122,7 @@ class SweepMonitor:
     estimates: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    drive_limit: float = math.nan
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -207,6 +212,33 @@ class SweepMonitor:
             inconsistent=self.inconsistent.corrected((group, float(row[0])) for group, row in scores),
             degraded=self.degraded.corrected((group, float(row[1])) for group, row in scores),
         )
+
+    def limited_per_drive(self, benign: Iterable[BenignSweep], rate: float) -> Self:
+        """Return the monitor whose streams alarm over time in at most this share of further drives like these.
+
+        So it is whatever lies between the sweeps of a drive, if drives are exchangeable and as long as further ones.
+
+        Args:
+            benign: sweeps of scenes that it was not calibrated on, those of a scene in the order of time.
+            rate: share of the drives.
+
+        Raises:
+            ValueError: there are too few scenes for the rate, or one is of another evidence or history.
+        """
+        drives: dict[str, list[float]] = {}
+        for sweep in benign:
+            score = float(_row(self.score, sweep.evidence)[0])
+            drives.setdefault(sweep.scene, []).append(self.inconsistent.p_value(score, sweep.group))
+        return replace(self, drive_limit=limit_per_drive(EDetector(1.0), list(drives.values()), rate).limit)
+
+    def detector(self, per_hour: float = 1.0, hz: float = 10.0) -> EDetector:
+        """Return what adds up doubt over a stream: with the limit of whole drives if it has one, else of a stated rate.
+
+        Args:
+            per_hour: false alarms, were sweeps independent; not used where there is a limit of whole drives.
+            hz: sweeps a second.
+        """
+        return EDetector.for_rate(per_hour, hz) if math.isnan(self.drive_limit) else EDetector(self.drive_limit)
 
     def check(
         self,
@@ -425,6 +457,7 @@ def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
         "version": FORMAT_VERSION, "monitor": NAME, "viewshed": monitor.version, "per": monitor.per,
         "promise": monitor.inconsistent.promise, "facts": dict(monitor.facts), "warnings": list(monitor.warnings),
         "rates": [monitor.inconsistent.rate, monitor.degraded.rate, monitor.discovery_rate],
+        "drive_limit": None if math.isnan(monitor.drive_limit) else monitor.drive_limit,
         "estimates": list(monitor.estimates), "groups": [list(group) for group in groups],
     }  # fmt: skip
     arrays: dict[str, Any] = {f"score.{name}": part for name, part in monitor.score.arrays().items()}
@@ -502,5 +535,6 @@ def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMon
     return SweepMonitor(
         EvidenceScore.from_arrays(score), inconsistent, degraded, benign, rates.discoveries, about["per"],
         tuple(str(name) for name in about["estimates"]), {str(key): str(text) for key, text in about["facts"].items()},
-        tuple(str(line) for line in about["warnings"]), str(about["viewshed"]),
+        tuple(str(line) for line in about["warnings"]),
+        math.nan if about["drive_limit"] is None else float(about["drive_limit"]), str(about["viewshed"]),
     )  # fmt: skip

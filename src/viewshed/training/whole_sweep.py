@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -60,7 +60,7 @@ class Freedom:
 IN_CONTEXT = Freedom(falls=False, context=True, epochs=8)
 BY_ITSELF = Freedom(falls=False, context=False, epochs=1)
 """Few epochs: without context, more of them only fit the families that are there."""
-DEGRADED = Freedom(falls=True, context=True, epochs=2)
+DEGRADED = Freedom(falls=True, context=True, epochs=6)
 """Fewer beams and lower returns make numbers fall, so that this one must be free."""
 
 
@@ -85,6 +85,7 @@ class WholeSweepTrainer:
     weight: Floats
     usual: NDArray[np.bool_]
     earlier: NDArray[np.bool_]
+    _degraded: dict[tuple[bytes, int, int], StatisticsNetwork] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -113,7 +114,12 @@ class WholeSweepTrainer:
             self._network(chosen, self.inconsistent, self.weight, freedom, epochs, seed)
             for freedom in (IN_CONTEXT, BY_ITSELF)
         )
-        degraded = self._network(chosen, self.degraded, self._balanced(chosen), DEGRADED, epochs, seed)
+        # Where only attacks are left out, and none of them has a label, this network is the same every time.
+        key = (np.packbits(chosen & np.isfinite(self.degraded)).tobytes(), epochs, seed)
+        if key not in self._degraded:
+            balanced = self._balanced(chosen)
+            self._degraded[key] = self._network(chosen, self.degraded, balanced, DEGRADED, epochs, seed)
+        degraded = self._degraded[key]
         parts = parts_of(self.surprises[self.usual], in_context, by_itself)
         return WholeSweep(self.scale, in_context, by_itself, degraded, SurpriseScale.fit(parts[..., None]))
 

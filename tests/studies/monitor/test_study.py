@@ -13,13 +13,23 @@ from viewshed._config import preset_names
 from viewshed._jobs import LocalEngine
 from viewshed.cli import main
 from viewshed.integrity.evidence import EVIDENCE, SECTORS
+from viewshed.integrity.over_time import EDetector, e_values
 from viewshed.studies.monitor.archive import FOLDER, DriveEvidence, SweepTable
-from viewshed.studies.monitor.drives import Drive, measure_drive
+from viewshed.studies.monitor.drives import Drive, _conditions, measure_drive
 from viewshed.studies.monitor.examples import examples_of, is_trained_on
 from viewshed.studies.monitor.jobs import run_study
-from viewshed.studies.monitor.plan import ALL_ATTACKS, FRAMES, ONSET, SPLITS, MonitorPlan, family_of
+from viewshed.studies.monitor.plan import ALL_ATTACKS, CORRUPTED, FRAMES, ONSET, SPLITS, MonitorPlan, family_of
 from viewshed.studies.monitor.recorded import measure_recorded_drive
-from viewshed.studies.monitor.results import INCONSISTENT, Limits, Rate, Scored, placements
+from viewshed.studies.monitor.results import (
+    INCONSISTENT,
+    AttackedSweeps,
+    Limits,
+    Rate,
+    Scored,
+    delays_of,
+    false_alarms_per_hour,
+    placements,
+)
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.store import ResultStore
 
@@ -86,7 +96,12 @@ def test_labels_by_hand(measured: DriveEvidence) -> None:
     assert_array_equal(labels[CASES[0]], np.ones(FRAMES - ONSET))
     assert np.isnan(labels[CASES[1]]).all(), "null attacks are for the test alone"
     assert_array_equal(labels[CASES[2]], np.zeros(FRAMES - ONSET))
-    assert_array_equal(examples.degraded[table.is_case([CASES[2]])], np.ones(FRAMES - ONSET))
+    assert_array_equal(examples.degraded[table.case == 0], np.zeros(FRAMES))
+    assert np.isnan(examples.degraded[table.case != 0]).all(), "what begins half-way is open"
+    lasting = examples_of(SweepTable.of([replace(measured, conditions=Case("corruption", "rain", "5"))]))
+    assert_array_equal(lasting.degraded[:FRAMES], np.ones(FRAMES))
+    lasting = examples_of(SweepTable.of([replace(measured, conditions=Case("corruption", "rain", "3"))]))
+    assert np.isnan(lasting.degraded).all()
     assert_array_equal(examples.sectors[FRAMES], measured.touched[0, 0])
     without = is_trained_on(table, str(family_of("ghost_wall_clean")))
     assert not without[table.is_case([CASES[0]])].any(), "a clean spoofer is of the family of its attack"
@@ -119,7 +134,7 @@ def _scored(values: list[float], sensors: list[str]) -> Scored:
     table = SweepTable.of(drives)
     table = table.rows(table.frame == 1)
     scores = np.array([values, values], np.float32).T
-    return Scored(table, scores, np.zeros((len(values), SECTORS), np.float32))
+    return Scored(table, scores)
 
 
 def test_areas_and_limits_are_of_each_sensor_by_itself() -> None:
@@ -134,12 +149,46 @@ def test_areas_and_limits_are_of_each_sensor_by_itself() -> None:
     assert np.isnan(Limits.of(many, INCONSISTENT, 0.01).alarms(attacked, INCONSISTENT)).all()
 
 
+def test_false_alarms_and_delays_by_hand() -> None:
+    """A detector that alarms on any p-value of .01; drives of five sweeps at 1 Hz."""
+    detector, rng = EDetector(float(e_values([0.01])[0])), np.random.default_rng(1)
+    rare, usual = np.array([1.0, 1.0, 0.01, 1.0, 1.0]), np.ones(5)
+    assert_array_equal(delays_of(detector, [rare, usual, rare[2:]]), [3, 0, 1])
+    rate, (low, high) = false_alarms_per_hour(detector, [rare, *[usual] * 9], 1.0, 10.0, rng)
+    assert low <= rate <= high
+    # One drive in ten has an alarm, a drive takes five seconds: 72 an hour.
+    assert rate == pytest.approx(72.0, rel=0.4)
+    assert false_alarms_per_hour(detector, [usual], 1.0, 1.0, rng) == (0.0, (0.0, 0.0))
+
+
+def test_attacked_sweeps_are_streams_of_drives() -> None:
+    names, ones = np.array(["a", "a", "b", "a"]), np.ones(4)
+    attacked = AttackedSweeps(
+        names, np.array(["x"] * 4), names, np.array([1, 1, 1, 2]), np.array([6, 5, 5, 5]), ones, ones, ones,
+        np.array([0.1, 0.2, 0.3, 0.4]),
+    )  # fmt: skip
+    streams = AttackedSweeps.joined([attacked]).streams(attacked.attack == "a")
+    assert [each.tolist() for each in streams] == [[0.2, 0.1], [0.4]]
+
+
 def test_a_rate_has_an_interval_over_scenes() -> None:
     rate = Rate.of(np.array([1.0, 1.0, 0.0, np.nan]), np.array([0, 0, 1, 2]))
     assert rate.value == pytest.approx(2 / 3)
     assert (rate.scenes, rate.sweeps) == (2, 3)
     assert rate.interval[0] <= 2 / 3 <= rate.interval[1]
     assert np.isnan(Rate.of(np.zeros(0), np.zeros(0, np.int64)).value)
+
+
+def test_further_drives_to_train_on_are_never_attacked_and_corrupted_as_often_as_others() -> None:
+    plan = MonitorPlan.load("small")
+    first = plan.train[0]
+    assert not any(plan.cases_of("drives", "train", number) for number in range(first, first + plan.unattacked[0]))
+    assert [plan.cases_of("drives", "train", n) for n in range(first)] == [
+        replace(plan, unattacked=(0, 0), published=(0, 0, 0)).cases_of("drives", "train", n) for n in range(first)
+    ]
+    conditions = [_conditions(plan, ("drives", "train", number)) for number in range(first, first + plan.unattacked[0])]
+    # Standard error of a share of .3 of 1,000: .014.
+    assert abs(np.mean([one != BENIGN for one in conditions]) - CORRUPTED) < 0.045
 
 
 def test_every_attack_is_tried_in_its_turn() -> None:
@@ -158,7 +207,8 @@ def test_every_attack_is_tried_in_its_turn() -> None:
 def test_a_plan_survives_its_plain_values(name: str) -> None:
     plan = MonitorPlan.load(name)
     assert MonitorPlan.from_json(plan.to_json()) == plan
-    assert len(plan.drive_keys()) == sum(sum(getattr(plan, split)) for split in SPLITS)
+    assert len(plan.drive_keys()) == sum(sum(getattr(plan, split)) for split in (*SPLITS, "unattacked"))
+    assert len(set(plan.job_keys())) == len(plan.job_keys())
 
 
 @pytest.mark.parametrize(
@@ -169,6 +219,7 @@ def test_a_plan_survives_its_plain_values(name: str) -> None:
         ({"evidence": ["guess"]}, "evidence must be among .*, got 'guess'"),
         ({"train": [1, 2]}, "train must have a number of drives for each of 1 domains"),
         ({"seed": -1}, "seed must lie in"),
+        ({"published": [1, 7, 1]}, r"published must be three numbers of drives up to \(10, 6, 6\), got"),
     ],
 )
 def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:

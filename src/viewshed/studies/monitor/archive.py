@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed.integrity.evidence import EVIDENCE
-from viewshed.integrity.score import HELD_SWEEPS, held
+from viewshed.integrity.score import HELD_SWEEPS, held, statistics
 from viewshed.studies.records import BENIGN, Case
 
 FOLDER = "drives"
 
 RECORDED = "recorded"
 """Domain and split of drives that were measured, not simulated."""
+
+_CHUNK = 4096
 
 Floats = NDArray[np.floating[Any]]
 
@@ -144,6 +146,7 @@ class SweepTable:
         drives: without their arrays.
         unposed: (D, E, SECTORS) float16 of the last benign sweep of each drive, without poses.
         cases: all that occur, ``BENIGN`` first.
+        statistics: (N, F) of the evidence, what scores judge whole sweeps by; None until :meth:`with_statistics`.
     """
 
     names: tuple[str, ...]
@@ -155,6 +158,7 @@ class SweepTable:
     drives: tuple[DriveAbout, ...]
     cases: tuple[Case, ...]
     unposed: NDArray[np.float16]
+    statistics: NDArray[np.float32] | None = None
 
     @classmethod
     def of(cls, drives: Iterable[DriveEvidence]) -> Self:
@@ -199,11 +203,16 @@ class SweepTable:
         paths = sorted((folder / FOLDER).glob(f"*-{split}-*.npz"))
         return cls.of(DriveEvidence.load(path) for path in paths)
 
+    def with_statistics(self) -> Self:
+        """Return the table with its statistics, computed once for all scores."""
+        chunks = (self.evidence[start : start + _CHUNK] for start in range(0, len(self.evidence), _CHUNK))
+        return replace(self, statistics=np.concatenate([statistics(chunk) for chunk in chunks]))
+
     def rows(self, mask: NDArray[np.bool_]) -> Self:
         """Return the table of the rows of a mask (N,)."""
         return type(self)(
             self.names, self.evidence[mask], self.touched[mask], self.drive[mask], self.case[mask], self.frame[mask],
-            self.drives, self.cases, self.unposed,
+            self.drives, self.cases, self.unposed, None if self.statistics is None else self.statistics[mask],
         )  # fmt: skip
 
     def is_case(self, chosen: Sequence[Case]) -> NDArray[np.bool_]:

@@ -147,10 +147,10 @@ def _conditions(plan: MonitorPlan, key: tuple[str, str, int]) -> Case:
 
 def _corrupted_share(plan: MonitorPlan, key: tuple[str, str, int]) -> float:
     """Return the chance that a drive which is not attacked is corrupted, so that ``CORRUPTED`` of its split are."""
-    domain, split, _ = key
+    domain, split, number = key
     place = plan.domains.index(domain)
     drives: int = getattr(plan, split)[place]
-    attacked = 0 if split == "calibration" else min(plan.attacked[place], drives)
+    attacked = 0 if split == "calibration" or number >= drives else min(plan.attacked[place], drives)
     return float(min(CORRUPTED * drives / max(drives - attacked, 1), 1.0))
 
 

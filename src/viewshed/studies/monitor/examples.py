@@ -14,11 +14,8 @@ from viewshed.training.evidence_score import ScoreExamples
 LOSSES = ("removal", "removal_aimed")
 """Attacks after which a sweep lacks a sector, as after an honest fault: degraded, and inconsistent only over time."""
 
-BLINDING = (*LOSSES, "jamming")
-"""Attacks after which a sweep is degraded as well."""
-
 DEGRADED_FROM = 4
-"""Severity of a corruption from which on a sweep counts as degraded in training; below, it is left open."""
+"""Severity of a drive's corruption from which on it counts as degraded in training; below, it is left open."""
 
 
 def examples_of(table: SweepTable) -> ScoreExamples:
@@ -26,9 +23,9 @@ def examples_of(table: SweepTable) -> ScoreExamples:
     inconsistent = _by_row(table, np.array([_is_inconsistent(case) for case in table.cases]))
     touched = table.touched.any(axis=1)
     inconsistent[(inconsistent == 1) & ~touched] = np.nan
-    degraded = _by_row(table, np.array([_is_degraded(case) for case in table.cases]))
+    # What begins half-way in a drive is open: what lasts must be seen without a change before it.
     of_drive = np.array([_is_degraded(drive.conditions) for drive in table.drives], np.float32)[table.drive]
-    degraded = np.where(table.case == 0, of_drive, degraded).astype(np.float32)
+    degraded = np.where(table.case == 0, of_drive, np.nan).astype(np.float32)
     sectors = np.where(inconsistent[:, None] == 1, table.touched, inconsistent[:, None]).astype(np.float32)
     return ScoreExamples(
         table.names,
@@ -65,12 +62,10 @@ def _is_inconsistent(case: Case) -> float:
     return np.nan if case.kind == "null" or case.name in LOSSES else 1.0
 
 
-def _is_degraded(case: Case) -> float:
-    if case == BENIGN:
+def _is_degraded(conditions: Case) -> float:
+    if conditions == BENIGN:
         return 0.0
-    if case.kind == "corruption":
-        return 1.0 if int(case.level) >= DEGRADED_FROM else np.nan
-    return 1.0 if case.kind != "null" and case.name in BLINDING else np.nan
+    return 1.0 if int(conditions.level) >= DEGRADED_FROM else np.nan
 
 
 def _weights(table: SweepTable) -> NDArray[np.float32]:

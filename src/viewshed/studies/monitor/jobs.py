@@ -15,7 +15,7 @@ from viewshed._jobs import Engine
 from viewshed.integrity.score import EvidenceScore
 from viewshed.studies.monitor.archive import FOLDER, SweepTable
 from viewshed.studies.monitor.drives import Drive, measure_drive
-from viewshed.studies.monitor.plan import STEPS, MonitorPlan
+from viewshed.studies.monitor.plan import ALL_FAMILIES, PUBLISHED, STEPS, MonitorPlan
 from viewshed.studies.plan import check_names
 from viewshed.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
@@ -51,6 +51,10 @@ def run_study(
         (store.folder / folder).mkdir(exist_ok=True)
     if "drives" in steps:
         yield from run_jobs(store, do_job, store.plan.drive_keys(), engine, on_progress, step="drives")
+    if PUBLISHED in steps and (keys := store.plan.published_keys()):
+        yield from run_jobs(store, do_job, keys[:1], engine, on_progress, step="published detector, fit")
+        missing = lacking(set(keys[:1]), "fits of the published detector are not done")
+        yield from run_jobs(store, do_job, keys[1:], engine, on_progress, step="published detector", missing=missing)
     if "score" in steps:
         needed = {key for key in store.plan.drive_keys() if key[2] == "train"}
         missing = lacking(needed, "drives to train on are not measured")
@@ -59,9 +63,13 @@ def run_study(
 
 
 def do_job(job: Job[MonitorPlan]) -> JobResult:
-    """Measure a drive in its cases, or train a score, and write what was found."""
+    """Measure a drive in its cases, train a score, or ask the published detector, and write what was found."""
     if job.key[0] == "score":
         return _train(job)
+    if job.key[0] == PUBLISHED:
+        from viewshed.studies.monitor.published import run_published
+
+        return run_published(job)
     _, domain, split, number = job.key
     drive = Drive.simulate(job.plan, domain, split, int(number))
     found = measure_drive(drive, job.plan.cases_of(domain, split, int(number)))
@@ -75,7 +83,9 @@ def _train(job: Job[MonitorPlan]) -> JobResult:
     table, trainer = _training(job.folder)
     left_out = job.key[1]
     chosen = is_trained_on(table, left_out)
-    score = trainer.train(chosen, job.plan.epochs, job.plan.seed)
+    # Where doubt comes from is asked of the score of all families alone.
+    sector_epochs = job.plan.epochs if left_out == ALL_FAMILIES else 1
+    score = trainer.train(chosen, job.plan.epochs, job.plan.seed, sector_epochs=sector_epochs)
     save_score(score, score_path(job.folder, left_out))
     return JobResult(facts={"sweeps": int(chosen.sum())})
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,29 +13,45 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from viewshed._page import Table, facts, to_markdown
-from viewshed.integrity.calibration import p_values
-from viewshed.integrity.over_time import EDetector, measure_false_alarms
+from viewshed.integrity.calibration import alarm_limit, p_values
+from viewshed.integrity.over_time import EDetector, limit_per_drive
+from viewshed.integrity.score import EvidenceScore
 from viewshed.integrity.sectors import discoveries
 from viewshed.studies.cases import DEFAULT, generator
 from viewshed.studies.formatting import commits, format_interval, format_rate
 from viewshed.studies.monitor.archive import FOLDER, RECORDED, SweepTable, over_time_of
 from viewshed.studies.monitor.examples import LOSSES
 from viewshed.studies.monitor.jobs import load_score, score_path
-from viewshed.studies.monitor.plan import ALL_FAMILIES, BUDGETS, CLEAN, INTERVAL_S, ONSET, MonitorPlan, family_of
+from viewshed.studies.monitor.plan import (
+    ALL_FAMILIES,
+    BUDGETS,
+    CLEAN,
+    FRAMES,
+    INTERVAL_S,
+    ONSET,
+    PUBLISHED,
+    MonitorPlan,
+    family_of,
+)
+from viewshed.studies.monitor.published import LAST, UNATTACKED
 from viewshed.studies.monitor.results import (
     DEGRADED,
     INCONSISTENT,
     LOW_RATE,
+    NOTHING,
     RATE,
+    AttackedSweeps,
     Detection,
     Evaluation,
     Rate,
     RecordedScores,
-    Scored,
+    delays_of,
     detect,
+    false_alarms_per_hour,
     mean_rate,
     placements,
 )
+from viewshed.studies.plan import JobKey
 from viewshed.studies.records import BENIGN, Case
 from viewshed.studies.store import ResultStore
 from viewshed.studies.templates import fill_template
@@ -49,6 +65,16 @@ PER_HOUR = 1.0
 APART = ("relay", "replay", "pose_spoof", *LOSSES, "jamming")
 """Attacks that are no part of the mean: they are seen over time, or are no more than a degraded view."""
 
+_CHUNK = 512
+
+HOURS = 10.0
+"""Of driving that false alarms over time are counted in."""
+
+NOMINAL = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+"""Rates at which p-values are compared with what they promise."""
+
+MEASURED = "measured spoofer"
+
 Mask = NDArray[np.bool_]
 
 
@@ -59,20 +85,22 @@ class MonitorResults:
     Attributes:
         plan: of the study.
         folder: of the study.
+        published: scores of the published detector by its jobs.
     """
 
     plan: MonitorPlan
     folder: Path
+    published: Mapping[JobKey, Mapping[str, float]]
 
     @cached_property
     def calibration(self) -> SweepTable:
         """Sweeps that limits are from."""
-        return SweepTable.read(self.folder, "calibration")
+        return SweepTable.read(self.folder, "calibration").with_statistics()
 
     @cached_property
     def test(self) -> SweepTable:
         """Sweeps that are reported on."""
-        return SweepTable.read(self.folder, "test")
+        return SweepTable.read(self.folder, "test").with_statistics()
 
     @cached_property
     def over_time(self) -> Mask:
@@ -82,7 +110,7 @@ class MonitorResults:
     @cached_property
     def whole(self) -> Evaluation:
         """The score that was trained on all families."""
-        return replace(self._evaluation(ALL_FAMILIES, self.test), with_sectors=True)
+        return self._evaluation(ALL_FAMILIES, self.test)
 
     def _evaluation(self, left_out: str, test: SweepTable, silent: Mask | None = None) -> Evaluation:
         score = load_score(score_path(self.folder, left_out))
@@ -91,7 +119,16 @@ class MonitorResults:
     @cached_property
     def detections(self) -> dict[Case, Detection]:
         """By case what is found of an attack by a score that was trained without its family."""
-        found: dict[Case, Detection] = {}
+        return self._unseen[0]
+
+    @cached_property
+    def attacked(self) -> AttackedSweeps:
+        """Sweeps of all attacks with their own budgets, each by a score that was trained without its family."""
+        return self._unseen[1]
+
+    @cached_property
+    def _unseen(self) -> tuple[dict[Case, Detection], AttackedSweeps]:
+        found, rows = dict[Case, Detection](), list[AttackedSweeps]()
         attacks = [case for case in self.test.cases if case.kind in ("attack", "strength")]
         for family in sorted({family_of(case.name) for case in attacks}):
             cases = [case for case in attacks if family_of(case.name) == family]
@@ -99,11 +136,14 @@ class MonitorResults:
             chosen = self._evaluation(str(family), test)
             alone = self._evaluation(str(family), test, self.over_time)
             found |= {case: detect(chosen, alone, test.is_case([case])) for case in cases}
+            own = [case for case in cases if case.kind == "attack" and case.level == DEFAULT]
+            rows.append(AttackedSweeps.of(chosen, test.is_case(own)))
         order = {case: place for place, case in enumerate(self.plan.all_cases())}
-        return dict(sorted(found.items(), key=lambda item: order[item[0]]))
+        return dict(sorted(found.items(), key=lambda item: order[item[0]])), AttackedSweeps.joined(rows)
 
-    def target_table(self) -> Table:
-        """Return what was aimed at beside what was reached."""
+    @cached_property
+    def targets(self) -> list[tuple[str, str, float]]:
+        """What was aimed at, the target, and what was reached."""
         own = {case: one for case, one in self.detections.items() if case.kind == "attack" and case.level == DEFAULT}
 
         def mean(kind: str, part: Callable[[Detection], Rate]) -> float:
@@ -123,8 +163,8 @@ class MonitorResults:
         corrupted = benign & np.array([one.kind == "corruption" for one in conditions])[test.drive]
         worst = benign & np.array([one.kind == "corruption" and one.level == "5" for one in conditions])[test.drive]
         null = test.is_case([case for case in test.cases if case.kind == "null"])
-        measured = "measured spoofer"
-        lines: list[tuple[str, str, float]] = [
+        measured = MEASURED
+        return [
             ("AUROC of a sweep, family unseen, mean", "≥ .98", mean(measured, lambda one: one.area)),
             ("the same of a spoofer without extra noise, mean", "≥ .93", mean("clean spoofer", lambda one: one.area)),
             ("the same of attackers who know the evidence, mean", "≥ .80", mean("informed", lambda one: one.area)),
@@ -139,10 +179,47 @@ class MonitorResults:
             ("at .1 %", "≤ .002", _mean(rarely[benign])),
             ("null attacks called inconsistent at 1 %", "≤ .015", _mean(inconsistent[null])),
             ("corrupted sweeps called inconsistent at 1 %", "≤ .03", _mean(inconsistent[corrupted])),
+            ("the most at a single sensor", "≤ .02", self._most_at_a_sensor(inconsistent, benign)),
             ("sweeps corrupted at severity 5 called degraded", "≥ .90", _mean(degraded[worst])),
+            ("false alarms an hour, over time", "≤ 1", self.false_alarms[0][1]),
+            ("suspect sectors: overlap, mean of the attacks", "≥ .60", self._located_means()[0][0]),
+            ("false discoveries, mean of their sweeps", "≤ .10", self._located_means()[1][1]),
+            *self._recorded_targets(),
         ]  # fmt: skip
-        rows = [[what, target, format_rate(value), _is_met(target, value)] for what, target, value in lines]
+
+    def target_table(self) -> Table:
+        """Return what was aimed at beside what was reached."""
+        rows = [
+            [what, target, f"{value:.3g}" if value > 1 else format_rate(value), _is_met(target, value)]
+            for what, target, value in self.targets
+        ]
         return Table(["what", "target", "reached", ""], rows)
+
+    def _most_at_a_sensor(self, alarms: NDArray[np.float64], benign: Mask) -> float:
+        """Return the largest share of the benign sweeps of one sensor that alarm."""
+        sensors = self.whole.tested.sensors
+        return max(_mean(alarms[benign & (sensors == sensor)]) for sensor in np.unique(sensors))
+
+    def _recorded_targets(self) -> list[tuple[str, str, float]]:
+        found = self.recorded
+        if found is None:
+            return []
+        benign, corrected = found.table.case == 0, found.corrected_p_values()
+        what = f"of {benign.sum()} measured sweeps called inconsistent"
+        return [
+            (f"{what}, calibrated in simulation", "≤ 4", float((found.p[benign] <= RATE).sum())),
+            (f"{what}, corrected", "≤ 2", float((corrected[benign] <= RATE).sum())),
+        ]
+
+    def summary_line(self) -> str:
+        """Return three figures in a sentence each."""
+        found = {what: format_rate(value) for what, _, value in self.targets}
+        three = {
+            "benign sweeps called inconsistent at 1 %": "Benign sweeps of unseen scenes called inconsistent at 1 %",
+            "AUROC of a sweep, family unseen, mean": "Benign sweeps that score below an attacked one, family unseen",
+            "caught at 1 %, mean": "Attacked sweeps that are caught at 1 %, family unseen",
+        }
+        return "\n".join(f"- {words}: **{found[what]}**" for what, words in three.items())
 
     def found_table(self) -> Table:
         """Return what is found of each attack with its own budget, and the mean."""
@@ -205,18 +282,120 @@ class MonitorResults:
                   "degraded at 1 %, clear"]  # fmt: skip
         return Table(header, rows)
 
-    def over_time_line(self) -> str:
-        """Return a line of the false alarms of an e-detector on the benign test drives, one after the other."""
-        limits, hz = self.whole.one_of_each_scene, round(1.0 / INTERVAL_S)
+    def group_table(self) -> Table:
+        """Return what is found of a measured spoofer's attacks by domain and by sensor: means over the attacks."""
+        attacked = self.attacked
+        counted = np.array([name not in APART and _kind_of(name) == MEASURED for name in attacked.attack], np.bool_)
+        groups = [(f"*{name}*", attacked.domain == name) for name in self.plan.domains]
+        groups += [(str(name), attacked.sensor == name) for name in sorted(set(attacked.sensor))]
+        rows = []
+        for name, mask in groups:
+            mine = counted & mask
+            each = [mine & (attacked.attack == attack) for attack in np.unique(attacked.attack[mine])]
+            means = [
+                format_rate(float(np.mean([_mean(values[of_one]) for of_one in each])) if each else float("nan"))
+                for values in (attacked.area, attacked.caught, attacked.caught_low)
+            ]
+            rows.append([name, *means, str(int(mine.sum()))])
+        return Table(["domain or sensor", "AUROC", "caught at 1 %", "at .1 %", "sweeps"], rows)
+
+    def reliability_table(self) -> Table:
+        """Return how often benign p-values are as small as they say, for both verdicts."""
         benign = self.whole.benign
-        p = np.full(len(benign.scores), 1.0)
-        for sensor in np.unique(benign.sensors):
-            known = limits.scores[limits.sensors == sensor, INCONSISTENT]
-            mine = benign.sensors == sensor
-            p[mine] = p_values(known, benign.scores[mine, INCONSISTENT])
+        clear, drive = benign.is_clear, benign.table.drive
+        p = [self.whole.p_values(benign, verdict) for verdict in (INCONSISTENT, DEGRADED)]
+        rows = [
+            [
+                f"{format_rate(rate, 2)}", _interval(Rate.of((p[INCONSISTENT] <= rate) * 1.0, drive)),
+                _interval(Rate.of((p[DEGRADED][clear] <= rate) * 1.0, drive[clear])),
+            ]
+            for rate in NOMINAL
+        ]  # fmt: skip
+        return Table(["p-value at most", "inconsistent, share of the sweeps", "degraded, of the clear ones"], rows)
+
+    @cached_property
+    def false_alarms(self) -> list[tuple[str, float, tuple[float, float], float, float]]:
+        """Detectors over time on benign test drives: name, false alarms an hour, interval, stated ones, limit."""
+        benign, hz = self.whole.benign, round(1.0 / INTERVAL_S)
+        p = self.whole.p_values(benign, INCONSISTENT)
         drives = [p[benign.table.drive == drive] for drive in np.unique(benign.table.drive)]
-        detector = EDetector.for_rate(PER_HOUR, hz)
-        return f"{measure_false_alarms(detector, drives, hz, generator(self.plan.seed, 'over time'))}."
+        sweeps = [p[row : row + 1] for row in range(len(p))]
+        each, per_drive = EDetector.for_rate(PER_HOUR, hz), EDetector.for_rate(PER_HOUR, hz, len(drives[0]))
+        tried = [
+            ("a bet each sweep", each, drives, PER_HOUR),
+            ("the same, of sweeps drawn one by one", each, sweeps, PER_HOUR),
+            ("a bet each drive, the mean of its sweeps'", per_drive, drives, PER_HOUR),
+        ]
+        if len(drives[::2]) >= 1.0 / RATE - 1.0:
+            limited = limit_per_drive(each, drives[::2], RATE)
+            drives_an_hour = 3600.0 * hz / len(drives[0])
+            tried.append(("a bet each sweep, limit of whole drives", limited, drives[1::2], RATE * drives_an_hour))
+        return [
+            (name, *false_alarms_per_hour(detector, several, hz, HOURS, generator(self.plan.seed, name)), stated,
+             detector.limit)
+            for name, detector, several, stated in tried
+        ]  # fmt: skip
+
+    def over_time_table(self) -> Table:
+        """Return the false alarms of detectors over time on benign test drives joined, beside what is stated."""
+        rows = [
+            [name, f"{stated:.3g}", f"{rate:.3g} [{low:.3g}, {high:.3g}]", f"{limit:.3g}"]
+            for name, rate, (low, high), stated, limit in self.false_alarms
+        ]
+        header = ["detector", "stated, an hour", f"false alarms an hour, in {HOURS:g} h", "limit"]
+        return Table(header, rows)
+
+    def delay_table(self) -> Table:
+        """Return how many sweeps it takes until an attack is found, by single sweeps and by a detector over time."""
+        attacked, hz = self.attacked, round(1.0 / INTERVAL_S)
+        kinds = np.array([name if name in APART else _kind_of(name) for name in attacked.attack])
+        rows = []
+        for kind in sorted(set(kinds), key=lambda name: (name not in APART, name)):
+            streams = attacked.streams(kinds == kind)
+            single = np.array([np.argmax(p <= RATE) + 1 if (p <= RATE).any() else 0 for p in streams])
+            over_time = delays_of(EDetector.for_rate(PER_HOUR, hz), streams)
+            cells = [cell for delays in (single, over_time) for cell in _delay_cells(delays)]
+            rows.append([kind, *cells, str(len(streams))])
+        header = [
+            "attack",
+            "1 %: found in five sweeps",
+            "median",
+            "95 %",
+            "over time: found in five",
+            "median",
+            "95 %",
+            "drives",
+        ]
+        return Table(header, rows)
+
+    def published_table(self) -> Table | None:
+        """Return the published detector beside this monitor on the same sweeps; None where it was not tried."""
+        facts_of = {key[1:]: found for key, found in self.published.items() if key[1:] != ("fit",)}
+        calibration = np.array([found[UNATTACKED] for key, found in facts_of.items() if key[0] == "calibration"])
+        tested = {int(key[1]): found for key, found in facts_of.items() if key[0] == "test"}
+        if not tested or len(calibration) < 1.0 / RATE - 1.0:
+            return None
+        limit = alarm_limit(calibration, RATE)
+        benign = np.concatenate([calibration, [found[UNATTACKED] for found in tested.values()]])
+        attacked = self.attacked
+        same = (attacked.domain == self.plan.domains[0]) & (attacked.frame == LAST)
+        theirs = np.array([
+            tested.get(int(number), {}).get(str(name), np.nan)
+            for number, name in zip(attacked.number, attacked.attack, strict=True)
+        ])  # fmt: skip
+        same &= np.isfinite(theirs)
+        area = ((benign < theirs[:, None]).mean(axis=1) + (benign <= theirs[:, None]).mean(axis=1)) / 2
+        kinds = np.array([name if name in APART else _kind_of(name) for name in attacked.attack])
+        rows = []
+        for kind in (*sorted(set(kinds[same]), key=lambda name: (name not in APART, name)), ""):
+            mine = same & ((kinds == kind) | (kind == ""))
+            rates = [
+                Rate.of(values[mine], attacked.number[mine])
+                for values in (area, (theirs > limit) * 1.0, attacked.area, attacked.caught)
+            ]
+            rows.append([kind or "**all**", *map(_interval, rates), str(int(mine.sum()))])
+        header = ["attack", "published, AUROC", "caught at 1 %", "this monitor, AUROC", "caught at 1 %", "sweeps"]
+        return Table(header, rows)
 
     def corruption_table(self) -> Table:
         """Return how often corrupted sweeps are called inconsistent and degraded, by severity."""
@@ -262,23 +441,37 @@ class MonitorResults:
             rows.append([name, _interval(alarms), _interval(area), str(area.scenes)])
         return Table(["null attack", "inconsistent at 1 %", "AUROC against clear drives", "scenes"], rows)
 
-    def where_table(self) -> Table:
-        """Return how well suspect sectors fit those that were touched, by attack."""
-        tested, rows = self.whole.tested, []
+    @cached_property
+    def located(self) -> dict[str, tuple[float, float, int]]:
+        """By attack mean overlap and share of false discoveries of suspect sectors, and the sweeps that alarm."""
+        tested, found = self.whole.tested, dict[str, tuple[float, float, int]]()
         alarms = self.whole.limits(INCONSISTENT, RATE).alarms(tested, INCONSISTENT) == 1
-        benign = self.whole.one_of_each_scene.sectors.ravel()
-        overlaps, false = list[float](), list[float]()
+        model, benign = self.whole.model, _sectors(self.whole.model, self.whole.one_of_each_scene.table).ravel()
         for name in self.plan.attacks:
             mask = self.test.is_case([Case("attack", name, DEFAULT)]) & alarms & self.test.touched.any(axis=1)
-            if not mask.any():
-                continue
-            overlap, wrong = _located(tested.rows(mask), benign)
-            rows.append([name, format_rate(overlap), format_rate(wrong), str(int(mask.sum()))])
-            if name not in APART:
-                overlaps.append(overlap)
-                false.append(wrong)
-        if overlaps:
-            rows.append(["**mean**", format_rate(float(np.mean(overlaps))), format_rate(float(np.mean(false))), ""])
+            if mask.any():
+                rows = tested.table.rows(mask)
+                found[name] = (*_located(_sectors(model, rows), rows.touched, benign), int(mask.sum()))
+        return found
+
+    def _located_means(self) -> tuple[tuple[float, float], tuple[float, float], int]:
+        """Return overlap and false discoveries, mean over attacks and over their sweeps, and how many these are."""
+        counted = np.array([one for name, one in self.located.items() if name not in APART]).reshape(-1, 3)
+        if not len(counted):
+            return NOTHING, NOTHING, 0
+        overlap, wrong, sweeps = counted.T
+        means = [np.average([overlap, wrong], axis=1, weights=weights) for weights in (None, sweeps)]
+        return (means[0][0], means[0][1]), (means[1][0], means[1][1]), int(sweeps.sum())
+
+    def where_table(self) -> Table:
+        """Return how well suspect sectors fit those that were touched, by attack."""
+        rows = [
+            [name, format_rate(overlap), format_rate(wrong), str(sweeps)]
+            for name, (overlap, wrong, sweeps) in self.located.items()
+        ]
+        of_attacks, of_sweeps, sweeps = self._located_means()
+        rows += [["**mean of the attacks**", *map(format_rate, of_attacks), ""],
+                 ["**mean of their sweeps**", *map(format_rate, of_sweeps), str(sweeps)]]  # fmt: skip
         return Table(["attack", "overlap", "false discoveries", "sweeps that alarm"], rows)
 
     def recorded_table(self) -> Table | None:
@@ -376,21 +569,43 @@ def _is_met(target: str, value: float) -> str:
 
 def _kind_of(name: str) -> str:
     """Return whose attacks a mean is over."""
-    return "informed" if name in INFORMED else "clean spoofer" if name.endswith(CLEAN) else "measured spoofer"
+    return "informed" if name in INFORMED else "clean spoofer" if name.endswith(CLEAN) else MEASURED
 
 
-def _located(scored: Scored, benign: NDArray[np.float32]) -> tuple[float, float]:
-    """Return mean overlap and mean share of false discoveries of the suspect sectors of sweeps that alarm.
+def _delay_cells(delays: NDArray[np.int64]) -> list[str]:
+    """Return the share of the drives that are found, and quantiles of the sweeps that it takes, of all drives.
+
+    >>> _delay_cells(np.array([1, 2, 2, 0]))
+    ['.750', '2', '> 5']
+    """
+    late = np.where(delays > 0, delays, FRAMES - ONSET + 1)
+    words = [
+        f"> {FRAMES - ONSET}" if delay > FRAMES - ONSET else f"{delay:g}"
+        for delay in np.quantile(late, (0.5, 0.95), method="higher")
+    ]
+    return [format_rate(float((delays > 0).mean())), *words]
+
+
+def _sectors(model: EvidenceScore, table: SweepTable) -> NDArray[np.float32]:
+    """Return what each sector (N, SECTORS) of the sweeps of a table says for what is inconsistent."""
+    starts = range(0, len(table.evidence), _CHUNK)
+    chunks = (table.evidence[start : start + _CHUNK].astype(np.float32) for start in starts)
+    return np.concatenate([model.logits(chunk)[..., INCONSISTENT] for chunk in chunks])
+
+
+def _located(sectors: NDArray[np.float32], touched: Mask, benign: NDArray[np.float32]) -> tuple[float, float]:
+    """Return mean overlap and mean share of false discoveries of the suspect sectors of sweeps.
 
     Args:
-        scored: these sweeps.
+        sectors: (N, SECTORS) what each says.
+        touched: (N, SECTORS) by the attacker.
         benign: scores of sectors of benign sweeps.
     """
     overlaps, false = [], []
-    for sectors, touched in zip(scored.sectors, scored.table.touched, strict=True):
-        suspect = discoveries(p_values(benign, sectors), FALSE_DISCOVERIES)
-        overlaps.append((suspect & touched).sum() / (suspect | touched).sum())
-        false.append((suspect & ~touched).sum() / max(suspect.sum(), 1))
+    p = p_values(benign, sectors.ravel()).reshape(sectors.shape)
+    for suspect, mine in zip((discoveries(each, FALSE_DISCOVERIES) for each in p), touched, strict=True):
+        overlaps.append((suspect & mine).sum() / (suspect | mine).sum())
+        false.append((suspect & ~mine).sum() / max(suspect.sum(), 1))
     return float(np.mean(overlaps)), float(np.mean(false))
 
 
@@ -418,21 +633,26 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
     Raises:
         ValueError: there are no drives or scores.
     """
-    plan, results = store.plan, MonitorResults(store.plan, store.folder)
+    plan, results = store.plan, MonitorResults(store.plan, store.folder, store.results(PUBLISHED).facts)
     names = results.test.names
     over_time = [name for name, needs in zip(names, results.over_time, strict=True) if needs]
     values = {
         "corruptions": len(plan.corruptions), "evidence": len(names), "names": ", ".join(names),
         "over_time": ", ".join(over_time) or "none", "apart": ", ".join(APART), "rate": f"{RATE:g}",
-        "low_rate": f"{LOW_RATE:g}",
+        "low_rate": f"{LOW_RATE:g}", "hours": f"{HOURS:g} h", "published": plan.published[0],
     }  # fmt: skip
     title, blocks = fill_template("monitor/page.md", values, {
+        "summary": results.summary_line,
         "targets": results.target_table,
         "found": results.found_table,
         "severities": results.severity_table,
         "budgets": results.budget_table,
         "rates": results.rate_table,
-        "over_time": results.over_time_line,
+        "groups": results.group_table,
+        "published": results.published_table,
+        "reliability": results.reliability_table,
+        "over_time": results.over_time_table,
+        "delays": results.delay_table,
         "corruptions": results.corruption_table,
         "nulls": results.null_table,
         "where": results.where_table,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import ClassVar
 
 from viewshed.datasets.presets import Preset, preset_named, preset_names
@@ -40,7 +41,10 @@ FROZEN, OLDER = "frozen", "older"
 ALL_FAMILIES = "all"
 """Name of the score that is trained on attacks of all families."""
 
-STEPS = ("drives", "score", "page")
+PUBLISHED = "published"
+"""Step in which the published detector is tried on some of the drives."""
+
+STEPS = ("drives", PUBLISHED, "score", "page")
 
 ALL_ATTACKS = ATTACKS | INFORMED
 """Attacks by name, those of attackers who know what a monitor looks at among them."""
@@ -56,10 +60,13 @@ class MonitorPlan(Plan):
     Attributes:
         domains: presets of simulated data whose worlds and sensors the drives have, each drive a scene of its own.
         train: drives of each domain that the score is trained on.
+        unattacked: further ones to train on, none of which is attacked: they cost little, and what is usual is in them.
         calibration: drives of each domain that its limits are from.
         test: drives of each domain that it is reported on.
         attacked: drives of each domain, in training and in test, that are tried in several cases as well.
         cases: of each such drive, in turn.
+        published: drives of the first domain that the published detector is fitted, calibrated and tried on, each a
+            network's work; none where 0.
         evidence: that is measured, all there is.
         attacks: names of ``ALL_ATTACKS``, each with its own budget.
         budgeted: names of those that are tried with ``BUDGETS`` as well.
@@ -83,10 +90,12 @@ class MonitorPlan(Plan):
     about: str
     domains: tuple[str, ...]
     train: tuple[int, ...]
+    unattacked: tuple[int, ...]
     calibration: tuple[int, ...]
     test: tuple[int, ...]
     attacked: tuple[int, ...]
     cases: int
+    published: tuple[int, ...]
     evidence: tuple[str, ...]
     attacks: tuple[str, ...]
     budgeted: tuple[str, ...]
@@ -105,14 +114,17 @@ class MonitorPlan(Plan):
         check_seed("seed", self.seed)
         self.check_at_least(1, "epochs")
         self.check_at_least(0, "cases")
-        for key in (*SPLITS, "attacked"):
+        for key in (*SPLITS, "unattacked", "attacked"):
             counts = getattr(self, key)
-            if len(counts) != len(self.domains) or min(counts) < (0 if key == "attacked" else 1):
+            if len(counts) != len(self.domains) or min(counts) < (1 if key in SPLITS else 0):
                 raise ValueError(f"{key} must have a number of drives for each of {len(self.domains)} domains")
+        most = (self.drives_of(0, "train"), self.calibration[0], self.test[0])
+        if len(self.published) != 3 or not all(0 <= n <= of for n, of in zip(self.published, most, strict=True)):
+            raise ValueError(f"published must be three numbers of drives up to {most}, got {self.published}")
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs: one a drive, then one a score."""
-        return self.drive_keys() + self.score_keys()
+        """Return the names of all jobs: one a drive, then those of the published detector, then one a score."""
+        return self.drive_keys() + self.published_keys() + self.score_keys()
 
     def drive_keys(self) -> list[JobKey]:
         """Return the names of the drives' jobs: domain, split, number.
@@ -121,11 +133,24 @@ class MonitorPlan(Plan):
         """
         keys = [
             (split != "train", number / count, ("drive", domain, split, str(number)))
-            for domain, *counts in zip(self.domains, self.train, self.calibration, self.test, strict=True)
-            for split, count in zip(SPLITS, counts, strict=True)
+            for place, domain in enumerate(self.domains)
+            for split in SPLITS
+            for count in [self.drives_of(place, split)]
             for number in range(count)
         ]
         return [key for _, _, key in sorted(keys)]
+
+    def published_keys(self) -> list[JobKey]:
+        """Return the names of the published detector's jobs: its fit, then a drive each, those of the test attacked."""
+        fit, calibration, test = self.published
+        attacked = (n for n in range(self.test[0]) if self.cases_of(self.domains[0], "test", n))
+        drives = [("calibration", n) for n in range(calibration)] + [("test", n) for n in islice(attacked, test)]
+        return [(PUBLISHED, "fit"), *((PUBLISHED, split, str(n)) for split, n in drives)] if fit else []
+
+    def drives_of(self, place: int, split: str) -> int:
+        """Return how many drives a split of the domain at a place has, further ones to train on among them."""
+        drives: int = getattr(self, split)[place]
+        return drives + self.unattacked[place] if split == "train" else drives
 
     def score_keys(self) -> list[JobKey]:
         """Return the names of the scores' jobs: trained on all families, then without one family each."""
@@ -159,6 +184,8 @@ class MonitorPlan(Plan):
         order = generator(self.seed, "cases").permutation(len(every))
         place = self.domains.index(domain)
         attacked, drives = self.attacked[place], getattr(self, split)[place]
+        if number >= drives:
+            return []
         # Attacked drives lie evenly among the others; the turn is how many there were before.
         turn, after = number * attacked // drives, (number + 1) * attacked // drives
         if split == "calibration" or turn == after:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.calibration import Calibration, Group, alarm_limit
-from viewshed.integrity.score import EvidenceScore
+from viewshed.integrity.calibration import Calibration, Group, alarm_limit, p_values
+from viewshed.integrity.over_time import EDetector
+from viewshed.integrity.score import STATISTICS, EvidenceScore
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
 from viewshed.studies.monitor.plan import FRAMES, ONSET
@@ -25,7 +26,8 @@ RATE, LOW_RATE = 0.01, 0.001
 
 DRAWS = 1000
 
-_CHUNK = 2048
+LONG_DRIVES = 40
+"""Long drives that the hours of a detector over time are divided into."""
 
 Floats = NDArray[np.float64]
 
@@ -41,37 +43,33 @@ class Scored:
     Attributes:
         table: of the sweeps.
         scores: (N, 2) what is inconsistent and what is degraded.
-        sectors: (N, SECTORS) what each sector says for what is inconsistent; (N, 0) where that was left out.
     """
 
     table: SweepTable
     scores: NDArray[np.float32]
-    sectors: NDArray[np.float32]
 
     @classmethod
-    def of(
-        cls, score: EvidenceScore, table: SweepTable, silent: Mask | None = None, *, with_sectors: bool = False
-    ) -> Scored:
+    def of(cls, score: EvidenceScore, table: SweepTable, silent: Mask | None = None) -> Scored:
         """Return the sweeps of a table scored.
 
         Args:
             score: the model.
             table: of the sweeps.
             silent: (E,) evidence that is made to abstain; none if not given.
-            with_sectors: score sectors as well, which takes most of the time.
+
+        Raises:
+            ValueError: the model does not judge whole sweeps.
         """
-        scores, sectors = [], []
-        for start in range(0, len(table.evidence), _CHUNK):
-            evidence = table.evidence[start : start + _CHUNK].astype(np.float32)
-            if silent is not None:
-                evidence[:, silent] = np.nan
-            scores.append(score.of_sweeps(evidence))
-            sectors.append(score.logits(evidence)[..., INCONSISTENT] if with_sectors else scores[-1][:, :0])
-        return cls(table, np.concatenate(scores), np.concatenate(sectors))
+        numbers = (table if table.statistics is not None else table.with_statistics()).statistics
+        if score.whole is None or numbers is None:
+            raise ValueError("score must judge whole sweeps, got one of sectors alone; train it again")
+        if silent is not None:
+            numbers = np.where(np.tile(silent, STATISTICS), np.nan, numbers)
+        return cls(table, score.whole.of_statistics(numbers))
 
     def rows(self, mask: Mask) -> Scored:
         """Return those of a mask (N,)."""
-        return Scored(self.table.rows(mask), self.scores[mask], self.sectors[mask])
+        return Scored(self.table.rows(mask), self.scores[mask])
 
     @property
     def sensors(self) -> NDArray[np.str_]:
@@ -94,7 +92,7 @@ class Scored:
         chosen[first] = True
         order = np.argsort(first)
         one = late.rows(chosen)
-        return Scored(one.table, largest[order], one.sectors)
+        return Scored(one.table, largest[order])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +186,6 @@ class Evaluation:
         test: sweeps that it is reported on.
         silent: (E,) evidence that is made to abstain, or None.
         seed: draws one sweep of each calibration scene.
-        with_sectors: whether sectors are scored as well.
     """
 
     model: EvidenceScore
@@ -196,14 +193,13 @@ class Evaluation:
     test: SweepTable
     silent: Mask | None = None
     seed: int = 0
-    with_sectors: bool = False
 
     @cached_property
     def benign_calibration(self) -> Scored:
         """All benign sweeps of the calibration drives before which enough was measured."""
         table = self.calibration
         benign = table.rows((table.case == 0) & (table.frame >= ONSET))
-        return Scored.of(self.model, benign, self.silent, with_sectors=self.with_sectors)
+        return Scored.of(self.model, benign, self.silent)
 
     @cached_property
     def one_of_each_scene(self) -> Scored:
@@ -219,12 +215,26 @@ class Evaluation:
     @cached_property
     def tested(self) -> Scored:
         """All sweeps of the test drives."""
-        return Scored.of(self.model, self.test, self.silent, with_sectors=self.with_sectors)
+        return Scored.of(self.model, self.test, self.silent)
 
     @cached_property
     def benign(self) -> Scored:
         """Benign sweeps of the test drives before which enough was measured."""
         return self.tested.rows((self.test.case == 0) & (self.test.frame >= ONSET))
+
+    def p_values(self, scored: Scored, verdict: int) -> Floats:
+        """Return the p-values (N,) of sweeps among one benign sweep of each calibration scene of the same sensor.
+
+        Those of *degraded* are among clear drives alone.
+        """
+        benign = self.one_of_each_scene
+        benign = benign.rows(benign.is_clear) if verdict == DEGRADED else benign
+        sensors, benign_sensors, p = scored.sensors, benign.sensors, np.ones(len(scored.scores))
+        for sensor in np.unique(sensors):
+            known, mine = benign.scores[benign_sensors == sensor, verdict], sensors == sensor
+            if len(known):
+                p[mine] = p_values(known, scored.scores[mine, verdict])
+        return p
 
     def limits(self, verdict: int, rate: float, *, five: bool = False) -> Limits:
         """Return the limits of a verdict; of *degraded* from clear drives alone, for rain is no false alarm there.
@@ -361,6 +371,95 @@ def _delay(attacked: Scored, alarms: Floats) -> float:
     soonest = np.full(len(key), late)
     np.minimum.at(soonest, place, first)
     return float(np.median(soonest))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttackedSweeps:
+    """Attacked sweeps, each by a score that was trained without its family.
+
+    Attributes:
+        attack: (N,) name of the attack.
+        domain: (N,) of the drive.
+        sensor: (N,) of the drive.
+        number: (N,) of the drive.
+        frame: (N,) in the drive.
+        area: (N,) share of the benign sweeps of the same sensor that score below.
+        caught: (N,) 1 above the limit for 1 %.
+        caught_low: (N,) 1 above that for .1 %.
+        p: (N,) p-value among the calibration scenes of the sensor.
+    """
+
+    attack: NDArray[np.str_]
+    domain: NDArray[np.str_]
+    sensor: NDArray[np.str_]
+    number: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    area: Floats
+    caught: Floats
+    caught_low: Floats
+    p: Floats
+
+    @classmethod
+    def of(cls, chosen: Evaluation, mask: Mask) -> AttackedSweeps:
+        """Return those of a mask (N,) of the test table that an attack touched."""
+        scored = chosen.tested.rows(mask & chosen.test.touched.any(axis=1))
+        table = scored.table
+        drives = [table.drives[drive] for drive in table.drive]
+        return cls(
+            np.array([table.cases[case].name for case in table.case]), np.array([drive.domain for drive in drives]),
+            scored.sensors, np.array([drive.number for drive in drives]), table.frame.astype(np.int64),
+            placements(chosen.benign, scored, INCONSISTENT),
+            chosen.limits(INCONSISTENT, RATE).alarms(scored, INCONSISTENT),
+            chosen.limits(INCONSISTENT, LOW_RATE).alarms(scored, INCONSISTENT), chosen.p_values(scored, INCONSISTENT),
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, several: Sequence[AttackedSweeps]) -> AttackedSweeps:
+        """Return those of several scores together."""
+        return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in cls.__slots__))
+
+    def streams(self, mask: Mask) -> list[Floats]:
+        """Return the p-values of those of a mask (N,), drive by drive, in the order of time."""
+        rows = np.flatnonzero(mask)
+        names = [(self.attack[row], self.domain[row], int(self.number[row])) for row in rows]
+        found: dict[tuple[str, str, int], list[int]] = {}
+        for name, row in zip(names, rows, strict=True):
+            found.setdefault(name, []).append(int(row))
+        return [self.p[sorted(own, key=lambda row: int(self.frame[row]))] for own in found.values()]
+
+
+def delays_of(detector: EDetector, streams: Sequence[Floats]) -> NDArray[np.int64]:
+    """Return of each stream how many sweeps it takes until a detector alarms that begins with it; 0 for never."""
+    found = []
+    for p in streams:
+        one = detector.fresh()
+        found.append(next((number for number, each in enumerate(p.tolist(), 1) if one.add(each)), 0))
+    return np.array(found)
+
+
+def false_alarms_per_hour(
+    detector: EDetector, drives: Sequence[Floats], hz: float, hours: float, rng: np.random.Generator
+) -> tuple[float, tuple[float, float]]:
+    """Return the false alarms an hour on benign drives one after the other, and a 95 % interval over drives.
+
+    Each of ``LONG_DRIVES`` long drives is of another draw of as many drives as there are, with replacement.
+
+    Args:
+        detector: to be tried.
+        drives: p-values (sweeps,) of each, of scenes that the monitor was not calibrated on.
+        hz: sweeps a second.
+        hours: of driving in all.
+        rng: draws the drives.
+    """
+    sweeps, found = round(3600.0 * hz * hours / LONG_DRIVES), []
+    for _ in range(LONG_DRIVES):
+        chosen = rng.integers(len(drives), size=len(drives))
+        order = rng.choice(chosen, -(-2 * sweeps // max(len(drives[0]), 1)))
+        p = np.concatenate([drives[number] for number in order])[:sweeps]
+        one = detector.fresh()
+        found.append(sum(one.add(each) for each in p.tolist()) * 3600.0 * hz / len(p))
+    low, high = np.quantile(found, (0.025, 0.975))
+    return float(np.mean(found)), (float(low), float(high))
 
 
 def mean_rate(rates: Sequence[Rate]) -> float:
