@@ -25,8 +25,8 @@ from viewshed.estimators import ESTIMATORS
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.claims import claim_table
-from viewshed.fusion.honest import honest_model
 from viewshed.fusion.explained import ExplainedTracks
+from viewshed.fusion.honest import honest_model
 from viewshed.fusion.legend import LEGEND
 from viewshed.fusion.many import joint_fov
 from viewshed.fusion.object_stream import ObjectStream
