@@ -24,6 +24,7 @@ from viewshed._page import facts, page, table
 from viewshed.datasets.simulated import scan_frame
 from viewshed.estimators import load_estimator
 from viewshed.fusion.claims import ClaimTable
+from viewshed.fusion.honest import HonestModel
 from viewshed.fusion.many import AgentReport, CommandCenter
 from viewshed.fusion.view_checks import VIEW_CHECKS, ClaimedView, check_view
 from viewshed.geometry import Rigid
@@ -31,7 +32,7 @@ from viewshed.messages.transport import Radio, RadioFaults
 from viewshed.objects import Detections
 from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
-from viewshed.studies.agents.jobs import CLAIMS
+from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL
 from viewshed.studies.agents.lies import LIES, Liars
 from viewshed.studies.agents.page import AgentsResults, ScoredRun
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
@@ -59,6 +60,9 @@ NEAR_OBJECT_M = 2.5
 _NS = 1_000_000_000
 
 Floats = NDArray[np.float64]
+
+Learned = tuple[ClaimTable, HonestModel]
+"""What claims are worth and what honest agents report, from scenes of the study."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +104,10 @@ def main() -> None:
     store = ResultStore.open(chosen.study, AgentsPlan.load(chosen.preset))
     chosen.work.mkdir(parents=True, exist_ok=True)
     study = store.results("run")
-    claims = ClaimTable.from_json((chosen.study / CLAIMS).read_text("utf-8"))
+    learned = (
+        ClaimTable.from_json((chosen.study / CLAIMS).read_text("utf-8")),
+        HonestModel.from_json((chosen.study / HONEST_MODEL).read_text("utf-8")),
+    )
     found: dict[str, dict[int, list[Run]]] = {name: {} for name in (*LINKS, *SPOOFED)}
     for number in range(min(chosen.scenes, store.plan.test)):
         scene = Scene.load(scene_path(store.folder, "test", number))
@@ -109,11 +116,11 @@ def main() -> None:
         cases = (HONEST, CASES[number % len(CASES)], CASES[(number + 3) % len(CASES)])
         for name, link in LINKS.items():
             path = chosen.work / f"{name.replace(' ', '_')}-{number:04d}.json"
-            found[name][number] = kept(path, partial(run_cases, scene, cases, seed, claims, link, None))
+            found[name][number] = kept(path, partial(run_cases, scene, cases, seed, learned, link, None))
         for who in SPOOFED:
             path = chosen.work / f"spoofed_{who or 'nobody'}-{number:04d}.json"
             spoofing = Spoofing(store.plan, number, who)
-            found[who][number] = kept(path, partial(run_cases, scene, ("fabricate",), seed, claims, Link(), spoofing))
+            found[who][number] = kept(path, partial(run_cases, scene, ("fabricate",), seed, learned, Link(), spoofing))
         print(f"scene {number}", flush=True)
     scored = {name: scored_runs(store.plan, study, runs) for name, runs in found.items()}
     text = page_of(scored, AgentsResults(store.plan, study))
@@ -179,15 +186,15 @@ def with_car(sweep: Sweep, place: Floats, rng: np.random.Generator) -> Sweep:
 
 
 def run_cases(
-    scene: Scene, cases: Sequence[str], seed: tuple[int, str, int], claims: ClaimTable, link: Link,
+    scene: Scene, cases: Sequence[str], seed: tuple[int, str, int], learned: Learned, link: Link,
     spoofing: Spoofing | None,
 ) -> list[Run]:  # fmt: skip
     """Return what the cases of a scene come to over a link."""
-    return [run_case(scene, case, seed, claims, link, spoofing) for case in cases]
+    return [run_case(scene, case, seed, learned, link, spoofing) for case in cases]
 
 
 def run_case(
-    scene: Scene, case: str, seed: tuple[int, str, int], claims: ClaimTable, link: Link, spoofing: Spoofing | None
+    scene: Scene, case: str, seed: tuple[int, str, int], learned: Learned, link: Link, spoofing: Spoofing | None
 ) -> Run:
     """Return what a case of a scene comes to over a link; liars and lies are those of the study."""
     rng, noise = generator(*seed, case), generator(*seed, case, "link")
@@ -196,7 +203,7 @@ def run_case(
     liars = None if lie is None else Liars(lie, tuple(order[: lie.liars]), -1, rng)
     radio = Radio(noise, RadioFaults(loss=link.loss, delay_s=link.late_s))
     here, ends = radio.join("center"), [radio.join(agent) for agent in scene.agents]
-    center = CommandCenter(scene.agents, claims=claims)
+    center = CommandCenter(scene.agents, claims=learned[0], honest=learned[1])
     said: list[dict[int, AgentReport]] = []
     evidence, doubt, trust, suspects = [], [], [], []
     for time, t_s in enumerate(scene.times_s.tolist()):
